@@ -303,7 +303,7 @@ def _resolution(cube, beam):
     if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
         return beam
     beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
-    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in beams]))
+    return np.median(u.Quantity([own.width for own in beams]))
 
 
 @dataclass(frozen=True)
@@ -324,19 +324,14 @@ def problems(planes, check=True):
     Another name for the same place, and the same date, need only a warning.  Without
     ``check``, only units and dates count.
     """
-    found = [*_other_units(planes), *_same_dates(planes)]
-    if check:
-        found += [*_other_objects(planes), *_other_light(planes), *_other_band(planes)]
-    return sorted(found, key=lambda problem: (problem.index, problem.what))
-
-
-def _other_units(planes):
+    found = [*_same_dates(planes), *(_strangers(planes) if check else ())]
     first = planes[0].unit
     for i, plane in enumerate(planes):
         if not plane.unit.is_equivalent(first):
             own, other = (unit.to_string() or "none" for unit in (plane.unit, first))
             what = f"its unit is {own}, that of others is {other}"
-            yield Problem(i, what, "leave one out")
+            found.append(Problem(i, what, "leave one out"))
+    return sorted(found, key=lambda problem: (problem.index, problem.what))
 
 
 def _same_dates(planes):
@@ -355,8 +350,13 @@ def _same_dates(planes):
         yield Problem(other, what, advice, refused=False)
 
 
-def _other_objects(planes):
-    names = [str(plane.facts.get("object", "")).strip() for plane in planes]
+def _strangers(planes):
+    """Yield images of another object, filter, polarisation or band."""
+    names, filters, stokes, known = (
+        [plane.facts.get(fact) for plane in planes]
+        for fact in ("object", "filter", "stokes", "frequency")
+    )
+    names = [str(name or "").strip() for name in names]
     names = [None if name.upper() in UNNAMED else name for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
@@ -365,20 +365,11 @@ def _other_objects(planes):
         what = f"shows {mine}, {where}, where others show {others}"
         advice = "leave it out if it is another object" if same else UNCHECKED
         yield Problem(i, what, advice, refused=not same)
-
-
-def _other_light(planes):
-    filters = [plane.facts.get("filter") for plane in planes]
-    stokes = [plane.facts.get("stokes") for plane in planes]
     stokes = [s if s in POLARISED else s and "I" for s in stokes]
     for what, values in (("the filter", filters), ("Stokes", stokes)):
         for i, mine, others in _minority(values):
             yield Problem(i, f"is of {what} {mine}, others are of {others}")
-
-
-def _other_band(planes):
-    known = [plane.facts.get("frequency") or np.nan for plane in planes]
-    known = np.array(known, dtype=float)
+    known = np.array([value or np.nan for value in known], dtype=float)
     near = np.abs(np.log(known[:, None] / known)) < BAND
     usual = int(np.argmax(near.sum(axis=1)))
     for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):

@@ -115,12 +115,10 @@ class ImageSeries:
         ValueError
             If shapes or numbers of epochs disagree.
         """
-        shape = np.shape(data)
-        if len(shape) != 3:
-            raise ValueError(f"data must have shape (n_epochs, ny, nx), got {shape}")
+        n, ny, nx = (*np.shape(data), 1, 1, 1)[:3]
         if reference_pixel is None:
-            reference_pixel = (shape[2] - 1) / 2, (shape[1] - 1) / 2
-        fields = {"meta": {"history": [f"{shape[0]} epochs from arrays"]}, **fields}
+            reference_pixel = (nx - 1) / 2, (ny - 1) / 2
+        fields = {"meta": {"history": [f"{n} epochs from arrays"]}, **fields}
         wcs = positions.offset_wcs(pixel_scale, reference_pixel, position)
         return cls(data=data, times=times, wcs=wcs, **fields)
 

@@ -503,7 +503,12 @@ def intrinsic_table(
         if angle_error is not None:
             spread = u.Quantity(angle_error).to_value(u.deg)
             angles[1:] += rng.normal(0, spread, n_trials)
-        columns["gamma"], columns["doppler"] = _at_angle(trials, angles * u.deg)
+        flow = beta_intrinsic(trials, angles * u.deg)
+        gamma, doppler = lorentz_factor(flow), doppler_factor(flow, angles * u.deg)
+        # Speeds that are impossible at this angle must not be missing from quantiles.
+        impossible = ~np.isfinite(gamma)
+        gamma[impossible], doppler[impossible] = np.inf, 0.0
+        columns["gamma"], columns["doppler"] = gamma, doppler
         table.meta = {"viewing_angle": angle, "angle_error": angle_error}
     for name, values in columns.items():
         low, high = np.quantile(values[:, 1:], CENTRAL, axis=-1, method="nearest")
@@ -512,16 +517,6 @@ def intrinsic_table(
     if viewing_angle is not None:
         table["possible"] = np.isfinite(columns["gamma"][:, 1:]).mean(axis=1)
     return table
-
-
-def _at_angle(beta_app, angle):
-    """Return the Lorentz and Doppler factors of flows seen at an angle."""
-    beta = beta_intrinsic(beta_app, angle)
-    gamma, doppler = lorentz_factor(beta), doppler_factor(beta, angle)
-    # Speeds that are impossible at this angle must not be missing from quantiles.
-    impossible = ~np.isfinite(gamma)
-    gamma[impossible], doppler[impossible] = np.inf, 0.0
-    return gamma, doppler
 
 
 def two_sided_jet(
