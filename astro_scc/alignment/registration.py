@@ -359,7 +359,7 @@ def misalignment(cube: ImageSeries) -> float | None:
     middle = 1 + np.flatnonzero(years[2:] > years[:-2])
     if cube.beams is None or len(middle) == 0:
         return None
-    width = np.mean([beam.width.to_value(u.mas) for beam in cube.beams])
+    width = np.mean([np.sqrt(b.major * b.minor).to_value(u.mas) for b in cube.beams])
     # Weights of the epochs before and after.
     weights = {
         k: np.diff(years[k - 1 : k + 2])[::-1] / (years[k + 1] - years[k - 1])

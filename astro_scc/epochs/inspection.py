@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -298,12 +299,12 @@ def plan_intervals(
 def _resolution(cube, beam):
     if beam is None and isinstance(cube, Time):
         raise ValueError("dates alone need a beam, or the resolution as an angle")
-    if beam is None:
-        return resolution(cube)
     if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
         return beam
-    beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
-    return np.median(u.Quantity([own.width for own in beams]))
+    if beam is not None:
+        n = 1 if hasattr(beam, "major") else len(beam)
+        cube = SimpleNamespace(beams=as_beams(beam, n))
+    return resolution(cube)
 
 
 @dataclass(frozen=True)

@@ -78,11 +78,6 @@ class Beam:
         )
 
     @property
-    def width(self) -> u.Quantity:
-        """Geometric mean of the axes."""
-        return np.sqrt(self.major * self.minor)
-
-    @property
     def area(self) -> u.Quantity:
         """Solid angle, pi major minor / (4 ln 2)."""
         return np.pi * self.major * self.minor / (4 * np.log(2))

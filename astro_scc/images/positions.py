@@ -83,7 +83,7 @@ def resolution(cube):
     """Return the median width of the beams, or three pixels without beams."""
     if cube.beams is None:
         return PIXELS_RESOLVED * cube.pixel_scale
-    return np.median(u.Quantity([beam.width for beam in cube.beams]))
+    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in cube.beams]))
 
 
 def axis_words(cube):

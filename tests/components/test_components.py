@@ -282,14 +282,14 @@ def test_machine_readable_tables_with_their_description_or_beside_it(tmp_path):
 
 def test_mojave_xviii(shared_data):
     folder = shared_data / "mojave_xviii"
-    expected = {"1226+023": (105, 957), "1228+126": (37, 295)}
-    for source, numbers in expected.items():
-        components = read_components(folder / f"{source}.ecsv")
-        assert (components.n_epochs, len(components)) == numbers
-        core = components.feature == 0
-        assert core.sum() == components.n_epochs
-        assert not components.east[core].value.any()
-        read_components(folder / f"{source}.ecsv", origin="map")
+    components = read_components(folder / "1228+126.ecsv")
+    assert (components.n_epochs, len(components)) == (37, 295)
+    core = components.feature == 0
+    assert core.sum() == components.n_epochs
+    assert not components.east[core].value.any()
+    assert (
+        read_components(folder / "1228+126.ecsv", origin="map").east[core].value.any()
+    )
     # Its label ID is the source, and F the feature.
     table = folder / "apjac230ft4_mrt.txt"
     found = read_components(table, source="0003+380")

@@ -535,18 +535,6 @@ def test_other_grids_are_resampled_in_offsets(make_fits):
     assert np.array_equal(cube.epoch_wcs[1].wcs.crpix, cube.wcs.wcs.crpix)
 
 
-def test_intensity_per_pixel_keeps_its_sum(make_fits):
-    fine, coarse = gaussian(64, 64, 31, 31, 6), 4 * gaussian(32, 32, 15.0, 15.0, 3)
-    common = {"BUNIT": "JY/PIXEL", "BMAJ": None}
-    paths = [
-        make_fits("a.fits", fine, CRPIX1=32.0, CRPIX2=32.0, **common),
-        make_fits("b.fits", coarse, CRPIX1=16.0, CRPIX2=16.0, **COARSE, **common),
-    ]
-    with pytest.warns(EpochWarning, match="on another grid"):
-        sums = np.nansum(EpochCube.read(paths).data, axis=(1, 2))
-    assert sums[1] == pytest.approx(sums[0], rel=0.02)
-
-
 @pytest.mark.parametrize(
     ("changes", "frame", "words"),
     [
@@ -581,18 +569,6 @@ def test_absolute_coordinates_are_trusted_when_asked(make_fits):
     assert np.allclose(centres - centres[0], [[0, 0], [-2, 0], [0, 2.5]], atol=0.05)
 
 
-def test_solar_coordinates_need_no_solar_library(make_fits):
-    solar = {"CTYPE1": "HPLN-TAN", "CTYPE2": "HPLT-TAN", "CRVAL1": 0.1, "CRVAL2": 0.1}
-    paths = [
-        make_fits("a.fits", **solar),
-        make_fits("b.fits", DATE_OBS="2007-01-01", CRPIX1=18.0, **solar),
-    ]
-    cube = EpochCube.read(paths)
-    assert cube.shape == (2, 16, 34)
-    assert list(cube.wcs.wcs.ctype) == ["HPLN-TAN", "HPLT-TAN"]
-    assert list(cube.epoch_wcs[1].wcs.crval) == [0.1, 0.1]
-
-
 def plane_of(lon=10, time=None, **facts):
     own = {"name": "x", "time": time, "extent": 1e-6, "unit": u.one}
     return SimpleNamespace(facts=facts, wcs=celestial(crval=(lon, 20)), **own)
@@ -624,13 +600,3 @@ def test_epochs_of_0003(shared_data):
     paths = sorted((shared_data / "0003+380").glob("*.fits"))
     published = [fits.getval(path, "NOISE") for path in paths]
     assert np.allclose(cube.noise_rms().value, published, rtol=0.1)
-
-
-def test_other_series(shared_data):
-    cube = EpochCube.read(f"{shared_data}/paper_test/two_fluid/*.fits")
-    assert (cube.shape, cube.reference_pixel) == ((10, 128, 256), (20, 64))
-    assert np.allclose(np.diff(cube.times.jd), 30)
-    cube = EpochCube.read(f"{shared_data}/0506+056/*.fits")
-    assert cube.shape == (3, 512, 512)
-    north = [wcs.wcs.crval[1] * 3.6e6 for wcs in cube.epoch_wcs]
-    assert north[2] - north[0] == pytest.approx(-0.33, abs=0.01)
