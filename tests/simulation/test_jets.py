@@ -22,6 +22,7 @@ from astro_scc.simulation import (
     simulate_ballistic,
     simulate_jet,
     simulate_random_velocity,
+    simulate_shell,
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
@@ -275,6 +276,22 @@ def test_artefacts():
     assert np.all((depth > 0.009) & (depth < 0.03))
 
 
+@pytest.mark.parametrize("kind", ["knots", "ring"])
+def test_a_feature_of_a_shell_moves_away_from_the_centre_at_its_rate(kind):
+    number = {"n_knots": 1, "n_clumps": 0} if kind == "knots" else {"n_knots": 0}
+    options = {"background": 0.0, "counts": 1e4, "n_clumps": 1, **number}
+    shell = simulate_shell(n_epochs=3, interval=15 * u.yr, rng=3, **options)
+    (row,), rate = shell.truth, 0.11 if kind == "knots" else 0.07
+    assert (row["group"], row["rate"]) == (kind, rate * u.percent / u.yr)
+    y, x = np.indices(shell.cube.shape[1:])
+    for image, year in zip(shell.cube.data, shell.cube.years.value, strict=True):
+        middle = [np.average(axis, weights=image) for axis in (x, y)]
+        found = u.Quantity(shell.cube.pixel_to_offset(*middle)) - shell.centre
+        expected = u.Quantity([row["east"], row["north"]]) * (1 + rate / 100 * year)
+        assert u.allclose(found, expected, atol=0.05 * u.arcsec)
+    assert repr(shell) == "<SimulatedShell: 3 epochs, 1 features>"
+
+
 # What is refused --------------------------------------------------------------
 
 
@@ -322,6 +339,8 @@ ONE = Stream("s", half_width=5.0)
         (JetSimulation, {"streams": [ONE], "extent": (220.0, 20.0)}, "extent must be"),
         (JetSimulation, {"streams": [ONE], "taper": -1.0}, "taper must be zero or pos"),
         (simulate_two_fluid, {"slow": 5 * u.km / u.s}, "not convertible"),
+        (simulate_shell, {"n_epochs": 1}, "n_epochs must be at least 2"),
+        (simulate_shell, {"size": 100}, "larger than 100 pixels can show"),
         (simulate_jet, {"n_epochs": 0}, "n_epochs must be at least 1"),
         (simulate_jet, {"alignment_error": -1.0}, "alignment_error must be zero or"),
         (simulate_jet, {"flux_variation": np.nan}, "flux_variation must be zero or"),
