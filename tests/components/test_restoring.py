@@ -185,16 +185,6 @@ def test_restores_what_aips_restored(shared_data):
     assert np.abs(residual).max() < 0.01 * image.max()
 
 
-def test_3c273_in_seconds(shared_data):
-    source = read_components(shared_data / "mojave_xviii" / "1226+023.ecsv")
-    cube = restored(source)
-    assert len(cube) == 105
-    # The core stands at the reference pixel.
-    x, y = np.round(cube.reference_pixel).astype(int)
-    core = np.flatnonzero((source.epoch == 0) & (source.feature == 0))[0]
-    assert cube.data[0, y, x] > 0.5 * source.flux[core].value
-
-
 # Noise that the beam correlates -------------------------------------------------
 
 

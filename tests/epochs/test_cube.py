@@ -17,7 +17,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.inspection import Problem, problems
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
@@ -90,15 +89,6 @@ def test_any_order_gives_the_same_cube(order):
     assert np.all(np.diff(cube.times.mjd) >= 0)
     for value, day in zip(cube.data, cube.times.mjd - 51544, strict=True):
         assert any(np.array_equal(value, data[i]) for i in np.flatnonzero(days == day))
-
-
-def test_defaults():
-    cube = EpochCube(images(), DATES, celestial())
-    assert (cube.unit, cube.beams, cube.noise, cube.epoch_wcs) == (u.one, *[None] * 3)
-    assert cube.mask.shape == cube.shape
-    assert not cube.mask.any()
-    assert cube.labels == ("2000-01-01", "2000-06-01", "2001-01-01")
-    assert (cube.epoch_meta, len(cube)) == (({}, {}, {}), 3)
 
 
 def test_arrays_become_float64_and_pixels_that_are_not_finite_are_masked():
@@ -567,24 +557,6 @@ def test_absolute_coordinates_are_trusted_when_asked(make_fits):
     filled = np.where(cube.mask, 0, cube.data)
     centres = [[np.sum(i * x), np.sum(i * y)] / np.sum(i) for i in filled]
     assert np.allclose(centres - centres[0], [[0, 0], [-2, 0], [0, 2.5]], atol=0.05)
-
-
-def plane_of(lon=10, time=None, **facts):
-    own = {"name": "x", "time": time, "extent": 1e-6, "unit": u.one}
-    return SimpleNamespace(facts=facts, wcs=celestial(crval=(lon, 20)), **own)
-
-
-def test_problems_of_few_facts():
-    planes = [plane_of(object=name, lon=10 + (name == "B")) for name in "AAB"]
-    there = "shows B, somewhere else, where others show A"
-    assert problems(planes) == [Problem(2, there)]
-    assert problems(planes, check=False) == []
-    for facts in ([{}, {}], [{"frequency": 15.3e9}, {"frequency": 15.4e9}, {}],
-                  [{"stokes": "RR"}, {"stokes": "I"}, {}]):  # fmt: skip
-        assert problems([plane_of(**own) for own in facts]) == []
-    times = Time(["2000-01-02", "2000-01-01", "2000-01-02T00:00:00.5"])
-    (found,) = problems([plane_of(time=time) for time in [*times, None]])
-    assert (found.index, found.refused) == (2, False)
 
 
 # -- real files -----------------------------------------------------------------

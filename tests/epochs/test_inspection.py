@@ -163,13 +163,3 @@ def test_plans_are_in_order(days, size):
     assert last >= first
     assert u.isclose(plan.motion(plan.consecutive[0]), 0.3)
     assert all(line.endswith(".") for line in plan.lines())
-
-
-def test_inspection_of_real_files(shared_data):
-    table = inspect_epochs(
-        [shared_data / "0003+380" / "*.fits", shared_data / "README.md"]
-    )
-    assert table["problem"][:10].tolist() == [""] * 10
-    assert "no FITS" in table["problem"][10]
-    quirks = inspect_epochs(shared_data / "quirks" / "*.fits")
-    assert [bool(text) for text in quirks["problem"]] == [False, True, True]

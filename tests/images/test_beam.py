@@ -247,18 +247,6 @@ def test_common_beams_of_nearly_equal_ones(spread):
     assert result.major.value < 0.9 * (1 + spread) * 1.003
 
 
-def test_mojave_epochs(shared_data):
-    """Every epoch keeps its flux density within the noise, and gets one beam."""
-    cube = EpochCube.read(str(shared_data / "0003+380" / "*.fits"))
-    result = common_beam(cube)
-    assert all(contains(result.beams[0], b) for b in cube.beams)
-    fluxes = [
-        c.data[:, 64:192, 64:192].sum(axis=(1, 2)) / [b.area.value for b in c.beams]
-        for c in (cube, result)
-    ]
-    assert_allclose(*fluxes, rtol=5e-3)
-
-
 CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
 
 

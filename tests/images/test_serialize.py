@@ -79,18 +79,6 @@ def test_everything_comes_back_to_the_bit(tmp_path, make, name):
     assert kind_of(path) == "cube"
 
 
-def test_cubes_of_files_come_back(make_fits, tmp_path):
-    dates = ("2006-03-09", "2007-01-01")
-    paths = [make_fits(f"{d}.fits", DATE_OBS=d, CROTA2=30.0) for d in dates]
-    cube = EpochCube.read(paths)
-    cube.write(tmp_path / "cube.fits")
-    again = EpochCube.read(tmp_path / "cube.fits")
-    assert np.allclose(again.pixel_matrix, cube.pixel_matrix, rtol=1e-14)
-    assert (again.labels, again.epoch_meta) == (cube.labels, cube.epoch_meta)
-    assert (again.times == cube.times).all()
-    assert kind_of(paths[0]) == "images"
-
-
 def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
     meta = {
         "speed": 1.5 * u.mas / u.yr,
