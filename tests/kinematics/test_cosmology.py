@@ -9,7 +9,7 @@ from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18, default_cosmol
 from astropy.cosmology import units as cu
 from astropy.table import Column, MaskedColumn, QTable
 from astropy.utils.masked import Masked
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.kinematics import (
@@ -157,6 +157,7 @@ def test_numbers_at_15_degrees_and_speeds_that_are_none():
     assert np.isnan(lorentz_factor([1.0, -1.0, 2.0])).all()
 
 
+@settings(max_examples=40)
 @given(beta=st.floats(0.01, 0.9999), angle=st.floats(0.1, 179))
 def test_everything_comes_back(beta, angle):
     cos, angle = np.cos(np.radians(angle)), angle * u.deg
@@ -230,6 +231,7 @@ def test_errors_of_a_two_sided_jet_are_those_of_small_changes():
     np.testing.assert_allclose(found[:, 1], np.hypot(*changes), rtol=0.03)
 
 
+@settings(max_examples=40)
 @given(beta=st.floats(0.1, 0.999), theta=st.floats(1, 89))
 def test_two_sided_jet_there_and_back(beta, theta):
     t, d = np.radians(theta), 10 * u.kpc

@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -31,6 +31,7 @@ def test_sky_and_what_frames_are_called():
     assert RadialFrame() != SkyFrame()
 
 
+@settings(max_examples=40)
 @given(pa=st.floats(-400, 400), length=st.floats(0.1, 10))
 def test_parallel_is_along_the_position_angle(pa, length):
     frame, angle = PositionAngleFrame(pa * u.deg), np.radians(pa)
@@ -38,6 +39,7 @@ def test_parallel_is_along_the_position_angle(pa, length):
     assert_allclose(frame.matrix() @ along, [length, 0], atol=1e-9)
 
 
+@settings(max_examples=40)
 @given(x=OFFSET, y=OFFSET, x0=OFFSET, y0=OFFSET)
 def test_radial_is_away_from_the_origin(x, y, x0, y0):
     matrix = RadialFrame([x0, y0] * u.mas).matrix(x, y)
@@ -51,6 +53,7 @@ def test_radial_is_away_from_the_origin(x, y, x0, y0):
     assert_allclose(matrix, PositionAngleFrame(angle).matrix(), atol=1e-9)
 
 
+@settings(max_examples=40)
 @given(angle=st.floats(0, 6.28), r=st.floats(5e3, 5e4), rate=st.floats(-0.1, 0.1))
 def test_one_rate_is_one_velocity(angle, r, rate):
     place = r * np.array([np.sin(angle), np.cos(angle)])
