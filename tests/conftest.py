@@ -1,10 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Marks of the tests, and one small jet for all that need a measurement."""
+"""Marks of the tests, FITS images, and one small jet for all that measure."""
 
 from pathlib import Path
 
 import astropy.units as u
+import numpy as np
 import pytest
+from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.simulation import JetSimulation, Stream
@@ -61,3 +63,41 @@ def jet_results(jet_stacked):
     """Results of the same matches by the kind of their axes."""
     angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
     return {name: jet_stacked(angle) for name, angle in angles.items()}
+
+
+MAS = 1 / 3.6e6
+AIPS = {
+    "OBJECT": "3C273", "TELESCOP": "VLBA", "DATE-OBS": "2006-03-09", "EPOCH": 2000.0,
+    "BUNIT": "JY/BEAM", "CTYPE1": "RA---SIN", "CRVAL1": 187.25, "CRPIX1": 16.0,
+    "CDELT1": -0.1 * MAS, "CROTA1": 0.0, "CTYPE2": "DEC--SIN", "CRVAL2": 2.05,
+    "CRPIX2": 9.0, "CDELT2": 0.1 * MAS, "CROTA2": 0.0, "CTYPE3": "FREQ",
+    "CRVAL3": 15.4e9, "CRPIX3": 1.0, "CDELT3": 64e6, "CTYPE4": "STOKES", "CRVAL4": 1.0,
+    "CRPIX4": 1.0, "CDELT4": 1.0, "BMAJ": 1.0 * MAS, "BMIN": 0.5 * MAS, "BPA": -7.0,
+}  # fmt: skip
+
+
+@pytest.fixture
+def aips_header():
+    """Header of a VLBI image; None as a value removes a keyword."""
+
+    def make(**changes):
+        changes = {k.replace("DATE_", "DATE-"): v for k, v in changes.items()}
+        cards = AIPS | changes
+        return fits.Header({k: v for k, v in cards.items() if v is not None})
+
+    return make
+
+
+@pytest.fixture
+def make_fits(tmp_path, aips_header):
+    """Write a VLBI image of 32 x 16 pixels, 4-D and big-endian, and give its path."""
+
+    def make(name="a.fits", data=None, **changes):
+        if data is None:
+            data = np.random.default_rng(1).normal(size=(1, 1, 16, 32))
+        data = np.asarray(data).astype(np.asarray(data).dtype.newbyteorder(">"))
+        hdu = fits.PrimaryHDU(data, aips_header(**changes))
+        hdu.writeto(tmp_path / name, overwrite=True)
+        return tmp_path / name
+
+    return make

@@ -7,7 +7,7 @@ from dataclasses import fields
 import astropy.units as u
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
@@ -16,43 +16,23 @@ from astro_scc.cli.program import build_parser
 from astro_scc.quantities import parse_quantities, to_time
 from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, require
 
+PM = u.mas / u.yr
 FULL = {
-    "epochs": ["a.fits", "b c.fits"],
-    "after": "1995-01-01",
-    "before": "2011.0",
-    "align": "core",
-    "beam": "1.0 mas 0.5 mas -7 deg",
-    "common_beam": True,
-    "crop": "part.reg",
-    "region": "jet.reg",
-    "scales": "0.2 mas, 0.4 mas",
-    "max_speed": "2 mas/yr",
-    "position_angle": "-112 deg",
-    "baseline": "70 d 1.0 yr",
-    "min_error_beams": 0.2,
-    "kappa": 0.6,
-    "target": "plane",
-    "min_overlap": 0.8,
-    "wavelet": "b3",
-    "detection": 4,
-    "segmentation": 3.0,
-    "noise": "local",
-    "alpha": 0.05,
-    "outward": True,
-    "alignment_error": "0.02 mas",
-    "small_displacement_correction": False,
-    "n_trials": 1000,
-    "seed": 2**63 - 1,
-    "redshift": 0.158,
-    "cosmology": "H0=71,Om0=0.27",
-}
+    "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
+    "align": "core", "beam": "1.0 mas 0.5 mas -7 deg", "common_beam": True,
+    "crop": "part.reg", "region": "jet.reg", "scales": "0.2 mas, 0.4 mas",
+    "max_speed": "2 mas/yr", "position_angle": "-112 deg", "baseline": "70 d 1.0 yr",
+    "min_error_beams": 0.2, "kappa": 0.6, "target": "plane", "min_overlap": 0.8,
+    "wavelet": "b3", "detection": 4, "segmentation": 3.0, "noise": "local",
+    "alpha": 0.05, "outward": True, "alignment_error": "0.02 mas",
+    "small_displacement_correction": False, "n_trials": 1000, "seed": 2**63 - 1,
+    "redshift": 0.158, "cosmology": "H0=71,Om0=0.27",
+}  # fmt: skip
 #: Of other commands than `measure`, and what does not go with a redshift.
 OTHERS = {
-    "distance": "16.7 Mpc",
-    "bins": "0.5 1.5 2.5 mas",
-    "window": "1 mas",
+    "distance": "16.7 Mpc", "bins": "0.5 1.5 2.5 mas", "window": "1 mas",
     "detections": "ssp",
-}
+}  # fmt: skip
 
 
 def same(a, b):
@@ -64,42 +44,33 @@ def same(a, b):
 def test_every_setting_is_declared_once():
     assert set(FULL) | set(OTHERS) == set(OPTIONS)
     assert {field.name for field in fields(StackedCrossCorrelation)} <= set(OPTIONS)
-    facts = OPTIONS["kappa"]
-    assert (facts["metavar"], facts["default"]) == ("0.6", 0.6)
-    facts = OPTIONS["noise"]
-    assert (facts["metavar"], facts["default"]) == (None, "plane")
-
-
-def test_an_option_is_one_field():
-    """``--outward`` is nothing but the metavar of its field."""
-    words = "measure a.fits -o out --outward".split()
-    args = build_parser().parse_args(words)
-    assert settings_of(args, None).outward is True
-    assert settings_of(build_parser().parse_args(words[:-1]), None).outward is False
+    for name, facts in (("kappa", ("0.6", 0.6)), ("noise", (None, "plane"))):
+        assert (OPTIONS[name]["metavar"], OPTIONS[name]["default"]) == facts
+    # ``--outward`` is nothing but the metavar of its field.
+    for words, outward in (("--outward", True), ("", False)):
+        args = build_parser().parse_args(f"measure a.fits -o out {words}".split())
+        assert settings_of(args, None).outward is outward
 
 
 def test_settings_survive_the_file_to_the_bit(tmp_path):
-    settings = Settings(**FULL)
+    made = Settings(**FULL)
     path = tmp_path / "config.toml"
-    text = settings.to_toml(versions={"numpy": "2.0"})
+    text = made.to_toml(versions={"numpy": "2.0"})
     assert text.startswith("# What determined the results.")
     assert "astro-scc measure --config FILE -o FOLDER\n\nepochs = " in text
     path.write_text(text, encoding="utf-8")
     found, versions = read_config(path)
-    assert versions == {"numpy": "2.0"}
-    assert set(found) == set(FULL)
+    assert (versions, set(found)) == ({"numpy": "2.0"}, set(FULL))
     again = Settings(**found)
     for name in OPTIONS:
-        assert same(getattr(again, name), getattr(settings, name)), name
+        assert same(getattr(again, name), getattr(made, name)), name
 
 
 @pytest.mark.parametrize("command", ["profile", "track"])
 def test_a_command_keeps_its_own_settings(command):
-    settings = Settings(epochs="a.fits", **OTHERS)
-    plain = settings.to_dict(command)
-    assert ("bins" in plain) == (command == "profile")
+    plain = Settings(epochs="a.fits", **OTHERS).to_dict(command)
+    assert ("bins" in plain) == ("min_error_beams" in plain) == (command == "profile")
     assert ("detections" in plain) == (command == "track")
-    assert ("min_error_beams" in plain) == (command == "profile")
     assert plain["distance"] == "16.7 Mpc"
     for name, value in Settings(**plain).to_dict(command).items():
         assert plain[name] == value
@@ -107,9 +78,8 @@ def test_a_command_keeps_its_own_settings(command):
 
 def test_speeds_in_c_need_one_kind_of_distance():
     assert Settings().in_c == {}
-    assert Settings(redshift=0.1).in_c == {
-        "redshift": 0.1, "cosmology": "H0=71,Om0=0.27"
-    }  # fmt: skip
+    own = {"redshift": 0.1, "cosmology": "H0=71,Om0=0.27"}
+    assert Settings(redshift=0.1).in_c == own
     assert Settings(distance="1 Mpc").in_c == {"distance": 1 * u.Mpc}
     with pytest.raises(ValueError, match="distance needs neither redshift nor"):
         Settings(redshift=0.1, distance="1 Mpc")
@@ -117,73 +87,47 @@ def test_speeds_in_c_need_one_kind_of_distance():
         Settings(cosmology="Planck18")
 
 
+@settings(max_examples=20)
 @given(
     value=st.floats(min_value=1e-12, max_value=1e12),
     unit=st.sampled_from(["mas/yr", "arcsec / h", "deg/d", "uas yr-1", "rad/s"]),
 )
 def test_speeds_survive_to_the_bit(value, unit):
-    settings = Settings(max_speed=f"{value!r} {unit}")
-    again = Settings(**tomllib.loads(settings.to_toml()))
-    assert same(again.max_speed, settings.max_speed)
+    made = Settings(max_speed=f"{value!r} {unit}")
+    again = Settings(**tomllib.loads(made.to_toml()))
+    assert same(again.max_speed, made.max_speed)
     # What the measurement computes with is the same, too.
-    scc = StackedCrossCorrelation.from_settings(settings)
-    assert scc.max_speed == StackedCrossCorrelation.from_settings(again).max_speed
-    assert scc.max_speed.unit == u.mas / u.yr
+    pair = [
+        StackedCrossCorrelation.from_settings(own).max_speed for own in (made, again)
+    ]
+    assert pair[0] == pair[1]
+    assert pair[0].unit == PM
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("0.2 yr 1.0 yr", [0.2, 1.0] * u.yr),
         ("0.2 1.0 yr", [0.2, 1.0] * u.yr),
         ("0.2yr, 1.0yr", [0.2, 1.0] * u.yr),
         ("  .5,1.,1e1 mas ", [0.5, 1.0, 10.0] * u.mas),
-        ("-1 mas / yr 4 mas yr-1", [-1, 4] * u.mas / u.yr),
+        ("-1 mas / yr 4 mas yr-1", [-1, 4] * PM),
         ("\N{MINUS SIGN}112deg", [-112] * u.deg),
         ("16 7 Mpc", [16, 7] * u.Mpc),
     ],
 )
 def test_several_quantities(text, expected):
-    found = u.Quantity(parse_quantities(text))
-    assert same(found, expected)
+    assert same(u.Quantity(parse_quantities(text)), expected)
 
 
-def test_quantities_of_different_kinds():
-    major, minor, angle = parse_quantities("1.0 0.5 mas -7 deg")
-    assert (major, minor, angle) == (1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("", "no unit"),
-        ("1 2", "no unit"),
-        ("1 mas 2", "no unit"),
-        ("mas", "'mas' where a number"),
-        (", mas 1", "'mas' where a number"),
-        ("1 7 Mpc 2 kg/", "unknown unit 'kg/'"),
-        ("1 parsecond", "unknown unit 'parsecond'"),
-        ("1x2 mas", "unknown unit 'x2 mas'"),
-    ],
-)
-def test_quantities_that_are_none(text, reason):
-    with pytest.raises(ValueError, match=reason):
-        parse_quantities(text)
-
-
-def test_dates_of_toml_are_dates(tmp_path):
+def test_dates(tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
-    settings = Settings(**read_config(path)[0])
-    assert settings.after == "2001-02-03"
-    assert to_time(settings.before).isot == "2005-01-01T12:00:00.000"
-
-
-def test_times():
-    assert to_time("2011-01-01") == to_time(" 2011-01-01T00:00:00 ")
-    assert to_time("2011.5").jyear == 2011.5
-    assert to_time("2011").jyear == 2011
-    assert to_time("2011 Jan 01") == to_time("20110101") == to_time("2011-01-01Z")
+    found = Settings(**read_config(path)[0])
+    assert found.after == "2001-02-03"
+    assert to_time(found.before).isot == "2005-01-01T12:00:00.000"
+    for text in (" 2011-01-01T00:00:00 ", "2011 Jan 01", "20110101", "2011-01-01Z"):
+        assert to_time(text) == to_time("2011-01-01")
+    assert (to_time("2011.5").jyear, to_time("2011").jyear) == (2011.5, 2011)
 
 
 @pytest.mark.parametrize(
@@ -192,49 +136,38 @@ def test_times():
         ("epochs", [], "list of files"),
         ("epochs", ["a.fits", 3], "must be text"),
         ("align", " ", "must be text"),
-        ("region", 3, "must be text"),
         ("common_beam", "yes", "true or false"),
+        ("outward", 2, "must be true or false"),
         ("kappa", "much", "must be a number"),
         ("kappa", float("nan"), "finite"),
-        ("min_error_beams", 0, "a part of the beam between 0 and 5"),
+        ("kappa", 1.0, "kappa = 1.0 must be between 0 and 1"),
         ("alpha", 0, "between 0 and 1"),
+        ("min_error_beams", 0, "a part of the beam between 0 and 5"),
+        ("min_error_beams", 5, "min_error_beams = 5 must be a part of the beam"),
+        ("min_overlap", 0.0, "min_overlap = 0.0 must be above 0, up to 1"),
+        ("min_overlap", 1.1, "min_overlap = 1.1 must be above 0, up to 1"),
         ("n_trials", 1, "must be 2 to"),
         ("n_trials", 10.5, "whole number"),
         ("seed", 2**63, "must be 0 to"),
-        ("kappa", 1.0, "kappa = 1.0 must be between 0 and 1"),
-        ("min_error_beams", 5, "min_error_beams = 5 must be a part of the beam"),
         ("wavelet", "b2", "wavelet = 'b2' must be one of b1, b3"),
         ("noise", "none", "noise = 'none' must be one of plane, local, propagated"),
-        ("min_overlap", 0.0, "min_overlap = 0.0 must be above 0, up to 1"),
-        ("min_overlap", 1.1, "min_overlap = 1.1 must be above 0, up to 1"),
         ("max_speed", "2", "max_speed = '2' has no unit at its end; it must be an"),
-        (
-            "max_speed",
-            2,
-            "max_speed = 2 must be an angle per time with a unit, such as",
-        ),
         ("max_speed", "2 mas", "angle per time with a unit, such as '2 mas/yr'"),
-        ("max_speed", 0 * u.mas / u.yr, "max_speed = 0.0 mas / yr must be finite and"),
-        ("max_speed", np.inf * u.mas / u.yr, "must be finite and above 0"),
-        ("max_speed", [1, 2] * u.mas / u.yr, "must be an angle per time with a unit"),
-        ("max_speed", "2 7 mas/yr", "must be an angle per time with a unit"),
-        ("distance", "16.7 mas", "a length with a unit"),
+        ("max_speed", 0 * PM, "max_speed = 0.0 mas / yr must be finite and"),
+        ("max_speed", np.inf * PM, "must be finite and above 0"),
+        ("max_speed", [1, 2] * PM, "must be an angle per time with a unit"),
+        ("max_speed", "1 mas 2", "no unit"),
+        ("max_speed", ", mas 1", "'mas' where a number"),
+        ("max_speed", "1 parsecond", "unknown unit 'parsecond'"),
+        ("max_speed", "1x2 mas", "unknown unit 'x2 mas'"),
         ("position_angle", "65", "radial, ridge, fit, any or an angle"),
-        (
-            "position_angle",
-            "west",
-            "has 'west' where a number is expected; it must be ",
-        ),
+        ("position_angle", "west", "has 'west' where a number is expected; it must be"),
         ("position_angle", [1, 2] * u.deg, "must be radial, ridge"),
         ("position_angle", np.nan * u.deg, "position_angle = nan deg must be finite"),
         ("position_angle", "117 mas", "must be in degrees or radians"),
         ("position_angle", 117 * u.uas, "must be in degrees or radians"),
-        ("baseline", "1 yr", "shortest and a longest"),
-        ("baseline", "2 yr 1 yr", "shortest and a longest"),
-        ("baseline", "1 2", "no unit at its end; it must be a shortest"),
-        ("baseline", [1, 2], "shortest and a longest"),
-        ("baseline", [-1, 1] * u.yr, "shortest and a longest"),
-        ("baseline", [0, np.nan] * u.yr, "shortest and a longest"),
+        *(("baseline", value, "shortest and a longest") for value in (
+            "1 yr", "2 yr 1 yr", "1 2", [1, 2], [-1, 1] * u.yr, [0, np.nan] * u.yr)),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
@@ -247,21 +180,16 @@ def test_times():
         ("cosmology", 3, "must be text"),
         ("before", "yesterday", "is no date such as 2011-01-01"),
         ("redshift", -0.1, "above 0"),
-        ("redshift", "47367 km/s", "is a velocity.* 0.158 if it is c z"),
-        ("redshift", "600 Mpc", "is a length; give it as the distance"),
         ("redshift", [0.1, 0.2], "must be one redshift"),
         ("distance", "0.158", "no unit at its end; it must be a length with a unit"),
         ("distance", "16 7 Mpc", "must be one distance"),
-        ("distance", "-1 Mpc", "finite and above 0"),
+        ("bins", "2 1 mas", "must be increasing distances"),
         ("alignment_error", "-0.1 mas", "0 or above"),
-        ("alignment_error", [1, np.nan] * u.mas, "must be an angle or a list of them"),
-        ("alignment_error", np.inf * u.mas, "must be an angle or a list of them"),
-        ("alignment_error", np.ones((2, 2)) * u.mas, "must be an angle or a list of"),
-        ("outward", 2, "must be true or false"),
-        ("outward", "yes", "must be true or false"),
+        *(("alignment_error", value * u.mas, "must be an angle or a list of them")
+          for value in ([1, np.nan], np.inf, np.ones((2, 2)))),
         ("detections", "clean", "must be one of gaussians, ssp"),
     ],
-)
+)  # fmt: skip
 def test_values_that_make_no_sense(name, value, reason):
     with pytest.raises(ValueError, match=reason) as caught:
         check_setting(name, value)
@@ -271,7 +199,7 @@ def test_values_that_make_no_sense(name, value, reason):
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("max_speed", "2 mas/yr", 2 * u.mas / u.yr),
+        ("max_speed", "2 mas/yr", 2 * PM),
         ("scales", np.array([1, 2]), (1.0, 2.0)),
         ("scales", [0.2 * u.mas, 0.4 * u.mas], [0.2, 0.4] * u.mas),
         ("scales", 0.4 * u.mas, [0.4] * u.mas),
@@ -290,8 +218,6 @@ def test_values_that_make_no_sense(name, value, reason):
 )
 def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected):
     assert same(require(name, value), expected)
-    if isinstance(value, str) and hasattr(expected, "unit"):
-        assert np.all(check_setting(name, value) == expected)
 
 
 @pytest.mark.parametrize(
@@ -310,27 +236,19 @@ def test_a_wrong_unit_is_an_error_of_units(name, value):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("max_sped = '2 mas/yr'", "unknown key 'max_sped', did you mean max_speed"),
-        ("max-speed = '2 mas/yr'", "did you mean max_speed"),
-        ("xyzzy = 1", "unknown key 'xyzzy'; see"),
-        ("kappa = ", "is not a TOML file: "),
-        ("versions = 3", "versions must be a table"),
-        ("alpha = 1.5", "alpha = 1.5 must be"),
+        (b"max_sped = '2 mas/yr'", "unknown key 'max_sped', did you mean max_speed"),
+        (b"max-speed = '2 mas/yr'", "did you mean max_speed"),
+        (b"xyzzy = 1", "unknown key 'xyzzy'; see"),
+        (b"kappa = ", "is not a TOML file: "),
+        (b"\xff\xfe\x00", "is not a TOML file"),
+        (b"versions = 3", "versions must be a table"),
+        (b"alpha = 1.5", "alpha = 1.5 must be"),
     ],
 )
 def test_files_that_make_no_sense(tmp_path, text, reason):
     path = tmp_path / "jet.toml"
-    path.write_text(text)
+    path.write_bytes(text)
     with pytest.raises(ValueError, match=reason) as caught:
         read_config(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
-
-
-def test_file_that_is_no_text(tmp_path):
-    path = tmp_path / "jet.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match="is not a TOML file"):
-        read_config(path)
-    with pytest.raises(FileNotFoundError):
-        read_config(tmp_path / "nothing.toml")

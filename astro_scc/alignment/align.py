@@ -283,7 +283,11 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
     pixels = np.zeros((len(cube), 2))
     covariance = np.zeros((len(cube), 2, 2))
     for k in range(5 if image is None else 1):
-        target = _mean_of_moved(cube, -pixels) if image is None else image
+        target = image
+        if image is None:
+            moved = map(grid.shift_image, cube.data, cube.mask, -pixels)
+            # Pixels that only some epochs have would make steps in the mean.
+            target = np.mean([one for one, _ in moved], axis=0)
         use = inside & np.isfinite(target)
         if not use.any():
             raise ValueError("the reference image has no good pixel in the region")
@@ -319,13 +323,6 @@ def _reference_image(cube, reference):
     if image.shape != cube.shape[1:]:
         raise ValueError(f"reference has shape {image.shape}, epochs {cube.shape[1:]}")
     return image, "a reference image"
-
-
-def _mean_of_moved(cube, shifts):
-    """Return the mean of the shifted epochs, NaN where any of them has no pixel."""
-    epochs = zip(cube.data, cube.mask, shifts, strict=True)
-    # Pixels that only some epochs have would make steps in the mean.
-    return np.mean([grid.shift_image(*epoch)[0] for epoch in epochs], axis=0)
 
 
 def offsets_from_table(table, times, labels):

@@ -322,8 +322,12 @@ def read_components(
     beams = as_beams(beams, len(paths)) or [None] * len(paths)
     lists = []
     for path, date, beam in zip(paths, dates, beams, strict=True):
-        kind = format or _kind_of(path)
-        lists.append(_read_file(path, kind, source, origin, beam, date=date))
+        own = read_fields(path, format or _kind_of(path), source, origin, date)
+        found = own["meta"].pop("beam", None)
+        beam = found if beam is None else beam
+        own["beams"] = () if beam is None else (beam,) * len(own["times"])
+        with naming(path):
+            lists.append(ComponentList(**own))
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
         warn(
@@ -361,18 +365,13 @@ def read_sources(
     OSError, ValueError
         See `read_components`.
     """
-    path = Path(path)
+    (path,), options = find_files(path), {"origin": origin, "beams": beams}
     if source is not None:
-        return {
-            source: read_components(path, source=source, origin=origin, beams=beams)
-        }
-    (path,) = find_files(path)
-    kind = _kind_of(path)
-    opened = FORMATS[kind][0](path)
-    found = {}
-    for name in source_names(opened[0]) or (None,):
+        return {source: read_components(path, source=source, **options)}
+    found, table = {}, FORMATS[_kind_of(path)][0](path)[0]
+    for name in source_names(table) or (None,):
         try:
-            own = _read_file(path, kind, name, origin, beams, opened=opened)
+            own = read_components(path, source=name, **options)
             found[name or path.stem] = own
         except ValueError as error:
             reason = error
@@ -380,15 +379,6 @@ def read_sources(
     if not found:
         raise reason
     return found
-
-
-def _read_file(path, kind, source, origin, beam, **how):
-    """Return the components in a file with a beam, or with that of the file."""
-    fields = read_fields(path, kind, source, origin, **how)
-    own = fields["meta"].pop("beam", None)
-    beams = [b for b in (beam, own) if b is not None][:1] * len(fields["times"])
-    with naming(path):
-        return ComponentList(**fields, beams=beams)
 
 
 def _kind_of(path):

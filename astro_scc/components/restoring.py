@@ -12,11 +12,10 @@ from scipy import fft
 
 from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
-from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.images.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.images.headers import FACTS
 from astro_scc.images.positions import pixel_side
 from astro_scc.images.series import ImageSeries, Series
-from astro_scc.images.smoothing import gaussian_transfer
 from astro_scc.images.validation import as_beams, as_noise
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.

@@ -89,14 +89,13 @@ def source_names(table):
     return list(dict.fromkeys(str(name).strip() for name in table[column]))
 
 
-def read_fields(path, kind, source, origin, date=None, opened=None):
+def read_fields(path, kind, source, origin, date=None):
     """
     Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
 
-    A ``date``, as text, replaces the date of the file or of all rows.  A file that is
-    ``opened`` is not read again.
+    A ``date``, as text, replaces the date of the file or of all rows.
     """
-    table, own_date = opened or FORMATS[kind][0](path)
+    table, own_date = FORMATS[kind][0](path)
     date = date or own_date
     if date == "":
         raise ValueError(f"{path}: {UNDATED[kind]}")

@@ -11,11 +11,11 @@ from astropy.wcs.utils import pixel_to_pixel
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.correlation.parallel import machine_memory
 from astro_scc.epochs import ndcubes
-from astro_scc.epochs.comparing import UNCHECKED, problems, separation
+from astro_scc.epochs.inspection import UNCHECKED, problems, separation
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, validation
 from astro_scc.images.cutout import box, crop_line
-from astro_scc.images.grid import ONE_SHIFT, pixel_area, regrid, shared_grid
+from astro_scc.images.grid import ONE_SHIFT, grid_step, pixel_area, regrid, shared_grid
 from astro_scc.images.headers import get, read_header, some
 from astro_scc.images.positions import readable_angle
 from astro_scc.quantities import check_choice, named
@@ -264,27 +264,26 @@ def windows_of(planes, first, frame, region, pad=0):
     offsets, and slightly more if images are not whole pixels apart.  An image without
     a pixel in the region raises a ValueError.
     """
+    own, *frames = [_in_frame(plane.wcs, frame) for plane in (first, *planes)]
+    found = [grid_step(own, wcs, first.shape) for wcs in frames]
+    shifts = [
+        np.rint(step)
+        if pure and np.all(np.abs(step - np.rint(step)) < ONE_SHIFT)
+        else None
+        for step, pure in found
+    ]
     cube = SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs)
-    # Interpolation is worst at the edges.
-    for around in (pad, pad + MARGIN):
-        window = box(cube, region, around)
-        (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
-        corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
-        moved = [
-            np.array(pixel_to_pixel(_in_frame(first.wcs, frame), wcs, *corners))
-            for wcs in (_in_frame(plane.wcs, frame) for plane in planes)
-        ]
-        shifts = [np.rint((there - corners)[:, :1]) for there in moved]
-        # NaN, from beyond the horizon of a projection, is not whole either.
-        whole = [
-            np.all(np.abs(there - corners - shift) < ONE_SHIFT)
-            for there, shift in zip(moved, shifts, strict=True)
-        ]
-        if all(whole):
-            break
-    windows = []
-    for plane, there, shift, is_whole in zip(planes, moved, shifts, whole, strict=True):
-        there = corners + shift if is_whole else there
+    window, windows = box(cube, region, pad), []
+    if any(shift is None for shift in shifts):
+        # Interpolation is worst at the edges.
+        window = box(cube, region, pad + MARGIN)
+    (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
+    corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
+    for plane, wcs, shift in zip(planes, frames, shifts, strict=True):
+        if shift is None:
+            there = np.array(pixel_to_pixel(own, wcs, *corners))
+        else:
+            there = corners + shift[:, None]
         low, high = np.floor(there.min(axis=1)), np.ceil(there.max(axis=1))
         size = np.array(plane.shape[::-1])
         if not (np.all(low < size) and np.all(high >= 0)):
@@ -321,28 +320,22 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    grid, shape, resampled = planes[0].wcs, planes[0].data.shape, []
-    own = frames = [plane.wcs for plane in planes]
-    same = all(_same_grid(planes[0], plane, frame) for plane in planes)
-    if not same:
-        frames = [_in_frame(wcs, frame) for wcs in own]
-        grid, shape = _shared_grid(planes, frames)
-        own = [grid] * len(planes)
-    if not same and frame == "offset":
+    frames, resampled = [_in_frame(plane.wcs, frame) for plane in planes], []
+    grid, shape = _shared_grid(planes, frames)
+    own = [grid] * len(planes)
+    if frame == "offset":
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
         own = [_with(grid, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
     data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
-        if same:
-            data[i], mask[i] = plane.data, plane.mask
-        else:
-            grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
-            data[i : i + 1], mask[i : i + 1], copied = regrid(
-                plane.data[None], plane.mask[None], unit=unit, **grids
-            )
-            resampled += [] if copied else [plane.name]
+        one = slice(i, i + 1)
+        grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
+        data[one], mask[one], copied = regrid(
+            plane.data[None], plane.mask[None], unit=unit, **grids
+        )
+        resampled += [] if copied else [plane.name]
         plane.data = plane.mask = None
     fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
     return fields, resampled
@@ -368,25 +361,6 @@ def _shared_grid(planes, frames):
                 "with it, by its coordinates; leave one of them out"
             ) from None
     return shared_grid(grids)
-
-
-def _same_grid(one, other, frame):
-    """Return whether shape, projection, pixels and reference pixel are the same."""
-    a, b = one.wcs.wcs, other.wcs.wcs
-    if other.data.shape != one.data.shape or [*a.ctype] != [*b.ctype]:
-        return False
-    own = one.wcs.pixel_scale_matrix
-    step = np.linalg.solve(own, other.wcs.pixel_scale_matrix - own)
-    # The largest possible difference at the far corner of the image.
-    largest = np.abs(step) @ one.data.shape[::-1] + np.abs(a.crpix - b.crpix)
-    return np.all(largest <= ONE_SHIFT) and (
-        frame == "offset"
-        or (
-            np.array_equal(a.crval, b.crval)
-            and a.radesys == b.radesys
-            and np.array_equal(a.equinox, b.equinox, equal_nan=True)
-        )
-    )
 
 
 def _in_frame(wcs, frame):

@@ -160,6 +160,8 @@ def regrid(data, bad, wcs, grid, *, shape, unit, method="bicubic", near=WHOLE_PI
     step, pure = grid_step(wcs, grid, data.shape[-2:])
     whole = np.rint(step)
     if pure and np.all(np.abs(step - whole) < near):
+        if not whole.any() and shape == data.shape[-2:]:
+            return data.copy(), bad.copy(), True
         return *_copy(data, bad, whole[::-1].astype(int), shape), True
     data, bad = resample(data, bad, wcs, grid, shape=shape, method=method)
     area = pixel_area(grid) / pixel_area(wcs)

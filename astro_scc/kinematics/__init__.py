@@ -1,23 +1,27 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Kinematics: axes of motion, apparent speeds, and relativistic flows."""
 
-from astro_scc.kinematics.cosmology import apparent_speed, paper_cosmology
+from astro_scc.kinematics.cosmology import (
+    apparent_speed,
+    beta_intrinsic,
+    doppler_factor,
+    intrinsic_table,
+    lorentz_factor,
+    paper_cosmology,
+    two_sided_jet,
+    viewing_angle,
+)
 from astro_scc.kinematics.frames import (
     ExpansionFrame,
     PositionAngleFrame,
     RadialFrame,
     SkyFrame,
 )
-from astro_scc.kinematics.relativistic import (
-    beta_intrinsic,
-    doppler_factor,
-    intrinsic_table,
-    lorentz_factor,
-    two_sided_jet,
-    viewing_angle,
+from astro_scc.kinematics.ridge_line import (
+    RidgeLine,
+    find_ridge_line,
+    fit_position_angle,
 )
-from astro_scc.kinematics.ridge_line import RidgeLine
-from astro_scc.kinematics.ridge_search import find_ridge_line, fit_position_angle
 
 __all__ = [
     "ExpansionFrame",

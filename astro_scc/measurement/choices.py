@@ -13,7 +13,7 @@ from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import beam_fwhm
 from astro_scc.kinematics import fit_position_angle
-from astro_scc.kinematics.ridge_search import mean_width
+from astro_scc.kinematics.ridge_line import mean_width
 
 #: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
 #: is half of the size of the structures (`structure_size`).

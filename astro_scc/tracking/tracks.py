@@ -13,7 +13,7 @@ from astro_scc.features.detecting import (
     ssps_of,
 )
 from astro_scc.features.tracks import Track
-from astro_scc.kinematics.ridge_search import mean_width
+from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.tracking.candidates import core_ssps, lowest
 from astro_scc.tracking.linking import chains
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
-from astro_scc.kinematics.ridge_search import mean_width
+from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.units import PM_UNIT, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.velocity import draw_map

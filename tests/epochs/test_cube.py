@@ -1,4 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Cubes: what they are made of, what they give, and how files become one."""
+
 import warnings
 from datetime import datetime
 from types import SimpleNamespace
@@ -8,25 +10,22 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.nddata import CCDData, NDData
+from astropy.nddata import CCDData
 from astropy.time import Time
-from astropy.wcs import WCS
+from astropy.wcs import WCS, Sip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.epochs.comparing import Problem, problems
 from astro_scc.exceptions import EpochWarning
-from astro_scc.images.fits import find_files, looks_like_mask
-from astro_scc.images.noise import measure_noise
+from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
+from astro_scc.images.series import measure_noise
 
 DATES = ["2001-01-01", "2000-01-01", "2000-06-01"]
 JY_BEAM = u.Jy / u.beam
 MISSING = Time(np.ma.masked_array([1, 2, 3], [0, 0, 1]), format="mjd")
 ROUND = Beam(1 * u.mas, 1 * u.mas)
-
-
 DIFFERENT = [Beam(k * u.mas, 1 * u.mas) for k in (1, 2, 3)]
 
 
@@ -41,32 +40,35 @@ def make_cube(n=3, **kwargs):
 
 def celestial(**changes):
     wcs = WCS(naxis=2)
-    wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
-    wcs.wcs.cdelt = -1e-7, 1e-7
-    wcs.wcs.crpix = 4, 5
-    wcs.wcs.crval = 10, 20
-    for name, value in changes.items():
+    values = {"ctype": ["RA---SIN", "DEC--SIN"], "cdelt": [-1e-7, 1e-7]}
+    for name, value in {
+        **values,
+        "crpix": (4, 5),
+        "crval": (10, 20),
+        **changes,
+    }.items():
         setattr(wcs.wcs, name, value)
     return wcs
+
+
+def distorted():
+    sip, matrix = celestial(ctype=["RA---TAN-SIP", "DEC--TAN-SIP"]), np.zeros((3, 3))
+    matrix[2, 0] = 1e-4
+    sip.sip = Sip(matrix, matrix, None, None, sip.wcs.crpix)
+    return sip
 
 
 # -- construction ----------------------------------------------------------------
 
 
 def test_everything_is_sorted_by_date():
-    data = images()
+    data, order = images(), [1, 2, 0]
     cube = EpochCube(
-        data=data,
-        times=Time(DATES),
-        wcs=celestial(),
-        mask=data > 1,
-        beams=DIFFERENT,
-        noise=[1, 2, 3] * u.dimensionless_unscaled,
-        labels=list("abc"),
+        data, Time(DATES), celestial(), mask=data > 1, beams=DIFFERENT,
+        noise=[1, 2, 3] * u.one, labels=list("abc"),
         epoch_wcs=[celestial(crval=(k, 0)) for k in range(3)],
         epoch_meta=[{"k": k} for k in range(3)],
-    )
-    order = [1, 2, 0]
+    )  # fmt: skip
     assert np.array_equal(cube.data, data[order])
     assert np.array_equal(cube.mask, (data > 1)[order])
     assert [t[:10] for t in cube.times.isot] == [DATES[i] for i in order]
@@ -89,68 +91,44 @@ def test_any_order_gives_the_same_cube(order):
         assert any(np.array_equal(value, data[i]) for i in np.flatnonzero(days == day))
 
 
-def test_defaults():
-    cube = EpochCube(images(), DATES, celestial())
-    assert cube.unit == u.dimensionless_unscaled
-    assert cube.mask.shape == cube.shape
-    assert not cube.mask.any()
-    assert cube.beams is None
-    assert cube.noise is None
-    assert cube.epoch_wcs is None
-    assert cube.labels == ("2000-01-01", "2000-06-01", "2001-01-01")
-    assert cube.epoch_meta == ({}, {}, {})
-    assert len(cube) == 3
-
-
-def test_pixels_that_are_not_finite_are_masked():
+def test_arrays_become_float64_and_pixels_that_are_not_finite_are_masked():
     data = images()
-    data[0, 0, 0] = np.nan
-    data[1, 1, 1] = np.inf
+    data[0, 0, 0], data[1, 1, 1] = np.nan, np.inf
     masked = np.ma.masked_array(data, mask=data == data[2, 2, 2])
-    cube = EpochCube(masked, Time(DATES), celestial())
-    assert cube.mask.sum() == 3
-
-
-def test_quantity_and_integers_become_float64():
-    cube = EpochCube(
-        np.ones((1, 2, 3), dtype=">i2") * u.mJy, ["2000-01-01"], celestial()
-    )
-    assert cube.unit == u.mJy
-    assert cube.data.dtype == np.float64
-    cube = EpochCube(np.ones((1, 2, 3)) * u.mJy, "2000-01-01", celestial(), unit=u.Jy)
+    assert EpochCube(masked, Time(DATES), celestial()).mask.sum() == 3
+    integers = np.ones((1, 2, 3), dtype=">i2") * u.mJy
+    cube = EpochCube(integers, ["2000-01-01"], celestial())
+    assert (cube.unit, cube.data.dtype) == (u.mJy, np.float64)
+    cube = EpochCube(integers, "2000-01-01", celestial(), unit=u.Jy)
     assert cube.data[0, 0, 0] == pytest.approx(1e-3)
 
 
-def test_one_beam_and_one_noise_are_those_of_every_epoch():
+def test_beams_and_noise_of_every_epoch_or_of_each():
     cube = make_cube(beams=ROUND, noise=1 * u.mJy / u.beam)
     assert cube.beams == (ROUND,) * 3
-    assert cube.noise.unit == JY_BEAM
-    assert cube.noise.value.tolist() == [1e-3] * 3
+    assert (cube.noise.unit, cube.noise.value.tolist()) == (JY_BEAM, [1e-3] * 3)
     assert np.array_equal(cube.noise_rms(), cube.noise)
-
-
-def test_beams_of_radio_beam_and_alike():
     radio_beam = pytest.importorskip("radio_beam")
     other = radio_beam.Beam(1 * u.arcsec, 0.5 * u.arcsec, 10 * u.deg)
-    expected = Beam(1 * u.arcsec, 0.5 * u.arcsec, 10 * u.deg)
-    assert make_cube(beams=other).beams == (expected,) * 3
     alike = SimpleNamespace(major=1 * u.mas, minor=1 * u.mas, pa=0 * u.deg)
-    assert make_cube(beams=[alike, other, ROUND]).beams[2] == ROUND
+    expected = Beam(1 * u.arcsec, 0.5 * u.arcsec, 10 * u.deg)
+    assert make_cube(beams=[alike, other, ROUND]).beams == (expected, ROUND, ROUND)
 
 
-def test_dates_are_taken_in_many_forms():
-    for times in (
+@pytest.mark.parametrize(
+    "times",
+    [
         Time(DATES),
-        DATES,
-        [Time(date) for date in DATES],
         [datetime.fromisoformat(date) for date in DATES],
         np.array(DATES, dtype="datetime64[D]"),
         ["01/01/01", "2000-01-01Z", "2000/06/01"],
-    ):
-        cube = EpochCube(images(), times, celestial())
-        assert [t[:10] for t in cube.times.isot] == sorted(DATES)
-    assert EpochCube(images(1), Time("2000-01-01"), celestial()).shape[0] == 1
-    assert EpochCube(images(1), datetime(2000, 1, 1), celestial()).shape[0] == 1
+        [Time(date) for date in DATES],
+    ],
+)
+def test_dates_are_taken_in_many_forms(times):
+    cube = EpochCube(images(), times, celestial())
+    assert [t[:10] for t in cube.times.isot] == sorted(DATES)
+    assert len(EpochCube(images(1), times[0], celestial())) == 1
 
 
 def test_dates_older_than_utc_warn_of_nothing():
@@ -163,66 +141,45 @@ def test_dates_older_than_utc_warn_of_nothing():
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "message"),
+    ("changes", "message"),
     [
-        ({"data": np.ones((8, 12))}, ValueError, r"shape \(n_epochs, ny, nx\), got"),
-        ({"data": np.ones((3, 0, 2))}, ValueError, "shape"),
-        ({"data": "image"}, TypeError, "real numbers"),
-        ({"data": [[1, 2], [3]]}, TypeError, "real numbers"),
-        ({"data": np.ones((3, 8, 12)) * 1j}, TypeError, "complex128"),
-        ({"unit": "furlong/beam"}, ValueError, "'furlong/beam' is not one that"),
-        ({"times": DATES[:2]}, ValueError, "3 epochs need 3 times"),
-        ({"times": []}, ValueError, "3 epochs need 3 times"),
-        ({"times": [2000.1, 2000.2, 2001]}, TypeError, "times must be a Time or"),
-        ({"times": ["x", "y", "z"]}, ValueError, "'x' is no date"),
-        ({"times": MISSING}, ValueError, "times has missing values"),
-        ({"mask": np.ones((8, 12), bool)}, ValueError, r"mask has shape \(8, 12\)"),
-        ({"beams": [ROUND]}, ValueError, "3 epochs need 3 beams, got 1"),
-        ({"beams": [ROUND, None, ROUND]}, TypeError, "a beam has major, minor and pa"),
-        ({"noise": [1, 2] * JY_BEAM}, ValueError, "3 epochs need 3 noises"),
-        ({"noise": -1 * JY_BEAM}, ValueError, "finite and not negative"),
-        ({"noise": 1.0}, TypeError, "noise must be a Quantity in Jy / beam"),
-        ({"noise": 1 * u.K}, TypeError, "noise must be a Quantity in Jy / beam"),
-        ({"labels": ["a"]}, ValueError, "3 epochs need 3 labels"),
-        ({"epoch_wcs": [celestial()]}, ValueError, "3 epochs need 3 epoch_wcs"),
-        ({"epoch_meta": [{}]}, ValueError, "3 epochs need 3 epoch_meta"),
-        ({"wcs": None}, TypeError, "wcs must be a WCS, or one sliced, got"),
-        ({"wcs": WCS(naxis=2)}, ValueError, "wcs must have celestial axes"),
+        ({"data": np.ones((8, 12))}, r"shape \(n_epochs, ny, nx\), got"),
+        ({"data": np.ones((3, 0, 2))}, "shape"),
+        ({"data": "image"}, "real numbers"),
+        ({"data": [[1, 2], [3]]}, "real numbers"),
+        ({"data": np.ones((3, 8, 12)) * 1j}, "complex128"),
+        ({"data": np.full((3, 8, 12), np.nan), "labels": list("abc")},
+         "a: no valid pixel; leave this epoch"),
+        ({"unit": "furlong/beam"}, "'furlong/beam' is not one that"),
+        ({"times": DATES[:2]}, "3 epochs need 3 times"),
+        ({"times": []}, "3 epochs need 3 times"),
+        ({"times": [2000.1, 2000.2, 2001]}, "times must be a Time or"),
+        ({"times": ["x", "y", "z"]}, "'x' is no date"),
+        ({"times": MISSING}, "times has missing values"),
+        ({"mask": np.ones((8, 12), bool)}, r"mask has shape \(8, 12\)"),
+        ({"beams": [ROUND]}, "3 epochs need 3 beams, got 1"),
+        ({"beams": [ROUND, None, ROUND]}, "a beam has major, minor and pa"),
+        ({"noise": [1, 2] * JY_BEAM}, "3 epochs need 3 noises"),
+        ({"noise": -1 * JY_BEAM}, "finite and not negative"),
+        ({"noise": 1.0}, "noise must be a Quantity in Jy / beam"),
+        ({"noise": 1 * u.K}, "noise must be a Quantity in Jy / beam"),
+        ({"labels": ["a"]}, "3 epochs need 3 labels"),
+        ({"epoch_wcs": [celestial()]}, "3 epochs need 3 epoch_wcs"),
+        ({"epoch_meta": [{}]}, "3 epochs need 3 epoch_meta"),
+        ({"wcs": None}, "wcs must be a WCS, or one sliced, got"),
+        ({"wcs": WCS(naxis=2)}, "wcs must have celestial axes"),
+        ({"wcs": celestial(ctype=["DEC--SIN", "RA---SIN"])}, "latitude on its first"),
+        ({"wcs": distorted()}, "no distortions"),
     ],
-)
-def test_bad_arguments(changes, error, message):
+)  # fmt: skip
+def test_bad_arguments(changes, message):
     good = {"data": images(), "times": DATES, "wcs": celestial(), "unit": JY_BEAM}
-    with pytest.raises(error, match=message) as caught:
+    with pytest.raises((TypeError, ValueError), match=message) as caught:
         EpochCube(**{**good, **changes})
     assert "\n" not in str(caught.value)
 
 
-def test_an_epoch_without_valid_pixels_is_named():
-    data = images()
-    data[1] = np.nan
-    with pytest.raises(ValueError, match="b.fits: no valid pixel; leave this epoch"):
-        EpochCube(data, Time(DATES), celestial(), labels=["a.fits", "b.fits", "c.fits"])
-
-
-def test_wcs_with_more_axes_or_distortions():
-    four = WCS(naxis=4)
-    four.wcs.ctype = "RA---SIN", "DEC--SIN", "FREQ", "STOKES"
-    four.wcs.cdelt = -1e-7, 1e-7, 1, 1
-    assert EpochCube(images(), DATES, four).wcs.naxis == 2
-    reverse = celestial(ctype=["DEC--SIN", "RA---SIN"])
-    with pytest.raises(ValueError, match="latitude on its first axis"):
-        EpochCube(images(), DATES, reverse)
-    from astropy.wcs import Sip
-
-    sip = celestial(ctype=["RA---TAN-SIP", "DEC--TAN-SIP"])
-    matrix = np.zeros((3, 3))
-    matrix[2, 0] = 1e-4
-    sip.sip = Sip(matrix, matrix, None, None, sip.wcs.crpix)
-    with pytest.raises(ValueError, match="no distortions"):
-        EpochCube(images(), DATES, sip)
-
-
-def test_from_arrays():
+def test_from_arrays_and_axes_that_are_not_celestial():
     position = SkyCoord("12h29m06.7s +02d03m08.6s")
     cube = make_cube(reference_pixel=(2, 3), position=position)
     assert cube.reference_pixel == (2, 3)
@@ -234,6 +191,10 @@ def test_from_arrays():
         EpochCube.from_arrays(images()[0], DATES, pixel_scale=1 * u.mas)
     with pytest.raises(ValueError, match="pixel_scale = .* must be finite and above 0"):
         make_cube(pixel_scale=-1 * u.mas)
+    four = WCS(naxis=4)
+    four.wcs.ctype = "RA---SIN", "DEC--SIN", "FREQ", "STOKES"
+    four.wcs.cdelt = -1e-7, 1e-7, 1, 1
+    assert EpochCube(images(), DATES, four).wcs.naxis == 2
 
 
 # -- what it gives --------------------------------------------------------------
@@ -243,43 +204,43 @@ def test_one_epoch_is_a_ccddata_of_its_own():
     cube = make_cube(beams=ROUND, noise=1 * JY_BEAM)
     image = cube[1]
     assert isinstance(image, CCDData)
-    assert image.unit == JY_BEAM
-    assert image.wcs.naxis == 2
+    assert (image.unit, image.wcs.naxis) == (JY_BEAM, 2)
     assert np.array_equal(image.data, cube.data[1])
     assert np.array_equal(image.mask, cube.mask[1])
     assert image.meta["DATE-OBS"] == "2000-06-01T00:00:00.000"
-    assert image.meta["LABEL"] == "2000-06-01"
     assert image.meta["BMAJ"] == pytest.approx(1 / 3.6e6)
     image.meta["OBJECT"] = "changed"
     assert "OBJECT" not in cube[1].meta
     assert np.array_equal(cube[-1].data, cube.data[-1])
-    assert image[2:4, 3:5].shape == (2, 2)
-    with pytest.raises(IndexError, match="epoch 3 of a cube with 3 epochs"):
-        cube[3]
 
 
-def test_some_epochs_are_a_cube():
+@pytest.mark.parametrize(
+    "selection",
+    [slice(1, 3), [False, True, True], [1, 2], np.array([2, 1]), [1, -1]],
+    ids=str,
+)
+def test_some_epochs_are_a_cube(selection):
     cube = make_cube(beams=DIFFERENT, noise=[1, 2, 3] * JY_BEAM)
-    for selection in (
-        slice(1, 3),
-        [False, True, True],
-        [1, 2],
-        np.array([2, 1]),
-        [1, -1],
-    ):
-        part = cube[selection]
-        assert np.array_equal(part.data, cube.data[1:])
-        assert part.beams == cube.beams[1:]
-        assert part.labels == cube.labels[1:]
-        assert np.array_equal(part.noise, cube.noise[1:])
-        assert (part.times == cube.times[1:]).all()
-    for nothing in (slice(3, 5), [False] * 3, []):
-        with pytest.raises(ValueError, match="holds none of 3 epochs|none of 3"):
-            cube[nothing]
-    with pytest.raises(TypeError, match=r"index epochs only"):
-        cube[0, 1:3]
-    with pytest.raises(IndexError):
-        cube[[7]]
+    part = cube[selection]
+    assert np.array_equal(part.data, cube.data[1:])
+    assert (part.beams, part.labels) == (cube.beams[1:], cube.labels[1:])
+    assert np.array_equal(part.noise, cube.noise[1:])
+    assert (part.times == cube.times[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("selection", "error", "words"),
+    [
+        (3, IndexError, "epoch 3 of a cube with 3 epochs"),
+        ([7], IndexError, "out of bounds"),
+        ((0, slice(1, 3)), TypeError, "index epochs only"),
+        *((nothing, ValueError, "holds none of 3 epochs")
+          for nothing in (slice(3, 5), [False] * 3, [])),
+    ],
+)  # fmt: skip
+def test_epochs_that_are_not_there(selection, error, words):
+    with pytest.raises(error, match=words):
+        make_cube()[selection]
 
 
 def test_steps_leave_a_line_and_the_first_cube_as_it_was():
@@ -289,8 +250,7 @@ def test_steps_leave_a_line_and_the_first_cube_as_it_was():
     assert cube.meta["history"] == ["3 epochs from arrays"]
     assert np.array_equal(other.data, 2 * cube.data)
     third = other.with_step("named", meta={**other.meta, "object": "x"})
-    assert third.meta["object"] == "x"
-    assert len(third.meta["history"]) == 3
+    assert (third.meta["object"], len(third.meta["history"])) == ("x", 3)
 
 
 @settings(max_examples=30)
@@ -309,28 +269,21 @@ def test_offsets_are_those_of_the_sky():
     east, north = cube.offsets()
     assert east.shape == north.shape == cube.shape[1:]
     assert east[4, 3] == north[4, 3] == 0
-    assert east[0, 0] > 0 > north[0, 0]
     origin = SkyCoord(10 * u.deg, 20 * u.deg)
-    corner = cube.wcs.pixel_to_world(0, 0)
-    true = origin.spherical_offsets_to(corner)
-    assert u.isclose(east[0, 0], true[0], rtol=1e-6)
-    assert u.isclose(north[0, 0], true[1], rtol=1e-6)
-    assert u.allclose(cube.pixel_to_offset(0, 0), [east[0, 0], north[0, 0]])
+    true = u.Quantity(origin.spherical_offsets_to(cube.wcs.pixel_to_world(0, 0)))
+    assert u.allclose([east[0, 0], north[0, 0]], true, rtol=1e-6)
+    assert u.allclose(cube.pixel_to_offset(0, 0), true, rtol=1e-6)
     x, y = cube.offset_to_pixel(east.to(u.arcsec), north.to(u.deg))
     assert np.allclose(x[2], np.arange(12))
     assert np.allclose(y[:, 2], np.arange(8))
 
 
-def test_table_of_epochs():
-    cube = make_cube(beams=ROUND)
-    table = cube.epochs
+def test_how_it_looks():
+    table = make_cube(beams=ROUND).epochs
     assert table.colnames[:6] == ["epoch", "label", "date", "major", "minor", "pa"]
     assert table["noise"].unit == JY_BEAM
     assert np.isnan(table["frequency"]).all()
     assert "major" not in make_cube().epochs.colnames
-
-
-def test_how_it_looks():
     assert repr(make_cube(beams=ROUND)) == (
         "<EpochCube 3 epochs 2000-01-01 to 2001-01-01, 12 x 8 pixels of 0.1 mas, "
         "Jy / beam, beam 1 mas x 1 mas>"
@@ -342,26 +295,19 @@ def test_how_it_looks():
     assert "<table" in html
     same_day = EpochCube(images(2), ["2000-01-01T01", "2000-01-01T02:00"], celestial())
     assert same_day.labels == ("2000-01-01T01:00:00", "2000-01-01T02:00:00")
+    for text in "2 arcsec/50 mas/0.1 mas/0.02 mas/3.125 uas/1 deg".split("/"):
+        assert readable_angle(u.Quantity(text).to(u.mas)) == text
 
 
 def test_mean_image_leaves_masked_pixels_out():
     data = images()
-    data[0, 0, 0] = np.nan
-    data[:, 1, 1] = np.nan
-    cube = EpochCube(data, DATES, celestial(), unit=JY_BEAM)
-    mean = cube.mean_image()
+    data[0, 0, 0] = data[:, 1, 1] = np.nan
+    mean = EpochCube(data, DATES, celestial(), unit=JY_BEAM).mean_image()
     assert mean.data[0, 0] == pytest.approx(data[1:, 0, 0].mean())
     assert mean.data[2, 2] == pytest.approx(data[:, 2, 2].mean())
     assert np.argwhere(mean.mask).tolist() == [[1, 1]]
     assert np.isnan(mean.data[1, 1])
     assert mean.unit == JY_BEAM
-
-
-@pytest.mark.parametrize(
-    "text", "2 arcsec/50 mas/0.1 mas/0.02 mas/3.125 uas/1 deg".split("/")
-)
-def test_readable_angles(text):
-    assert readable_angle(u.Quantity(text).to(u.mas)) == text
 
 
 # -- noise ----------------------------------------------------------------------
@@ -380,13 +326,11 @@ def test_noise_is_measured_beside_the_source():
 
 
 def test_noise_of_blanked_and_of_trivial_images():
-    rng = np.random.default_rng(3)
     image = np.zeros((100, 100))
-    image[:30] = rng.normal(size=(30, 100))
+    image[:30] = np.random.default_rng(3).normal(size=(30, 100))
     assert measure_noise(image) == pytest.approx(1, rel=0.05)
-    assert measure_noise(np.zeros((4, 4))) == 0
-    assert measure_noise(np.full((4, 4), np.nan)) == 0
-    assert measure_noise(np.full((4, 4), 3.0)) == 0
+    for value in (0, np.nan, 3.0):
+        assert measure_noise(np.full((4, 4), value)) == 0
     sparse = np.full((10, 10), 2.0)
     sparse[0] = 3
     assert measure_noise(sparse) == pytest.approx(0.3)
@@ -400,109 +344,17 @@ def test_noise_scales_with_the_image(factor, level):
     assert measure_noise(factor * (image + level)) == pytest.approx(expected, rel=1e-6)
 
 
-# -- from CCDData ---------------------------------------------------------------
-
-
-def test_from_nddata_with_given_dates_and_beams():
-    parts = [NDData(plane, wcs=celestial()) for plane in images()]
-    cube = EpochCube.from_ccddata(parts, times=DATES, beams=ROUND)
-    assert np.array_equal(cube.data, images()[[1, 2, 0]])
-    assert cube.beams == (ROUND,) * 3
-    assert cube.labels[0] == "2000-01-01"
-    masked = NDData(images(1), mask=images(1) > 0, wcs=celestial())
-    assert EpochCube.from_ccddata([masked], Time("2000-01-01")).mask.any()
-
-
-@pytest.mark.parametrize(
-    ("image", "message"),
-    [
-        (NDData(np.ones((2, 3)), wcs=celestial()), "image 0: no date of observation"),
-        (NDData(np.ones((2, 3)), meta={"DATE-OBS": "2000-01-01"}), "0: it has no WCS"),
-        (NDData(np.ones((2, 2, 3)), wcs=celestial()), r"0: has shape \(2, 2, 3\)"),
-        (NDData(np.full((2, 3), np.nan), wcs=celestial()), "image 0: no valid pixel"),
-    ],
-)
-def test_images_that_lack_something_are_named(image, message):
-    with pytest.raises(ValueError, match=message):
-        EpochCube.from_ccddata([image])
-
-
-def test_no_images_or_wrong_numbers():
-    with pytest.raises(ValueError, match="at least one image"):
-        EpochCube.from_ccddata([])
-    with pytest.raises(ValueError, match="3 images need 3 times, got 2"):
-        EpochCube.from_ccddata(list(make_cube()), times=DATES[:2])
-    with pytest.raises(ValueError, match="frame = 'sky' must be one of offset, abs"):
-        EpochCube.from_ccddata(list(make_cube()), frame="sky")
-
-
-def test_impossible_beam_in_the_meta_is_left_out():
-    image = NDData(np.ones((2, 3)), wcs=celestial(), meta={"BMAJ": 1.0, "BMIN": -1.0})
-    with pytest.warns(EpochWarning, match="image 0: its beam is taken as unknown"):
-        cube = EpochCube.from_ccddata([image], times=["2000-01-01"])
-    assert cube.beams is None
-
-
-# -- from NDCube ----------------------------------------------------------------
-
-
-def time_wcs(first):
-    axes = ["RA---TAN", "DEC--TAN"]
-    axes.insert(0 if first else 2, "TIME")
-    wcs = WCS(naxis=3)
-    wcs.wcs.ctype = axes
-    wcs.wcs.cunit = ["s" if axis == "TIME" else "deg" for axis in axes]
-    wcs.wcs.cdelt = [3600.0 if axis == "TIME" else 1e-4 for axis in axes]
-    wcs.wcs.crpix = [1] * 3
-    wcs.wcs.dateref = "2014-06-01T00:00:00"
-    wcs.wcs.mjdref = 56809, 0
-    wcs.wcs.set()
-    return wcs
-
-
-@pytest.mark.parametrize("first", [True, False])
-def test_from_ndcube_with_a_time_axis(first):
-    ndcube = pytest.importorskip("ndcube")
-    data = images()
-    array = np.moveaxis(data, 0, 2) if first else data
-    source = ndcube.NDCube(array, wcs=time_wcs(first), unit=u.ct, mask=array > 1)
-    cube = EpochCube.from_ndcube(source)
-    assert np.array_equal(cube.data, data)
-    assert np.array_equal(cube.mask, data > 1)
-    assert cube.unit == u.ct
-    assert cube.years.to_value(u.hour) == pytest.approx([0, 1, 2])
-    assert cube.times[0].isot[:10] == "2014-06-01"
-    given = EpochCube.from_ndcube(source, times=sorted(DATES), beams=ROUND)
-    assert given.times[0].isot[:10] == "2000-01-01"
-    assert given.beams[0] == ROUND
-
-
-def test_from_ndcube_of_other_shapes():
-    ndcube = pytest.importorskip("ndcube")
-    parts = [ndcube.NDCube(plane, wcs=celestial()) for plane in images()]
-    sequence = ndcube.NDCubeSequence(parts)
-    cube = EpochCube.from_ndcube(sequence, times=sorted(DATES))
-    assert np.array_equal(cube.data, images())
-    no_sky = ndcube.NDCube(images(), wcs=WCS(naxis=3))
-    with pytest.raises(ValueError, match="must have two celestial axes"):
-        EpochCube.from_ndcube(no_sky)
-
-
 # -- from files -----------------------------------------------------------------
 
 
 def test_read_sorts_and_lays_on_reference_pixels(make_fits):
-    paths = [
-        make_fits("a.fits", images(1, 16, 32, 1), DATE_OBS="2001-01-01"),
-        make_fits(
-            "b.fits", images(1, 16, 32, 2), DATE_OBS="2000-01-01", CRVAL1=187.25001
-        ),
-    ]
+    one, two = images(1, 16, 32, 1), images(1, 16, 32, 2)
+    there = {"DATE_OBS": "2000-01-01", "CRVAL1": 187.25001}
+    paths = [make_fits("a.fits", one), make_fits("b.fits", two, **there)]
     with pytest.warns(EpochWarning, match="reference pixels are .* apart on the sky"):
         cube = EpochCube.read(paths)
     assert cube.labels == ("b.fits", "a.fits")
-    assert np.array_equal(cube.data[0], images(1, 16, 32, 2)[0])
-    assert np.array_equal(cube.data[1], images(1, 16, 32, 1)[0])
+    assert np.array_equal(cube.data, [two[0], one[0]])
     assert [w.wcs.crval[0] for w in cube.epoch_wcs] == [187.25001, 187.25]
     assert cube.wcs.wcs.crval[0] == 187.25001
     assert cube.unit == JY_BEAM
@@ -515,16 +367,19 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
 
 def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
     paths = [make_fits(f"{k}.fits", DATE_OBS=f"200{k}-01-01") for k in range(3)]
-    assert len(EpochCube.read(f"{tmp_path}/*.fits")) == 3
-    assert len(EpochCube.read(tmp_path / "[01].fits")) == 2
-    assert len(EpochCube.read([paths[0], f"{tmp_path}/*.fits"])) == 3
-    assert len(EpochCube.read(str(paths[0]))) == 1
+    every = f"{tmp_path}/*.fits"
+    numbers = {3: [every, [paths[0], every]], 2: [tmp_path / "[01].fits"]}
+    for n, names in numbers.items():
+        assert [len(EpochCube.read(own)) for own in names] == [n] * len(names)
     monkeypatch.setenv("HOME", str(tmp_path))
     assert find_files("~/0.fits") == [tmp_path / "0.fits"]
     assert find_files(iter([paths[0], paths[0]])) == [paths[0]]
     odd = tmp_path / "[1].fits"
     odd.write_bytes(paths[0].read_bytes())
     assert find_files(odd) == [odd]
+    (tmp_path / "x").mkdir()
+    both = [paths[0], make_fits("x/0.fits", DATE_OBS="2007-01-01")]
+    assert EpochCube.read(both).labels == tuple(map(str, both))
 
 
 @pytest.mark.parametrize(
@@ -534,8 +389,6 @@ def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
         ("nowhere.fits", FileNotFoundError, "nowhere.fits: no such file"),
         ([], FileNotFoundError, "no files were given"),
         (3, TypeError, "paths must be names or a pattern, got 3"),
-        ([3], TypeError, "paths must be names"),
-        (b"a.fits", TypeError, "paths must be"),
         ([b"a.fits"], TypeError, "paths must be text"),
     ],
 )
@@ -545,53 +398,45 @@ def test_files_that_are_not_there(paths, error, message):
 
 
 def test_given_dates_and_beams_replace_those_of_headers(make_fits):
-    paths = [make_fits(f"{k}.fits", DATE_OBS=None, BMAJ=None) for k in range(2)]
+    paths = [make_fits(f"{k}.fits", DATE_OBS=None, BMAJ=-1.0) for k in range(2)]
     with pytest.raises(ValueError, match=r"0.fits: no date of observation .*times="):
         EpochCube.read(paths)
-    cube = EpochCube.read(paths, times=["2001-01-01", "2000-01-01"], beams=ROUND)
-    assert cube.labels == ("1.fits", "0.fits")
-    assert cube.beams == (ROUND, ROUND)
-    other = make_fits("2.fits", DATE_OBS="2003-01-01", BMAJ=None)
-    cube = EpochCube.read([paths[0], other], times=["2004-01-01", None])
+    for times in (["2001-01-01", "2000-01-01"], Time(["2001-01-01", "2000-01-01"])):
+        cube = EpochCube.read(paths, times=times, beams=ROUND)
+        assert (cube.labels, cube.beams) == (("1.fits", "0.fits"), (ROUND, ROUND))
+    other = make_fits("2.fits", DATE_OBS="2003-01-01")
+    given_ = {"times": ["2004-01-01", None], "beams": ROUND}
+    cube = EpochCube.read([paths[0], other], **given_)
     assert cube.labels == ("2.fits", "0.fits")
-    cube = EpochCube.read(paths, times=Time(["2001-01-01", "2000-01-01"]))
-    assert cube.labels == ("1.fits", "0.fits")
-    with pytest.raises(ValueError, match="2 images need 2 times"):
+    with pytest.raises(ValueError, match="2 images need 2 times, got 1"):
         EpochCube.read(paths, times="2001-01-01")
-    bad = make_fits("3.fits", BMAJ=-1.0)
-    assert EpochCube.read(bad, beams=ROUND).beams == (ROUND,)
+    with pytest.raises(ValueError, match="frame = 'sky' must be one of offset, abs"):
+        EpochCube.read(paths, frame="sky")
+    with pytest.raises(ValueError, match="at least one image"):
+        EpochCube.from_ccddata([])
 
 
-def test_beams_of_some_epochs_only(make_fits):
-    paths = [make_fits("a.fits"), make_fits("b.fits", DATE_OBS="2007-01-01", BMAJ=None)]
-    with pytest.warns(EpochWarning, match="b.fits: no beam where other epochs have"):
-        assert EpochCube.read(paths).beams is None
-
-
-def test_notes_on_many_files_are_one_warning(make_fits):
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"BMAJ": None}, "b.fits: no beam where other epochs have"),
+        ({"DATE_OBS": "2006-03-09"}, "b.fits: is of .*, as is a.fits; leave"),
+        ({"OBJECT": "1226+023"}, "b.fits: shows 1226.023, at the same place"),
+        ({"BUNIT": "ODD"}, "^a.fits, b.fits, c.fits and 1 more: its unit 'ODD'"),
+    ],
+)
+def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, words):
+    unit = {name: changes[name] for name in changes if name == "BUNIT"}
     paths = [
-        make_fits(f"{k}.fits", DATE_OBS=f"200{k}-01-01", BUNIT="ODD") for k in range(5)
+        make_fits("a.fits", **unit),
+        make_fits("b.fits", **{"DATE_OBS": "2007-01-01", **changes}),
+        make_fits("c.fits", OBJECT="Unknown", DATE_OBS="2008-01-01", **unit),
+        make_fits("d.fits", OBJECT="3c 273", DATE_OBS="2009-01-01", **unit),
     ]
-    with pytest.warns(EpochWarning) as caught:
-        EpochCube.read(paths)
-    assert len(caught) == 1
-    assert str(caught[0].message).startswith(
-        "0.fits, 1.fits, 2.fits and 2 more: its unit 'ODD'"
-    )
-    assert caught[0].filename == __file__
-
-
-def test_two_files_of_one_date_are_kept(make_fits):
-    paths = [make_fits("a.fits"), make_fits("b.fits")]
-    with pytest.warns(EpochWarning, match="b.fits: is of .*, as is a.fits; leave"):
+    with pytest.warns(EpochWarning, match=words) as caught:
         cube = EpochCube.read(paths)
-    assert len(cube) == 2
-
-
-def test_files_of_one_name_in_two_folders(make_fits, tmp_path):
-    (tmp_path / "x").mkdir()
-    paths = [make_fits("a.fits"), make_fits("x/a.fits", DATE_OBS="2007-01-01")]
-    assert EpochCube.read(paths).labels == tuple(str(path) for path in paths)
+    assert (len(caught), caught[0].filename, len(cube)) == (1, __file__, 4)
+    assert (cube.beams is None) == ("BMAJ" in changes)
 
 
 @pytest.mark.parametrize(
@@ -601,58 +446,32 @@ def test_files_of_one_name_in_two_folders(make_fits, tmp_path):
         ({"CRVAL3": 43e9}, r"is at 43 GHz, others are at 15.4"),
         ({"CRVAL4": 2.0}, "is of Stokes Q, others are of I"),
         ({"FILTER": "F673N"}, "is of the filter F673N, others are of F502N"),
+        ({"data": images(1, 16, 32) > 0}, "has no more than two different values"),
     ],
 )
 def test_files_of_something_else_are_named(make_fits, changes, message):
-    paths = [
-        make_fits(f"{k}.fits", DATE_OBS=f"200{k}-01-01", FILTER="F502N")
-        for k in range(3)
-    ]
-    paths.insert(1, make_fits("odd.fits", **changes))
+    dates = [f"200{k}-01-01" for k in range(3)]
+    paths = [make_fits(f"{d}.fits", DATE_OBS=d, FILTER="F502N") for d in dates]
+    data = changes.pop("data", images(1, 16, 32)).astype(float)
+    paths.insert(1, make_fits("odd.fits", data, **changes))
     with pytest.raises(ValueError, match=message) as caught:
         EpochCube.read(paths)
     assert str(caught.value).startswith(str(paths[1]))
     assert str(caught.value).endswith("leave it out (in Python, check=False reads it)")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", EpochWarning)
+    with warnings.catch_warnings(action="ignore", category=EpochWarning):
         assert len(EpochCube.read(paths, check=False)) == 4
-
-
-def test_another_name_of_the_same_place_is_a_warning(make_fits):
-    paths = [
-        make_fits("a.fits", OBJECT="3C 273"),
-        make_fits("b.fits", OBJECT="3c273", DATE_OBS="2007-01-01"),
-        make_fits("c.fits", OBJECT="Unknown", DATE_OBS="2008-01-01"),
-    ]
-    EpochCube.read(paths)
-    paths.append(make_fits("d.fits", OBJECT="1226+023", DATE_OBS="2009-01-01"))
-    with pytest.warns(EpochWarning, match="d.fits: shows 1226.023, at the same place"):
-        EpochCube.read(paths)
-
-
-def test_masks_are_refused(make_fits):
-    mask = (images(1, 16, 32) > 0).astype("u1")
-    paths = [make_fits("a.fits"), make_fits("m.fits", mask, DATE_OBS="2007-01-01")]
-    with pytest.raises(ValueError, match=r"m.fits: has no more than two different"):
-        EpochCube.read(paths)
-    assert len(EpochCube.read(paths, check=False)) == 2
 
 
 def test_units_are_brought_to_that_of_the_first(make_fits):
     data = images(1, 16, 32)
-    paths = [
-        make_fits("a.fits", data, BUNIT="mJy/beam"),
-        make_fits("b.fits", data, DATE_OBS="2007-01-01"),
-    ]
-    cube = EpochCube.read(paths)
+    one = make_fits("a.fits", data, BUNIT="mJy/beam")
+    cube = EpochCube.read([one, make_fits("b.fits", data, DATE_OBS="2007-01-01")])
     assert cube.unit == u.mJy / u.beam
     assert np.allclose(cube.data[1], 1000 * cube.data[0])
-    paths.append(make_fits("c.fits", data, DATE_OBS="2008-01-01", BUNIT="K"))
-    with pytest.raises(ValueError, match="c.fits: its unit is K, that of others is"):
-        EpochCube.read(paths)
-    plain = make_fits("d.fits", data, DATE_OBS="2008-01-01", BUNIT=None)
-    with pytest.raises(ValueError, match=r"d.fits: its unit is none, that of"):
-        EpochCube.read([paths[0], plain])
+    for unit, name in (("K", "K"), (None, "none")):
+        other = make_fits("c.fits", data, DATE_OBS="2008-01-01", BUNIT=unit)
+        with pytest.raises(ValueError, match=f"c.fits: its unit is {name}, that of"):
+            EpochCube.read([one, other])
 
 
 def test_whole_cubes_are_not_epochs(make_fits, tmp_path):
@@ -670,11 +489,8 @@ def gaussian(ny, nx, x0, y0, width=3.0):
 
 def test_whole_pixels_are_moved_without_interpolation(make_fits):
     one, two = images(1, 16, 32, 1)[0], images(1, 20, 24, 2)[0]
-    paths = [
-        make_fits("a.fits", one),
-        make_fits("b.fits", two, DATE_OBS="2007-01-01", CRPIX1=12.0, CRPIX2=14.0),
-    ]
-    cube = EpochCube.read(paths)
+    there = {"DATE_OBS": "2007-01-01", "CRPIX1": 12.0, "CRPIX2": 14.0}
+    cube = EpochCube.read([make_fits("a.fits", one), make_fits("b.fits", two, **there)])
     assert cube.shape == (2, 21, 32)
     assert cube.reference_pixel == (15, 13)
     assert np.array_equal(cube.data[0, 5:, :], one)
@@ -702,37 +518,27 @@ def test_other_grids_are_resampled_in_offsets(make_fits):
     assert cube.pixel_scale.to_value(u.mas) == pytest.approx(0.1)
     x0, y0 = cube.reference_pixel
     expected = gaussian(*cube.shape[1:], x0 + 10, y0 + 6)
-    for k in range(2):
-        good = ~cube.mask[k]
-        assert np.allclose(cube.data[k][good], expected[good], atol=0.02)
-    assert cube.wcs.wcs.crval[0] == 187.25
-    assert cube.epoch_wcs[1].wcs.crval[0] == 187.25 + 3 * STEP
+    for data, mask in zip(cube.data, cube.mask, strict=True):
+        assert np.allclose(data[~mask], expected[~mask], atol=0.02)
+    crval = [wcs.wcs.crval[0] for wcs in (cube.wcs, cube.epoch_wcs[1])]
+    assert crval == [187.25, 187.25 + 3 * STEP]
     assert np.array_equal(cube.epoch_wcs[1].wcs.crpix, cube.wcs.wcs.crpix)
 
 
-def test_intensity_per_pixel_keeps_its_sum(make_fits):
-    fine, coarse = gaussian(64, 64, 31, 31, 6), 4 * gaussian(32, 32, 15.0, 15.0, 3)
-    common = {"BUNIT": "JY/PIXEL", "BMAJ": None}
-    paths = [
-        make_fits("a.fits", fine, CRPIX1=32.0, CRPIX2=32.0, **common),
-        make_fits("b.fits", coarse, CRPIX1=16.0, CRPIX2=16.0, **COARSE, **common),
-    ]
-    with pytest.warns(EpochWarning, match="on another grid"):
-        cube = EpochCube.read(paths)
-    sums = np.nansum(cube.data, axis=(1, 2))
-    assert sums[1] == pytest.approx(sums[0], rel=0.02)
-
-
-def test_pixels_or_positions_too_different_for_one_grid(make_fits):
+@pytest.mark.parametrize(
+    ("changes", "frame", "words"),
+    [
+        ({"CDELT1": -1e-6, "CDELT2": 1e-6}, "offset", "its pixels are 3.6 mas where"),
+        ({"CRVAL1": 188.0}, "absolute", "lies too far from .*a.fits"),
+    ],
+)
+def test_pixels_or_positions_too_different_for_one_grid(
+    make_fits, changes, frame, words
+):
     paths = [make_fits("a.fits"), make_fits("b.fits", DATE_OBS="2007-01-01")]
-    coarse = {"CDELT1": -1e-6, "CDELT2": 1e-6, "DATE_OBS": "2008-01-01"}
-    paths.append(make_fits("c.fits", **coarse))
-    with pytest.raises(ValueError, match=r"c.fits: its pixels are 3.6 mas where"):
-        EpochCube.read(paths)
-    far = {"CRVAL1": 188.0, "DATE_OBS": "2008-01-01"}
-    paths[2] = make_fits("d.fits", **far)
-    with pytest.raises(ValueError, match=r"d.fits: lies too far from .*a.fits"):
-        EpochCube.read(paths, frame="absolute")
+    paths.append(make_fits("c.fits", DATE_OBS="2008-01-01", **changes))
+    with pytest.raises(ValueError, match=f"c.fits: {words}"):
+        EpochCube.read(paths, frame=frame)
 
 
 def test_absolute_coordinates_are_trusted_when_asked(make_fits):
@@ -743,60 +549,14 @@ def test_absolute_coordinates_are_trusted_when_asked(make_fits):
     paths = [make_fits("a.fits", data, **here), make_fits("b.fits", data, **east)]
     offset = EpochCube.read(paths)
     assert np.array_equal(offset.data[0], offset.data[1])
-    cube = EpochCube.read(paths, frame="absolute")
-    peaks = [np.unravel_index(np.nanargmax(plane), plane.shape) for plane in cube.data]
-    assert peaks[0][1] - peaks[1][1] == 2
-    assert peaks[0][0] == peaks[1][0]
-    assert not np.isnan(cube.data[1][~cube.mask[1]]).any()
-    assert "absolute coordinates" in cube.meta["history"][0]
     paths.append(make_fits("c.fits", data, **half))
     with pytest.warns(EpochWarning, match=r"c.fits: on another grid"):
         cube = EpochCube.read(paths, frame="absolute")
-    image = np.where(cube.mask[2], 0, cube.data[2])
-    rows = np.arange(cube.shape[1])[:, None]
-    first = np.where(cube.mask[0], 0, cube.data[0])
-    centres = [np.sum(rows * i) / np.sum(i) for i in (first, image)]
-    assert centres[1] - centres[0] == pytest.approx(2.5, abs=0.05)
-
-
-def test_solar_coordinates_need_no_solar_library(make_fits):
-    solar = {"CTYPE1": "HPLN-TAN", "CTYPE2": "HPLT-TAN", "CRVAL1": 0.1, "CRVAL2": 0.1}
-    data = images(1, 16, 32)
-    paths = [
-        make_fits("a.fits", data, **solar),
-        make_fits("b.fits", data, DATE_OBS="2007-01-01", CRPIX1=18.0, **solar),
-    ]
-    cube = EpochCube.read(paths)
-    assert cube.shape == (2, 16, 34)
-    assert list(cube.wcs.wcs.ctype) == ["HPLN-TAN", "HPLT-TAN"]
-    assert list(cube.epoch_wcs[1].wcs.crval) == [0.1, 0.1]
-
-
-# -- odd ones -------------------------------------------------------------------
-
-
-def plane_of(**facts):
-    wcs = celestial(crval=(facts.pop("lon", 10), 20))
-    plane = {"name": "x", "time": facts.pop("time", None), "extent": 1e-6}
-    return SimpleNamespace(facts=facts, wcs=wcs, unit=u.one, **plane)
-
-
-def test_problems_of_few_facts():
-    assert problems([plane_of(), plane_of()]) == []
-    planes = [plane_of(object=name, lon=10 + (name == "B")) for name in "AAB"]
-    there = "shows B, somewhere else, where others show A"
-    assert problems(planes) == [Problem(2, there)]
-    assert problems(planes, check=False) == []
-    bands = [plane_of(frequency=15.3e9), plane_of(frequency=15.4e9), plane_of()]
-    assert problems(bands) == []
-    assert problems([plane_of(stokes="RR"), plane_of(stokes="I"), plane_of()]) == []
-
-
-def test_same_dates_and_masks():
-    times = Time(["2000-01-02", "2000-01-01", "2000-01-02T00:00:00.5"])
-    (found,) = problems([plane_of(time=time) for time in [*times, None]])
-    assert (found.index, found.refused) == (2, False)
-    assert not looks_like_mask(np.full((2, 2), np.nan))
+    assert "absolute coordinates" in cube.meta["history"][0]
+    y, x = np.indices(cube.shape[1:])
+    filled = np.where(cube.mask, 0, cube.data)
+    centres = [[np.sum(i * x), np.sum(i * y)] / np.sum(i) for i in filled]
+    assert np.allclose(centres - centres[0], [[0, 0], [-2, 0], [0, 2.5]], atol=0.05)
 
 
 # -- real files -----------------------------------------------------------------
@@ -809,23 +569,6 @@ def test_epochs_of_0003(shared_data):
     assert cube.times[0].isot[:10] == "2006-03-09"
     assert cube.beams[0].major.to_value(u.mas) == pytest.approx(1.084, abs=1e-3)
     assert cube.reference_pixel == (127, 128)
-    published = [
-        fits.getval(path, "NOISE")
-        for path in sorted((shared_data / "0003+380").glob("*.fits"))
-    ]
+    paths = sorted((shared_data / "0003+380").glob("*.fits"))
+    published = [fits.getval(path, "NOISE") for path in paths]
     assert np.allclose(cube.noise_rms().value, published, rtol=0.1)
-
-
-@pytest.mark.parametrize(
-    ("name", "shape", "reference"),
-    [("0506+056", (3, 512, 512), None), ("paper_test/two_fluid", (10, 128, 256), 20)],
-)
-def test_other_series(shared_data, name, shape, reference):
-    cube = EpochCube.read(f"{shared_data}/{name}/*.fits")
-    assert cube.shape == shape
-    if reference is not None:
-        assert cube.reference_pixel == (reference, 64)
-        assert np.allclose(np.diff(cube.times.jd), 30)
-    else:
-        north = [wcs.wcs.crval[1] * 3.6e6 for wcs in cube.epoch_wcs]
-        assert north[2] - north[0] == pytest.approx(-0.33, abs=0.01)

@@ -1,4 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Apparent speeds, flows behind them, and two-sided jets, with their errors."""
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -7,36 +9,36 @@ from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18, default_cosmol
 from astropy.cosmology import units as cu
 from astropy.table import Column, MaskedColumn, QTable
 from astropy.utils.masked import Masked
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.kinematics import (
     apparent_speed,
     beta_intrinsic,
     doppler_factor,
+    intrinsic_table,
     lorentz_factor,
     paper_cosmology,
+    two_sided_jet,
     viewing_angle,
 )
-from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
-from astro_scc.kinematics.relativistic import (
+from astro_scc.kinematics.cosmology import (
+    cosmology_text,
     maximum_viewing_angle,
     minimum_lorentz_factor,
+    table_in_c,
+    to_cosmology,
 )
 
-MU = 1 * u.mas / u.yr
+MU, DAY, MPC = 1 * u.mas / u.yr, u.mas / u.day, u.Mpc
+MASKED = MaskedColumn([0.1], mask=[True])
 
 
-@pytest.mark.parametrize(
-    ("redshift", "speed"), [(0.158, 10.20), (0.033, 2.188)], ids=["3C 273", "3C 120"]
-)
-def test_numbers_of_the_paper(redshift, speed):
-    beta = apparent_speed(MU, redshift=redshift, cosmology=paper_cosmology())
-    assert beta.unit == u.dimensionless_unscaled
-    assert beta.value == pytest.approx(speed, rel=5e-4)
-
-
-def test_equals_angular_diameter_distance_times_one_plus_z():
+def test_numbers_of_the_paper_and_of_a_curved_universe():
+    for redshift, speed in ((0.158, 10.20), (0.033, 2.188)):  # 3C 273, 3C 120
+        beta = apparent_speed(MU, redshift=redshift, cosmology=paper_cosmology())
+        assert beta.unit == u.dimensionless_unscaled
+        assert beta.value == pytest.approx(speed, rel=5e-4)
     cosmology = LambdaCDM(H0=65, Om0=0.3, Ode0=0.5)
     beta = apparent_speed(3 * MU, redshift=1.3, cosmology=cosmology)
     metres = cosmology.angular_diameter_distance(1.3).to_value(u.m)
@@ -49,49 +51,37 @@ def test_equals_angular_diameter_distance_times_one_plus_z():
     ("options", "message"),
     [
         ({}, "either a redshift, of which the cosmology may be given, or a distance"),
-        ({"redshift": 0.1, "distance": 1 * u.Mpc}, "either a redshift"),
+        ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
         ({"cosmology": "Planck18"}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
         ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 1090; of a velocity"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": "0.1 0.2"}, "must be a redshift, a number such as 0.158"),
-        ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
+        ({"redshift": MASKED}, "must be a redshift"),
         ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
-        (
-            {"redshift": 47367 * u.km / u.s},
-            "redshift = 47367.0 km / s is a velocity, which may be defined in three "
-            "ways; give the redshift, 0.158 if it is c z",
-        ),
-        ({"redshift": 600 * u.Mpc}, "redshift = 600.0 Mpc is a length; give it as the"),
+        ({"redshift": 47367 * u.km / u.s},
+         "redshift = 47367.0 km / s is a velocity, which may be defined in three "
+         "ways; give the redshift, 0.158 if it is c z"),
+        ({"redshift": 600 * MPC}, "redshift = 600.0 Mpc is a length; give it as the"),
         ({"redshift": 0.1, "cosmology": "Planck"}, "cosmology = 'Planck' is no"),
         ({"redshift": 0.1, "cosmology": 0.27}, "cosmology = 0.27 is no cosmology;"),
         ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
-        ({"distance": 0 * u.Mpc}, "distance = 0.0 Mpc must be finite and above 0"),
-        ({"distance": np.nan * u.Mpc}, "distance = nan Mpc must be finite and above"),
+        *(({"redshift": 0.1, "cosmology": text}, "is no cosmology; give H0=71,.*Pla")
+          for text in ("", "H0=71", "H0=71,Om0", "H0=71,Om0=0.3,w=1", "H0=0,Om0=0.3",
+                       "H0=1e999,Om0=0.3")),
+        ({"distance": 0 * MPC}, "distance = 0.0 Mpc must be finite and above 0"),
+        ({"distance": np.nan * MPC}, "distance = nan Mpc must be finite and above"),
         ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, as"),
-        (
-            {"distance": 1 * u.Mpc, "cosmology": paper_cosmology()},
-            "a distance needs no cosmology",
-        ),
+        ({"distance": 1 * u.s}, "distance = 1.0 s must be a length"),
+        ({"distance": 1 * MPC, "cosmology": "Planck18"}, "needs no cosmology"),
+        ({"proper_motion": 1 * u.km / u.s, "distance": 1 * MPC},
+         "proper_motion = 1.0 km / s must"),
     ],
-)
+)  # fmt: skip
 def test_what_is_missing_or_too_much(options, message):
     with pytest.raises(ValueError, match=message):
-        apparent_speed(MU, **options)
-
-
-def test_wrong_units():
-    with pytest.raises(u.UnitConversionError, match="proper_motion = 1.0 km / s must"):
-        apparent_speed(1 * u.km / u.s, distance=1 * u.Mpc)
-    with pytest.raises(
-        u.UnitConversionError, match="distance = 1.0 s must be a length"
-    ):
-        apparent_speed(MU, distance=1 * u.s)
-    for speed in (lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle):
-        with pytest.raises(u.UnitConversionError, match="divide them by astropy.const"):
-            speed(100 * u.km / u.s)
-    assert lorentz_factor(60 * u.percent).value == pytest.approx(1.25)
+        apparent_speed(**{"proper_motion": MU, **options})
 
 
 @pytest.mark.parametrize(
@@ -103,17 +93,13 @@ def test_redshifts_as_people_give_them(redshift):
     assert apparent_speed(MU, redshift=redshift).value == pytest.approx(10.20, rel=5e-4)
 
 
-def test_distances_as_text():
-    expected = apparent_speed(MU, distance=16.7 * u.Mpc)
+def test_distances_as_text_and_what_is_masked():
+    expected = apparent_speed(MU, distance=16.7 * MPC)
     assert apparent_speed("1 mas/yr", distance="16.7 Mpc") == expected
-    # astropy reads 16 x 7 Mpc.
-    assert u.Quantity("16 7 Mpc").to_value(u.Mpc) == pytest.approx(112)
     table = QTable({"pm": [1] * MU, "pm_err": [1] * MU})
+    # astropy reads 16 x 7 Mpc.
     with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
         table_in_c(table, distance="16 7 Mpc")
-
-
-def test_what_is_masked_stays_masked():
     for motion in (
         MaskedColumn([1.0, 2.0], mask=[True, False], unit="mas/yr"),
         Masked([1, 2] * MU, mask=[True, False]),
@@ -125,16 +111,15 @@ def test_what_is_masked_stays_masked():
 
 def test_one_cosmology_without_another():
     """Whatever the default of astropy is."""
-    paper = FlatLambdaCDM(H0=71, Om0=0.27)
-    expected = apparent_speed(MU, redshift=0.158, cosmology=paper)
+    expected = apparent_speed(MU, redshift=0.158, cosmology="H0=71,Om0=0.27")
     with default_cosmology.set(Planck18):
         assert apparent_speed(MU, redshift=0.158) == expected
-        own = default_cosmology.get()
-    planck = apparent_speed(MU, redshift=0.158, cosmology=own)
-    assert planck.value == pytest.approx(10.65, abs=0.01)
-    for name in ("Planck18", "H0=67.66, Om0=0.30966"):
-        speed = apparent_speed(MU, redshift=0.158, cosmology=name)
-        assert speed.value == pytest.approx(planck.value, rel=5e-4)
+    for cosmology in (Planck18, "Planck18", "H0=67.66, Om0=0.30966"):
+        speed = apparent_speed(MU, redshift=0.158, cosmology=cosmology)
+        assert speed.value == pytest.approx(10.65, abs=0.01)
+    flat = FlatLambdaCDM(H0=70, Om0=0.3)
+    assert to_cosmology(" H0 = 70 , Om0 = .3 ") == flat
+    assert to_cosmology("H0=70,Om0=0.3,Ode0=0.6") == LambdaCDM(70, 0.3, 0.6)
 
 
 @pytest.mark.parametrize("cosmology", [None, Planck18, "H0=65,Om0=0.3,Ode0=0.5"])
@@ -146,36 +131,37 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     assert found["beta_app_err"][1] == np.inf
     assert found["beta_app"].unit == found["beta_app_err"].unit == u.one
     assert "units of c" in found["beta_app"].info.description
-    assert found.meta["redshift"] == 0.158
-    assert found.meta["seed"] == 1
+    assert (found.meta["redshift"], found.meta["seed"]) == (0.158, 1)
     assert table.colnames == ["pm", "pm_err"]
-    for path in (tmp_path / "a.ecsv", tmp_path / "a.fits"):
-        if path.suffix == ".fits":
-            found.meta = {}
-        found.write(path)
-        read = QTable.read(path)
-        assert isinstance(read["beta_app"], u.Quantity)
-        assert np.all(read["beta_app"] == expected)
-        if path.suffix == ".ecsv":
-            own = read.meta["cosmology"]
-            again = table_in_c(table, redshift=read.meta["redshift"], cosmology=own)
-            assert np.all(again["beta_app"] == expected)
-            assert cosmology_text(own) == cosmology_text(cosmology)
+    found.write(tmp_path / "a.ecsv")
+    read = QTable.read(tmp_path / "a.ecsv")
+    assert np.all(read["beta_app"] == expected)
+    own = read.meta["cosmology"]
+    again = table_in_c(table, redshift=read.meta["redshift"], cosmology=own)
+    assert np.all(again["beta_app"] == expected)
+    assert cosmology_text(own) == cosmology_text(cosmology)
 
 
-def test_numbers_at_15_degrees():
+# -- flows behind apparent speeds -------------------------------------------------
+
+
+def test_numbers_at_15_degrees_and_speeds_that_are_none():
     gamma = lorentz_factor(beta_intrinsic([4, 6], 15 * u.deg))
     np.testing.assert_allclose(gamma.value, [4.13, 7.48], atol=5e-3)
     # The acceleration between 1 and 7 mas that the paper calls 0.3.
     k = np.log((gamma[1] / gamma[0]).value) / np.log(7)
     assert k == pytest.approx(0.305, abs=5e-4)
+    assert lorentz_factor(60 * u.percent).value == pytest.approx(1.25)
+    assert np.isnan(beta_intrinsic(0, 0 * u.deg))
+    assert np.isnan(beta_intrinsic([-0.1, -0.5, -3.0], 15 * u.deg)).all()
+    assert np.isnan(lorentz_factor([1.0, -1.0, 2.0])).all()
 
 
+@settings(max_examples=40)
 @given(beta=st.floats(0.01, 0.9999), angle=st.floats(0.1, 179))
 def test_everything_comes_back(beta, angle):
-    angle = angle * u.deg
-    sin, cos = np.sin(angle).value, np.cos(angle).value
-    seen = beta * sin / (1 - beta * cos)
+    cos, angle = np.cos(np.radians(angle)), angle * u.deg
+    seen = beta * np.sin(angle).value / (1 - beta * cos)
     assert beta_intrinsic(seen, angle).value == pytest.approx(beta, rel=1e-9)
     gamma = lorentz_factor(beta)
     assert gamma.value == pytest.approx((1 - beta**2) ** -0.5)
@@ -187,31 +173,99 @@ def test_everything_comes_back(beta, angle):
     assert back.to_value(u.deg) == pytest.approx(angle.value, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("Planck18", Planck18),
-        ("H0=71,Om0=0.27", FlatLambdaCDM(H0=71, Om0=0.27)),
-        (" H0 = 70 , Om0 = .3 ", FlatLambdaCDM(H0=70, Om0=0.3)),
-        ("H0=70,Om0=0.3,Ode0=0.6", LambdaCDM(H0=70, Om0=0.3, Ode0=0.6)),
-    ],
-)
-def test_cosmologies(text, expected):
-    assert to_cosmology(text) == expected
+def test_limits_are_the_central_68_per_cent():
+    beta, error = np.array([5.0, 9.0]), np.array([0.1, 0.3])
+    table = intrinsic_table(beta, error, n_trials=40000, rng=3)
+    for name, sign in (("low", -1), ("high", 1)):
+        end = beta + sign * 0.99446 * error
+        gamma = table[f"gamma_min_{name}"].value
+        np.testing.assert_allclose(gamma, np.hypot(1, end), rtol=2e-3)
+        angle = table[f"angle_max_{'high' if name == 'low' else 'low'}"]
+        expected = np.degrees(2 * np.arctan(1 / end))
+        np.testing.assert_allclose(angle.to_value(u.deg), expected, rtol=3e-3)
+    assert table["beta_app_err"].value.tolist() == [0.1, 0.3]
+    options = {"viewing_angle": 5 * u.deg, "angle_error": 0.2 * u.deg}
+    table = intrinsic_table([5.0], [0.0], **options, rng=3)
+    ends = [
+        intrinsic_table([5.0], [0.0], viewing_angle=angle * u.deg)
+        for angle in (5 - 0.99446 * 0.2, 5 + 0.99446 * 0.2)
+    ]
+    for name in ("gamma", "doppler"):
+        values = sorted(end[name][0].value for end in ends)
+        found = [table[f"{name}_{end}"][0].value for end in ("low", "high")]
+        assert found == pytest.approx(values, rel=5e-3)
+    assert {name: table.meta[name] for name in options} == options
+
+
+def test_slow_and_impossible_flows():
+    table = intrinsic_table([0.0, 0.4], [0.0, 0.0], viewing_angle=20 * u.deg)
+    assert table["gamma"][0] == table["gamma_min"][0] == 1
+    expected = lorentz_factor(beta_intrinsic(0.4, 20 * u.deg))
+    assert table["gamma"][1].value == pytest.approx(expected.value)
+    assert (table["possible"] == 1).all()
+    table = intrinsic_table([2000] * u.percent, 0.1, viewing_angle=15 * u.deg, rng=1)
+    assert np.isinf(table["gamma"][0])
+    assert table["gamma_min"][0].value == pytest.approx(np.sqrt(401))
+    assert (table["doppler"][0], table["possible"][0]) == (0, 0)
+    assert "gamma" not in intrinsic_table([20.0], [0.1]).colnames
+
+
+# -- two-sided jets ---------------------------------------------------------------
+
+
+def test_errors_of_a_two_sided_jet_are_those_of_small_changes():
+    motions, errors, distance = [17.6, 9.0], [0.04, 0.03], 12.5 * u.kpc
+
+    def measure(a, r, **options):
+        found = two_sided_jet(a * DAY, r * DAY, distance, **options)
+        names = ("beta_cos", "angle", "beta")
+        return np.array([[u.Quantity(v).value for v in found[n]] for n in names])
+
+    changes = []
+    for step in np.diag(errors):
+        up, down = measure(*(motions + step)), measure(*(motions - step))
+        changes.append(0.5 * (up - down)[:, 0])
+        # Without errors of the motions there are none.
+        np.testing.assert_allclose(up[:, 1], 0, atol=1e-9)
+    found = measure(*motions, errors=errors * DAY, rng=1)
+    np.testing.assert_allclose(found[:, 1], np.hypot(*changes), rtol=0.03)
+
+
+@settings(max_examples=40)
+@given(beta=st.floats(0.1, 0.999), theta=st.floats(1, 89))
+def test_two_sided_jet_there_and_back(beta, theta):
+    t, d = np.radians(theta), 10 * u.kpc
+    cos = beta * np.cos(t)
+    rate = (beta * np.sin(t) / d.to_value(u.m) * 299792458) * u.rad / u.s
+    motions = rate / (1 - cos), rate / (1 + cos)
+    found = two_sided_jet(*motions, d, n_trials=2)
+    assert found["beta"][0] == pytest.approx(beta, rel=1e-9)
+    assert found["angle"][0].value == pytest.approx(theta, rel=1e-9)
+    assert found["beta_cos"][0] == pytest.approx(cos, rel=1e-9)
+    assert found["beta_max_distance"] > d
+    at = two_sided_jet(*motions, found["beta_max_distance"], n_trials=2)
+    assert at["beta"][0] == pytest.approx(1)
+
+
+JET = {"approaching": 17.6 * DAY, "receding": 9.0 * DAY}
+WRONG = [([-1.0], [0.1]), ([np.nan], [0.1]), ([1.0, 2.0], [0.1, -0.1]),
+         ([1.0, 2.0], [0.1, np.nan]), ([1.0, np.inf], [0.1, 0.1])]  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("call", "words"),
     [
-        "Planck",
-        "H0=71",
-        "H0=71,Om0",
-        "H0=71,Om0=0.3,w=1",
-        "H0=0,Om0=0.3",
-        "",
-        "H0=1e999,Om0=0.3",
+        (lambda: two_sided_jet(**JET, errors=(0.4, 0.1)), "errors = 0.4 must be an"),
+        (lambda: two_sided_jet(**JET | {"receding": 9.0}), "receding = 9.0 must be an"),
+        (lambda: two_sided_jet(**JET, distance=-1 * u.kpc), "-1.0 kpc must be finite"),
+        *((lambda r=r: two_sided_jet(**JET | {"receding": r * DAY}),
+           "receding motion must be positive") for r in (0, 18)),
+        *((lambda values=values: intrinsic_table(*values), "finite and not negative")
+          for values in WRONG),
+        *((lambda f=f: f(100 * u.km / u.s), "got km / s: divide them by astropy.const")
+          for f in (lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle)),
     ],
-)
-def test_cosmologies_that_are_none(text):
-    with pytest.raises(ValueError, match=r"is no cosmology; give H0=71,Om0=0.27.*Pla"):
-        to_cosmology(text)
+)  # fmt: skip
+def test_flows_and_jets_that_are_refused(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()

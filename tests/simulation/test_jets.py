@@ -1,4 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Simulated jets: those of the paper, and jets as surveys see them."""
+
 import json
 
 import astropy.units as u
@@ -9,32 +11,31 @@ from astropy.table import QTable
 from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
+from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import Beam
 from astro_scc.simulation import (
+    Flow,
     JetSimulation,
     Stream,
     simulate_ballistic,
+    simulate_jet,
     simulate_random_velocity,
+    simulate_shell,
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
     write_simulation,
 )
 
-PRESETS = {
-    "two-fluid": simulate_two_fluid,
-    "random": simulate_random_velocity,
-    "ballistic": simulate_ballistic,
-    "static": simulate_static,
-    "unrelated": simulate_unrelated,
-}
+PM = u.mas / u.yr
 
 
 def steps(truth, name="x"):
     """Motion of every feature between consecutive epochs, in pixels."""
-    table = truth.group_by("feature")
-    return np.concatenate([np.diff(part[name].value) for part in table.groups])
+    parts = truth.group_by("feature").groups
+    return np.concatenate([np.diff(part[name].value) for part in parts])
 
 
 def seen(truth, n_epochs=10):
@@ -54,22 +55,16 @@ def seen(truth, n_epochs=10):
 def test_like_the_jets_of_the_paper(shared_data, folder, options):
     """The same numbers of features, fluxes, widths and peaks, within errors."""
     paper = json.loads((shared_data / "paper_test" / folder / "truth.json").read_text())
-    jets = [
-        simulate_random_velocity(rng=seed)
-        if options is None
-        else simulate_two_fluid(rng=seed, **options)
-        for seed in range(8)
-    ]
+    simulate = simulate_random_velocity if options is None else simulate_two_fluid
+    jets = [simulate(rng=seed, **(options or {})) for seed in range(8)]
     for group in paper["config"]["groups"]:
         name = group["name"]
         truths = [jet.truth[jet.truth["group"] == name] for jet in jets]
-        counts = [seen(truth).mean() for truth in truths]
         expected = np.mean(paper["n_visible_per_epoch"][name])
-        assert np.mean(counts) == pytest.approx(expected, rel=0.1)
-
+        number = np.mean([seen(truth).mean() for truth in truths])
+        assert number == pytest.approx(expected, rel=0.1)
         theirs = [f for f in paper["features"] if f["group"] == name]
-        x = np.array([f["x"] for f in theirs])
-        y = np.array([f["y"] for f in theirs])
+        x, y = (np.array([f[axis] for f in theirs]) for axis in "xy")
         ours = np.concatenate([steps(truth) for truth in truths])
         assert ours.mean() == pytest.approx(np.diff(x).mean(), abs=0.6)
         assert ours.std() == pytest.approx(np.diff(x).std(), rel=0.12)
@@ -79,34 +74,23 @@ def test_like_the_jets_of_the_paper(shared_data, folder, options):
         assert first.std() == pytest.approx(y[:, 0].std(), rel=0.25)
         widths = np.concatenate([t["fwhm"].to_value(u.mas) * 10 for t in truths])
         assert 2 <= widths.min() <= widths.max() <= 6
-
     peak = np.mean([jet.cube.data.max(axis=(1, 2)).mean() for jet in jets])
-    assert peak == pytest.approx(
-        np.mean([e["clean_peak"] for e in paper["epochs"]]), rel=0.15
-    )
+    theirs = np.mean([e["clean_peak"] for e in paper["epochs"]])
+    assert peak == pytest.approx(theirs, rel=0.15)
 
 
 def test_images_of_the_paper_from_their_truth(shared_data):
     """Our image of their features is their image, but for the noise."""
-    from astro_scc.components.restoring import add_gaussians
-
     folder = shared_data / "paper_test" / "two_fluid"
-    paper = json.loads((folder / "truth.json").read_text())
-    x = np.array([f["x"] for f in paper["features"]])
-    y = np.array([f["y"] for f in paper["features"]])
-    width = np.array([f["fwhm"] for f in paper["features"]])
-    peak = np.array([f["peak"] for f in paper["features"]])
-    jet = JetSimulation([Stream("all", half_width=1.0)])
-    visibility = jet.visibility(x)
-    total = (width**2 + 100) / (8 * np.log(2))
+    paper = json.loads((folder / "truth.json").read_text())["features"]
+    x, y, width, peak = (
+        np.array([f[name] for f in paper]) for name in ("x", "y", "fwhm", "peak")
+    )
+    seen_ = JetSimulation([Stream("all", half_width=1.0)]).visibility(x)
+    covariance = ((width**2 + 100) / (8 * np.log(2)))[:, None, None] * np.eye(2)
     for i, path in enumerate(sorted(folder.glob("*.fits"))):
-        image = add_gaussians(
-            np.zeros((128, 256)),
-            x[:, i],
-            y[:, i],
-            peak * visibility[:, i],
-            total[:, None, None] * np.eye(2),
-        )
+        image = np.zeros((128, 256))
+        add_gaussians(image, x[:, i], y[:, i], peak * seen_[:, i], covariance)
         residual = fits.getdata(path) - image
         assert residual.std() == pytest.approx(0.002, rel=0.01)
         assert np.abs(residual).max() < 0.01
@@ -123,28 +107,81 @@ def test_unrelated_epochs_share_no_feature():
 
 
 def test_velocity_field_is_followed():
-    def field(x, y):
-        return 0.1 * x
-
-    stream = Stream("flow", dx=field, half_width=0.0, density=2.0)
+    stream = Stream("flow", dx=lambda x, y: 0.1 * x, half_width=0.0, density=2.0)
     truth = JetSimulation([stream], n_epochs=3, noise=0).run(rng=1).truth
     for part in truth.group_by("feature").groups:
         x = part["x"].value
-        np.testing.assert_allclose(x[1:], 1.1 * x[:-1])
+        assert_allclose(x[1:], 1.1 * x[:-1])
     across = Stream("flow", dx=(1, 2), dy=lambda x, y: 64 - y, half_width=9.0)
     truth = JetSimulation([across], n_epochs=3, noise=0).run(rng=1).truth
-    np.testing.assert_allclose(truth["y"].value[truth["epoch"] > 0], 64)
+    assert_allclose(truth["y"].value[truth["epoch"] > 0], 64)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(speed=st.floats(-30, 30), jitter=st.floats(0, 3), seed=st.integers(0, 99))
 def test_region_stays_populated(speed, jitter, seed):
     stream = Stream("s", dx=speed, density=20.0, half_width=5.0, jitter=jitter)
-    jet = JetSimulation([stream])
-    x = stream.features(jet, np.random.default_rng(seed)).x
+    x = stream.features(JetSimulation([stream]), np.random.default_rng(seed)).x
     inside = ((x >= 20) & (x <= 220)).sum(axis=0)
     # 400 on average, of a binomial.
     assert np.all(np.abs(inside - 400) < 100)
+
+
+@pytest.mark.parametrize(
+    ("distribution", "dispersion", "spread"),
+    [("normal", 0.2, 0.2), ("uniform", 0.3, 0.3), ("lognormal", 0.4, 0.4165)],
+)
+def test_speeds_have_their_mean_and_dispersion(distribution, dispersion, spread):
+    flow = Flow(speed=0.6, dispersion=dispersion, distribution=distribution)
+    speeds = flow.speeds((np.arange(100000) + 0.5) / 100000)
+    assert speeds.mean() == pytest.approx(0.6, rel=0.002)
+    assert speeds.std() == pytest.approx(0.6 * spread, rel=0.01)
+    assert speeds.min() >= 0.06
+
+
+@pytest.mark.parametrize("options", [{}, {"dispersion": 0.3}, {"acceleration": 1.6}])
+def test_number_of_features_in_view(options):
+    jet, rng = simulate_jet(rng=1, shape=(8, 8)).simulation, np.random.default_rng(1)
+    drawn = [Flow(**options).features(jet, rng) for _ in range(60)]
+    counts = [np.mean(np.sum(features.flux > 0, axis=0)) for features in drawn]
+    assert np.mean(counts) == pytest.approx(8, rel=0.04)
+
+
+# Nothing but the features.
+BARE = {"core_flux": 0.0, "noise": 0.0, "flux_variation": 0.0, "shape": (8, 8)}
+
+
+@pytest.mark.parametrize("acceleration", [0.5, 1.6])
+def test_acceleration(acceleration):
+    truth = simulate_jet(
+        rng=1, dispersion=0.0, acceleration=acceleration, interval_scatter=0.0,
+        interval=0.01 * u.yr, speed=0.03, n_features=60, **BARE,
+    ).truth  # fmt: skip
+    speed = -truth["pm_east"].value * 0.01 / 0.8 / 0.03
+    slope, start = np.polyfit(np.abs(truth["east"].value), speed, 1)
+    expected = np.array([2, 2 * acceleration]) / (1 + acceleration)
+    assert [start, start + slope * 16 * 0.8] == pytest.approx(expected, rel=0.02)
+
+
+def test_features_fade_and_widen_and_streams_have_their_own_places():
+    truth = simulate_jet(rng=1, n_features=80, **BARE).truth
+    s = np.abs(truth["east"].value) / 0.8
+    near, far = (s > 0.5) & (s < 2), (s > 10) & (s < 13)
+    assert truth["flux"][far].mean() < 0.4 * truth["flux"][near].mean()
+    expected = 0.25 * 0.8 * (1 + s) ** 0.6
+    assert_allclose(truth["fwhm"].to_value(u.mas), expected, rtol=1e-6)
+    spine = Flow("spine", speed=0.9, size=0.2, widening=0.0, width=0.1)
+    sheath = Flow("sheath", speed=0.3, size=0.8, widening=0.0, offset=1.5, width=0.1)
+    truth = simulate_jet(rng=1, streams=[spine, sheath], **BARE).truth
+    a, b = (truth[truth["group"] == name] for name in ("spine", "sheath"))
+    assert np.all(a["fwhm"] < b["fwhm"][0])
+    far = np.abs(b["east"].value) > 8
+    # At position angle 270 deg, larger angles are to the north.
+    assert b["north"][far].value.min() > 0.8 > np.abs(a["north"].value).max()
+    # Speeds in beams of 0.8 mas an interval of 0.2 years.
+    for part, speed in ((a, 0.9), (b, 0.3)):
+        found = np.hypot(part["pm_east"], part["pm_north"]).value * 0.2 / 0.8
+        assert np.nanmean(found) == pytest.approx(speed, rel=0.15)
 
 
 # Images and truth -------------------------------------------------------------
@@ -155,117 +192,186 @@ def test_images_show_the_truth():
     jet = JetSimulation([stream], n_epochs=2, noise=0, taper=0).run(rng=4)
     cube, truth = jet.cube, jet.truth
     assert truth["visible"].any()
+    pixels_a_beam = (cube.beams[0].area / (0.1 * u.mas) ** 2).to_value(u.one)
     for i in range(2):
         rows = truth[(truth["epoch"] == i) & truth["visible"]]
-        pixels_a_beam = (cube.beams[i].area / (0.1 * u.mas) ** 2).to_value(u.one)
         total = cube.data[i].sum() / pixels_a_beam
         assert total == pytest.approx(rows["flux"].sum().value, rel=1e-3)
-        for row in rows:
-            x, y = row["x"].value, row["y"].value
-            sky = cube.wcs.pixel_to_world_values(x, y)
-            east = ((sky[0] - 180) * u.deg).to_value(u.mas)
-            assert east == pytest.approx(row["east"].to_value(u.mas), abs=1e-6)
-            north = (sky[1] * u.deg).to_value(u.mas)
-            assert north == pytest.approx(row["north"].to_value(u.mas), abs=1e-6)
+        sky = cube.wcs.pixel_to_world_values(rows["x"].value, rows["y"].value)
+        east, north = ((np.array(sky).T - [180, 0]) * u.deg).to_value(u.mas).T
+        assert_allclose(east, rows["east"].to_value(u.mas), atol=1e-6)
+        assert_allclose(north, rows["north"].to_value(u.mas), atol=1e-6)
 
 
-def test_truth_columns_and_motions():
+def test_peaks_are_where_the_truth_has_them():
+    jet = simulate_jet(
+        streams=[], standing=(5.0,), position_angle=200 * u.deg,
+        alignment_error=0.3, noise=0.0, core_flux=1.0, rng=2,
+    )  # fmt: skip
+    core = jet.truth[jet.truth["group"] == "core"]
+    still = jet.truth[jet.truth["group"] == "standing"]
+    for image, row in zip(jet.cube.data, core, strict=True):
+        y, x = np.unravel_index(np.argmax(image), image.shape)
+        assert max(abs(x - row["x"].value), abs(y - row["y"].value)) <= 0.5
+    east, north = still["east"].to_value(u.mas), still["north"].to_value(u.mas)
+    assert np.ptp(east) == pytest.approx(0, abs=1e-9)
+    assert np.hypot(east, north)[0] == pytest.approx(5 * 0.8, rel=0.02)
+    angle = np.degrees(np.arctan2(east[0], north[0])) % 360
+    assert angle == pytest.approx(200, abs=12)
+    assert np.std(still["x"].value) == pytest.approx(0.3 * 8, rel=0.5)
+
+
+def test_truth_has_the_motions_of_the_features_in_view():
     jet = simulate_two_fluid(rng=2, jitter=0.0)
     truth = jet.truth
     names = "feature group epoch date x y east north flux fwhm visible pm_east pm_north"
     assert truth.colnames == names.split()
     slow = truth["group"] == "slow"
-    np.testing.assert_allclose(
-        truth["pm_east"][slow].to_value(u.mas / u.yr), -5 * 1.2175
-    )
-    np.testing.assert_allclose(truth["pm_north"].value, 0, atol=1e-9)
+    assert_allclose(truth["pm_east"][slow].to_value(PM), -5 * 1.2175)
+    assert_allclose(truth["pm_north"].value, 0, atol=1e-9)
     assert np.all(truth["date"][truth["epoch"] == 3] == jet.cube.times[3])
-    assert truth.meta["velocity_unit"].to_value(u.mas / u.yr) == pytest.approx(1.2175)
+    assert truth.meta["velocity_unit"].to_value(PM) == pytest.approx(1.2175)
     n = len(set(truth["feature"]))
     assert repr(jet) == f"<SimulatedJet 'two-fluid': 10 epochs, {n} features>"
+    truth = simulate_jet(rng=1, dispersion=0.2, shape=(8, 8)).truth
+    moving = truth[(truth["group"] == "flow") & truth["visible"]]
+    parts = [part for part in moving.group_by("feature").groups if len(part) > 1]
+    speeds = [-part["pm_east"].value.mean() for part in parts]
+    flow = truth.meta["streams"][0]
+    found = [
+        flow["n_seen"],
+        *(flow[k].to_value(PM) for k in ("mean_speed", "std_speed")),
+    ]
+    expected = [len(speeds), np.mean(speeds), np.std(speeds, ddof=1)]
+    assert found == pytest.approx(expected)
+    assert np.mean(speeds) == pytest.approx(0.6 * 0.8 / 0.2, rel=0.3)
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_seeds(name):
-    simulate = PRESETS[name]
-    one, again = simulate(n_epochs=2, rng=7), simulate(n_epochs=2, rng=7)
-    np.testing.assert_array_equal(one.cube.data, again.cube.data)
-    assert len(one.truth) == len(again.truth)
-    other = simulate(n_epochs=2, rng=8)
-    assert not np.array_equal(one.cube.data, other.cube.data)
+@pytest.mark.parametrize(
+    "simulate",
+    [simulate_two_fluid, simulate_random_velocity, simulate_ballistic, simulate_static,
+     simulate_unrelated],
+)  # fmt: skip
+def test_seeds(simulate):
+    one = simulate(n_epochs=2, rng=7)
+    assert not np.array_equal(one.cube.data, simulate(n_epochs=2, rng=8).cube.data)
     generator = simulate(n_epochs=2, rng=np.random.default_rng(7))
-    np.testing.assert_array_equal(one.cube.data, generator.cube.data)
+    assert_array_equal(one.cube.data, generator.cube.data)
     quiet = simulate(n_epochs=2, rng=7, noise=0.0)
-    np.testing.assert_array_equal(one.truth["x"], quiet.truth["x"])
+    assert_array_equal(one.truth["x"], quiet.truth["x"])
+
+
+def test_artefacts():
+    options = {"rng": 1, "noise": 0.0, "n_epochs": 4}
+    clean = simulate_jet(**options).cube
+    rippled = simulate_jet(**options, ripple=0.01).cube
+    peaks = clean.data.max(axis=(1, 2))
+    wave = (rippled.data - clean.data) / peaks[:, None, None]
+    assert 0.005 < np.abs(wave).max() <= 0.01
+    assert not np.array_equal(wave[0], wave[1])
+    assert rippled.noise is None
+    bowls = simulate_jet(**options, bowl=0.01).cube.data - clean.data
+    assert bowls.max() <= 0
+    depth = -bowls.min(axis=(1, 2)) / peaks
+    assert np.all((depth > 0.009) & (depth < 0.03))
+
+
+@pytest.mark.parametrize("kind", ["knots", "ring"])
+def test_a_feature_of_a_shell_moves_away_from_the_centre_at_its_rate(kind):
+    number = {"n_knots": 1, "n_clumps": 0} if kind == "knots" else {"n_knots": 0}
+    options = {"background": 0.0, "counts": 1e4, "n_clumps": 1, **number}
+    shell = simulate_shell(n_epochs=3, interval=15 * u.yr, rng=3, **options)
+    (row,), rate = shell.truth, 0.11 if kind == "knots" else 0.07
+    assert (row["group"], row["rate"]) == (kind, rate * u.percent / u.yr)
+    y, x = np.indices(shell.cube.shape[1:])
+    for image, year in zip(shell.cube.data, shell.cube.years.value, strict=True):
+        middle = [np.average(axis, weights=image) for axis in (x, y)]
+        found = u.Quantity(shell.cube.pixel_to_offset(*middle)) - shell.centre
+        expected = u.Quantity([row["east"], row["north"]]) * (1 + rate / 100 * year)
+        assert u.allclose(found, expected, atol=0.05 * u.arcsec)
+    assert repr(shell) == "<SimulatedShell: 3 epochs, 1 features>"
 
 
 # What is refused --------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("kind", "options", "message"),
     [
-        ({"motion": "circular"}, "motion = .* must be one of"),
-        ({"sigma": 3.0}, "needs one of half_width and sigma"),
-        ({"half_width": None}, "needs one of half_width and sigma"),
-        ({"density": -1.0}, "density must be zero or positive"),
-        ({"jitter": np.nan}, "jitter must be zero or positive"),
-        ({"half_width": np.inf}, "half_width must be zero or positive"),
-        ({"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
-        ({"peak": (-1.0, 2.0)}, "peak must be two limits"),
-        ({"dx": (1.0, 2.0, 3.0)}, "dx must be a number, two limits"),
-        ({"dy": np.nan}, "dy must be a number, two limits"),
+        (Stream, {"motion": "circular"}, "motion = .* must be one of"),
+        (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
+        (Stream, {"half_width": None}, "needs one of half_width and sigma"),
+        (Stream, {"jitter": np.nan}, "jitter must be zero or positive"),
+        (Stream, {"half_width": np.inf}, "half_width must be zero or positive"),
+        (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
+        (Stream, {"peak": (-1.0, 2.0)}, "peak must be two limits"),
+        (Stream, {"dx": (1.0, 2.0, 3.0)}, "dx must be a number, two limits"),
+        (Stream, {"dy": np.nan}, "dy must be a number, two limits"),
+        (Flow, {"distribution": "flat"}, "distribution = .* must be one of"),
+        (Flow, {"positions": (2.0,)}, "they are those of standing features"),
+        (Flow, {"positions": (-2.0,), "speed": 0}, "positions must be zero or positi"),
+        (Flow, {"dispersion": -1.0}, "dispersion must be zero or positive"),
+        (Flow, {"speed": np.nan}, "speed must be zero or positive"),
+        (Flow, {"acceleration": 0.0}, "acceleration must be positive"),
     ],
 )
-def test_bad_streams(options, message):
-    with pytest.raises(ValueError, match=f"stream 's'.*{message}"):
-        Stream("s", **{"half_width": 5.0, **options})
+def test_bad_streams_and_flows(kind, options, message):
+    own = {"half_width": 5.0} if kind is Stream else {}
+    with pytest.raises(ValueError, match=f"(stream|flow) 's'.*{message}"):
+        kind("s", **{**own, **options})
+
+
+ONE = Stream("s", half_width=5.0)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("make", "options", "message"),
     [
-        ({"streams": Stream("s", half_width=5.0)}, "sequence of Stream"),
-        ({"streams": []}, "at least one Stream"),
-        ({"n_epochs": 0}, "n_epochs must be at least 1"),
-        ({"dates": Time("2001-01-01")}, "array of increasing times"),
-        ({"dates": Time(["2001-01-02", "2001-01-01"])}, "array of increasing times"),
-        ({"beams": [Beam(1 * u.mas, 1 * u.mas)]}, "10 epochs need 10 beams, got 1"),
-        ({"beams": []}, "beams and noise need one value, or one for each epoch"),
-        ({"noise": ()}, "beams and noise need one value, or one for each epoch"),
-        ({"extent": (220.0, 20.0)}, "extent must be"),
-        ({"noise": -1.0}, "noise must be zero or positive"),
-        ({"taper": -1.0}, "taper must be zero or positive"),
-        ({"core": np.nan}, "core must be zero or positive"),
+        (JetSimulation, {"streams": ONE}, "sequence of Stream"),
+        (JetSimulation, {"streams": []}, "at least one Stream"),
+        (JetSimulation, {"streams": [ONE], "n_epochs": 0}, "n_epochs must be at least"),
+        *((JetSimulation, {"streams": [ONE], "dates": Time(dates)}, "increasing times")
+          for dates in ("2001-01-01", ["2001-01-02", "2001-01-01"])),
+        (JetSimulation, {"streams": [ONE], "beams": [Beam(1 * u.mas, 1 * u.mas)]},
+         "10 epochs need 10 beams, got 1"),
+        *((JetSimulation, {"streams": [ONE], name: ()}, "beams and noise need one val")
+          for name in ("beams", "noise")),
+        (JetSimulation, {"streams": [ONE], "extent": (220.0, 20.0)}, "extent must be"),
+        (JetSimulation, {"streams": [ONE], "taper": -1.0}, "taper must be zero or pos"),
+        (simulate_two_fluid, {"slow": 5 * u.km / u.s}, "not convertible"),
+        (simulate_shell, {"n_epochs": 1}, "n_epochs must be at least 2"),
+        (simulate_shell, {"size": 100}, "larger than 100 pixels can show"),
+        (simulate_jet, {"n_epochs": 0}, "n_epochs must be at least 1"),
+        (simulate_jet, {"alignment_error": -1.0}, "alignment_error must be zero or"),
+        (simulate_jet, {"flux_variation": np.nan}, "flux_variation must be zero or"),
+        (simulate_jet, {"length": 0.0}, "extent must be"),
+        (simulate_jet, {"length": np.nan}, "length must be zero or positive"),
+        (simulate_jet, {"streams": [Flow()], "speed": 1.0, "size": 0.1},
+         "speed, size: give them to"),
+        (simulate_jet, {"noise_scatter": -1}, "noise_scatter must be zero or positive"),
+        (simulate_jet, {"noise": -0.001}, r"must be zero or p.* got -0.00\d+$"),
+        (simulate_jet, {"standing": -1}, "flow 'standing': n_features must be zero or"),
+        (simulate_jet, {"interval_scatter": np.nan}, "interval_scatter must be zero"),
+        (simulate_jet, {"interval": -1 * u.yr}, "dates must be an array of increasing"),
     ],
-)
-def test_bad_simulations(options, message):
-    with pytest.raises(ValueError, match=message):
-        JetSimulation(**{"streams": [Stream("s", half_width=5.0)], **options})
-
-
-def test_proper_motion_of_the_wrong_kind():
-    with pytest.raises(u.UnitConversionError):
-        simulate_two_fluid(slow=5 * u.km / u.s)
-
-
-# Files ------------------------------------------------------------------------
+)  # fmt: skip
+def test_bad_simulations(make, options, message):
+    with pytest.raises((ValueError, u.UnitConversionError), match=message):
+        make(**options)
 
 
 def test_written_simulation(tmp_path):
     jet = simulate_two_fluid(n_epochs=3, rng=1)
     *images, table = write_simulation(jet, tmp_path / "jet")
-    assert len(images) == 3
-    assert table.name == "truth.ecsv"
+    assert (len(images), table.name) == (3, "truth.ecsv")
     assert sorted((tmp_path / "jet").iterdir()) == sorted([*images, table])
     truth = QTable.read(table)
-    np.testing.assert_allclose(truth["x"].value, jet.truth["x"].value)
+    assert_allclose(truth["x"].value, jet.truth["x"].value)
     assert truth["flux"].unit == u.Jy
     assert truth.meta["streams"][1]["dx"] == 20.0
     header = fits.getheader(images[2])
     assert header["DATE-OBS"].startswith("2000-03-01")
     assert (header["CRPIX1"], header["CRPIX2"]) == (21, 65)
-    assert header["CDELT1"] < 0
     assert header["BMAJ"] == pytest.approx((1 * u.mas).to_value(u.deg))
     with pytest.raises(OSError, match="truth.ecsv: exists already"):
         write_simulation(jet, tmp_path / "jet")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 from astropy.wcs import WCS
+from numpy.testing import assert_allclose
 
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import Beam, EpochCube
@@ -22,9 +23,8 @@ from astro_scc.images.positions import (
 
 
 def make_cube(**fields):
-    return EpochCube.from_arrays(
-        np.ones((1, 8, 8)), ["2000-01-01"], pixel_scale=0.1 * u.mas, **fields
-    )
+    place = {"pixel_scale": 0.1 * u.mas, "reference_pixel": (2, 3)}
+    return EpochCube.from_arrays(np.ones((1, 8, 8)), ["2000-01-01"], **place, **fields)
 
 
 def in_frame(*ctype):
@@ -34,49 +34,39 @@ def in_frame(*ctype):
 
 
 def test_offsets_of_patterns_are_those_of_their_pixels():
-    cube = make_cube(reference_pixel=(2, 3))
-    ssps = SimpleNamespace(
-        x=np.array([1.0, 4]), y=np.array([5.0, 3]), x_centroid=[2.5], y_centroid=[3]
-    )
-    expected = [offset.value for offset in cube.pixel_to_offset(ssps.x, ssps.y)]
-    np.testing.assert_allclose(ssp_offsets(ssps, cube), expected)
-    ssps.x_centroid, ssps.y_centroid = np.array([2.5]), np.array([3.0])
-    assert ssp_offsets(ssps, cube, centroid=True)[0] == pytest.approx([-0.05])
+    places = {
+        "x": [1.0, 4],
+        "y": [5.0, 3],
+        "x_centroid": [2.5, 3],
+        "y_centroid": [3, 3],
+    }
+    ssps = SimpleNamespace(**{name: np.array(v) for name, v in places.items()})
+    assert_allclose(ssp_offsets(ssps, make_cube()), [[0.1, -0.2], [0.2, 0]], atol=1e-9)
+    assert_allclose(ssp_offsets(ssps, make_cube(), centroid=True)[0], [-0.05, -0.1])
 
 
 def test_the_resolution_is_that_of_the_beam_or_of_the_scale():
-    turned = np.array([[1, 0], [0, 1]]), np.array([[0, 1], [1, 0]])
     cube = make_cube(beams=Beam(1 * u.mas, 0.5 * u.mas))
-    for axes, widths in zip(turned, ([0.5, 1], [1, 0.5]), strict=True):
-        np.testing.assert_allclose(beam_fwhm(cube, [0], [1], axes), [widths])
+    for axes, widths in ((np.eye(2), [0.5, 1]), (np.eye(2)[::-1], [1, 0.5])):
+        assert_allclose(beam_fwhm(cube, [0], [1], axes), [widths])
     plain = beam_fwhm(make_cube(), [0, 0], [1, 2], np.eye(2))
-    sizes = [scale_size(1), scale_size(2)]
-    np.testing.assert_allclose(plain[:, 0], 0.2 * np.array(sizes))
+    assert_allclose(plain[:, 0], [0.2 * scale_size(1), 0.2 * scale_size(2)])
     beam = cube.beams[0]
     assert u.isclose(beam.fwhm_along(90 * u.deg), beam.minor)
     assert u.allclose(beam.fwhm_along([0, 180] * u.deg), beam.major)
-
-
-def test_errors_of_positions_have_a_floor():
     errors = position_errors([0.1, 1, 1e9], np.full((3, 2), 2.0), 0.2)
     assert errors[0, 0] == errors[1, 0] == pytest.approx(2 * np.sqrt(0.52))
-    np.testing.assert_allclose(errors[2], 0.2 * 2 / np.sqrt(2))
+    assert_allclose(errors[2], 0.2 * 2 / np.sqrt(2))
 
 
-@pytest.mark.parametrize(
-    ("ctype", "words"),
-    [
-        (("RA---SIN", "DEC--SIN"), ("east", "north", True)),
-        (("HPLN-TAN", "HPLT-TAN"), ("solar west", "solar north", False)),
-        (("GLON-CAR", "GLAT-CAR"), ("galactic east", "galactic north", True)),
-        (("XLON-CAR", "XLAT-CAR"), ("larger longitude", "larger latitude", True)),
-    ],
-)
-def test_words_of_the_axes(ctype, words):
-    assert axis_words(in_frame(*ctype)) == words
-
-
-def test_columns_are_named_by_the_frame():
+def test_words_of_the_axes_and_columns_named_by_them():
+    expected = {
+        ("RA---SIN", "DEC--SIN"): ("east", "north", True),
+        ("HPLN-TAN", "HPLT-TAN"): ("solar west", "solar north", False),
+        ("GLON-CAR", "GLAT-CAR"): ("galactic east", "galactic north", True),
+        ("XLON-CAR", "XLAT-CAR"): ("larger longitude", "larger latitude", True),
+    }
+    assert {ctype: axis_words(in_frame(*ctype)) for ctype in expected} == expected
     table = QTable({"pm_ra_cosdec": [1.0], "pm_dec_err": [0.1], "east": [2.0]})
     table["east"].info.description = "offset to the east"
     assert name_by_frame(table, in_frame("RA---SIN", "DEC--SIN")) is table

@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Alignment of epochs by core, correlation, tables and coordinates."""
 
-import warnings
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -24,23 +22,17 @@ SHAPE = (90, 100)
 MAS = u.mas.to(u.deg)
 
 
-def grid(turn=0.0, crpix=(50, 40), crval=(187.0, 12.0)):
-    angle = np.radians(turn)
+def grid(turn=0.0, crval=(187.0, 12.0)):
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
-    wcs.wcs.cdelt = [-0.1 * MAS, 0.1 * MAS]
-    wcs.wcs.crpix = crpix
-    wcs.wcs.crval = crval
-    wcs.wcs.pc = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    wcs.wcs.cdelt, wcs.wcs.crpix = [-0.1 * MAS, 0.1 * MAS], (50, 40)
+    wcs.wcs.crval, wcs.wcs.pc = crval, [[c, -s], [s, c]]
     return wcs
 
 
 def images(epochs, turn=0.0, noise=0.0, **fields):
-    """
-    Epochs of point sources.
-
-    ``epochs`` has a list of (east, north, flux), offsets in mas, for each.
-    """
+    """Epochs of point sources, (east, north, flux) with offsets in mas."""
     wcs = grid(turn)
     empty = EpochCube(np.zeros((1, *SHAPE)), DATES[:1], wcs)
     e, n = (v.to_value(u.mas) for v in empty.offsets())
@@ -52,99 +44,70 @@ def images(epochs, turn=0.0, noise=0.0, **fields):
             d = np.stack([e - east, n - north])
             image += flux * np.exp(-0.5 * np.einsum("iyx,ij,jyx->yx", d, precision, d))
         if noise:
-            image += correlated_noise(
-                SHAPE, rms=noise, beam=BEAM, pixel_scale=0.1 * u.mas, rng=rng
-            )
-    dates = DATES[: len(epochs)]
-    fields.setdefault("beams", BEAM)
-    fields.setdefault("noise", (noise or 1e-6) * u.one)
-    return EpochCube(data, dates, wcs, **fields)
+            how = {"beam": BEAM, "pixel_scale": 0.1 * u.mas, "rng": rng}
+            image += correlated_noise(SHAPE, rms=noise, **how)
+    fields = {"beams": BEAM, "noise": (noise or 1e-6) * u.one, **fields}
+    return EpochCube(data, DATES[: len(epochs)], wcs, **fields)
 
 
 JET = [(0.5, -0.25, 0.4), (1.8, -0.9, 0.15)]
 OFFSETS = np.array([[0.0, 0.0], [0.23, 0.47], [-0.31, 0.12], [0.06, -0.52]])
 
 
-def shifted_jets(core=1.0, turn=0.0, noise=0.0, **fields):
+def shifted_jets(core=1.0, **options):
     """The same jet, each epoch displaced by OFFSETS (east, north)."""
-    return images(
-        [
-            [(a + e, b + n, f) for a, b, f in [(0, 0, core), *JET]]
-            for e, n in OFFSETS.tolist()
-        ],
-        turn=turn,
-        noise=noise,
-        **fields,
-    )
+    jet = [(0, 0, core), *JET]
+    epochs = [[(a + e, b + n, f) for a, b, f in jet] for e, n in OFFSETS]
+    return images(epochs, **options)
 
 
 def offset_table(offsets=OFFSETS):
-    return QTable(
-        {
-            "date": DATES[: len(offsets)],
-            "east": offsets[:, 0] * u.mas,
-            "north": offsets[:, 1] * u.mas,
-        }
-    )
+    east, north = np.array(offsets).T * u.mas
+    return QTable({"date": DATES[: len(offsets)], "east": east, "north": north})
 
 
 def shifts(cube):
-    return np.array(
-        [[r["shift_east_mas"], r["shift_north_mas"]] for r in cube.meta["alignment"]]
-    )
+    records = cube.meta["alignment"]
+    return np.array([[r["shift_east_mas"], r["shift_north_mas"]] for r in records])
+
+
+def positions(found):
+    return np.stack([found["east"].value, found["north"].value], axis=1)
 
 
 # -- by a table ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("turn", [0, 40])
-def test_a_table_brings_sources_to_the_reference_pixel(turn):
+def test_a_table_brings_sources_to_the_reference_pixel(tmp_path, turn):
     cube = shifted_jets(turn=turn)
     result = align(cube, "table", table=offset_table())
     reference = images([[(0, 0, 1.0), *JET]], turn=turn).data[0]
     for image, mask in zip(result.data, result.mask, strict=True):
         assert_allclose(image[~mask], reference[~mask], atol=2e-3)
-        y, x = np.unravel_index(np.nanargmax(image), SHAPE)
-        assert abs(x - 49) <= 1
-        assert abs(y - 39) <= 1
+        peak = np.unravel_index(np.nanargmax(image), SHAPE)
+        assert np.abs(np.subtract(peak, (39, 49))).max() <= 1
     assert_allclose(shifts(result), -OFFSETS, atol=1e-9)
     assert result.noise is None
     record = result.meta["alignment"][1]
-    assert record["epoch"] == cube.labels[1]
-    assert record["date"] == "2000-07-01"
-    assert record["method"] == "table"
-    assert record["shift_east_err_mas"] is None
+    assert (record["epoch"], record["date"]) == (cube.labels[1], "2000-07-01")
+    assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
     assert "aligned on positions of a table" in result.meta["history"][-1]
+    offset_table().write(tmp_path / "cores.ecsv")
+    assert_array_equal(align(cube, tmp_path / "cores.ecsv").data, result.data)
+    again = align(result, str(tmp_path / "cores.ecsv"))
+    assert (len(again.meta["alignment"]), len(result.meta["alignment"])) == (8, 4)
 
 
 def test_whole_pixels_keep_values_and_noise():
     cube = images([[(0, 0, 1)], [(0.3, -0.2, 1)]], noise=0.01)
-    table = offset_table(np.array([[0, 0], [0.3, -0.2]]))
-    result = align(cube, "table", table=table)
+    result = align(cube, offset_table([[0, 0], [0.3, -0.2]]))
     assert_array_equal(result.data[0], cube.data[0])
     # East is to the left, so the image moves right by 3 and up by 2.
     assert_array_equal(result.data[1, 2:, 3:], cube.data[1, :-2, :-3])
     assert result.mask[1, :2].all()
     assert result.mask[1, :, :3].all()
     assert_array_equal(result.noise, cube.noise)
-
-
-def test_the_path_of_a_table_stands_for_the_method(tmp_path):
-    path = tmp_path / "cores.ecsv"
-    offset_table().write(path)
-    cube = shifted_jets()
-    expected = align(cube, "table", table=offset_table())
-    for method in (path, str(path), offset_table()):
-        assert_array_equal(align(cube, method).data, expected.data)
-    with pytest.raises(ValueError, match="one table"):
-        align(cube, path, table=path)
-
-
-def test_alignments_add_up_in_the_records():
-    cube = align(shifted_jets(), "table", table=offset_table())
-    again = align(cube, "table", table=offset_table(0 * OFFSETS))
-    assert len(again.meta["alignment"]) == 8
-    assert len(cube.meta["alignment"]) == 4
 
 
 def test_names_carry_units_and_errors(tmp_path):
@@ -191,44 +154,33 @@ def test_dates_of_many_sorts(name, dates):
         ("when,east_mas,north_mas\n2000-01-01,1,2\n", "0 columns of dates"),
         ("date,east_mas,north_mas\n1 May 2000,1,2\n", "'date' are not understood"),
         ("# %ECSV 1.0\ndate east\n", "neither CSV nor ECSV"),
+        (None, "No such file"),
+        (3, "table must be a path or a Table, got int"),
+        (Table({"date": DATES[:1], "east": [1] * u.s, "north": [1] * u.mas}),
+         "'east' has the unit s, expected"),
     ],
-)
+)  # fmt: skip
 def test_tables_that_cannot_be_used(tmp_path, text, message):
-    path = tmp_path / "cores.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message) as caught:
-        offsets_from_table(path, Time(["2000-01-01"]), ["a.fits"])
-    assert str(path) in str(caught.value)
+    table = text
+    if text is None or isinstance(text, str):
+        table = tmp_path / "cores.csv"
+    if isinstance(text, str):
+        table.write_text(text)
+    with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
+        offsets_from_table(table, Time(["2000-01-01"]), ["a.fits"])
+    assert str(table) in str(caught.value) or not hasattr(table, "name")
     assert "\n" not in str(caught.value)
-
-
-def test_tables_in_other_units_or_missing(tmp_path):
-    table = QTable({"date": DATES[:1], "east": [1] * u.s, "north": [1] * u.mas})
-    with pytest.raises(ValueError, match="'east' has the unit s, expected"):
-        offsets_from_table(table, Time(DATES[:1]), ["a"])
-    with pytest.raises(FileNotFoundError, match="nothing.csv"):
-        offsets_from_table(tmp_path / "nothing.csv", Time(DATES[:1]), ["a"])
-    with pytest.raises(TypeError, match="path or a Table, got int"):
-        offsets_from_table(3, Time(DATES[:1]), ["a"])
-    blank = Table(
-        {"date": DATES[:1], "east_mas": [1.0], "north_mas": [2.0]}, masked=True
-    )
-    blank["east_mas"].mask = True
-    with pytest.raises(ValueError, match="has no numbers"):
-        offsets_from_table(blank, Time(DATES[:1]), ["a"])
 
 
 # -- by the core ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [0, 40])
-@pytest.mark.parametrize("core", [1.0, 0.25])
+@pytest.mark.parametrize(("core", "turn"), [(1.0, 0), (0.25, 40)])
 def test_the_core_is_found_though_it_is_blended_and_not_the_brightest(turn, core):
     """0.56 mas to the next feature, about 0.7 of the beam."""
     cube = shifted_jets(core=core, turn=turn, noise=2e-4)
     found = core_positions(cube)
-    measured = np.stack([found["east"].value, found["north"].value], axis=1)
-    assert_allclose(measured, OFFSETS, atol=0.01)
+    assert_allclose(positions(found), OFFSETS, atol=0.01)
     assert found["blended"].all()
     with pytest.warns(MeasurementWarning, match="blended with the jet in 4 of 4"):
         result = align(cube, "core")
@@ -236,7 +188,7 @@ def test_the_core_is_found_though_it_is_blended_and_not_the_brightest(turn, core
     assert result.meta["alignment"][0]["shift_east_err_mas"] > 0
 
 
-@pytest.mark.parametrize("distance", [0.6, 0.78, 0.84, 0.9, 1.08])
+@pytest.mark.parametrize("distance", [0.6, 0.84, 1.08])
 def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
     """Up to 1.4 beams there is but one maximum, four times as bright."""
     cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
@@ -246,35 +198,24 @@ def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
 
 def test_a_lonely_core_and_its_errors():
     """Residuals are as large as the errors say."""
-    n = 4
-    cube = images([[(0.13, -0.08, 0.05)]] * n, noise=1e-3)
-    found = core_positions(cube)
+    found = core_positions(images([[(0.13, -0.08, 0.05)]] * 4, noise=1e-3))
     assert not found["blended"].any()
-    pulls = np.concatenate(
-        [
-            (found["east"].to_value(u.mas) - 0.13) / found["east_err"].value,
-            (found["north"].to_value(u.mas) + 0.08) / found["north_err"].value,
-        ]
-    )
+    errors = np.stack([found["east_err"].value, found["north_err"].value], axis=1)
+    pulls = (positions(found) - [0.13, -0.08]) / errors
     assert 0.3 < np.sqrt(np.mean(pulls**2)) < 2
     # Fomalont 1999: half the beam over the signal-to-noise ratio, times 1.2.
-    assert_allclose(found["north_err"].value, 0.9 / 2 / 50 * 1.2, rtol=0.2)
+    assert_allclose(errors[:, 1], 0.9 / 2 / 50 * 1.2, rtol=0.2)
 
 
-def test_the_direction_of_the_jet_decides():
-    two = [(0, 0, 1.0), (1.6, 0, 0.9)]
-    cube = images([two])
+def test_the_direction_of_the_jet_and_the_largest_shift_decide():
+    cube = images([[(0, 0, 1.0), (1.6, 0, 0.9)]])
     assert_allclose(core_positions(cube)["east"].value, 0, atol=0.01)
     west = core_positions(cube, jet_pa=-90 * u.deg)
     assert_allclose(west["east"].value, 1.6, atol=0.01)
-
-
-def test_max_shift_keeps_the_core_near_the_reference_pixel():
     cube = images([[(0, 0, 1.0), (-2.5, 0, 0.5), (1, 0, 0.3)]])
-    far = core_positions(cube, jet_pa=90 * u.deg)
-    assert_allclose(far["east"].value, -2.5, atol=0.01)
-    near = core_positions(cube, jet_pa=90 * u.deg, max_shift=1 * u.mas)
-    assert_allclose(near["east"].value, 0, atol=0.02)
+    for limit, east in ((None, -2.5), (1 * u.mas, 0)):
+        found = core_positions(cube, jet_pa=90 * u.deg, max_shift=limit)
+        assert_allclose(found["east"].value, east, atol=0.02)
 
 
 def test_bad_pixels_beside_the_core():
@@ -283,24 +224,7 @@ def test_bad_pixels_beside_the_core():
     mask[0, 36:39, 47:52] = True
     data = np.where(mask, 1e3, cube.data)
     cube = EpochCube(data, cube.times, cube.wcs, mask=mask, beams=BEAM, noise=1e-6)
-    found = core_positions(cube)
-    assert_allclose(found["east"].value, 0.13, atol=1e-3)
-    assert_allclose(found["north"].value, -0.08, atol=1e-3)
-
-
-def test_images_without_a_core():
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=(1, 40, 40))
-    cube = EpochCube.from_arrays(
-        noise, DATES[:1], pixel_scale=0.1 * u.mas, beams=BEAM, noise=1 * u.one
-    )
-    with pytest.raises(ValueError, match="2000-01-01: nothing is bright enough"):
-        core_positions(cube)
-    with pytest.raises(ValueError, match=r"within 0.01 mas; give a table"):
-        core_positions(images([[(3, 0, 1)]]), max_shift=0.01 * u.mas)
-    without = EpochCube.from_arrays(noise, DATES[:1], pixel_scale=0.1 * u.mas)
-    with pytest.raises(ValueError, match="fitted with the beam and the epochs have no"):
-        align(without, "core")
+    assert_allclose(positions(core_positions(cube)), [[0.13, -0.08]], atol=1e-3)
 
 
 @pytest.mark.slow
@@ -311,16 +235,15 @@ def test_the_cores_of_0003_380(shared_data):
     The worst epochs are 0.019 mas (own beams) and 0.028 mas (common beam)
     away; the brightest pixel is up to 0.11 mas off.
     """
-    table = Table.read(shared_data / "0003+380" / "core_offsets.csv")
+    path = shared_data / "0003+380" / "core_offsets.csv"
+    table = Table.read(path)
     truth = np.stack([table["core_x_mas_east"], table["core_y_mas_north"]], axis=1)
     cube = EpochCube.read(str(shared_data / "0003+380" / "*.fits"))
-    for images_, limit in ((cube, 0.022), (cube.to_common_beam(), 0.032)):
-        found = core_positions(images_)
-        residual = np.stack([found["east"].value, found["north"].value], axis=1) - truth
+    for own, limit in ((cube, 0.022), (cube.to_common_beam(), 0.032)):
+        residual = positions(core_positions(own)) - truth
         assert np.hypot(*residual.T).max() < limit, residual
-    aligned = align(cube, shared_data / "0003+380" / "core_offsets.csv")
-    left = core_positions(aligned)
-    assert np.hypot(left["east"].value, left["north"].value).max() < 0.022
+    left = positions(core_positions(align(cube, path)))
+    assert np.hypot(*left.T).max() < 0.022
 
 
 # -- by correlation ---------------------------------------------------------------
@@ -330,56 +253,42 @@ def test_a_known_shift_is_recovered():
     """The case on which scikit-image was wrong by 0.7 px."""
     rng = np.random.default_rng(2)
     y, x = np.mgrid[:128, :128]
-    spots = rng.uniform(30, 98, (12, 2))
-    fluxes = rng.exponential(size=12)
+    spots, fluxes = rng.uniform(30, 98, (12, 2)), rng.exponential(size=12)
 
     def image(dx, dy):
-        total = 0
-        for (x0, y0), f in zip(spots, fluxes, strict=True):
-            r2 = (x - x0 - dx) ** 2 + (y - y0 - dy) ** 2
-            total = total + f * np.exp(-r2 / (2 * 4.2**2))
+        pairs = zip(spots, fluxes, strict=True)
+        r2 = [(f, (x - x0 - dx) ** 2 + (y - y0 - dy) ** 2) for (x0, y0), f in pairs]
+        total = sum(f * np.exp(-r / (2 * 4.2**2)) for f, r in r2)
         return total + rng.normal(size=(128, 128)) * 1e-3
 
     mask = np.zeros((128, 128), dtype=bool)
     mask[60:64, 40:80] = True
     moved = np.where(mask, np.nan, 3 * image(-2.30, -4.70) + 0.5)
-    good = np.ones((128, 128), dtype=bool)
-    shift, covariance = displacement(moved, mask, image(0, 0), good, 15)
+    arguments = moved, mask, image(0, 0), np.ones((128, 128), dtype=bool), 15
+    shift, covariance = displacement(*arguments)
     assert_allclose(shift, [-2.30, -4.70], atol=3e-3)
     assert np.all(np.sqrt(np.diag(covariance)) < 5e-3)
-
-
-def test_a_displacement_known_to_a_pixel_needs_no_search():
-    cube = shifted_jets()
-    good = ~cube.mask[0]
-    arguments = cube.data[1], cube.mask[1], cube.data[0], good, 10
-    searched, _ = displacement(*arguments)
-    known, _ = displacement(*arguments, start=(-2, 5))
-    assert_allclose(known, searched, atol=1e-5)
-
-
-def test_too_few_good_pixels_to_compare():
-    cube = shifted_jets()
-    mask = np.ones(SHAPE, dtype=bool)
+    # What is known to a pixel needs no search.
+    known, _ = displacement(*arguments, start=(-2, -5))
+    assert_allclose(known, shift, atol=1e-5)
+    mask = np.ones((128, 128), dtype=bool)
     mask[:4, :4] = False
     with pytest.raises(ValueError, match="too few good pixels"):
-        displacement(cube.data[1], mask, cube.data[0], ~cube.mask[0], 5, start=(0, 0))
+        displacement(moved, mask, *arguments[2:], start=(0, 0))
 
 
-@pytest.mark.parametrize("turn", [0, 40])
-@pytest.mark.parametrize("reference", [None, 0, -4])
+@pytest.mark.parametrize(("turn", "reference"), [(0, None), (40, None), (40, -4)])
 def test_correlation_undoes_displacements(turn, reference):
     cube = shifted_jets(turn=turn, noise=1e-4)
     result = align(cube, "correlate", reference=reference, max_shift=1 * u.mas)
     expected = -OFFSETS if reference is not None else OFFSETS.mean(axis=0) - OFFSETS
     assert_allclose(shifts(result), expected, atol=3e-3)
     error = [r["shift_east_err_mas"] for r in result.meta["alignment"]]
-    assert 0 <= min(error)
-    assert max(error) < 0.01
+    assert 0 <= min(error) <= max(error) < 0.01
 
 
-def test_correlation_with_an_image():
-    cube = shifted_jets()
+def test_correlation_with_an_image_and_without_beams():
+    cube = shifted_jets(beams=None)
     target = images([[(0, 0, 1.0), *JET]]).data[0]
     result = align(cube, "correlate", reference=target)
     assert_allclose(shifts(result), -OFFSETS, atol=1e-3)
@@ -397,64 +306,39 @@ def test_a_region_that_stands_still_is_not_dragged_along():
     assert np.abs(shifts(dragged)).max() > 0.2
 
 
-def test_correlation_without_beams():
-    cube = shifted_jets(beams=None)
-    result = align(cube, "correlate", reference=0)
-    assert_allclose(shifts(result), -OFFSETS, atol=1e-3)
-
-
 # -- by absolute coordinates ------------------------------------------------------
 
 
 def test_absolute_coordinates():
     """Each header gives its own position to the reference pixel."""
-    cube = shifted_jets()
-    own = []
-    for e, n in OFFSETS:
-        crval = (187.0 - e * MAS / np.cos(np.radians(12)), 12.0 - n * MAS)
-        own.append(grid(crval=crval))
-    cube = EpochCube(
-        cube.data, cube.times, cube.wcs, epoch_wcs=own, noise=np.ones(4), beams=BEAM
-    )
+    cube, cos = shifted_jets(), np.cos(np.radians(12))
+    own = [grid(crval=(187 - e * MAS / cos, 12 - n * MAS)) for e, n in OFFSETS]
+    cube = EpochCube(cube.data, cube.times, cube.wcs, epoch_wcs=own, beams=BEAM)
     result = align(cube, "wcs")
     assert_allclose(shifts(result), -OFFSETS, atol=1e-5)
     reference = images([[(0, 0, 1.0), *JET]]).data[0]
-    for image, mask, wcs in zip(
-        result.data, result.mask, result.epoch_wcs, strict=True
-    ):
-        assert_allclose(image[~mask], reference[~mask], atol=2e-3)
+    for i, wcs in enumerate(result.epoch_wcs):
+        good = ~result.mask[i]
+        assert_allclose(result.data[i][good], reference[good], atol=2e-3)
         assert_array_equal(wcs.wcs.crval, cube.wcs.wcs.crval)
     # Done once, there is nothing left to do.
-    again = align(result, "wcs")
-    assert_array_equal(again.data, result.data)
+    assert_array_equal(align(result, "wcs").data, result.data)
+    # They follow the other alignments.
+    back = align(align(cube, offset_table()), "wcs")
+    inside = ~(back.mask | result.mask)
+    assert_allclose(back.data[inside], result.data[inside], atol=3e-3)
 
 
 @pytest.mark.slow
 def test_absolute_coordinates_of_a_turned_camera():
-    straight = images([[(0.4, -0.2, 1.0), (2, 1, 0.5)]])
-    turned = images([[(0.4, -0.2, 1.0), (2, 1, 0.5)]], turn=30)
-    cube = EpochCube(
-        np.concatenate([straight.data, turned.data]),
-        DATES[:2],
-        straight.wcs,
-        epoch_wcs=[straight.wcs, turned.wcs],
-        noise=[1, 1],
-    )
+    pair = [images([[(0.4, -0.2, 1.0), (2, 1, 0.5)]], turn=turn) for turn in (0, 30)]
+    data, own = np.concatenate([c.data for c in pair]), [c.wcs for c in pair]
+    cube = EpochCube(data, DATES[:2], own[0], epoch_wcs=own, noise=[1, 1])
     result = align(cube, "wcs")
     good = ~result.mask[1]
     assert good.mean() > 0.7
-    assert_allclose(result.data[1][good], straight.data[0][good], atol=2e-3)
+    assert_allclose(result.data[1][good], pair[0].data[0][good], atol=2e-3)
     assert result.noise is None
-
-
-def test_absolute_coordinates_follow_the_other_alignments():
-    cube = images([[(0, 0, 1)], [(0.25, 0.1, 1)]])
-    cube = EpochCube(cube.data, cube.times, cube.wcs, epoch_wcs=[cube.wcs, cube.wcs])
-    table = offset_table(np.array([[0, 0], [0.25, 0.1]]))
-    result = align(cube, "table", table=table)
-    back = align(result, "wcs")
-    inside = ~back.mask
-    assert_allclose(back.data[inside], cube.data[inside], atol=3e-3)
 
 
 # -- in general --------------------------------------------------------------------
@@ -474,6 +358,8 @@ def test_no_shift():
         ("correlate", {"reference": 4}, "reference=4 is none of 4 epochs"),
         ("correlate", {"reference": np.ones((3, 3))}, r"reference has shape \(3, 3\)"),
         ("correlate", {"reference": np.full(SHAPE, np.nan)}, "no good pixel in"),
+        ("correlate", {"reference": -images([[(0, 0, 1)]]).data[0],
+                       "max_shift": 0.1 * u.mas}, "nothing in the image correlates"),
         ("correlate", {"max_shift": 0 * u.mas}, "max_shift=.* must be positive"),
         ("wcs", {}, "no absolute coordinates"),
         ("table", {"table": offset_table(), "max_shift": 0.4 * u.mas},
@@ -481,7 +367,9 @@ def test_no_shift():
         ("table", {"table": offset_table(OFFSETS + 50)},
          "2000-01-01: its shift .* off the grid"),
         ("table", {}, "needs table="),
+        (offset_table(), {"table": offset_table()}, "give one table"),
         ("core", {"table": "x.csv", "reference": 0}, "'core' has no option ref"),
+        ("core", {"max_shift": 1e-6 * u.mas}, "to be the core within .* give a table"),
         ("magic", {}, "'magic' is none of core, correlate, table"),
         (3, {}, "is none of"),
     ],
@@ -491,26 +379,22 @@ def test_alignments_that_are_refused(method, options, message):
         align(shifted_jets(), method, **options)
 
 
-def test_nothing_in_the_image_correlates():
-    cube = shifted_jets()
-    with pytest.raises(ValueError, match="2000-01-01: nothing in the image correlates"):
-        align(cube, "correlate", reference=-cube.data[0], max_shift=0.1 * u.mas)
+def test_images_without_a_core():
+    noise = np.random.default_rng(0).normal(size=(1, 40, 40))
+    cube = EpochCube.from_arrays(noise, DATES[:1], pixel_scale=0.1 * u.mas, beams=BEAM)
+    with pytest.raises(ValueError, match="2000-01-01: nothing is bright enough"):
+        core_positions(cube)
+    with pytest.raises(ValueError, match="fitted with the beam and the epochs have no"):
+        align(cube.with_step("", beams=None), "core")
 
 
 def test_bad_pixels_travel_with_their_epoch():
     cube = shifted_jets()
     mask = np.zeros(cube.shape, dtype=bool)
     mask[1, 60, 60] = True
-    cube = EpochCube(
-        np.where(mask, np.nan, cube.data), cube.times, cube.wcs, mask=mask, beams=BEAM
-    )
-    result = align(cube, "table", table=offset_table())
+    data = np.where(mask, np.nan, cube.data)
+    cube = EpochCube(data, cube.times, cube.wcs, mask=mask, beams=BEAM)
+    result = align(cube, offset_table())
     bad = np.argwhere(result.mask[1, 6:-6, 6:-6]) + 6
     assert_allclose(bad.mean(axis=0), [60 - 4.7, 60 + 2.3], atol=0.5)
     assert np.isnan(result.data[result.mask]).all()
-
-
-def test_the_warning_can_be_an_error_and_nothing_else_warns():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        align(images([[(0.13, 0, 1.0)], [(0.02, 0.1, 1.0)]]), "core")

@@ -1,0 +1,537 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Lists of model components: tables, difmap models and AIPS CC tables."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import QTable
+from astropy.time import Time
+from numpy.testing import assert_allclose, assert_array_equal
+
+from astro_scc import EpochCube
+from astro_scc.epochs import Beam, ComponentList, inspect_epochs, read_components
+from astro_scc.exceptions import EpochWarning
+
+BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
+COLUMNS = ("flux", "east", "north", "major", "minor", "pa", "feature", "excluded")
+MAS = u.mas.to(u.deg)
+
+
+def columns(**changes):
+    values = {
+        "times": Time(["2006-07-01", "2006-01-01"]),
+        "epoch": [0, 1, 1],
+        "flux": [800, 1000, 500] * u.mJy,
+        "east": [0.4, 0.0, 2.0] * u.mas,
+        "north": [0.2, 0.0, 1.0] * u.mas,
+        "major": [0.3, np.nan, 0.8] * u.mas,
+        "minor": [0.3, np.nan, 0.4] * u.mas,
+        "pa": [0, np.nan, 60] * u.deg,
+        "feature": [1, 0, 1],
+        "excluded": [True, False, False],
+    }
+    return {**values, **changes}
+
+
+def mojave(**changes):
+    """A table as MOJAVE's: positions from the core, the core's from the map."""
+    values = {
+        "epoch": ["2006-03-09", "2006-03-09", "2006-12-01", "2006-12-01"],
+        "feature": [0, 1, 0, 2],
+        "flux": [489.0, 7.2, 320.0, 20.9] * u.mJy,
+        "separation": [0.5, 4.0, 1.0, 2.0] * u.mas,
+        "position_angle": [270.0, 90.0, 0.0, 180.0] * u.deg,
+        "major_fwhm": [0.2, np.nan, 0.4, 0.3] * u.mas,
+        "axial_ratio": [0.5, np.nan, np.nan, 1.0],
+        "major_pa": [292.0, np.nan, np.nan, np.nan] * u.deg,
+        "excluded_from_fit": [False, True, False, False],
+    }
+    values = {**values, **changes}
+    return QTable({k: v for k, v in values.items() if v is not None}, masked=True)
+
+
+def write(table, path, **meta):
+    table.meta.update(meta)
+    table.write(path, format="ascii.ecsv", overwrite=True)
+    return path
+
+
+# The list itself --------------------------------------------------------------
+
+
+def test_epochs_are_sorted_units_unified_and_sizes_optional():
+    components = ComponentList(**columns(beams=[BEAM, Beam(2 * u.mas, 1 * u.mas)]))
+    assert components.times.isot.tolist()[0] == "2006-01-01T00:00:00.000"
+    assert components.epoch.tolist() == [1, 0, 0]
+    assert components.labels == ("2006-01-01", "2006-07-01")
+    assert components.beams == (Beam(2 * u.mas, 1 * u.mas), BEAM)
+    assert components.flux.unit == u.Jy
+    assert components.major.value.tolist() == [0.3, 0.0, 0.8]
+    assert components.pa.value.tolist() == [0, 0, 60]
+    assert "3 components at 2 epochs" in repr(components)
+    arcsec = ComponentList(**columns(east=[0.4e-3, 0, 2e-3] * u.arcsec, minor=None))
+    assert_allclose(arcsec.east.value, components.east.value)
+    assert_array_equal(arcsec.minor, arcsec.major)
+    names = ("times", "epoch", "flux", "east", "north")
+    points = ComponentList(**{k: columns()[k] for k in names})
+    assert not points.major.value.any()
+    assert points.feature.tolist() == [-1, -1, -1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"flux": [1, 2] * u.Jy}, "flux has shape"),
+        ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
+        ({"minor": [0.4, 0, 0] * u.mas}, "component 1 of 3: axes must be"),
+        ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
+        ({"epoch": [0, 1, 2]}, "indices into an array of times"),
+        ({"times": Time("2006-01-01")}, "indices into an array of times"),
+        ({"labels": ("one",)}, "2 epochs need 2 labels, got 1"),
+        ({"east": [1, 2, 3] * u.Jy}, "not convertible"),
+    ],
+)
+def test_bad_lists(changes, message):
+    with pytest.raises((ValueError, u.UnitConversionError), match=message):
+        ComponentList(**columns(**changes))
+
+
+def test_selection():
+    components = ComponentList(**columns(beams=[BEAM, Beam(2 * u.mas, 1 * u.mas)]))
+    assert components.select(before="2006-07-01").feature.tolist() == [0, 1]
+    last = components.select(after=Time("2006-07-01"))
+    assert (last.labels, last.beams) == (("2006-07-01",), (BEAM,))
+    ones = components.select(features=[1])
+    assert (len(ones), ones.n_epochs) == (2, 2)
+    kept = components.select(excluded=False)
+    assert (kept.n_epochs, kept.epoch.tolist()) == (1, [0, 0])
+    with pytest.raises(ValueError, match="no component is left of 3 between"):
+        components.select(after="2010-01-01")
+
+
+@pytest.mark.parametrize("beams", [None, BEAM])
+def test_round_trip_through_ecsv(tmp_path, beams):
+    meta = {"name": "3C 273", "redshift": 0.158}
+    components = ComponentList(**columns(meta=meta, beams=beams))
+    back = read_components(write(components.to_table(), tmp_path / "list.ecsv"))
+    assert back.meta == {"object": "3C 273", "redshift": 0.158}
+    assert np.all(back.times == components.times)
+    assert back.beams == components.beams
+    for name in ("epoch", *COLUMNS):
+        assert_allclose(getattr(back, name), getattr(components, name), rtol=1e-12)
+
+
+# Tables -----------------------------------------------------------------------
+
+CARTESIAN = {
+    "separation": None, "position_angle": None,
+    "east": [1.0, 2.0, 3.0, 4.0] * u.mas, "north": [1.0, 2.0, 3.0, 4.0] * u.mas,
+}  # fmt: skip
+BLANK = {
+    "separation": [np.nan, 4, 1, 2] * u.mas,
+    "position_angle": [np.nan, 90, 0, 180] * u.deg,
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "origin", "expected"),
+    [
+        ({}, None,
+         {"east": [0, 4, 0, 0], "north": [0, 0, 0, -2], "major": [0.2, 0, 0.4, 0.3],
+          "minor": [0.1, 0, 0.4, 0.3], "excluded": [0, 1, 0, 0], "pa": [292, 0, 0, 0]}),
+        ({}, "map", {"east": [-0.5, 3.5, 0, 0], "north": [0, 0, 1, -1]}),
+        # A core without an offset is at the map's centre.
+        (BLANK, "map", {"east": [0, 4, 0, 0]}),
+        # Without features, separations are from the map's centre.
+        ({"feature": None}, None, {"east": [-0.5, 4, 0, 0]}),
+        ({"axial_ratio": None, "excluded_from_fit": None}, None,
+         {"minor": [0.2, 0, 0.4, 0.3], "excluded": [0, 0, 0, 0]}),
+        (CARTESIAN, None, {"east": [1, 2, 3, 4]}),
+        (CARTESIAN, "core", {"east": [0, 1, 0, 1], "north": [0, 1, 0, 1]}),
+    ],
+)  # fmt: skip
+def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, expected):
+    path = tmp_path / "t.ecsv"
+    write(mojave(**changes), path, name="S4", frequency="15.4 GHz")
+    components = read_components(path, origin=origin)
+    for name, values in expected.items():
+        found = np.asarray(getattr(components, name), dtype=float)
+        assert_allclose(found, values, atol=1e-12)
+    assert components.meta == {"object": "S4", "frequency": 15.4e9}
+
+
+def test_date_and_beam_may_be_given(tmp_path):
+    path = write(mojave(epoch=None, feature=None), tmp_path / "t.ecsv")
+    components = read_components(path, dates="2010-01-01", beams=BEAM)
+    assert (components.labels, components.beams) == (("t.ecsv",), (BEAM,))
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
+        ({"flux": None}, {}, "no column for flux; the table has epoch"),
+        ({"epoch": None}, {}, "no column for epoch"),
+        ({"separation": None}, {}, "no column for separation"),
+        ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
+        ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
+        ({"flux": list("abcd")}, {}, "column 'flux' is not numeric"),
+        ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
+        ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: separation or posi"),
+        ({"feature": [0, np.nan, 0, 1.0]}, {}, "component 2 of 4: feature is blank"),
+        ({"feature": [0, 0, 0, 1]}, {}, "2 core components .* on 2006-03-09"),
+        ({"feature": [0, 1, 3, 2]}, {"origin": "map"}, "no core component .* 2006-12"),
+        ({"axial_ratio": [0.5, 1, 1, 1.5]}, {}, "component 4 of 4: axes must be"),
+        ({"source": ["a", "a", "b", "b"]}, {}, r"2 sources in the table \(a, b\)"),
+        ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
+        ({}, {"origin": "jet"}, "origin = .jet. must be"),
+        ({}, {"format": "wise"}, "format = .wise. must be one of ecsv"),
+        ({}, {"dates": ["2006-01-01"] * 2}, "2 dates for 1"),
+    ],
+)
+def test_bad_tables(tmp_path, changes, options, message):
+    path = write(mojave(**changes), tmp_path / "t.ecsv")
+    with pytest.raises(ValueError, match=message) as error:
+        read_components(path, **options)
+    assert "\n" not in str(error.value)
+    assert str(path) in str(error.value) or not {"source"} >= options.keys()
+
+
+def test_sources_of_a_table(tmp_path):
+    path = write(mojave(source=["a", "a", "b", "b"]), tmp_path / "t.ecsv")
+    assert read_components(path, source="b").meta["object"] == "b"
+    with pytest.raises(ValueError, match="no components in the file"):
+        read_components(write(mojave()[:0], tmp_path / "t.ecsv"))
+    names = [f"{k:04d}+{k:03d}" for k in range(100, 130)]
+    table = QTable({"source": names, "epoch": ["2006-03-09"] * 30})
+    table["flux"], table["east"] = np.ones(30) * u.Jy, np.ones(30) * u.mas
+    table["north"] = table["east"]
+    path = write(table, tmp_path / "many.ecsv")
+    assert len(read_components(path, source="0129+129")) == 1
+    with pytest.raises(ValueError, match=r"30 sources .*0107\+107 and 22 more\); say"):
+        read_components(path)
+    with pytest.raises(ValueError, match=r"'0129\+12'; did you mean 0129\+129"):
+        read_components(path, source="0129+12")
+    path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
+    for name in ("3C 273", "3c273", "1226+023"):
+        assert read_components(path, source=name).n_epochs == 2
+    with pytest.raises(ValueError, match="09.mod: no source 'M87'; it does not say"):
+        read_components(model(tmp_path), source="M87")
+
+
+#: As the journals print tables of jet features of many sources.
+JOURNAL = """\
+Title: Kinematics of made-up jets
+Authors: Nobody N.
+Table: Fitted Jet Features
+================================================================================
+Byte-by-byte Description of file: table4.dat
+--------------------------------------------------------------------------------
+   Bytes Format Units  Label  Explanations
+--------------------------------------------------------------------------------
+   1-  8 A8     ---    Name   Source name, B1950
+  10- 11 I2     ---    ID     Feature identification number (1)
+      13 A1     ---    f_ID   ? Flag (2)
+  15- 18 I4     yr     Obs.Y  Year of observation, UT
+  20- 21 I2     month  Obs.M  Month of observation, UT
+  23- 24 I2     d      Obs.D  Day of observation, UT
+  26- 31 F6.1   mJy    Dens   Flux density at 15 GHz
+  33- 36 F4.2   mas    Off    ? Position offset (3)
+  38- 42 F5.1   deg    Ang    ? Position angle
+  44- 47 F4.2   mas    Wid    ? FWHM major axis (4)
+  49- 52 F4.2   ---    Rat    ? Axial ratio (4)
+  54- 58 F5.1   deg    Ori    ? Major axis position angle
+--------------------------------------------------------------------------------
+Note (2): a = Individual feature epoch not used in kinematic fits.
+--------------------------------------------------------------------------------
+0000+000  0   2006  3  9  489.0 0.04 290.7 0.23 0.33 292.0
+0000+000  1 a 2006  3  9    7.2 3.98 121.8
+0000+001  0   2006  3 10  100.0            0.10 1.00
+0000+000  0   2006 12  1  320.0 0.10 308.1 0.25 0.29 295.0
+0000+000  1   2006 12  1    4.8 3.65 121.8 1.63 1.00
+"""
+
+
+def test_machine_readable_tables_with_their_description_or_beside_it(tmp_path):
+    (tmp_path / "features.txt").write_text(JOURNAL)
+    components = read_components(tmp_path / "features.txt", source="0000+000")
+    days = components.times.strftime("%Y-%m-%d").tolist()
+    assert days == ["2006-03-09", "2006-12-01"]
+    assert components.feature.tolist() == [0, 1, 0, 1]
+    assert components.excluded.tolist() == [False, True, False, False]
+    assert components.flux[0] == 0.489 * u.Jy
+    assert components.major.value.tolist() == [0.23, 0, 0.25, 1.63]
+    assert components.minor[0].value == pytest.approx(0.23 * 0.33)
+    assert components.east[1].value == pytest.approx(3.98 * np.sin(np.radians(121.8)))
+    assert components.meta["object"] == "0000+000"
+    # As CDS keeps them.
+    head, line, rows = JOURNAL.rpartition("-" * 80 + "\n")
+    (tmp_path / "table4.dat").write_text(rows)
+    with pytest.raises(OSError, match="table4.dat: has no byte-by-byte description;"):
+        read_components(tmp_path / "table4.dat", source="0000+000")
+    (tmp_path / "ReadMe").write_text(head + line)
+    parts = read_components(tmp_path / "table4.dat", source="0000+000")
+    for name in COLUMNS:
+        assert_array_equal(getattr(parts, name), getattr(components, name))
+    with_names = JOURNAL.replace("I2     month", "A2     ---  ").replace(" 12 ", " De ")
+    (tmp_path / "bad.txt").write_text(with_names)
+    with pytest.raises(ValueError, match="bad.txt, row 3: '2006-De-01' is no date;"):
+        read_components(tmp_path / "bad.txt", source="0000+000")
+
+
+def test_mojave_xviii(shared_data):
+    folder = shared_data / "mojave_xviii"
+    components = read_components(folder / "1228+126.ecsv")
+    assert (components.n_epochs, len(components)) == (37, 295)
+    core = components.feature == 0
+    assert core.sum() == components.n_epochs
+    assert not components.east[core].value.any()
+    assert (
+        read_components(folder / "1228+126.ecsv", origin="map").east[core].value.any()
+    )
+    # Its label ID is the source, and F the feature.
+    table = folder / "apjac230ft4_mrt.txt"
+    found = read_components(table, source="0003+380")
+    own = read_components(folder / "0003+380.ecsv")
+    assert len(found.times) == len(own.times) == 10
+    assert_array_equal(found.feature, own.feature)
+    assert_array_equal(found.excluded, own.excluded)
+    for name in ("flux", "east", "north", "major"):
+        assert u.allclose(getattr(found, name), getattr(own, name))
+    with pytest.raises(ValueError, match="67 sources in the table"):
+        read_components(table)
+
+
+# difmap -----------------------------------------------------------------------
+
+MODEL = """\
+! Center RA: 12 29 06.6997,  Dec: +02 03 08.598 (2000.0)
+! Established model.
+! Flux (Jy) Radius (mas)  Theta (deg)  Major (mas)  Axial ratio   Phi (deg) T
+  0.900v      0.10v         90.0v        0.20v        0.5          -20v      1
+  0.100v      2.00v        -45.0v        0.30         1.0            0       0
+! a clean component follows
+
+ -0.001       1.0           0
+"""
+
+
+def model(tmp_path, text=MODEL, name="1226+023.u.2006_03_09.mod"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_difmap_model(tmp_path):
+    components = read_components(model(tmp_path))
+    assert components.times[0].isot.startswith("2006-03-09")
+    assert components.labels == ("1226+023.u.2006_03_09.mod",)
+    expected = {
+        "flux": [0.9, 0.1, -0.001], "east": [0.1, -np.sqrt(2), 0], "pa": [-20, 0, 0],
+        "north": [0, np.sqrt(2), 1], "major": [0.2, 0, 0], "minor": [0.1, 0, 0],
+    }  # fmt: skip
+    for name, values in expected.items():
+        assert_allclose(getattr(components, name).value, values, atol=1e-12)
+    assert components.meta["position"].ra.deg == pytest.approx(187.27791542)
+    text = MODEL.replace("Radius (mas)", "Radius (arcsec)")
+    components = read_components(model(tmp_path, text))
+    assert components.east[0].value == pytest.approx(100)
+    assert components.major[0].value == pytest.approx(200)
+    # A size without a type is that of a Gaussian.
+    path = model(tmp_path, "1 0 0 0.5 1 0\n", "2006-03-09.model")
+    assert read_components(path, format="difmap").major[0] == 0.5 * u.mas
+    with pytest.raises(ValueError, match="the suffix '.model' tells no format"):
+        read_components(path)
+
+
+def test_difmap_models_of_many_epochs(tmp_path):
+    names = "s_20070101.mod", "2005-489_2006-01-01.mod", "J1229.2006.06.05.mod"
+    paths = [model(tmp_path, name=name) for name in names]
+    components = read_components(paths)
+    days = components.times.strftime("%Y-%m-%d").tolist()
+    assert days == ["2006-01-01", "2006-06-05", "2007-01-01"]
+    dates = ["2001-01-01", "2002-01-01", "2003-01-01"]
+    given = read_components(paths, dates=dates, beams=[BEAM, BEAM, BEAM])
+    assert (given.labels, given.beams) == (names, (BEAM,) * 3)
+    assert "position" in given.meta
+
+
+NAME = "1226+023.u.2006_03_09.mod"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "options", "message"),
+    [
+        (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
+        (NAME, b"! x\n1 2 nan\n", {}, "line 2: expected 3, 6 or 7 finite values"),
+        (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
+        (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
+        (NAME, b"1 2 3 4 1.5 0 1\n", {}, "component 1 of 1: axes must be"),
+        (NAME, b"1 2 3 -4 1 0 1\n", {}, "component 1 of 1: axes must be"),
+        (NAME, b"! nothing\n", {}, "no components in the file"),
+        (NAME, b"1 2 3\n", {"origin": "core"}, "no core component .* expected one"),
+        (NAME, b"\xff\xfe\x00", {}, "it is not text"),
+        ("jet.mod", b"1 2 3\n", {}, "no date in the file's name"),
+        ("jet.mod", b"1 2 3\n", {"dates": ["then"]}, "'then' is no date"),
+        ("t.ecsv", b"<html>not found</html>\n", {}, "not a readable ascii.ecsv"),
+        ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
+    ],
+)
+def test_bad_files(tmp_path, name, content, options, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises((ValueError, OSError), match=message) as error:
+        read_components(tmp_path / name, **options)
+    assert str(error.value).startswith(str(tmp_path / name))
+    assert "\n" not in str(error.value)
+
+
+# AIPS -------------------------------------------------------------------------
+
+
+def aips(path, *, tables=1, drop=(), units=True, image=True, header=None, **changes):
+    values = {
+        "FLUX": [1.0, 0.5], "DELTAX": [0.0, -2 * MAS], "DELTAY": [0.0, 1 * MAS],
+        "MAJOR AX": [0.0, 0.5 * MAS], "MINOR AX": [0.0, 0.25 * MAS],
+        "POSANGLE": [0.0, 30.0], "TYPE OBJ": [0.0, 1.0], **changes,
+    }  # fmt: skip
+    unit = {"FLUX": "JY", "TYPE OBJ": "CODE"}
+    keywords = {
+        "OBJECT": "0506+056", "DATE-OBS": "2009-01-07", "CTYPE1": "RA---SIN",
+        "CRVAL1": 77.0, "CTYPE2": "DEC--SIN", "CRVAL2": 5.0, **(header or {}),
+    }  # fmt: skip
+    hdus = [fits.PrimaryHDU(np.zeros((2, 2), np.float32) if image else None)]
+    hdus[0].header.update({k: v for k, v in keywords.items() if v is not None})
+    for version in range(1, tables + 1):
+        made = [
+            fits.Column(name, "1E", unit=unit.get(name, "DEGREES") if units else None,
+                        array=np.array(array) * (version if name == "FLUX" else 1))
+            for name, array in values.items() if name not in drop
+        ]  # fmt: skip
+        hdus.append(fits.BinTableHDU.from_columns(made, name="AIPS CC", ver=version))
+    fits.HDUList(hdus).writeto(path)
+    return path
+
+
+def test_aips_table(tmp_path):
+    components = read_components(aips(tmp_path / "a.fits", tables=2))
+    expected = {  # of the highest version
+        "flux": [2, 1], "east": [0, -2], "north": [0, 1], "major": [0, 0.5],
+        "minor": [0, 0.25], "pa": [0, 30],
+    }  # fmt: skip
+    for name, values in expected.items():
+        assert_allclose(getattr(components, name).value, values)
+    assert components.meta["object"] == "0506+056"
+    assert components.meta["position"].ra.deg == 77
+    assert components.times[0].isot.startswith("2009-01-07")
+    drop = ("MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
+    undated = {"DATE-OBS": None, "CTYPE1": None, "OBJECT": "3C 273"}
+    path = aips(tmp_path / "b.fits", drop=drop, units=False, header=undated)
+    points = read_components(path, dates=Time("2010-01-07"))
+    assert not points.major.value.any()
+    assert "position" not in points.meta
+    with pytest.warns(EpochWarning, match="files are of 0506\\+056, 3C 273"):
+        both = read_components([tmp_path / "a.fits", path], dates=[None, "2010-01-07"])
+    assert "object" not in both.meta
+    with fits.open(tmp_path / "a.fits", mode="update") as hdus:
+        hdus[2].header["TUNIT2"] = "ARCSEC"
+        hdus[1].header["TUNIT2"] = "ARCSEC"
+    with pytest.raises(ValueError, match="column 'DELTAX' has the unit ARCSEC"):
+        read_components(tmp_path / "a.fits")
+
+
+NONE = dict.fromkeys(
+    ("FLUX", "DELTAX", "DELTAY", "MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ"), []
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tables": 0}, "no AIPS CC table"),
+        (NONE, "no components in the file"),
+        ({"drop": ("DELTAX",)}, "no column for position_angle, sep"),
+        ({"FLUX": [1, np.nan]}, "component 2 of 2: flux is blank"),
+        ({"TYPE OBJ": [0, 3]}, "row 2: component type 3"),
+        ({"MINOR AX": [0, 1.0]}, "component 2 of 2: axes must be"),
+        ({"header": {"DATE-OBS": "never"}}, "'never' is no date"),
+        ({"header": {"DATE-OBS": None}}, "no DATE-OBS in the header"),
+    ],
+)
+def test_bad_aips_tables(tmp_path, options, message):
+    path = aips(tmp_path / "a.fits", **options)
+    with pytest.raises(ValueError, match=f"a.fits.*{message}"):
+        read_components(path)
+
+
+# Lists that are given where images are expected ---------------------------------
+
+RESTORED = "lists of components were restored with the beam 1 x 0.5 mas at -7.0 deg"
+
+
+@pytest.fixture
+def models(tmp_path):
+    """Difmap models of a core and a feature that moves by 0.5 mas."""
+    texts = [f"1v 0v 0v 0.2v 1 0 1\n0.3v {r}v 45v 0.5v 1 0 1\n" for r in (2, 2.5)]
+    names = [f"source_2006-0{month}-09.mod" for month in (3, 9)]
+    return [model(tmp_path, *pair) for pair in zip(texts, names, strict=True)]
+
+
+def test_difmap_models_are_restored(models):
+    with pytest.warns(EpochWarning, match=RESTORED) as caught:
+        cube = EpochCube.read(models, beams=BEAM)
+    assert "pixels of 0.1 mas and noise of 0.0" in str(caught[0].message)
+    assert cube.times.isot[1][:10] == "2006-09-09"
+    assert cube.beams == (BEAM, BEAM)
+    assert np.allclose(cube.data[0].max(), 0.9, atol=0.1)
+    # The faintest component, of 0.15 to 0.3 Jy a beam, is ten times the noise.
+    assert np.all((cube.noise > 0.015 * cube.unit) & (cube.noise < 0.03 * cube.unit))
+    assert np.all(abs(cube.measured_noise / cube.noise - 1) < 0.2)
+    with pytest.warns(EpochWarning, match=RESTORED):
+        again = EpochCube.read(models[::-1], beams=[BEAM, BEAM])
+    assert_array_equal(again.data, cube.data)
+    assert read_components(models).beams == ()
+
+
+def test_aips_tables_without_and_beside_an_image(tmp_path):
+    beam = {"BMAJ": 1.0 * MAS, "BMIN": 0.5 * MAS, "BPA": -7.0}
+    path = aips(tmp_path / "cc.fits", image=False, header=beam)
+    with pytest.warns(EpochWarning, match=RESTORED):
+        cube = EpochCube.read(path)
+    assert (cube.beams, cube.meta["object"]) == ((BEAM,), "0506+056")
+    path = aips(tmp_path / "image.fits", header={"CTYPE1": None})
+    with pytest.raises(ValueError, match="image.fits: .*coordinates"):
+        EpochCube.read(path)
+
+
+def test_lists_that_cannot_be_images(models, tmp_path, make_fits):
+    image, bare = make_fits(), aips(tmp_path / "bare.fits", image=False)
+    wrong = read_components(models[0], beams=BEAM).to_table()
+    write(wrong, tmp_path / "w.ecsv", beam="1 mas 0.5 mas")
+    negative = model(tmp_path, "-0.1v 1v 0v 0.2v 1 0 1\n", "n_2006-09-09.mod")
+    calls = [
+        (models, None, r"09.mod: is a list of components without a beam .*; give --be"),
+        (bare, None, r"bare.fits: .* without a beam"),
+        ([image, *models], None, r"09.mod: is a list of components and no im"),
+        ([*models, image], BEAM, r"a.fits: no AIPS CC table .* leave it out"),
+        (tmp_path / "w.ecsv", None, "w.ecsv, beam in its meta: is no beam: has"),
+        (negative, BEAM, r"09-09.mod: no component is positive; leave"),
+    ]
+    for paths, beams, words in calls:
+        with pytest.raises(ValueError, match=words):
+            EpochCube.read(paths, beams=beams)
+    problems = inspect_epochs([image, *models])["problem"]
+    assert sum("give lists alone to astro-scc measure" in p for p in problems) == 2
+
+
+def test_visibilities(tmp_path):
+    data = fits.GroupData(
+        np.ones((5, 1, 1, 1, 1, 1, 3), "f4"), bitpix=-32, parnames=["UU", "VV"],
+        pardata=[np.ones(5)] * 2,
+    )  # fmt: skip
+    fits.GroupsHDU(data).writeto(tmp_path / "a.uvf")
+    idi = fits.BinTableHDU.from_columns([fits.Column("FLUX", "E")], name="UV_DATA")
+    fits.HDUList([fits.PrimaryHDU(), idi]).writeto(tmp_path / "a.idifits")
+    for own in tmp_path.iterdir():
+        with pytest.raises(OSError, match="holds visibilities and no image; make an"):
+            EpochCube.read(own)

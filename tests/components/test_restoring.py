@@ -1,0 +1,299 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Images of components, noise that the beam correlates, and a file an epoch."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.time import Time
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from astro_scc.components.restoring import add_gaussians, correlated_noise
+from astro_scc.epochs import Beam, ComponentList, read_components, restore, write_epochs
+from astro_scc.exceptions import EpochWarning
+
+PIXEL = 0.1 * u.mas
+BEAM = Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
+ROUND = Beam(1 * u.mas, 1 * u.mas)
+FLIP = np.diag([-1, 1])
+UNITS = u.mas, u.mas, u.deg
+JY_BEAM, MJY_BEAM = u.Jy / u.beam, u.mJy / u.beam
+
+
+def components(**changes):
+    columns = {
+        "times": Time(["2006-01-01", "2006-07-01"]),
+        "epoch": [0, 0, 1],
+        "flux": [1.0, 0.5, 0.8] * u.Jy,
+        "east": [0.0, 2.0, 0.4] * u.mas,
+        "north": [0.0, 1.0, 0.2] * u.mas,
+        "major": [0.0, 0.8, 0.3] * u.mas,
+        "minor": [0.0, 0.4, 0.3] * u.mas,
+        "pa": [0.0, 60.0, 0.0] * u.deg,
+    }
+    return ComponentList(**{**columns, **changes})
+
+
+def one(**changes):
+    """One component at the origin."""
+    place = {"east": [0.0] * u.mas, "north": [0.0] * u.mas, "flux": [2.0] * u.Jy}
+    return ComponentList(times=Time(["2006-01-01"]), epoch=[0], **place | changes)
+
+
+def restored(source, **options):
+    return restore(source, **{"beam": BEAM, "pixel_scale": PIXEL, **options})
+
+
+def moments(image):
+    y, x = np.indices(image.shape)
+    weight = image / image.sum()
+    mean = np.array([(weight * x).sum(), (weight * y).sum()])
+    d = np.stack([x - mean[0], y - mean[1]])
+    return mean, np.einsum("iyx,yx,jyx->ij", d, weight, d)
+
+
+@settings(max_examples=40, deadline=None)
+@given(n=st.integers(0, 4), seed=st.integers(0, 1000))
+def test_boxes_equal_the_literal_sum(n, seed):
+    rng = np.random.default_rng(seed)
+    x, y, peak = rng.uniform(-30, 60, n), rng.uniform(-30, 50, n), rng.normal(size=n)
+    angle, width = rng.uniform(0, np.pi, n), rng.uniform(0.3, 12, n)
+    axes = width[:, None] * np.stack([np.ones(n), rng.uniform(0.02, 1, n)], axis=1)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    covariance = np.einsum("ain,na,ajn->nij", turn.swapaxes(0, 1), axes**2,
+                           turn.swapaxes(0, 1))  # fmt: skip
+    fast = add_gaussians(np.zeros((21, 34)), x, y, peak, covariance)
+    slow, (yy, xx) = np.zeros((21, 34)), np.indices((21, 34))
+    for x0, y0, p, c in zip(x, y, peak, covariance, strict=True):
+        d = np.stack([xx - x0, yy - y0])
+        slow += p * np.exp(-0.5 * np.einsum("iyx,ij,jyx->yx", d, np.linalg.inv(c), d))
+    assert_allclose(fast, slow, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("axes", [(0, 0, 0), (0.9, 0.3, 40)])
+def test_flux_is_kept_and_covariances_add(axes):
+    names = ("major", "minor", "pa")
+    sizes = {k: [v] * x for k, v, x in zip(names, axes, UNITS, strict=True)}
+    cube = restored(one(**sizes))
+    pixels_a_beam = (BEAM.area / PIXEL**2).to_value(u.one)
+    assert cube.data[0].sum() / pixels_a_beam == pytest.approx(2.0, rel=1e-6)
+    total = BEAM.covariance
+    if axes[0]:
+        total = total + Beam(*(v[0] for v in sizes.values())).covariance
+    mean, covariance = moments(cube.data[0])
+    assert_allclose(mean, cube.reference_pixel, atol=1e-6)
+    expected = FLIP @ (total / PIXEL**2).to_value(u.one) @ FLIP
+    assert_allclose(covariance, expected, rtol=1e-4, atol=1e-3)
+    assert (cube.unit, cube.beams, cube.noise) == (JY_BEAM, (BEAM,), None)
+    if not axes[0]:
+        x, y = cube.reference_pixel
+        assert cube.data[0, int(y), int(x)] == pytest.approx(2.0)
+
+
+def test_positions_through_the_wcs():
+    position = SkyCoord("12h29m06.7s", "2d03m08.6s")
+    cube = restored(components(), position=position)
+    sky = cube.wcs.pixel_to_world(*moments(cube.data[1])[0])
+    offsets = u.Quantity(position.spherical_offsets_to(sky)).to_value(u.mas)
+    assert_allclose(offsets, [0.4, 0.2], atol=1e-3)
+
+
+def test_grids():
+    cube = restored(components(), margin=4)
+    (x, y), (ny, nx) = cube.reference_pixel, cube.shape[1:]
+    assert min(x - 20, nx - 1 - x, y, ny - 1 - y - 10) >= 40
+    edges = cube.data[:, [0, -1]].ravel(), cube.data[:, :, [0, -1]].ravel()
+    assert np.abs(np.concatenate(edges)).max() < 1e-12
+    cube = restored(components(), shape=(64, 80), reference_pixel=(50, 20))
+    assert (cube.shape, cube.reference_pixel) == ((2, 64, 80), (50, 20))
+    assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
+    beside = restored(one(), reference_pixel=(200, 10))
+    assert beside.reference_pixel == (200, 10)
+    assert beside.data[0, 10, 200] == pytest.approx(2.0)
+    with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
+        restored(components(), shape=(40, 20), reference_pixel=(5, 20))
+
+
+def test_a_beam_for_each_epoch():
+    beams = [BEAM, Beam(2 * u.mas, 1 * u.mas)]
+    cube = restored(components(), beam=beams)
+    assert cube.beams == tuple(beams)
+    grid = {"shape": cube.shape[1:], "reference_pixel": cube.reference_pixel}
+    alone = restored(components().select(after="2006-03-01"), beam=beams[1], **grid)
+    assert_array_equal(cube.data[1], alone.data[0])
+
+
+def test_noise_and_seeds():
+    options = {"noise": 3 * MJY_BEAM, "rng": 1}
+    clean, noisy = restored(components()), restored(components(), **options)
+    residual = noisy.data - clean.data
+    assert residual.std() == pytest.approx(3e-3, rel=0.2)
+    assert abs(np.corrcoef(residual[0].ravel(), residual[1].ravel())[0, 1]) < 0.2
+    assert noisy.noise.to_value(MJY_BEAM) == pytest.approx([3, 3])
+    each = restored(components(), noise=[3, 0] * MJY_BEAM, rng=np.random.default_rng(1))
+    assert_array_equal(each.data[0], noisy.data[0])
+    assert_array_equal(each.data[1], clean.data[1])
+
+
+def test_units_facts_and_history():
+    facts = {"object": "3C 273", "redshift": 0.158, "frequency": 15.4e9}
+    cube = restored(one(meta=facts), unit=MJY_BEAM)
+    assert cube.data.max() == pytest.approx(2000)
+    assert cube.epoch_meta[0] == {"object": "3C 273", "frequency": 15.4e9}
+    assert cube.meta["redshift"] == 0.158
+    assert "restored 1 components" in cube.meta["history"][0]
+    assert cube.labels == ("2006-01-01",)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
+        ({"beam": None}, "needs a beam; give one"),
+        ({"beam": []}, "needs a beam; give one"),
+        ({"noise": [1, 2, 3] * MJY_BEAM}, "2 epochs need 2 noises"),
+        ({"noise": 1 * u.mas}, "noise must be a Quantity in Jy / beam"),
+        ({"unit": u.Jy}, "not convertible"),
+        ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
+        ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
+        ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
+        ({"shape": (0, 5)}, "shape must be"),
+        ({"shape": (5,)}, "shape must be"),
+    ],
+)
+def test_bad_options(options, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        restored(components(), **options)
+
+
+def test_restores_what_aips_restored(shared_data):
+    path = min((shared_data / "0506+056").glob("*.fits"))
+    image, header = fits.getdata(path).squeeze(), fits.getheader(path)
+    cube = restore(
+        read_components(path),
+        beam=Beam(*(header[k] * u.deg for k in ("BMAJ", "BMIN", "BPA"))),
+        pixel_scale=header["CDELT2"] * u.deg,
+        shape=image.shape,
+        reference_pixel=(header["CRPIX1"] - 1, header["CRPIX2"] - 1),
+    )
+    # What remains is the residual image: 0.14 mJy, and no source.
+    residual = image - cube.data[0]
+    assert residual.std() < 2e-4
+    assert np.abs(residual).max() < 0.01 * image.max()
+
+
+# Noise that the beam correlates -------------------------------------------------
+
+
+def noises(n, beam, shape=(60, 80), rms=1.0):
+    rng = np.random.default_rng(5)
+    options = {"rms": rms, "beam": beam, "pixel_scale": PIXEL, "rng": rng}
+    return np.array([correlated_noise(shape, **options) for _ in range(n)])
+
+
+LONG = Beam(1.5 * u.mas, 0.4 * u.mas, 30 * u.deg)
+
+
+@pytest.mark.parametrize("beam", [ROUND, LONG, Beam(PIXEL / 2, PIXEL / 2)], ids=str)
+def test_rms_is_the_theoretical_one_everywhere(beam):
+    noise = noises(400, beam, rms=2.0)
+    assert np.sqrt(np.mean(noise**2)) == pytest.approx(2.0, rel=0.02)
+    # Edges included: nothing of the Fourier grid is seen.
+    for part in (noise[:, :3], noise[:, :, -3:]):
+        assert np.sqrt(np.mean(part**2)) == pytest.approx(2.0, rel=0.1)
+
+
+def test_correlation_is_that_of_white_noise_seen_with_the_beam():
+    noise = noises(300, ROUND)
+    for lag in (3, 6, 10):
+        expected = np.exp(-4 * np.log(2) * lag**2 / (2 * 10**2))
+        along_x = np.mean(noise[:, :, :-lag] * noise[:, :, lag:])
+        along_y = np.mean(noise[:, :-lag] * noise[:, lag:])
+        assert [along_x, along_y] == pytest.approx([expected] * 2, abs=0.03)
+    # Towards north-east: up and to the left.
+    noise = noises(200, Beam(1.5 * u.mas, 0.4 * u.mas, 45 * u.deg))
+    up_left = np.mean(noise[:, :-5, 5:] * noise[:, 5:, :-5])
+    up_right = np.mean(noise[:, :-5, :-5] * noise[:, 5:, 5:])
+    # Exponents d^2 / (2 * 2 sigma^2) of d^2 = 50 px^2.
+    expected = np.exp(-50 / 4 * 8 * np.log(2) / np.array([15, 4]) ** 2)
+    assert [up_left, up_right] == pytest.approx(expected, abs=0.05)
+    noise = noises(600, ROUND, shape=(20, 20))
+    assert abs(np.mean(noise[:, 0] * noise[:, -1])) < 0.06
+
+
+def test_white_noise_units_and_no_noise():
+    noise = correlated_noise((200, 200), rms=3.0, rng=1)
+    assert noise.std() == pytest.approx(3.0, rel=0.02)
+    assert abs(np.mean(noise[:, 1:] * noise[:, :-1])) < 0.1
+    options = {"rms": 2 * u.mJy, "beam": ROUND, "rng": 3}
+    one = correlated_noise((8, 9), pixel_scale=PIXEL, **options)
+    arcsec = correlated_noise((8, 9), pixel_scale=1e-4 * u.arcsec, **options)
+    assert u.allclose(one, arcsec)
+    assert not correlated_noise((8, 9), rms=0, beam=ROUND, pixel_scale=PIXEL).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        *(({"rms": rms}, "rms must be") for rms in (-1.0, np.nan, np.inf, [1.0, 2.0])),
+        ({"beam": BEAM}, "needs pixel_scale"),
+        *(({"beam": BEAM, "pixel_scale": size * u.mas}, "must be finite and above 0")
+          for size in (0, -1, np.nan)),
+    ],
+)  # fmt: skip
+def test_bad_noise(options, words):
+    with pytest.raises(ValueError, match=words):
+        correlated_noise((8, 9), **{"rms": 1, **options})
+
+
+@settings(max_examples=30)
+@given(
+    shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    major=st.floats(0.05, 3), ratio=st.floats(0.05, 1), pa=st.floats(-180, 180),
+)  # fmt: skip
+def test_noise_is_always_of_the_right_shape_and_finite(shape, major, ratio, pa):
+    beam = Beam(major * u.mas, major * ratio * u.mas, pa * u.deg)
+    noise = correlated_noise(shape, rms=1, beam=beam, pixel_scale=PIXEL, rng=1)
+    assert noise.shape == shape
+    assert np.all(np.isfinite(noise))
+
+
+# One FITS image an epoch ------------------------------------------------------
+
+
+def test_written_epochs(tmp_path):
+    facts = {"object": "3C 273", "frequency": 15.4e9}
+    cube = restored(components(meta=facts), noise=1 * MJY_BEAM, rng=1)
+    folder = tmp_path / "new" / "folder"
+    paths = write_epochs(cube, folder)
+    names = ["3C_273_00_2006-01-01.fits", "3C_273_01_2006-07-01.fits"]
+    assert [p.name for p in paths] == names
+    assert sorted(folder.iterdir()) == sorted(paths)
+    with fits.open(paths[1]) as hdus:
+        header, image = hdus[0].header, hdus[0].data
+        assert_allclose(image, cube.data[1], atol=1e-6)
+    expected = {"BUNIT": "JY/BEAM", "OBJECT": "3C 273", "CTYPE1": "RA---SIN"}
+    expected |= {"CRPIX1": cube.wcs.wcs.crpix[0], "NOISE": 1e-3}
+    assert {key: header[key] for key in expected} == expected
+    assert header["DATE-OBS"].startswith("2006-07-01")
+    assert header["BMAJ"] * u.deg.to(u.mas) == pytest.approx(1.0)
+    assert "restored" in str(header["HISTORY"])
+
+
+def test_written_masks_are_nan_and_existing_files_stay(tmp_path):
+    cube = restored(one(), unit=MJY_BEAM)
+    data = cube.data.copy()
+    data[0, 3, 4] = np.nan
+    cube = cube.with_step("blanked", data=data, mask=np.isnan(data))
+    (path,) = write_epochs(cube, tmp_path, prefix="a b/c")
+    assert path.name == "a_b_c_00_2006-01-01.fits"
+    assert np.argwhere(np.isnan(fits.getdata(path))).tolist() == [[3, 4]]
+    assert u.Unit(fits.getheader(path)["BUNIT"]) == MJY_BEAM
+    with pytest.raises(OSError, match="exists; choose"):
+        write_epochs(cube, tmp_path, prefix="a b/c")
+    assert write_epochs(cube, tmp_path, prefix="a b/c", overwrite=True) == [path]
+    assert list(tmp_path.iterdir()) == [path]
+    assert write_epochs(cube, tmp_path)[0].name.startswith("epoch_00")

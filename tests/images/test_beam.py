@@ -1,0 +1,270 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Beams, those that differ, and convolution to a common one."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.wcs import WCS
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.decomposition import Decomposer
+from astro_scc.epochs import Beam
+from astro_scc.flow import measure_profile
+from astro_scc.images.beam import (
+    common_beam,
+    different_beam,
+    gaussian_smooth,
+    is_per,
+    parse_beam,
+    smallest_common_beam,
+)
+from astro_scc.tracking import FeatureTracker
+
+DATES = ["2000-01-01", "2000-02-01", "2000-03-01"]
+PIXEL = 0.1 * u.mas
+JY_BEAM = u.Jy / u.beam
+
+
+def beam(major, minor, pa=0.0):
+    return Beam(major * u.mas, minor * u.mas, pa * u.deg)
+
+
+def test_beams_compare_with_beams_and_are_read_from_text():
+    assert beam(2, 1, 30) == Beam(2e-3 * u.arcsec, 1e-3 * u.arcsec, 210 * u.deg)
+    assert beam(2, 1, 30) != beam(2, 1, 31)
+    assert beam(2, 1, 30) != "beam"
+    assert parse_beam("1.0 mas 0.5 mas -7 deg") == beam(1, 0.5, -7)
+    assert parse_beam("0.8 mas") == beam(0.8, 0.8)
+
+
+ROUND, WIDE = beam(0.5, 0.5), beam(0.52, 0.5)
+
+
+def with_beams(*beams):
+    """A feature that moves a pixel an epoch, with a beam for each epoch."""
+    y, x = np.mgrid[:32, :32]
+    images = [np.exp(-((x - 12 - k) ** 2 + (y - 16) ** 2) / 8) for k in range(3)]
+    fields = {"noise": 0.01 * u.one, "beams": beams or None}
+    return EpochCube.from_arrays(np.array(images), DATES, pixel_scale=PIXEL, **fields)
+
+
+@pytest.mark.parametrize(
+    ("beams", "expected"),
+    [
+        ([ROUND, ROUND, beam(0.504, 0.5)], None),  # rounded in a header
+        ([ROUND, ROUND, beam(0.506, 0.5)], 2),
+        ([ROUND, ROUND, beam(0.5, 0.494, 80)], 2),
+        # Beams of one area differ by their angle.
+        ([beam(1, 0.5, angle) for angle in (0, 180, 5)], 2),
+        ([beam(1, 0.5, angle) for angle in (0, 180, 0)], None),
+        ([], None),
+    ],
+)
+def test_beams_are_the_same_within_one_per_cent_in_any_direction(beams, expected):
+    assert different_beam(with_beams(*beams)) == expected
+
+
+def test_beams_that_differ_are_refused_until_that_is_stated(tmp_path):
+    cube, fast = with_beams(ROUND, WIDE, ROUND), 3 * u.mas / u.yr
+    scc = StackedCrossCorrelation(scales=[2], max_speed=fast)
+    stated = StackedCrossCorrelation(scales=[2], max_speed=fast, common_beam=False)
+    matched = stated.match(cube, cache=tmp_path / "m.fits")
+    assert len(matched.matches)
+    decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
+    calls = [
+        lambda: scc(cube, n_trials=2, rng=1),
+        # What was kept is no way around the refusal.
+        lambda: scc.match(cube, cache=tmp_path / "m.fits"),
+        lambda: measure_profile(scc, cube, [0, 1] * u.mas, n_trials=2, rng=1),
+        lambda: FeatureTracker(max_speed=fast)(cube, decompositions),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match="the beams differ") as refused:
+            call()
+        text = str(refused.value)
+        assert "0.52 x 0.5 mas at 0.0 deg in 2000-02-01" in text
+        assert "cube.to_common_beam(), or state common_beam=False" in text
+    tracker = FeatureTracker(max_speed=fast, common_beam=False)
+    links = tracker.link(cube, matched.decompositions)
+    assert (links.kind == "link").sum() == 2
+    assert len(scc.match(cube.to_common_beam()).matches)
+
+
+# -- a common beam ---------------------------------------------------------------
+
+
+def source(cube, covariance):
+    """A Gaussian of peak 1 on the grid of a cube, from sky covariances."""
+    e, n = (v.to_value(u.mas) for v in cube.offsets())
+    d = np.stack([e - 0.33, n + 0.21])
+    inverse = np.linalg.inv(covariance.to_value(u.mas**2))
+    return np.exp(-0.5 * np.einsum("iyx,ij,jyx->yx", d, inverse, d))
+
+
+def point_sources(*beams, unit=JY_BEAM, turn=0.0, **fields):
+    """Images of one point source of 1 Jy by several beams, on turned axes."""
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype, wcs.wcs.pc = ["RA---SIN", "DEC--SIN"], [[c, -s], [s, c]]
+    wcs.wcs.cdelt = [-PIXEL.to_value(u.deg), PIXEL.to_value(u.deg)]
+    wcs.wcs.crpix, wcs.wcs.crval = [40, 48], [187.0, 12.0]
+    dates = DATES[: len(beams)]
+    empty = EpochCube(np.zeros((len(beams), 96, 80)), dates, wcs)
+    data = np.array([source(empty, b.covariance) for b in beams])
+    return EpochCube(data, dates, wcs, unit=unit, beams=beams, **fields)
+
+
+@pytest.mark.parametrize("turn", [0, 35])
+def test_point_sources_come_out_as_the_common_beam(turn):
+    cube = point_sources(beam(1, 0.6, -20), beam(0.9, 0.7, 40), beam(0.8, 0.55, 80),
+                         turn=turn)  # fmt: skip
+    result = common_beam(cube)
+    expected = source(cube, result.beams[0].covariance)
+    for image in result.data:
+        assert_allclose(image, expected, atol=5e-6)
+    assert (result.unit, result.noise) == (cube.unit, None)
+    assert "3 of 3 epochs" in result.meta["history"][-1]
+    # A beam that grows by 0.05 px only grows exactly by that.
+    wider = beam(1.0006, 0.6006, -20)
+    grown = common_beam(cube[:1], wider)
+    assert_allclose(grown.data[0], source(cube, wider.covariance), atol=5e-6)
+    assert np.abs(grown.data[0] - cube.data[0]).max() > 3e-4
+
+
+def test_flux_density_and_intensities_per_pixel_are_conserved():
+    cube = point_sources(beam(1.0, 0.6, -20), beam(0.7, 0.7))
+    result = common_beam(cube, beam(1.5, 1.2, 10))
+    for images, beams in ((cube.data, cube.beams), (result.data, result.beams)):
+        pixels = [float(b.area / PIXEL**2) for b in beams]
+        assert_allclose(images.sum(axis=(1, 2)) / pixels, 1, rtol=1e-6)
+    cube = point_sources(beam(0.8, 0.8), beam(0.6, 0.6), unit=u.Jy / u.pix)
+    result = common_beam(cube)
+    assert_allclose(result.data.sum(axis=(1, 2)), cube.data.sum(axis=(1, 2)), rtol=1e-9)
+    assert result.data[1].max() < 0.6
+
+
+def test_epochs_with_the_beam_stay_as_they_are():
+    value = float(np.float32(0.83))  # as in a header of single precision
+    cube = point_sources(beam(value, 0.8, 12), beam(0.7, 0.5), noise=[1, 1] * JY_BEAM)
+    result = common_beam(cube, beam(0.83, 0.8, 12))
+    assert_array_equal(result.data[0], cube.data[0])
+    assert np.any(result.data[1] != cube.data[1])
+    assert result.noise is None
+    again = common_beam(result.with_step("noise", noise=[2, 3] * JY_BEAM))
+    assert_array_equal(again.data, result.data)
+    assert_array_equal(again.noise.value, [2, 3])
+    assert "0 of 2" in again.meta["history"][-1]
+
+
+def test_bad_pixels_and_edges_do_not_darken():
+    data, mask = np.full((1, 40, 50), 7.0), np.zeros((1, 40, 50), dtype=bool)
+    data[0, 10:14, 20], mask[0, 30, 5:9] = np.nan, True
+    data[mask] = 1e9
+    fields = {"mask": mask, "beams": beam(0.2, 0.2), "unit": u.Jy / u.pix}
+    cube = EpochCube.from_arrays(data, DATES[:1], pixel_scale=PIXEL, **fields)
+    result = common_beam(cube, beam(1.0, 0.7))
+    assert_array_equal(result.mask, cube.mask)
+    assert_array_equal(np.isnan(result.data), cube.mask)
+    assert_allclose(result.data[~result.mask], 7, rtol=1e-9)
+
+
+def test_a_kernel_in_one_direction_only():
+    image = np.zeros((31, 31))
+    image[15, 15] = 1
+    smooth = gaussian_smooth(image, [[4, 0], [0, 0]])
+    assert_allclose(smooth[15].sum(), 1, atol=1e-6)
+    assert_allclose(np.delete(smooth, 15, axis=0), 0, atol=1e-12)
+
+
+def test_units_per_beam():
+    known = [JY_BEAM, u.mJy / u.beam, u.Jy / u.pix, u.Jy, u.dimensionless_unscaled]
+    texts = "JY/BEAM", "Jy Beam-1", "COUNTS/S"
+    units = [*known, *(u.Unit(text, parse_strict="silent") for text in texts)]
+    found = [is_per(unit, "beam") for unit in units]
+    assert found == [True, True, False, False, False, True, True, False]
+
+
+def contains(large, small, tolerance=1e-9):
+    difference = (large.covariance - small.covariance).value
+    return np.linalg.eigvalsh(difference)[0] >= -tolerance * large.major.value**2
+
+
+def least_area(beams):
+    """Major times minor axis of the least ellipse, by a grid that closes in."""
+    others = np.array([b.covariance.value for b in beams]) * 8 * np.log(2)
+    steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2), axis=-1).reshape(-1, 2)
+    centre, width, least = np.zeros(2), 3.0, np.inf
+    for _ in range(40):
+        # Ellipses of area 1: logarithm of the axis ratio along two directions.
+        points = centre + width * steps
+        r = np.hypot(*points.T)
+        a, b = (points * (np.sinh(r) / np.maximum(r, 1e-12))[:, None]).T
+        inverse = np.array([[np.cosh(r) - a, -b], [-b, np.cosh(r) + a]])
+        products = np.moveaxis(inverse, -1, 0)[:, None] @ others
+        largest = np.linalg.eigvals(products).real.max(axis=(1, 2))
+        centre, width = points[np.argmin(largest)], 0.75 * width
+        least = min(least, largest.min())
+    return least
+
+
+SHAPES = st.tuples(st.floats(0.3, 3), st.floats(0.2, 1), st.floats(-90, 90))
+
+
+@pytest.mark.slow
+@settings(max_examples=20)
+@given(st.lists(SHAPES, min_size=1, max_size=6))
+@example([(1.0, 1.0, 0.0), (2.0, 0.21875, 45.0)])
+def test_the_smallest_common_beam_contains_all(shapes):
+    beams = [beam(major, major * ratio, pa) for major, ratio, pa in shapes]
+    result = smallest_common_beam(beams)
+    assert all(contains(result, b, 2e-6) for b in beams)
+    area = float(result.major * result.minor / u.mas**2)
+    assert area <= least_area(beams) * (1 + 1e-5)
+
+
+@pytest.mark.parametrize("scale", [2e-5, 1.0, 3.6e6])
+def test_common_beams_of_any_size(scale):
+    """Micro-arcseconds for the EHT, degrees for single dishes."""
+    beams = [beam(scale, 0.5 * scale, pa) for pa in (-20, 20)]
+    result = smallest_common_beam(beams)
+    assert all(contains(result, b) for b in beams)
+    # Of two equal ellipses the least one lies midway.
+    area = float(result.major * result.minor / (scale * u.mas) ** 2)
+    assert area == pytest.approx(least_area([beam(1, 0.5, p) for p in (-20, 20)]), 1e-5)
+    assert abs(result.pa.value) < 0.1
+
+
+@pytest.mark.parametrize("spread", [1e-7, 1e-5, 1e-3])
+def test_common_beams_of_nearly_equal_ones(spread):
+    steps = np.random.default_rng(0).uniform(-1, 1, (2, 12))
+    major, minor = (1 + spread * steps) * [[0.9], [0.6]]
+    beams = [beam(*axes, 10) for axes in zip(major, minor, strict=True)]
+    result = smallest_common_beam(beams)
+    assert all(contains(result, b, 2e-6) for b in beams)
+    assert result.major.value < 0.9 * (1 + spread) * 1.003
+
+
+CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        *((lambda axes=axes: beam(*axes), "is finite with major >= minor > 0, got")
+          for axes in [(np.nan, 1), (1, np.inf), (np.inf, 1), (1, 1, np.nan), (1, 0),
+                       (-1, -2), (1, 2)]),
+        *((lambda text=text: parse_beam(text), "is no beam: .*; give major axis, min")
+          for text in ("1", "1 mas 0.5 mas", "1 1 1 1 mas", "1 mas 2 mas 0 deg")),
+        (lambda: common_beam(CUBE, beam(0.9, 0.9)),
+         r"2000-02-01: its beam 1 x 0.6 mas at .* fit"),
+        (lambda: common_beam(CUBE, 3.0), "a beam has major, minor and pa, got float"),
+        (lambda: common_beam(CUBE.with_step("", beams=None)), "have no beams"),
+        (lambda: smallest_common_beam([]), "at least one beam"),
+    ],
+)  # fmt: skip
+def test_what_is_no_beam_or_no_common_one(call, words):
+    with pytest.raises((ValueError, TypeError), match=words):
+        call()

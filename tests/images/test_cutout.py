@@ -1,0 +1,469 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Regions, crops, rings, and parts of files that are read without the rest."""
+
+import tracemalloc
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.time import Time
+from astropy.wcs import WCS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from regions import (
+    CirclePixelRegion,
+    CircleSkyRegion,
+    EllipseSkyRegion,
+    PixCoord,
+    PointPixelRegion,
+    RectanglePixelRegion,
+    RegionMeta,
+    Regions,
+)
+
+from astro_scc.epochs import Beam, EpochCube, write_epochs
+from astro_scc.exceptions import EpochWarning
+from astro_scc.images.cutout import crop, distance_mask, refuse_pixels, region_mask
+from astro_scc.images.fits import read_plane
+
+SHAPE = (40, 50)
+MAS = u.mas.to(u.deg)
+EXCLUDED = RegionMeta({"include": False})
+
+
+def grid(turn=0.0, crval=(187.0, 12.0)):
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype, wcs.wcs.pc = ["RA---SIN", "DEC--SIN"], [[c, -s], [s, c]]
+    wcs.wcs.cdelt, wcs.wcs.crpix = [-0.1 * MAS, 0.1 * MAS], (21, 16)
+    wcs.wcs.crval = crval
+    return wcs
+
+
+def make(turn=0.0, **fields):
+    data = np.random.default_rng(1).normal(size=(2, *SHAPE))
+    return EpochCube(data, ["2000-01-01", "2001-01-01"], grid(turn), **fields)
+
+
+CUBE = make()
+
+
+def disc(x, y, r):
+    yy, xx = np.indices(SHAPE)
+    return (xx - x) ** 2 + (yy - y) ** 2 < r**2
+
+
+def circle(x, y, r, **meta):
+    return CirclePixelRegion(PixCoord(x, y), r, **meta)
+
+
+# -- regions -----------------------------------------------------------------
+
+ONE, TWO, HOLE = circle(15, 20, 8), circle(25, 20, 8), circle(20, 20, 4, meta=EXCLUDED)
+UNION = disc(15, 20, 8) | disc(25, 20, 8)
+
+
+@pytest.mark.parametrize(
+    ("region", "expected"),
+    [
+        (None, np.ones(SHAPE, bool)),
+        (disc(20, 20, 5), disc(20, 20, 5)),
+        ([circle(500, 20, 4, meta=EXCLUDED)], np.ones(SHAPE, bool)),
+        ((ONE, TWO), UNION),
+        ([HOLE, ONE, TWO], UNION & ~disc(20, 20, 4)),
+        (Regions([ONE, HOLE, TWO]), UNION & ~disc(20, 20, 4)),
+        (HOLE, ~disc(20, 20, 4)),
+        (ONE & circle(22, 20, 8), disc(15, 20, 8) & disc(22, 20, 8)),
+        ("# Region file format: DS9\nimage\ncircle(21,21,8.5)\n-circle(21,21,4.5)\n",
+         disc(20, 20, 8.5) & ~disc(20, 20, 4.5)),
+        ("#CRTFv0\ncircle[[20pix,20pix],8.5pix]\n-circle[[20pix,20pix],4.5pix]\n",
+         disc(20, 20, 8.5) & ~disc(20, 20, 4.5)),
+    ],
+)  # fmt: skip
+def test_regions_unite_and_exclusions_are_taken_away(tmp_path, region, expected):
+    if isinstance(region, str):
+        (tmp_path / "jet.reg").write_text(region)
+        assert_array_equal(region_mask(CUBE, str(tmp_path / "jet.reg")), expected)
+        region = tmp_path / "jet.reg"
+    mask = region_mask(CUBE, region)
+    assert_array_equal(mask, expected)
+    assert mask is not region
+
+
+@pytest.mark.parametrize("turn", [0, 25])
+def test_sky_regions_of_milliarcseconds(tmp_path, turn):
+    cube = make(turn)
+    centre = cube.wcs.pixel_to_world(24, 18)
+    region = CircleSkyRegion(centre, 0.52 * u.mas)
+    assert_array_equal(region_mask(cube, region), disc(24, 18, 5.2))
+    Regions([region]).write(tmp_path / "jet.reg", format="ds9", precision=12)
+    assert_array_equal(region_mask(cube, tmp_path / "jet.reg"), disc(24, 18, 5.2))
+    ellipse = EllipseSkyRegion(centre, 1.6 * u.mas, 0.6 * u.mas, 30 * u.deg)
+    at = u.Quantity(cube.pixel_to_offset(24, 18))
+    east, north = (u.Quantity(cube.offsets()) - at[:, None, None]).to_value(u.mas)
+    # The angle of a region is from west (longitude decreasing to the right)
+    # towards north.
+    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
+    along, across = -east * c + north * s, east * s + north * c
+    expected = (along / 0.8) ** 2 + (across / 0.3) ** 2 < 1
+    assert np.sum(region_mask(cube, ellipse) != expected) <= 2
+
+
+SKY = SkyCoord("12h30m49.423382s +12d23m28.0443217s")
+LON, LAT = SKY.ra.deg, SKY.dec.deg
+CORNERS = [(x, y) for x in (-1, 1) for y in (-x, x)]
+SQUARE = [v for x, y in CORNERS for v in (LON + x * 6e-7, LAT + y * 6e-7)]
+CRTF = "#CRTFv0\nglobal coord=ICRS\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "enough"),
+    [
+        # What regions and CARTA write as CRTF, and DS9 in degrees and in hours.
+        (f"{CRTF}circle[[{LON:.6f}deg, {LAT:.6f}deg], 0.000001deg]", False),
+        (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000000555556deg]", True),
+        (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.0020arcsec]", True),
+        (f'icrs\ncircle({LON:.7f},{LAT:.7f},0.0020")', False),
+        (f'icrs\ncircle({LON:.8f},{LAT:.8f},0.0020")', True),
+        ('icrs\ncircle(12:30:49.4234,+12:23:28.044,0.0020")', False),
+        ('icrs\ncircle(12:30:49.423382,+12:23:28.04432,0.0020")', True),
+        (f'icrs\nellipse({LON:.9f},{LAT:.9f},0.002",0.002",12.34567)', True),
+        (f"icrs\npolygon({','.join(f'{v:.6f}' for v in SQUARE)})", False),
+    ],
+)
+def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
+    times, scale = ["2000-01-01"], {"pixel_scale": 0.1 * u.mas}
+    cube = EpochCube.from_arrays(np.ones((1, 90, 90)), times, position=SKY, **scale)
+    (tmp_path / "r.reg").write_text(text)
+    if enough:
+        yy, xx = np.indices((90, 90)) - 44.5
+        wrong = region_mask(cube, tmp_path / "r.reg") != (xx**2 + yy**2 < 20**2)
+        assert wrong.sum() < 40
+    else:
+        with pytest.raises(ValueError, match=r"r.reg: a \w+ of .* is written in steps"):
+            region_mask(cube, tmp_path / "r.reg")
+
+
+def test_round_numbers_and_what_regions_writes_by_default(tmp_path):
+    path = tmp_path / "r.reg"
+    for place in ("187.0,12.0", "187,12", "12:28:00.0,+12:00:00.0"):
+        path.write_text(f'icrs\ncircle({place},0.0018")')
+        assert np.sum(region_mask(CUBE, path) != disc(20, 15, 18)) < 4
+    cube = make(25)
+    region = CircleSkyRegion(cube.wcs.pixel_to_world(24.3, 18.2), 0.52 * u.mas)
+    Regions([region]).write(path, format="crtf", overwrite=True)
+    # The radius has become 0.
+    with pytest.raises(ValueError, match=r"r.reg: cannot be read .* strictly posit"):
+        region_mask(cube, path)
+    Regions([region]).write(path, format="ds9", overwrite=True)
+    # Eight decimals are 0.04 mas.
+    assert np.sum(region_mask(cube, path) != disc(24.3, 18.2, 5.2)) < 4
+    Regions([ONE]).write(tmp_path / "r.fits", format="fits")
+    with pytest.raises(ValueError, match="r.fits: is not a text file; give a DS9 or"):
+        region_mask(cube, tmp_path / "r.fits")
+
+
+def test_regions_on_the_sphere():
+    regions = pytest.importorskip("regions", minversion="0.12")
+    cube = make(25)
+    centre = cube.wcs.pixel_to_world(24.3, 18.2)
+    circle = regions.CircleSphericalSkyRegion(centre, 0.52 * u.mas)
+    hole = regions.CircleSphericalSkyRegion(centre, 0.2 * u.mas, meta=EXCLUDED)
+    assert_array_equal(region_mask(cube, circle), disc(24.3, 18.2, 5.2))
+    expected = disc(24.3, 18.2, 5.2) & ~disc(24.3, 18.2, 2)
+    assert_array_equal(region_mask(cube, [circle, hole]), expected)
+    corners = cube.wcs.pixel_to_world([10.5, 30.5, 30.5, 10.5], [5.5, 5.5, 20.5, 20.5])
+    square = regions.PolygonSphericalSkyRegion(corners)
+    assert region_mask(cube, square).sum() == 20 * 15
+    assert region_mask(cube, circle | square).sum() == 320
+    limits = {"longitude_range": [1, 2] * u.deg, "frame": "icrs"}
+    with pytest.raises(ValueError, match="RangeSphericalSkyRegion cannot be") as e:
+        region_mask(cube, regions.RangeSphericalSkyRegion(**limits))
+    assert "\n" not in str(e.value)
+
+
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        (b"garbage\n", "r.reg: holds no region"),
+        (b"", "r.reg: holds no region"),
+        (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
+        (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
+        (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
+        (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
+        (b"image\ncircle(21.5,21.5,0.1)\n", "r.reg: holds no pixel"),
+        (b"image\npoint(21,21)\n", "r.reg: a PointPixelRegion has no inside"),
+        ("no.reg", "No such file .*no.reg"),
+        (circle(-30, 20, 4), "region: holds no pixel"),
+        (np.zeros(SHAPE, dtype=bool), "no pixel"),
+        (np.ones((3, 3), dtype=bool), r"array of bool of the images' shape"),
+        (np.ones(SHAPE), "array of float64"),
+        (PointPixelRegion(PixCoord(3, 4)), "has no inside"),
+        *((wrong, "region must be") for wrong in (3, [], [3])),
+    ],
+)  # fmt: skip
+def test_regions_that_cannot_be_used(tmp_path, region, message):
+    if isinstance(region, bytes):
+        (tmp_path / "r.reg").write_bytes(region)
+        region = tmp_path / "r.reg"
+    with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
+        region_mask(CUBE, region)
+    assert "\n" not in str(caught.value)
+
+
+def test_region_files_in_pixels_are_known(tmp_path):
+    path = tmp_path / "r.reg"
+    path.write_text('icrs\ncircle(187d,12d,0.001")\nimage\ncircle(20,20,8)\n')
+    with pytest.raises(ValueError, match=r"r.reg: is in pixels, which are others in a"):
+        refuse_pixels(path)
+    path.write_text('icrs\ncircle(187d,12d,0.001")\n')
+    assert refuse_pixels(path) is None
+
+
+# -- crops --------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 38), st.integers(1, 40), st.integers(0, 48), st.integers(1, 50))
+def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
+    cube = make(25, epoch_wcs=[grid(25), grid(25, crval=(187.0, 12.0 + 1e-7))])
+    part = crop(cube, (slice(y0, y0 + height), slice(x0, x0 + width)))
+    y1, x1 = min(y0 + height, 40), min(x0 + width, 50)
+    assert_array_equal(part.data, cube.data[:, y0:y1, x0:x1])
+    for mine, theirs in zip(part.offsets(), cube.offsets(), strict=True):
+        assert_allclose(mine.value, theirs.value[y0:y1, x0:x1], atol=1e-9)
+    before = cube.epoch_wcs[1].pixel_to_world(x0, y0)
+    assert part.epoch_wcs[1].pixel_to_world(0, 0).separation(before) < 1e-4 * u.mas
+    assert part.wcs.array_shape == part.shape[1:]
+
+
+def test_cropping_to_a_region_with_a_margin():
+    mask = np.zeros((2, *SHAPE), dtype=bool)
+    mask[1, 12, 21] = True
+    cube = make(mask=mask, beams=Beam(1 * u.mas, 1 * u.mas), noise=[1, 2] * u.one)
+    region = RectanglePixelRegion(PixCoord(22, 12), 8, 4)
+    part = crop(cube, region, pad=2)
+    inside = np.argwhere(region_mask(cube, region))
+    (ya, xa), (yb, xb) = inside.min(axis=0), inside.max(axis=0)
+    assert_array_equal(part.data, cube.data[:, ya - 2 : yb + 3, xa - 2 : xb + 3])
+    assert part.mask.sum() == 1
+    assert_array_equal(part.noise, cube.noise)
+    assert part.beams == cube.beams
+    assert "cropped to pixels x 17 to 27" in part.meta["history"][-1]
+    part.data[:] = 0
+    assert cube.data.any()
+    # A margin ends at the edge, and negative slices count from the end.
+    assert crop(cube, (slice(0, 5), slice(None)), pad=3).shape == (2, 8, 50)
+    part = crop(cube, (slice(-10, None), slice(3, -3)))
+    assert_array_equal(part.data, cube.data[:, -10:, 3:-3])
+
+
+# -- rings ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn", [0, 25])
+def test_rings_share_no_pixel_and_leave_none_out(turn):
+    cube = make(turn)
+    edges = [0, 0.5, 1.0, 1.7, 10] * u.mas
+    rings = [distance_mask(cube, a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    assert_array_equal(np.sum(rings, axis=0), 1)
+    # Pixels five steps away are at 0.5 mas but for rounding.
+    assert rings[0][15, 20]
+    assert rings[1][15, 25]
+    assert rings[1][10, 20]
+    offset = u.Quantity(cube.pixel_to_offset(30, 22))
+    sky = cube.wcs.pixel_to_world(30, 22)
+    for origin in (offset.to(u.uas), sky, sky.galactic):
+        inside = distance_mask(cube, 0 * u.mas, 400.1 * u.uas, origin=origin)
+        assert_array_equal(inside, disc(30, 22, 4.001))
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "words"),
+    [
+        *((distance_mask, limits * u.mas, "0 <= r_min < r_max")
+          for limits in ([1, 1], [2, 1], [-1, 1], [np.nan, 1])),
+        (distance_mask, [1, 2] * u.arcsec, "no pixel of the image is"),
+        (distance_mask, [0, 1, 3] * u.mas, "pair of offsets"),
+        (distance_mask, [0, 1] * u.s, "not convertible"),
+        (crop, [(slice(40, 60), slice(None))], "hold no pixel of the 50 x 40 image"),
+        (crop, [(slice(None, None, 2), slice(None))], "two, .y, x., without a step"),
+        (crop, [(slice(None),)], "must be two, .y, x., without a step"),
+        *((crop, [ONE, pad], "whole number") for pad in (-1, 1.5)),
+    ],
+)  # fmt: skip
+def test_rings_and_crops_that_cannot_be_made(function, arguments, words):
+    with pytest.raises((ValueError, u.UnitsError), match=words):
+        function(CUBE, *arguments)
+
+
+# -- parts of files --------------------------------------------------------------
+
+PART = slice(9, 30), slice(14, 50)
+
+
+def series(n=3, shape=(40, 60), **fields):
+    rng = np.random.default_rng(5)
+    options = {
+        "times": Time("2001-01-01") + np.arange(n) * 30 * u.day,
+        "pixel_scale": 0.1 * u.mas, "reference_pixel": (20, 15), "unit": u.Jy / u.beam,
+        "beams": [Beam((1 + 0.1 * i) * u.mas, 0.8 * u.mas) for i in range(n)],
+        "mask": rng.uniform(size=(n, *shape)) < 0.02,
+    }  # fmt: skip
+    return EpochCube.from_arrays(rng.normal(size=(n, *shape)), **{**options, **fields})
+
+
+def same(one, other):
+    assert_array_equal(one.mask, other.mask)
+    assert_array_equal(one.data[~one.mask], other.data[~one.mask])
+    assert one.times.isot.tolist() == other.times.isot.tolist()
+    for name in ("labels", "unit", "beams", "meta", "epoch_meta"):
+        assert getattr(one, name) == getattr(other, name)
+    grids = [(cube.wcs, *(cube.epoch_wcs or ())) for cube in (one, other)]
+    for own, its in zip(*grids, strict=True):
+        assert own.to_header_string() == its.to_header_string()
+    assert one.wcs.array_shape == other.wcs.array_shape
+
+
+@pytest.fixture
+def paths(tmp_path):
+    # The last epoch is the first of the files.
+    return write_epochs(series(), tmp_path)[::-1]
+
+
+def test_as_reading_all_and_cropping(paths, tmp_path):
+    whole = EpochCube.read(paths)
+    circle = CircleSkyRegion(whole.wcs.pixel_to_world(30, 18), 0.75 * u.mas)
+    for region, pad in ((PART, 0), (circle, 3), (whole.region_mask(circle), 100)):
+        part = EpochCube.read(paths, region=region, pad=pad)
+        assert part.shape[1:] != whole.shape[1:] or pad == 100
+        same(part, whole.crop(region, pad=pad))
+    path = tmp_path / "jet.reg"
+    path.write_text("image\ncircle(21,21,8.5)\nblob(3,4)\n")
+    for use in (whole.region_mask, lambda own: EpochCube.read(paths, region=own)):
+        with pytest.warns(EpochWarning, match="blob") as caught:
+            use(path)
+        assert caught[0].filename == __file__
+
+
+def test_as_reading_a_cube_and_cropping(tmp_path):
+    path, noise = tmp_path / "cube.fits", 1 * u.Jy / u.beam
+    for cube in (series(beams=None), series(noise=noise)):
+        cube.write(path, overwrite=True)
+        part = EpochCube.read(path, region=PART, pad=2)
+        same(part, cube.crop(PART, pad=2))
+        assert_array_equal(part.noise, cube.noise)
+    with pytest.raises(ValueError, match="hold no pixel of the 60 x 40"):
+        EpochCube.read(path, region=(slice(50, 60), slice(0, 9)))
+    with pytest.raises(TypeError, match="region must be"):
+        EpochCube.read(path, region=7)
+
+
+@pytest.mark.parametrize("frame", ["offset", "absolute"])
+def test_images_that_lie_whole_pixels_aside(tmp_path, frame):
+    cube = series(mask=None)
+    # The second image has five rows and seven columns less.
+    smaller = cube[[1]].crop((slice(5, 40), slice(7, 60)))
+    paths = write_epochs(cube[[0]], tmp_path) + write_epochs(smaller, tmp_path / "b")
+    whole = EpochCube.read(paths, frame=frame)
+    part = EpochCube.read(paths, frame=frame, region=PART)
+    same(part, whole.crop(PART))
+    assert not part.mask.any()
+    # Beyond the edge of one of them.
+    corner = slice(0, 20), slice(0, 20)
+    same(EpochCube.read(paths, region=corner), EpochCube.read(paths).crop(corner))
+    with pytest.raises(ValueError, match="nothing of the region lies in it; leave it"):
+        EpochCube.read(paths, region=(slice(0, 4), slice(0, 20)))
+
+
+def test_images_of_other_pixels(tmp_path):
+    """They are resampled, which takes a little more of them than is asked for."""
+    y, x = np.mgrid[:40, :60]
+    paths = []
+    for scale, day in ((1, "2001-01-01"), (0.8, "2001-03-01")):
+        # The same hill on the sky.
+        r2 = ((x - 20) * scale - 15) ** 2 + ((y - 15) * scale - 3) ** 2
+        where = {"pixel_scale": 0.1 * scale * u.mas, "reference_pixel": (20, 15)}
+        cube = EpochCube.from_arrays(np.exp(-r2 / 60)[None], [day], **where)
+        paths += write_epochs(cube, tmp_path / day)
+    with pytest.warns(match="on another grid than the finest"):
+        part = EpochCube.read(paths, region=(slice(9, 28), slice(26, 45)))
+    assert part.shape[1] < 40
+    assert part.shape[2] < 60
+    # A little less, since edges are extrapolated.
+    inside = part.crop((slice(3, -3), slice(3, -3)))
+    assert inside.shape[1] * 0.8 >= 18
+    assert not inside.mask.any()
+    np.testing.assert_allclose(*inside.data, atol=2e-3)
+
+
+def test_what_a_part_has_not(paths, monkeypatch):
+    for value, words in ((np.nan, "no valid pixel in this part, all are NaN"),
+                         (3, r"than two different values in this region")):  # fmt: skip
+        with fits.open(paths[1], mode="update") as hdus:
+            hdus[0].data[9:30, 14:50] = value
+        with pytest.raises(ValueError, match=words):
+            EpochCube.read(paths, region=PART)
+    fits.delval(paths[1], "DATE-OBS")
+    with pytest.raises(ValueError, match=f"{paths[1]}: no date of observation"):
+        EpochCube.read(paths, region=PART)
+    times = ["2001-03-01", "2001-02-01", None]
+    options = {"region": PART, "times": times, "check": False}
+    memory = "astro_scc.epochs.reading.machine_memory"
+    monkeypatch.setattr(memory, lambda: 3 * 40 * 60 * 9 - 1)
+    with pytest.raises(MemoryError, match=r"3 images of 60 x 40 pixels are 6.48"):
+        EpochCube.read(paths, times=times)
+    assert len(EpochCube.read(paths, **options)) == 3
+
+
+def test_the_size_of_the_whole_image_tells_sources_apart(paths):
+    """A part is smaller than the scatter of positions of VLBI."""
+    there = fits.getval(paths[1], "CRVAL1")
+    fits.setval(paths[1], "CRVAL1", value=there + 0.25 * MAS)
+    part = slice(10, 13), slice(10, 13)
+    same(EpochCube.read(paths, region=part), EpochCube.read(paths).crop(part))
+
+
+def test_parts_of_scaled_and_weighted_images_and_headers_alone(paths):
+    plane = read_plane(paths[0], pixels=False)
+    assert (plane.shape, plane.data) == ((40, 60), None)
+    assert plane.time.isot.startswith("2001-03-02")
+    counts = np.rint(1000 * np.nan_to_num(read_plane(paths[0]).data)).astype(np.int16)
+    scaled = fits.PrimaryHDU(counts, fits.getheader(paths[0]))
+    scaled.header.update({"BSCALE": 0.001, "BZERO": 5.0})
+    weight = fits.ImageHDU(np.ones(counts.shape), name="WHT")
+    weight.data[20, 30] = 0
+    fits.HDUList([scaled, weight]).writeto(paths[0], overwrite=True)
+    whole, part = read_plane(paths[0]), read_plane(paths[0], window=PART)
+    assert_array_equal(part.data, whole.data[PART])
+    assert_array_equal(part.mask, whole.mask[PART])
+    assert part.mask.sum() == 1
+    weight.data[PART] = 0
+    fits.HDUList([scaled, weight]).writeto(paths[0], overwrite=True)
+    with pytest.raises(ValueError, match="no valid pixel in this part by its"):
+        read_plane(paths[0], window=PART)
+
+
+@pytest.mark.slow
+def test_only_the_part_is_in_memory(tmp_path):
+    """Six images of 4 MB each, 8 as they are kept, of which a hundredth is wanted."""
+    rng = np.random.default_rng(1)
+    header = fits.getheader(write_epochs(series(n=1), tmp_path / "one")[0])
+    paths = []
+    for k in range(6):
+        header["DATE-OBS"] = f"200{k}-01-01"
+        paths.append(tmp_path / f"e{k}.fits")
+        image = rng.normal(size=(1024, 1024)).astype(">f4")
+        fits.PrimaryHDU(image, header).writeto(paths[-1])
+    tracemalloc.start()
+    try:
+        cube = EpochCube.read(paths, region=(slice(400, 500), slice(450, 550)))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert cube.shape == (6, 100, 100)
+    assert_array_equal(cube.data[5], fits.getdata(paths[5])[400:500, 450:550])
+    assert peak < 6e6

@@ -1,0 +1,273 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Resampling inside a grid and onto another one."""
+
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.wcs import WCS
+from astropy.wcs.utils import pixel_to_pixel
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from astro_scc.epochs import Beam, EpochCube
+from astro_scc.exceptions import EpochWarning
+from astro_scc.images.grid import fill_masked, reproject_cube, shared_grid, shift_image
+
+DATES = ["2000-01-01", "2001-01-01"]
+MAS = u.mas.to(u.deg)
+SHAPE = (64, 80)
+INNER = (slice(2, -2), slice(2, -2))
+
+
+def grid(crpix=(40, 32), pixel=0.1, turn=0.0, crval=(187.0, 12.0), ctype="RA DEC"):
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = [f"{name:-<5}SIN" for name in ctype.split()]
+    wcs.wcs.cdelt, wcs.wcs.pc = [-pixel * MAS, pixel * MAS], [[c, -s], [s, c]]
+    wcs.wcs.crpix, wcs.wcs.crval = crpix, crval
+    return wcs
+
+
+def spots(wcs, shape):
+    """Round Gaussians at offsets in mas, an image for each."""
+    probe = EpochCube(np.zeros((1, *shape)), DATES[:1], wcs)
+    e, n = (v.to_value(u.mas) for v in probe.offsets())
+    r2 = np.array([(e - 0.3) ** 2 + (n + 0.2) ** 2, (e + 0.8) ** 2 + (n - 0.9) ** 2])
+    return np.exp(-r2 / (2 * 0.45**2))
+
+
+def cube_of(wcs=None, shape=SHAPE, **fields):
+    wcs = grid() if wcs is None else wcs
+    return EpochCube(spots(wcs, shape), DATES, wcs, **fields)
+
+
+# -- filling and shifting ---------------------------------------------------
+
+
+def test_filling():
+    ramp = np.add.outer(np.arange(20.0), 3 * np.arange(24.0))
+    hole = np.zeros(ramp.shape, dtype=bool)
+    hole[8:11, 12:15] = True
+    filled = fill_masked(np.where(hole, np.nan, ramp), hole)
+    assert_allclose(filled, ramp, atol=0.2)
+    assert_array_equal(filled[~hole], ramp[~hole])
+    clean = np.zeros(ramp.shape, dtype=bool)
+    filled = fill_masked(ramp, clean)
+    assert_array_equal(filled, ramp)
+    assert filled is not ramp
+    assert_array_equal(fill_masked(ramp * np.nan, ~clean), 0)
+
+
+@given(st.integers(-9, 9), st.integers(-12, 12))
+def test_whole_pixels_are_copied(dy, dx):
+    rng = np.random.default_rng(1)
+    image, mask = rng.normal(size=(7, 9)), rng.random((7, 9)) < 0.2
+    moved, moved_mask = shift_image(image, mask, (dx, dy))
+    expected, bad = np.full((7, 9), np.nan), np.ones((7, 9), dtype=bool)
+    for y, x in np.ndindex(7, 9):
+        if 0 <= y + dy < 7 and 0 <= x + dx < 9:
+            bad[y + dy, x + dx] = mask[y, x]
+            expected[y + dy, x + dx] = np.nan if mask[y, x] else image[y, x]
+    assert_array_equal(moved, expected)
+    assert_array_equal(moved_mask, bad)
+
+
+def test_parts_of_a_pixel_move_a_source_and_its_bad_pixels():
+    y, x = np.mgrid[:50, :60]
+
+    def spot(x0, y0):
+        return np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * 3**2))
+
+    clean = np.zeros((50, 60), dtype=bool)
+    moved, mask = shift_image(spot(27.3, 24.6), clean, (2.45, -3.7))
+    assert_allclose(moved[~mask], spot(29.75, 20.9)[~mask], atol=2e-4)
+    # Three columns come from outside on the left, four rows at the top.
+    assert mask[:, :3].all()
+    assert mask[-4:].all()
+    assert not mask[:-4, 3:].any()
+    bad = clean.copy()
+    bad[18:20, 24] = True
+    moved, mask = shift_image(np.where(bad, 1e6, spot(20, 20)), bad, (0.5, 0.25))
+    assert mask[INNER].sum() == 6
+    assert mask[18:21, 24:26].all()
+    assert_allclose(moved[~mask], spot(20.5, 20.25)[~mask], atol=5e-3)
+
+
+# -- onto another grid --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("order", "tolerance"),
+    [("bilinear", 2e-2), ("biquadratic", 2e-3), ("bicubic", 5e-4)],
+)
+def test_onto_finer_and_turned_pixels(order, tolerance):
+    new, new_shape = grid((60, 55), pixel=0.05, turn=30), (110, 120)
+    result = reproject_cube(cube_of(unit=u.Jy / u.beam), new, new_shape, order=order)
+    assert result.shape == (2, *new_shape)
+    good = ~result.mask
+    assert_allclose(result.data[good], spots(new, new_shape)[good], atol=tolerance)
+    # The corners lie outside the old grid, on which north is up.
+    east, north = result.offsets()
+    outside = (np.abs(east) > 3.9 * u.mas) | (np.abs(north) > 3.1 * u.mas)
+    assert not result.mask[:, ~outside].any()
+    assert_array_equal(np.isnan(result.data), result.mask)
+    assert result.wcs is not new
+    assert_array_equal(result.wcs.wcs.crpix, [60, 55])
+    assert f"0.05 mas ({order})" in result.meta["history"][-1]
+
+
+@pytest.mark.parametrize(("method", "atol"), [("exact", 1e-4), ("adaptive", 0.3)])
+def test_averages_over_larger_pixels(method, atol):
+    data = spots(grid((40.5, 32.5)), SHAPE)
+    sums = data.reshape(2, 32, 2, 40, 2).sum(axis=(2, 4))
+    data[0, 20, 30] = np.nan
+    cube = EpochCube(data, DATES, grid((40.5, 32.5)), unit=u.ct / u.pix)
+    result = reproject_cube(cube, grid((20.5, 16.5), 0.2), (32, 40), method=method)
+    assert f"0.2 mas ({method})" in result.meta["history"][-1]
+    assert result.mask[0, 10, 15]
+    assert np.sum(result.mask[0] & ~result.mask[1]) < (2 if method == "exact" else 20)
+    assert_allclose(result.data[~result.mask], sums[~result.mask], atol=atol)
+
+
+def test_white_noise_on_coarser_pixels():
+    noise = np.random.default_rng(1).normal(size=(1, 128, 128))
+    cube = EpochCube(noise, DATES[:1], grid((64.5, 64.5)))
+    coarse = grid((16.5, 16.5), pixel=0.4), (32, 32)
+    with pytest.warns(EpochWarning, match="pixels of 0.1 mas are interpolated at"):
+        assert np.nanstd(reproject_cube(cube, *coarse).data) > 0.5
+    with warnings.catch_warnings(action="error"):
+        for method in ("exact", "adaptive"):
+            assert np.nanstd(reproject_cube(cube, *coarse, method=method).data) < 0.28
+        # A beam that is sampled is all there is.
+        beams = (Beam(0.8 * u.mas, 0.8 * u.mas),)
+        reproject_cube(cube.with_step("", beams=beams), *coarse)
+        reproject_cube(cube, grid((64.5, 64.5), turn=5), (128, 128))
+    beams = (Beam(0.7 * u.mas, 0.6 * u.mas),)
+    with pytest.warns(EpochWarning, match="use method='exact' or 'adaptive' to"):
+        reproject_cube(cube.with_step("", beams=beams), *coarse)
+
+
+def test_grids_of_headers_cubes_and_coordinates():
+    cube, new = cube_of(), grid((70.25, 50), pixel=0.05, turn=20)
+    expected = reproject_cube(cube, new, (100, 140))
+    header, shaped = new.to_header(), new.deepcopy()
+    header.update({"NAXIS": 2, "NAXIS1": 140, "NAXIS2": 100, "CTYPE2": "DEC---SIN"})
+    shaped.array_shape = (100, 140)
+    other = cube_of(new, (100, 140))
+    for target in (header, shaped, other, other[0]):
+        result = cube.reproject_to(target)
+        assert_array_equal(result.mask, expected.mask)
+        good = ~result.mask
+        assert_allclose(result.data[good], expected.data[good], atol=1e-6)
+    assert cube.reproject_to(header, (50, 60), "bilinear").shape == (2, 50, 60)
+
+
+def test_what_is_kept_and_what_one_bad_pixel_does():
+    cube = cube_of(
+        unit=u.mJy / u.beam, noise=[1, 2] * u.mJy / u.beam, labels=("a", "b"),
+        beams=[Beam(1 * u.mas, k * u.mas) for k in (0.5, 0.7)],
+        epoch_meta=({"object": "x"}, {"object": "y"}), meta={"caution": 1},
+    )  # fmt: skip
+    cube.data[0, 30, 40], cube.mask[0, 30, 40] = np.nan, True
+    new = grid((40.4, 32.3))
+    result = reproject_cube(cube, new, SHAPE)
+    for name in ("unit", "beams", "labels", "epoch_meta"):
+        assert getattr(result, name) == getattr(cube, name)
+    assert (result.noise, result.meta["caution"]) == (None, 1)
+    assert result.mask[0][INNER].sum() == 4
+    assert result.mask[0, 30, 40]
+    assert not result.mask[1][INNER].any()
+    good = ~result.mask
+    assert_allclose(result.data[good], spots(new, SHAPE)[good], atol=2e-3)
+
+
+def test_whole_pixels_of_another_grid_are_copied():
+    unit = u.Jy / u.beam
+    cube = cube_of(unit=unit, noise=[1, 2] * unit)
+    result = reproject_cube(cube, grid((35, 40)), (70, 60))
+    assert_array_equal(result.data[:, 8:70, :60], cube.data[:, :62, 5:65])
+    assert result.mask[:, :8].all()
+    assert not result.mask[:, 8:].any()
+    assert_array_equal(result.noise.value, [1, 2])
+    assert "copied" in result.meta["history"][-1]
+
+
+@pytest.mark.parametrize("name", ["pix", "pixel"])
+def test_intensities_per_pixel_follow_the_area(name):
+    cube = cube_of(grid((40.5, 32.5)), unit=u.ct / u.Unit(name))
+    result = reproject_cube(cube, grid((80.5, 64.5), pixel=0.05), (128, 160))
+    assert_allclose(np.nansum(result.data), cube.data.sum(), rtol=1e-3)
+
+
+def test_absolute_coordinates_move_to_the_new_grid():
+    own = (grid(), grid(crval=(187.0 + 3 * MAS, 12.0 - 2 * MAS)))
+    new = grid((70, 50), pixel=0.05, turn=20)
+    result = reproject_cube(cube_of(epoch_wcs=own), new, (100, 140))
+    there = pixel_to_pixel(new, grid(), 31.0, 87.0)
+    for before, after in zip(own, result.epoch_wcs, strict=True):
+        apart = after.pixel_to_world(31, 87).separation(before.pixel_to_world(*there))
+        assert apart < 1e-3 * u.mas
+    # Turned ones are dropped.
+    cube = cube_of(epoch_wcs=(grid(), grid(turn=5)))
+    assert reproject_cube(cube, grid((41, 32)), SHAPE).epoch_wcs is None
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "words"),
+    [
+        (grid(), {"order": "cubic"}, "order = 'cubic' must be one of"),
+        (grid(), {"method": "flux"}, "method = 'flux' must be one of interp, e"),
+        (grid(), {"order": "bilinear", "method": "exact"}, "has no order; leave"),
+        *((grid(), {"shape": shape}, "two positive integers")
+          for shape in ((64,), (64, 0), (2.5, 3))),
+        (grid(), {"shape": None}, r"no shape of its own; give shape=\(ny, nx\)"),
+        (WCS(naxis=2), {}, "must have celestial axes"),
+        (3, {}, "must be a WCS, or one sliced, got"),
+        (fits.Header({"NAXIS1": 3, "NAXIS2": 3}), {}, "header of the new grid: it has"),
+        (grid(ctype="GLON GLAT"), {}, "another celestial frame"),
+        *((grid((x, 32)), {}, "no valid pixel") for x in (400, -400, 400.5)),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_grid_is_refused(target, options, words):
+    cube = cube_of(beams=Beam(1 * u.mas, 1 * u.mas))
+    with pytest.raises((ValueError, TypeError), match=words):
+        reproject_cube(cube, target, **{"shape": SHAPE, **options})
+
+
+# -- a grid for all ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "grids",
+    [
+        [(SHAPE, grid(pixel=0.2)), ((100, 100), grid((50, 60)))],
+        [(SHAPE, grid()), (SHAPE, grid(turn=45))],
+        [(SHAPE, grid()), (SHAPE, grid())],
+    ],
+)
+def test_the_finest_pixels_and_the_widest_extent_are_shared(grids):
+    wcs, shape = shared_grid(grids)
+    finest = min((own for _, own in grids), key=lambda w: w.wcs.cdelt[1])
+    # The finest grid keeps its pixels.
+    step = np.array(pixel_to_pixel(finest, wcs, 3, 4))
+    assert_allclose(step, np.rint(step), atol=1e-4)
+    assert_allclose(wcs.pixel_scale_matrix, finest.pixel_scale_matrix)
+    ends = []
+    for (ny, nx), own in grids:
+        corners = np.array([[0, nx - 1, 0, nx - 1], [0, 0, ny - 1, ny - 1]])
+        ends.append(pixel_to_pixel(own, wcs, *corners))
+    x, y = np.concatenate(ends, axis=1)
+    # It holds all of them, and no more.
+    assert -0.02 <= min(x.min(), y.min()) < 1
+    assert_allclose([y.max(), x.max()], np.subtract(shape, 1.5), atol=0.52)
+    assert wcs.array_shape == shape
+
+
+@pytest.mark.parametrize("far", [(187.1, 12.0), (7.0, -12.0)])
+def test_grids_that_cannot_be_shared_are_refused(far):
+    with pytest.raises(ValueError, match="too far apart"):
+        shared_grid([(SHAPE, grid()), (SHAPE, grid(crval=far))])
