@@ -18,6 +18,7 @@ from astro_scc.images.cutout import refuse_pixels
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.headers import first_line
 from astro_scc.measurement import choices
+from astro_scc.measurement.published import published_positions
 from astro_scc.measurement.tables import versions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
@@ -38,13 +39,16 @@ class Inputs(NamedTuple):
     Epochs as they are measured, and the settings with what was decided on the way.
 
     ``left_out`` has epochs that are not in the cube, and the reasons; ``chosen`` the
-    choices that the images have made, each with its reason, as lines.
+    choices that the images have made, each with its reason, as lines; ``published`` the
+    features to compare with, if any.
     """
 
     cube: Any
     settings: Settings
     left_out: list
     chosen: list
+    n_workers: Any = 1
+    published: Any = None
 
     @property
     def found(self):
@@ -124,13 +128,15 @@ def _ignore(text):
     """Tell nobody."""
 
 
-def read_epochs(settings, *, note=_ignore, features=False):
+def read_epochs(settings, args=None, *, note=_ignore, features=False):
     """
     Read the epochs of a measurement.
 
     Parameters
     ----------
     settings : `~astro_scc.settings.Settings`
+    args : `argparse.Namespace`, optional
+        Name the workers, and published features.
     note : callable, optional
         Called with a line of text on every decision.
     features : bool, optional
@@ -157,7 +163,11 @@ def read_epochs(settings, *, note=_ignore, features=False):
     found = {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = replace(settings, **found)
     cube, settings, chosen = prepare(cube, settings, note=note, features=features)
-    return Inputs(cube, settings, left_out, chosen)
+    n_workers = 1 if args is None else workers_of(args, cube)
+    published = getattr(args, "compare", None) and published_positions(
+        args.compare, cube
+    )
+    return Inputs(cube, settings, left_out, chosen, n_workers, published)
 
 
 def prepare(cube, settings, *, note=_ignore, features=False):

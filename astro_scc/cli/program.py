@@ -11,7 +11,7 @@ from importlib import import_module
 from textwrap import dedent
 
 from astro_scc import __version__
-from astro_scc.cli.arguments import COMMANDS, add_switches, option_name
+from astro_scc.cli.arguments import COMMANDS, add, option_name
 from astro_scc.settings import OPTIONS
 
 # Errors that a user can correct, missing extras among them; other exceptions are
@@ -226,7 +226,7 @@ def build_parser():
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command", required=True
     )
-    for add_arguments in COMMANDS:
+    for add_arguments, run in COMMANDS.items():
         # The docstring is the help; python -OO has no docstrings.
         doc = dedent(add_arguments.__doc__ or "").strip()
         brief, text, more = [*doc.split("\n\n", 2), "", "", ""][:3]
@@ -237,9 +237,9 @@ def build_parser():
             epilog=more,
         )
         add_arguments(command)
-        group = command.add_argument_group("messages")
-        quiet = "print errors only: no warnings, progress or summary"
-        add_switches(group, quiet=quiet, debug=argparse.SUPPRESS)
+        command.set_defaults(run=run)
+        add(command.add_argument_group("messages"), "quiet")
+        command.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     return parser
 
 
@@ -269,7 +269,8 @@ def main(argv: list[str] | None = None) -> int:
     reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
         with _ended_by_signals(), reporter.warnings_as_lines():
-            import_module(f"astro_scc.cli.{args.command}").run(args, reporter)
+            module, _, run = args.run.partition(".")
+            getattr(import_module(f"astro_scc.cli.{module}"), run)(args, reporter)
         sys.stdout.flush()
     except KeyboardInterrupt as error:
         if args.debug:

@@ -181,12 +181,12 @@ def write_overview(table, features, parts, folder, *, published):
     `~pathlib.Path`
         Path of the page.
     """
-    from astro_scc.visualization import population, style
+    from astro_scc.visualization import speeds, style
 
     folder, files = Path(folder), {}
-    found = population.population(features)
+    found = speeds.population(features)
     if found["moving"].any():
-        plot = partial(population.plot_population, features)
+        plot = partial(speeds.plot_population, features)
         files = style.figure_files({"population": plot})
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
@@ -254,7 +254,7 @@ def flow_lines(result):
         in_speed_unit(of_scales, result.cube.speed_unit)
         # With two streams, scales whose speeds do not differ need not share one speed.
         differ = of_scales["p_value"] <= result.meta["settings"]["alpha"]
-        lines += tables.scale_lines(of_scales[differ] if moving[1:] else of_scales)
+        lines += answer.scale_lines(of_scales[differ] if moving[1:] else of_scales)
     return lines
 
 
