@@ -112,6 +112,8 @@ def make_folder(path, named):
     """Make a folder with its parents; errors are of the folder that a user named."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise OSError(f"{named}: is a file; choose another folder") from None
     except OSError as error:
         raise OSError(f"{named}: cannot be made or used: {error.strerror}") from None
 

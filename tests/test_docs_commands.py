@@ -15,7 +15,7 @@ from astro_scc.cli.program import COMMANDS, build_parser
 from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import Beam, write_epochs
 from astro_scc.settings import Settings, read_config
-from astro_scc.simulation import simulate_two_fluid
+from astro_scc.simulation import JetSimulation, Stream
 
 REPOSITORY = Path(__file__).parents[1]
 IMAGES = REPOSITORY / "docs" / "images" / "start"
@@ -149,9 +149,9 @@ def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
     (text,) = blocks(REPOSITORY / "README.rst", "python")
     monkeypatch.chdir(tmp_path)
     beams = [Beam(size * u.mas, 0.8 * u.mas, 0 * u.deg) for size in (1.0, 1.1, 0.9, 1)]
-    jet = simulate_two_fluid(
-        n_epochs=4, interval=1 * u.yr, beams=beams, core=3.0, rng=1
-    )
+    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6)
+    small = {"shape": (64, 128), "extent": (20.0, 100.0), "axis": 32.0, "core": 3.0}
+    jet = JetSimulation([flow], n_epochs=4, beams=beams, **small).run(rng=1)
     write_epochs(jet.cube, "3c273")
     names = {}
     with warnings.catch_warnings():

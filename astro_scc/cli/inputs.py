@@ -160,9 +160,9 @@ def read_epochs(settings, args=None, *, note=_ignore, features=False):
     beam = None if settings.beam is None else parse_beam(settings.beam)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
-    found = {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
+    cube, found, chosen = prepare(cube, settings, note=note, features=features)
+    found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = replace(settings, **found)
-    cube, settings, chosen = prepare(cube, settings, note=note, features=features)
     n_workers = 1 if args is None else workers_of(args, cube)
     published = getattr(args, "compare", None) and published_positions(
         args.compare, cube
@@ -186,7 +186,8 @@ def prepare(cube, settings, *, note=_ignore, features=False):
     Returns
     -------
     cube : `~astro_scc.EpochCube`
-    settings : `~astro_scc.settings.Settings`
+    found : dict
+        The settings that were chosen.
     chosen : list of str
         The choices and their reasons.
     """
@@ -202,7 +203,7 @@ def prepare(cube, settings, *, note=_ignore, features=False):
         chosen.append(f"--align {found['align']}: {reason}")
     cube = cube.align(found.get("align", settings.align))
     if features:
-        return cube, replace(settings, **found), chosen
+        return cube, found, chosen
     if settings.scales is None:
         found["scales"], reason = choices.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
@@ -211,7 +212,7 @@ def prepare(cube, settings, *, note=_ignore, features=False):
         found["position_angle"] = "any" if angle is None else angle
         angle = "any" if angle is None else f'"{angle:g}"'
         chosen.append(f"--position-angle {angle}: {reason}")
-    return cube, replace(settings, **found), chosen
+    return cube, found, chosen
 
 
 def select_epochs(cube, after=None, before=None):

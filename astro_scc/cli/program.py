@@ -201,9 +201,15 @@ def _ended_by_signals():
         yield
 
 
-def build_parser():
+def build_parser(only=None):
     """
-    Return the parser of the whole command line.
+    Return the parser of the command line.
+
+    Parameters
+    ----------
+    only : str, optional
+        The one command whose arguments are needed; by default, and if it is none,
+        those of all are there.
 
     Returns
     -------
@@ -226,6 +232,7 @@ def build_parser():
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command", required=True
     )
+    every = only not in {own.__name__ for own in COMMANDS}
     for add_arguments, run in COMMANDS.items():
         # The docstring is the help; python -OO has no docstrings.
         doc = dedent(add_arguments.__doc__ or "").strip()
@@ -236,7 +243,8 @@ def build_parser():
             description=text,
             epilog=more,
         )
-        add_arguments(command)
+        if every or only == add_arguments.__name__:
+            add_arguments(command)
         command.set_defaults(run=run)
         add(command.add_argument_group("messages"), "quiet")
         command.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
@@ -263,7 +271,8 @@ def main(argv: list[str] | None = None) -> int:
     SystemExit
         After ``--help`` and for invalid arguments.
     """
-    args = build_parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    args = build_parser(next(iter(argv), None)).parse_args(argv)
     options = [name for name in OPTIONS if name in vars(args) and name != "epochs"]
     name = f"astro-scc {args.command}"
     reporter = Reporter(name, quiet=args.quiet, settings=options)

@@ -19,6 +19,7 @@ from astro_scc.measurement.tables import printed
 from astro_scc.report import answer, tables
 from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
+from astro_scc.writing import make_folder
 
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
@@ -97,10 +98,7 @@ def write_report(
     """
     directory = Path(directory)
     components = result.components if components is None else components
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise OSError(f"{directory}: is a file; choose another folder") from None
+    make_folder(directory, directory)
     how = {"every": all_figures, "pdf": pdf, "published": published}
     shown = printed(components)
     # Of all rows that the figures mark they need the places.

@@ -6,16 +6,27 @@ import pytest
 from astropy.io import fits
 
 from astro_scc.cli import main
-from astro_scc.simulation import simulate_two_fluid, write_simulation
+from astro_scc.simulation import JetSimulation, Stream, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
+
+
+def small_jet(n_epochs=6):
+    """Features that move 0.6 beam an epoch, on small images."""
+    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
+    small = {"shape": (64, 128), "extent": (20.0, 100.0), "axis": 32.0}
+    return JetSimulation([flow], n_epochs=n_epochs, core=1.0, **small).run(rng=2)
+
+
+@pytest.fixture(scope="session")
+def make_jet():
+    return small_jet
 
 
 @pytest.fixture(scope="session")
 def jet(tmp_path_factory):
     """The images of a jet."""
-    folder = tmp_path_factory.mktemp("jet")
-    return write_simulation(simulate_two_fluid(n_epochs=6, rng=1), folder)[:-1]
+    return write_simulation(small_jet(), tmp_path_factory.mktemp("jet"))[:-1]
 
 
 @pytest.fixture(scope="session")
@@ -89,8 +100,7 @@ def series(here):
     """Write epochs with beams of their own, in mas, or none."""
 
     def write(sizes, **changes):
-        jet = simulate_two_fluid(n_epochs=len(sizes), rng=1)
-        paths = write_simulation(jet, here / "series")[:-1]
+        paths = write_simulation(small_jet(len(sizes)), here / "series")[:-1]
         for path, size in zip(paths, sizes, strict=True):
             with fits.open(path, mode="update") as hdus:
                 header = hdus[0].header

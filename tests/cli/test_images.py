@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
-from astropy.time import Time
 
 from astro_scc import EpochCube
-from astro_scc.epochs import Beam, ComponentList, read_components, restore, write_epochs
+from astro_scc.epochs import Beam, read_components
 from astro_scc.simulation import simulate_jet, simulate_two_fluid
 
 MODEL = "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n"
@@ -90,41 +89,6 @@ def test_restore(models, done, here):
     assert EpochCube.read(here / "d" / "*.fits").beams == cube.beams
 
 
-TABLE = """\
-Title: Made-up jets
-Authors: Nobody N.
-Table: Fitted Jet Features
-================================================================================
-Byte-by-byte Description of file: table4.txt
---------------------------------------------------------------------------------
-   Bytes Format Units  Label  Explanations
---------------------------------------------------------------------------------
-   1-  8 A8     ---    Name   Source name, B1950
-  10- 11 I2     ---    ID     Feature identification number
-  13- 16 I4     yr     Obs.Y  Year of observation, UT
-  18- 19 I2     month  Obs.M  Month of observation, UT
-  21- 22 I2     d      Obs.D  Day of observation, UT
-  24- 29 F6.1   mJy    Dens   Flux density at 15 GHz
-  31- 34 F4.2   mas    Off    Position offset
-  36- 40 F5.1   deg    Ang    Position angle
---------------------------------------------------------------------------------
-0000+000  0 2006  3  9  489.0 0.04 290.7
-0000+000  1 2006  3  9    7.2 3.98 121.8
-0000+001  0 2006  3 10  100.0 0.00   0.0
-0000+000  0 2006 12  1  320.0 0.10 308.1
-"""
-
-
-def test_restore_one_source_of_a_survey(done, refused, here):
-    (here / "table4.txt").write_text(TABLE)
-    words = ["restore", "table4.txt", "--beam", "1 mas", "--pixel", "0.1 mas"]
-    line = refused(*words, "-o", "out")
-    assert "table4.txt: 2 sources in the table (0000+000, 0000+001); say which" in line
-    done(*words, "-o", "out", "--source", "0000+000")
-    names = sorted(path.name for path in (here / "out").iterdir())
-    assert names == ["0000+000_00_2006-03-09.fits", "0000+000_01_2006-12-01.fits"]
-
-
 def test_models_without_beam_or_date(refused, models, here):
     assert "--beam '1.0 mas 0.5 mas -7 deg'" in refused("measure", *models, "-o", "a")
     line = refused("measure", *models, "-o", "a", "--beam", "1 mas 2 mas")
@@ -148,47 +112,6 @@ def test_difmap_models_are_tracked(done, here):
     assert "beam: 0.8 mas" in (here / "a" / "features.ecsv").read_text()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["GZIP_2", "RICE_1", "PLIO_1", "HCOMPRESS_1"])
-def test_tables_from_tile_compressed_images(done, here, kind):
-    """The same as from the plain ones, within a sixteenth of the noise."""
-    times = Time([f"200{k}-03-09" for k in range(6)])
-    offsets = np.ravel([[0, 1.5 + 0.3 * k, 4 + 0.4 * k] for k in range(6)])
-    components = ComponentList(
-        times=times, epoch=np.repeat(np.arange(6), 3), flux=[1, 0.3, 0.2] * 6 * u.Jy,
-        east=offsets * u.mas, north=0.5 * offsets * u.mas,
-    )  # fmt: skip
-    cube = restore(
-        components, beam=Beam(0.8 * u.mas, 0.8 * u.mas), pixel_scale=0.1 * u.mas,
-        shape=(512, 512), noise=1 * u.mJy / u.beam, rng=1,
-    )  # fmt: skip
-    for name in ("plain", "packed"):
-        (here / name).mkdir()
-    for path in write_epochs(cube, here / "own"):
-        with fits.open(path) as hdus:
-            data, header = hdus[0].data.astype(">f4"), hdus[0].header
-        if kind == "PLIO_1":
-            # Of numbers from 0 to 2^24.
-            data = np.rint((data + 0.01) * 1e5).astype(">i4")
-        fits.PrimaryHDU(data, header).writeto(here / "plain" / path.name)
-        image = fits.CompImageHDU(data, header, compression_type=kind)
-        image.writeto(here / "packed" / f"{path.name}.fz")
-    assert sum(p.stat().st_size for p in (here / "packed").iterdir()) < 6 * 700_000
-    tables = []
-    for name in ("plain", "packed"):
-        words = ["-o", f"{name}-out", "--seed", "1", "--no-figures"]
-        done("track", *sorted((here / name).iterdir()), *words)
-        tables.append(QTable.read(here / f"{name}-out" / "features.ecsv"))
-    one, other = tables
-    assert len(one) == len(other) >= 2
-    for column in ("pm", "pm_ra_cosdec", "pm_dec", "ra_offset", "dec_offset", "flux"):
-        error = one[f"{column}_err"] if column != "flux" else 0.01 * one[column]
-        assert np.all(abs(one[column] - other[column]) <= 0.25 * abs(error))
-    assert np.array_equal(one["secure"], other["secure"])
-    if kind == "PLIO_1":
-        assert np.array_equal(one["pm"], other["pm"])
-
-
 # -- inspect -------------------------------------------------------------------------
 
 
@@ -208,7 +131,7 @@ def test_inspect(jet, done, here):
         assert dates == ["2000-01-01", "2000-01-31", "2000-03-01"]
         for k, line in enumerate(lines[1:4]):
             assert names is None or line.startswith(names[k])
-            assert "256 x 128" in line
+            assert "128 x 64" in line
             assert "1 x 1 mas at 0 deg" in line
         assert "No problems." in lines
         assert any("Consecutive epochs suit speeds" in line for line in lines)

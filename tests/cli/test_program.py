@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import warnings
 
 import pytest
@@ -118,13 +117,6 @@ def test_errors_of_the_library_are_one_line(astro_scc, simulated, error):
         main(["simulate", "static", "out", "--debug"])
 
 
-def test_mistakes_of_the_program_are_not_hidden(simulated, here):
-    simulated(fail(AssertionError()))
-    with pytest.raises(AssertionError):
-        main(["simulate", "static", "out"])
-    assert not list(here.iterdir())
-
-
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_an_interrupt_or_a_signal_is_one_line(astro_scc, here, simulated, name):
@@ -156,15 +148,6 @@ def test_a_signal_that_somebody_handles_is_theirs(here, simulated):
     finally:
         signal.signal(signal.SIGTERM, before)
     assert received == [signal.SIGTERM]
-
-
-def test_beside_the_main_thread(astro_scc):
-    """Where no handler of signals can be set."""
-    status = []
-    run = threading.Thread(target=lambda: status.append(astro_scc("inspect", "none")))
-    run.start()
-    run.join()
-    assert status[0][0] == 2
 
 
 @pytest.mark.slow

@@ -102,8 +102,9 @@ def test_images_without_beams_have_features_of_ssps(done, jet_cube, here):
 def profile(tmp_path_factory):
     """The words of a command on a cube."""
     flow = Stream("flow", dx=8.0, sigma=3.0, density=0.4)
+    small = {"shape": (64, 200), "extent": (20.0, 180.0), "axis": 32.0}
     path = tmp_path_factory.mktemp("epochs") / "cube.fits"
-    JetSimulation([flow], n_epochs=6).run(rng=2).cube.write(path)
+    JetSimulation([flow], n_epochs=6, **small).run(rng=2).cube.write(path)
     return [
         "profile",
         path,
@@ -119,7 +120,6 @@ def profile(tmp_path_factory):
 WEST = ["--position-angle", "270 deg"]
 
 
-@pytest.mark.slow
 def test_the_whole_stretch(profile, done, here):
     """Its acceleration, and the speeds of its scales."""
     out, _ = done(*profile, *WEST, "--bins", "0 20 mas", "--scales", "1,2")
@@ -163,7 +163,6 @@ def test_along_the_ridge_with_windows(profile, done, here):
     assert set(table["r_max"].to_value(u.mas)) <= {13.0, 19.0}
 
 
-@pytest.mark.slow
 def test_a_profile_where_nothing_is(profile, refused, here):
     (here / "r.reg").write_text("image\ncircle(3,3,2)\n")
     line = refused(*profile, *WEST, "--bins", "0 10 mas", "--region", "r.reg")

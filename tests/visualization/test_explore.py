@@ -2,22 +2,17 @@
 """The page with linked panels: what it holds, and what a reader does with it."""
 
 import re
-import runpy
 import shutil
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
 
-from astro_scc import Beam, EpochCube, StackedCrossCorrelation
-from astro_scc.epochs import read_components, restore
 from astro_scc.measurement.products import velocity_hdus
-from astro_scc.simulation import simulate_two_fluid
 from astro_scc.stacking.dispersion import random_effects
 from astro_scc.visualization import drawing, explore
 
@@ -128,56 +123,6 @@ def test_a_reader_selects_and_looks(path, page, result):
         drag(tab, "sky", (-4.5, -1), (-2.5, 1))
         assert data_of(tab, "selected.indices") == np.unique(row[inside]).tolist()
         assert 0 < len(np.unique(row[inside])) < len(own)
-
-
-def mojave(shared_data, source, *beam):
-    """Images of a jet of the survey, one of four epochs."""
-    components = read_components(shared_data / "mojave_xviii" / f"{source}.ecsv")
-    beam = Beam(beam[0] * u.mas, beam[1] * u.mas, beam[2] * u.deg)
-    noise = 0.3 * u.mJy / u.beam
-    cube = restore(components, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=1)
-    return cube[::4]
-
-
-def the_sun(folder):
-    """Images of the example, whose script is not in the package."""
-    path = Path(__file__).parents[2] / "examples" / "sun.py"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(path.parent))
-        example = runpy.run_path(str(path))
-    example["write_images"](folder, np.random.default_rng(4))
-    return EpochCube.read(f"{folder}/sun_*.fits", frame="absolute")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["3C 273", "two streams", "Sun"])
-def test_a_reader_explores(name, request, tmp_path):
-    settings = {"scales": [1, 2, 3], "position_angle": "fit"}
-    names = ["pm_parallel", "pm_transverse"]
-    if name == "Sun":
-        cube, names = the_sun(tmp_path), ["pm_lon_coslat", "pm_lat"]
-        settings = {"scales": [1, 2], "detection": 6, "segmentation": 4}
-        settings["max_speed"] = 60 * u.arcsec / u.hour
-    elif name == "two streams":
-        cube = simulate_two_fluid(rng=1).cube
-    else:
-        shared_data = request.getfixturevalue("shared_data")
-        cube = mojave(shared_data, "1226+023", 1, 0.5, -7)
-    result = StackedCrossCorrelation(**settings)(cube, n_trials=99, rng=1)
-    page = explore.Page(*parts(result), result.cube)
-    path = result.explore(tmp_path / "explore.html")
-    assert path.stat().st_size < 5e6
-    with browser(path) as tab:
-        component = result.components[0]
-        click(tab, "velocity", (component[k].to_value(page.pm_unit) for k in names))
-        status = tab.get_by_role("status").inner_text()
-        n_rows = np.sum(result.features["component"] == 1)
-        assert n_rows == 0 or status.split()[:2] == [str(n_rows), "selected"]
-        x, y, row = (np.asarray(page.points.data[name]) for name in ("x", "y", "row"))
-        corner, middle = (np.min([x, y], axis=1), np.median([x, y], axis=1))
-        drag(tab, "sky", corner, middle)
-        inside = np.all([x < middle[0], y < middle[1]], axis=0)
-        assert data_of(tab, "selected.indices") == np.unique(row[inside]).tolist()
 
 
 @pytest.mark.slow
