@@ -232,6 +232,9 @@ def test_each_feature_has_its_own_speed(result, page):
     _, shown, others = feature_rows(table, 2)
     longest = np.sort(np.argsort(-table["n_epochs"], kind="stable")[:2])
     numbers = table["feature"].astype(str)
+    _, said, _, *lines, _ = feature_lines(table, most=2)
+    assert said.endswith("secure; the 2 that were seen in most epochs:")
+    assert [line.split()[0] for line in lines] == list(numbers[longest])
     assert [cells[0] for cells in shown] == list(numbers[longest])
     rest = np.delete(np.arange(len(table)), longest)
     assert [cells[0] for cells, _ in others] == list(numbers[rest])
@@ -338,23 +341,6 @@ def test_what_does_not_move_has_a_limit(result, words_of):
     assert "upper limit" not in " ".join(notes(table[:1], result.features))
 
 
-def test_too_few_epochs_are_named(result, words_of, monkeypatch):
-    monkeypatch.setattr("astro_scc.report.page.flow_lines", lambda result: [])
-    few = replace(result, matched=replace(result.matched, cube=result.cube[:4]))
-    kinds = ["not significant", "stationary"]
-    table = changed(result.components, p_smallest=2 / 24, kind=kinds)
-    ssps = result.ssps[result.ssps["epoch"] < 4]
-    object.__setattr__(few, "ssps", ssps)
-    object.__setattr__(few, "features", result.features)
-    vars(few.matched)["features"] = result.tracked_features
-    assert (
-        "With 4 epochs p_global cannot be below 0.083 (2/N!): with so few no motion "
-        "can be significant; measure more epochs."
-    ) in words_of(few, table)
-    # What stands still is told without an order of the epochs.
-    assert "with so few" not in words_of(few, table[1:])
-
-
 def test_a_component_as_fast_as_the_search_is_pointed_out(
     result, jet_stacked, words_of
 ):
@@ -367,16 +353,6 @@ def test_a_component_as_fast_as_the_search_is_pointed_out(
     assert line in words_of(close)
     chance = changed(close.components, kind="not significant")
     assert line not in words_of(close, chance)
-
-
-def test_only_ssps_of_the_region_are_counted(result, words_of):
-    n, other = len(result.ssps), replace(result)
-    assert f"{n} significant" in words_of(result)
-    inside = changed(result.ssps, in_region=np.arange(n) < 5)
-    object.__setattr__(other, "ssps", inside)
-    words = words_of(other, result.components)
-    assert "; 5 significant" in words
-    assert f"on 3 scales, of {n} in the images" in words
 
 
 def test_the_core_is_no_component_of_the_jet(result, words_of):
@@ -516,16 +492,6 @@ def test_secure_features_are_shown_with_their_speeds(jet_results):
     for line, row in zip(lines[head + 1 :], table[secure], strict=False):
         assert line.split()[:2] == [str(row["feature"]), str(row["component"])]
         assert cell(row, "pm", "+-") in line
-
-
-def test_of_many_features_those_of_most_epochs_are_shown(features):
-    many = vstack([features[:1]] * 12)
-    many = changed(many, secure=True, feature=np.arange(1, 13))
-    many["n_epochs"] = [4, 4, *range(5, 15)]
-    _, said, _, *rows, _ = feature_lines(many)
-    words = "12 features, 12 of them secure; the 10 that were seen in most epochs:"
-    assert said == words
-    assert [row.split()[0] for row in rows] == [str(k) for k in range(3, 13)]
 
 
 def test_what_secure_features_would_need_is_said():

@@ -60,12 +60,6 @@ def test_of_a_process_that_lives_and_of_one_that_was_killed(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_two_of_one_process(tmp_path):
-    with partial_folder(tmp_path, ".p-") as one, partial_folder(tmp_path, ".p-") as two:
-        assert names(tmp_path) == sorted([one.name, two.name])
-        assert remove_left(tmp_path, ".p-") == sorted([one, two])
-
-
 def test_what_is_not_its_own_stays(tmp_path, monkeypatch):
     left = tmp_path / f".p-{writing._machine()}-0123abcd"
     left.mkdir()
@@ -90,17 +84,6 @@ def test_what_is_not_its_own_stays(tmp_path, monkeypatch):
     assert remove_left(tmp_path, ".p-") == []
     assert names(tmp_path) == [name for name in before if name != left.name]
     assert remove_left(tmp_path / "nowhere", ".p-") == []
-
-
-def test_what_cannot_be_deleted_stays(tmp_path, monkeypatch):
-    left = tmp_path / f".p-{writing._machine()}-0123abcd"
-    left.mkdir()
-
-    def refuse(path):
-        raise PermissionError(path)
-
-    monkeypatch.setattr("shutil.rmtree", refuse)
-    assert remove_left(tmp_path, ".p-") == [left]
 
 
 def test_somebody_takes_it_for_left_before_it_is_held(tmp_path, monkeypatch):

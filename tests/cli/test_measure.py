@@ -86,17 +86,6 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
 
 
 @pytest.mark.slow
-def test_what_follows_from_the_images_is_repeated_to_the_bit(jet, done, here):
-    first = ["-o", "a", "--scales", "0.4 mas", "--n-trials", "20", "--no-report"]
-    done("measure", *jet[:5], *first, "--baseline", "20 70 d")
-    config = config_of(here / "a")
-    assert "max_speed" not in config
-    assert "20.0 d" in str(config["baseline"])
-    done("measure", "--config", "a/config.toml", "-o", "b", "--no-report")
-    assert same(here / "a", here / "b")
-
-
-@pytest.mark.slow
 def test_the_command_line_comes_before_the_file(measured, done, here):
     _, err = done(
         "measure", "--config", measured / "config.toml", "-o", "new", "--no-report",

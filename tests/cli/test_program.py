@@ -198,16 +198,6 @@ def test_messages_name_options_as_they_are_typed(capsys, said, typed):
     assert capsys.readouterr().err == f"astro-scc test: error: {said}\n"
 
 
-SURVEY = """
-[defaults]
-scales = [2]
-max_speed = "36 mas/yr"
-n_trials = 20
-[sources.Gone]
-epochs = "gone/*.fits"
-[sources.Jet]
-epochs = "{0}/*.fits"
-"""
 QUICK = "--scales 2 --max-speed 36mas/yr --n-trials 20".split()
 
 
@@ -222,16 +212,13 @@ QUICK = "--scales 2 --max-speed 36mas/yr --n-trials 20".split()
             "Decomposing Correlating Searching",
         ),
         ("track", ["--no-figures"], "Fitting"),
-        ("survey", ["--no-report"], "Sources"),
     ],
 )
 def test_long_commands_tell_how_far_they_are(
-    name, options, labels, jet, done, here, monkeypatch
+    name, options, labels, jet, done, monkeypatch
 ):
-    (here / "s.toml").write_text(SURVEY.format(jet[0].parent.as_posix()))
-    files = ["s.toml"] if name == "survey" else jet
     # As if every half minute, and pytest's standard error is no terminal.
     monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
-    _, err = done(name, *files, "-o", "out", *options)
+    _, err = done(name, *jet, "-o", "out", *options)
     line = rf"^({'|'.join(labels.split())}): \d+ (?:of \d+|done), \d+\.\d min$"
     assert set(re.findall(line, err, re.MULTILINE)) == set(labels.split())

@@ -167,7 +167,7 @@ def test_features_are_those_of_the_tables(page, result):
         assert np.median(line - points["d"][own]) == pytest.approx(0, abs=0.02)
 
 
-@pytest.mark.parametrize("name", ["jet", "sky", "radial"])
+@pytest.mark.parametrize("name", ["sky", "radial"])
 def test_features_lie_around_their_component(name, results):
     result = results[name]
     page = explore.Page(*parts(result), result.cube)
