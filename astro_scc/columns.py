@@ -22,6 +22,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.quantities import decimals, with_error
+from astro_scc.units import unit_name
 
 #: Types of columns without a unit; of an empty one the values decide.
 TYPES = {"int": int, "float": float, "bool": bool, "text": str, "word": "U15"}
@@ -199,6 +200,57 @@ def cells(table, names, *, sign="±", forms=None):
         for name in names
         if name in table.colnames
     }
+
+
+def headed(table, names, *, own=None, terminal=False, forms=None):
+    """
+    Return heading, meaning and cells of those columns that a table has, by their names.
+
+    Headings are those of the table ``own`` in ``columns.csv``, or else of any; on the
+    ``terminal`` they may be others.  See `cells` on ``forms``.
+    """
+    found, sign = {}, "+-" if terminal else "±"
+    for name, texts in cells(table, names, sign=sign, forms=forms).items():
+        about = table[name].info
+        unit = about.unit if terminal else unit_name(about.unit or "")
+        text = heading_of(name, unit, own, terminal=terminal)
+        found[name] = text, about.description or "", texts
+    return found
+
+
+def heading_of(name, unit, own=None, *, terminal=False):
+    """Return the heading of a column, see `headed`."""
+    known = _tables().get(own, {}).get(name) or column_of(name)
+    heading = (terminal and known.terminal) or known.heading or name
+    return heading.format(unit=unit)
+
+
+def table_lines(rows):
+    """
+    Return a table as aligned lines.
+
+    Parameters
+    ----------
+    rows : sequence of dict of str
+        At least one; all have the headings of the columns as keys.
+
+    Returns
+    -------
+    list of str
+
+    Examples
+    --------
+    >>> from astro_scc.columns import table_lines
+    >>> for line in table_lines([{"file": "a.fits", "noise": "0.3 mJy"}]):
+    ...     print(line)
+    file      noise
+    a.fits  0.3 mJy
+    """
+    texts = [list(rows[0]), *(row.values() for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    # The first column is text, aligned left; the others are numbers, aligned right.
+    shape = "  ".join(f"{{:{'>' if i else '<'}{w}}}" for i, w in enumerate(widths))
+    return [shape.format(*row).rstrip() for row in texts]
 
 
 def _plain(value):

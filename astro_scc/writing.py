@@ -11,7 +11,14 @@ import time
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["hold", "is_held", "partial_folder", "remove_left", "replace_when_complete"]
+__all__ = [
+    "hold",
+    "is_held",
+    "make_folder",
+    "partial_folder",
+    "remove_left",
+    "replace_when_complete",
+]
 
 #: Seconds for which a folder must be held to count as held, and number of trials.
 PATIENCE, TRIES = 1.0, 50
@@ -99,6 +106,16 @@ def replace_when_complete(path, *, overwrite=False):
         part = folder / path.name
         yield part
         os.replace(part, path)
+
+
+def make_folder(path, named):
+    """Make a folder with its parents; errors are of the folder that a user named."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise OSError(f"{named}: is a file; choose another folder") from None
+    except OSError as error:
+        raise OSError(f"{named}: cannot be made or used: {error.strerror}") from None
 
 
 def remove_left(parent, prefix):

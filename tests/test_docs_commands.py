@@ -15,7 +15,7 @@ from astro_scc.cli.program import COMMANDS, build_parser
 from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import Beam, write_epochs
 from astro_scc.settings import Settings, read_config
-from astro_scc.simulation import simulate_two_fluid
+from astro_scc.simulation import JetSimulation, Stream
 
 REPOSITORY = Path(__file__).parents[1]
 IMAGES = REPOSITORY / "docs" / "images" / "start"
@@ -53,22 +53,18 @@ def commands(text):
 SHOWN = [(page.name, words) for page in PAGES for words in commands(unfolded(page))]
 
 
-def test_commands_are_found():
-    names = {words.split()[0] for _, words in SHOWN}
-    assert {"demo", "simulate", "restore", "inspect", "measure", "profile"} <= names
-    assert ("README.rst", "demo") in SHOWN
-    assert len(SHOWN) > 20
+#: The same of the help of each command.
+SHOWN += [(own.__name__, words) for own in COMMANDS for words in commands(
+    re.sub(r" *\\\n +", " ", own.__doc__))]  # fmt: skip
 
 
 @pytest.mark.parametrize(("page", "words"), SHOWN)
-def test_every_command_of_the_documentation_is_understood(page, words):
+def test_every_command_that_is_shown_is_understood(page, words):
     argv = shlex.split(words)
-    bare = len(argv) == 1 and argv[0] not in ("demo", "--help", "--version")
-    if bare:
+    if len(argv) == 1 and argv[0] not in ("demo", "--help", "--version"):
         # The name of a command, not a line to type.
-        assert argv[0] in {module.__name__.split(".")[-1] for module in COMMANDS}
-        return
-    if argv[-1] in ("--help", "--version") or argv[0] == "--print-completion":
+        assert argv[0] in {own.__name__ for own in COMMANDS}
+    elif argv[-1] in ("--help", "--version") or argv[0] == "--print-completion":
         with pytest.raises(SystemExit) as stop:
             build_parser().parse_args(argv)
         assert stop.value.code == 0
@@ -76,11 +72,13 @@ def test_every_command_of_the_documentation_is_understood(page, words):
         assert build_parser().parse_args(argv).command == argv[0]
 
 
-@pytest.mark.parametrize("module", COMMANDS, ids=lambda m: m.__name__.split(".")[-1])
-def test_every_command_of_the_help_is_understood(module):
-    text = re.sub(r" *\\\n +", " ", module.__doc__)
-    for words in commands(text):
-        assert build_parser().parse_args(shlex.split(words)).command
+def test_what_is_shown_is_found():
+    names = {words.split()[0] for _, words in SHOWN}
+    assert {own.__name__ for own in COMMANDS} <= names
+    assert ("README.rst", "demo") in SHOWN
+    assert {page for page, _ in TOML} == {"command_line.rst", "survey.rst"}
+    # Other Python is doctests.
+    assert [page.name for page in PAGES if blocks(page, "python")] == ["README.rst"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -146,18 +144,14 @@ def test_toml_of_the_documentation_is_understood(page, text, tmp_path):
         assert Settings(**given).epochs
 
 
-def test_toml_is_found():
-    assert {page for page, _ in TOML} == {"command_line.rst", "survey.rst"}
-
-
 def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
     """The lines of the README for a real jet, on a simulated one of that name."""
     (text,) = blocks(REPOSITORY / "README.rst", "python")
     monkeypatch.chdir(tmp_path)
     beams = [Beam(size * u.mas, 0.8 * u.mas, 0 * u.deg) for size in (1.0, 1.1, 0.9, 1)]
-    jet = simulate_two_fluid(
-        n_epochs=4, interval=1 * u.yr, beams=beams, core=3.0, rng=1
-    )
+    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6)
+    small = {"shape": (64, 128), "extent": (20.0, 100.0), "axis": 32.0, "core": 3.0}
+    jet = JetSimulation([flow], n_epochs=4, beams=beams, **small).run(rng=1)
     write_epochs(jet.cube, "3c273")
     names = {}
     with warnings.catch_warnings():
@@ -165,7 +159,3 @@ def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
         warnings.simplefilter("ignore")
         exec(text.replace("n_trials=1000", "n_trials=10"), names)
     assert "pm" in names["result"].components.colnames
-
-
-def test_other_python_is_doctests():
-    assert [page.name for page in PAGES if blocks(page, "python")] == ["README.rst"]

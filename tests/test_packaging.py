@@ -14,34 +14,15 @@ import pytest
 import astro_scc
 
 REPOSITORY = Path(__file__).parents[1]
-HEAVY = (
-    "astropy",
-    "dask",
-    "matplotlib",
-    "ndcube",
-    "numpy",
-    "photutils",
-    "regions",
-    "reproject",
-    "scipy",
-    "skimage",
-)
-# What may be imported together with the classes, but costs a second or more.
-SLOW = (
-    "astropy.cosmology",
-    "matplotlib",
-    "photutils",
-    "regions",
-    "reproject",
-    "scipy.stats",
-)
+#: What may be imported together with the classes, but costs a second or more.
+SLOW = "astropy.cosmology matplotlib photutils regions reproject scipy.stats".split()
+HEAVY = [*SLOW, *"astropy dask ndcube numpy scipy skimage".split()]
 
 
 def printed_by(code):
     """What a new interpreter prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout.strip()
 
 
@@ -78,24 +59,23 @@ def test_version_of_a_tree_that_was_never_built():
     assert printed_by(code) == "0.0+unknown"
 
 
-def test_import_is_light():
-    loaded = modules_after("import astro_scc")
-    assert loaded.isdisjoint(HEAVY)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "statement",
+    ("statement", "absent"),
     [
-        "import astro_scc.cli",
-        "from astro_scc import EpochCube",
-        "import astro_scc.decomposition, astro_scc.correlation, astro_scc.stacking",
-        "import astro_scc.kinematics, astro_scc.simulation",
+        ("import astro_scc", HEAVY),
+        *(
+            pytest.param(statement, SLOW, marks=pytest.mark.slow)
+            for statement in (
+                "import astro_scc.cli",
+                "from astro_scc import EpochCube",
+                "import astro_scc.decomposition, astro_scc.correlation",
+                "import astro_scc.kinematics, astro_scc.simulation, astro_scc.stacking",
+            )
+        ),
     ],
 )
-def test_slow_libraries_are_imported_at_first_use(statement):
-    loaded = modules_after(statement)
-    assert loaded.isdisjoint(SLOW)
+def test_libraries_are_imported_at_first_use(statement, absent):
+    assert modules_after(statement).isdisjoint(absent)
 
 
 def test_every_public_name_resolves():
@@ -105,19 +85,13 @@ def test_every_public_name_resolves():
     assert set(astro_scc.__all__) == set(astro_scc._PUBLIC)
 
 
-@pytest.mark.slow
-def test_folders_are_attributes():
-    code = "import astro_scc; print(astro_scc.epochs.EpochCube.__name__)"
-    assert printed_by(code) == "EpochCube"
-    folders = {
-        path.parent.name
-        for path in Path(astro_scc.__file__).parent.glob("*/__init__.py")
-    }
+def test_folders_are_attributes_and_nothing_else():
+    folders = Path(astro_scc.__file__).parent.glob("*/__init__.py")
     # The command line is a program, not for use from Python.
-    assert folders - {"cli"} == set(astro_scc._FOLDERS)
-
-
-def test_unknown_name():
+    assert {path.parent.name for path in folders} - {"cli"} == set(astro_scc._FOLDERS)
+    assert {getattr(astro_scc, k).__name__[10:] for k in astro_scc._FOLDERS} == set(
+        astro_scc._FOLDERS
+    )
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         astro_scc.nothing  # noqa: B018
 

@@ -1,4 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The report: sentences, tables, figures and files, and the same on the terminal."""
 
 import base64
 import os
@@ -13,13 +14,16 @@ from astropy.table import Column, vstack
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.cli.summary import component_lines
+from astro_scc.columns import cell
+from astro_scc.features import find_features
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.measurement.feature_tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
-from astro_scc.report.answer import headline, notes
+from astro_scc.report.answer import component_lines, feature_lines, headline, notes
 from astro_scc.report.tables import feature_rows
+from astro_scc.simulation import simulate_static
+from astro_scc.units import PM_UNIT
 
 CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
@@ -31,10 +35,11 @@ VOID = {"meta", "img", "br", "link", "hr"}
 class Page(HTMLParser):
     """The elements and the text of a page; fails if a tag is not closed."""
 
-    def __init__(self, text):
+    def __init__(self, path):
         super().__init__()
+        self.source = path.read_text(encoding="utf-8")
         self.open, self.tags, self.text = [], [], []
-        self.feed(text)
+        self.feed(self.source)
         self.close()
         assert not self.open
 
@@ -68,20 +73,26 @@ def result(jet_results):
     return replace(measured, matched=replace(measured.matched, cube=cube))
 
 
+def changed(table, **columns):
+    """Return a copy of components with other columns."""
+    table = table.copy()
+    for name, value in columns.items():
+        if name == "caution":
+            about = table[name].info.description
+            value = [value] * len(table) if isinstance(value, str) else value
+            table.replace_column(name, Column(value, description=about))
+        else:
+            table[name] = value
+    return table
+
+
 @pytest.fixture(scope="module")
 def components(result):
     """Three kinds of components."""
     table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())
     assert list(table["kind"]) == ["moving", "stationary"]
-    table = vstack([table, table[:1]])
-    table["kind"][2] = "not significant"
-    return with_notes(table, ["-", "-", CHANCE])
-
-
-def with_notes(table, notes):
-    description = table["caution"].info.description
-    table.replace_column("caution", Column(notes, description=description))
-    return table
+    kinds = ["moving", "stationary", "not significant"]
+    return changed(vstack([table, table[:1]]), kind=kinds, caution=["-", "-", CHANCE])
 
 
 @pytest.fixture(scope="module")
@@ -101,213 +112,112 @@ def folder(result, components, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(folder):
-    return Page((folder / "report.html").read_text(encoding="utf-8"))
+    return Page(folder / "report.html")
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Reports without the time that figures take."""
+def words_of(tmp_path, monkeypatch):
+    """Write a report without the time that figures take; its text."""
     figures = {"velocity_map.png": b"PNG"}
     monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, **_k: figures)
 
+    def write(result, components=None, **more):
+        how = {"components": components, "title": "M87"} | more
+        return Page(write_report(result, tmp_path, **how)).words
 
-def test_the_page_stands_alone(page, folder):
-    assert not page.all("script")
-    assert not page.all("link")
-    for img in page.all("img"):
-        head, data = img["src"].split(",")
-        assert head == "data:image/png;base64"
-        assert base64.b64decode(data).startswith(b"\x89PNG")
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    assert not re.search(r"(src|href)=\"?(http|//)|url\(|@import", text)
+    return write
 
 
-def test_who_cannot_see_it_hears_what_the_figures_show(page):
+# -- the page ------------------------------------------------------------------------
+
+
+def test_the_page_stands_alone_beside_its_figures(page, folder):
+    assert not page.all("script") + page.all("link")
+    assert not re.search(r"(src|href)=\"?(http|//)|url\(|@import", page.source)
+    heads, inside = zip(
+        *(img["src"].split(",") for img in page.all("img")), strict=True
+    )
+    assert set(heads) == {"data:image/png;base64"}
+    beside = [(folder / f"{name}.png").read_bytes() for name in MAIN + MORE]
+    assert [base64.b64decode(data) for data in inside] == beside
+    files = {"report.html", "components.ecsv", *(f"{name}.png" for name in MAIN + MORE)}
+    assert {path.name for path in folder.iterdir()} == files
+    # Nothing that was given is code.
+    assert page.words.count("<script>alert('1')</script>") >= 6
+    assert "alert" not in str([attrs for _, attrs in page.tags])
+
+
+def test_who_cannot_see_it_and_who_has_a_narrow_screen_or_paper(page):
     alts = [img["alt"] for img in page.all("img")]
     assert alts[4] == (
         "Map of the stacked correlation over the velocities parallel and transverse, "
         "2 streams marked"
     )
-    assert (
-        alts[7]
-        == "Images of up to twelve of 8 epochs with circles about their patterns"
-    )
     assert len(set(alts)) == len(MAIN + MORE)
     assert page.all("html") == [{"lang": "en"}]
     assert all(th["scope"] == "col" for th in page.all("th"))
-
-
-def test_it_fits_narrow_screens_and_paper(page, folder):
-    assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in (
-        page.all("meta")
-    )
-    style = (folder / "report.html").read_text(encoding="utf-8").split("</style>")[0]
-    screen, paper = style.split("@media print")
+    view = {"name": "viewport", "content": "width=device-width, initial-scale=1"}
+    assert view in page.all("meta")
+    screen, paper = page.source.split("</style>")[0].split("@media print")
     # What is wider than the screen scrolls by itself; on paper nothing can.
     assert ".wide { overflow-x: auto; }" in screen
-    assert "figure img { display: block; width: 100%;" in screen
     assert ".wide { overflow: visible; }" in paper
-    assert "break-inside: avoid" in paper
     assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 5
 
 
-def test_the_figures_are_beside_it(page, folder):
-    inside = [base64.b64decode(img["src"].split(",")[1]) for img in page.all("img")]
-    beside = [(folder / f"{name}.png").read_bytes() for name in MAIN + MORE]
-    assert inside == beside
-    assert not list(folder.glob(".*"))
-    assert {path.name for path in folder.iterdir()} == {
-        "report.html", "components.ecsv", *(f"{name}.png" for name in MAIN + MORE)
-    }  # fmt: skip
-
-
-def test_nothing_that_was_given_is_code(page):
-    assert page.words.count("<script>alert('1')</script>") >= 6
-    assert "alert" not in str([attrs for _, attrs in page.tags])
-
-
 def test_the_answer_comes_first(page, components):
-    words = page.words
     said = headline(components).replace("+-", "±")
     assert said.startswith("Motion: ")
     order = [
-        said,
-        "1: acceleration: ",
-        "beware of",
+        said, "1: acceleration: ", "beware of",
         f"Stream 1 (not significant): {CHANCE}.",
         "epochs in permuted order would give an equally strong peak at any velocity; "
         "here it cannot be below 0.024.",
-        "Other columns of the velocity components",
-        "Errors are from the alignment",
-        "Separation against time.",
-        "Paths of the features.",
-        "Displacement against interval.",
-        "Speed against separation.",
-        "More figures",
-        "Velocity map.",
-        "Patterns of each stream.",
-        "Main speed with other choices.",
+        "Other columns of the velocity components", "Errors are from the alignment",
+        "Separation against time.", "Paths of the features.",
+        "Displacement against interval.", "Speed against separation.", "More figures",
+        "Velocity map.", "Patterns of each stream.", "Main speed with other choices.",
         "astro-scc measure",
         "Sensitivity to the settings: no choice changes the main speed significantly "
         "and by more than its error",
-        "intervals up to",
-        "2 epochs left out",
-        "late.fits: no date",
-        "max speed",
-        "tested with",
-        "numpy",
-    ]
-    places = [words.find(part) for part in order]
+        "2 epochs left out", "late.fits: no date", "max speed", "tested with", "numpy",
+    ]  # fmt: skip
+    places = [page.words.find(part) for part in order]
     assert -1 not in places, order[places.index(-1)]
     assert places == sorted(places)
 
 
-def test_the_table_has_a_row_for_each_component(page, components):
+def test_tables_settings_and_files(page, components):
     kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
     # What the answer is made of, and the rest.
     assert kinds[:4] == 2 * ["moving", "not-significant"]
-    for name in ("speed (mas/yr)", "speed (c)", "PA (deg)", "p_global", "SSPs",
-                 "z-score (paper)", "dispersion (mas/yr)", "p_distinct", "kind",
-                 "paper's error of the speed (mas/yr)"):  # fmt: skip
-        assert name in page.text
-    words = page.words
-    assert with_error(components["p_global"][2], components["p_global_err"][2]) in words
-    assert "the scatter of the speeds of features" in words
-    assert words.count(CHANCE) == 1
-    # Descriptions speak of headings, not of names of columns.
-    assert "speed (c): apparent speed, in units of c" in words
-    assert "part of the error of the speed by the alignment" in words
-
-
-def test_it_names_the_settings_and_the_files(page):
-    for words in ("position angle 270 deg", "min error beams 0.2", "baseline not given",
-                  "scales 1, 2, 3", "n trials 40", "seed 1", "redshift 0.033",
-                  "cosmology FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27",
-                  "small displacement correction no"):  # fmt: skip
+    heads = {
+        "speed (mas/yr)", "speed (c)", "PA (deg)", "p_global", "SSPs", "p_distinct",
+        "z-score (paper)", "dispersion (mas/yr)", "kind",
+        "paper's error of the speed (mas/yr)",
+    }  # fmt: skip
+    assert heads <= set(page.text)
+    p = with_error(components["p_global"][2], components["p_global_err"][2])
+    for words in (
+        p, "the scatter of the speeds of features",
+        # Descriptions speak of headings, not of names of columns.
+        "speed (c): apparent speed, in units of c",
+        "part of the error of the speed by the alignment", "position angle 270 deg",
+        "min error beams 0.2", "baseline not given", "scales 1, 2, 3", "n trials 40",
+        "seed 1", "redshift 0.033", "small displacement correction no",
+        "cosmology FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27",
+    ):  # fmt: skip
         assert words in page.words
+    assert page.words.count(CHANCE) == 1
     assert [a["href"] for a in page.all("a")] == ["components.ecsv"]
 
 
-def test_the_same_measurement_gives_the_same_page(
-    result, components, tmp_path, quick, folder
-):
-    paths = [
-        write_report(result, tmp_path / name, components=components, title="M87")
-        for name in "ab"
-    ]
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-
-@pytest.mark.slow
-def test_figures_as_pdf(result, components, tmp_path):
-    write_report(result, tmp_path / "a", components=components)
-    assert not list((tmp_path / "a").glob("*.pdf"))
-    for name in "bc":
-        write_report(result, tmp_path / name, components=components, pdf=True)
-    written = {path.stem for path in (tmp_path / "b").glob("*.pdf")}
-    assert written == {path.stem for path in (tmp_path / "b").glob("*.png")}
-    for path in (tmp_path / "b").glob("*.pdf"):
-        assert path.read_bytes().startswith(b"%PDF")
-        assert path.read_bytes() == (tmp_path / "c" / path.name).read_bytes()
-
-
-def words_of(result, components, folder, **kwargs):
-    path = write_report(result, folder, components=components, title="M87", **kwargs)
-    return Page(path.read_text(encoding="utf-8")).words
-
-
-@pytest.mark.slow
-def test_no_component_is_an_answer_too(result, tmp_path):
-    empty = replace(result, maxima=(), velocities=(), jitters=())
-    words = words_of(empty, empty.components, tmp_path)
-    assert "No motion found: no pattern has a match in another epoch." in words
-    assert "p_global is" not in words
-    assert not (tmp_path / "members.png").exists()
-
-
-NONE = f"Stream 1 (not significant): {CHANCE}. Stream 2 (not significant): {CHANCE}."
-#: Columns of components, and what the page says of them and does not.
-SAID = [
-    ({"kind": "not significant", "caution": CHANCE}, "No motion found between", "): -"),
-    ({"kind": "not significant", "caution": CHANCE}, NONE, "): -"),
-    ({"kind": "not significant", "caution": "of one"}, "significant): of one.", "): -"),
-    ({"kind": "not significant", "caution": "-"}, "No motion found", "): -"),
-    ({"kind": "stationary"}, "mas/yr: all features are stationary within", "): -"),
-    # Small probabilities are not rounded to nothing.
-    ({"p_local": 0.000123}, " 0.00012 ", "0.000123"),
-    # Columns that are new are shown, and their text is no code.
-    ({"gamma_min": 1.2346}, "gamma_min", "1.2346"),
-    ({"gamma_min": 1.2346}, " 1.235 ", "1.2346"),
-    ({"caution": "<b>good</b>"}, "<b>good</b>", "): -"),
-]
-
-
-@pytest.mark.parametrize(("columns", "said", "unsaid"), SAID)
-def test_what_the_page_says_of_components(
-    result, tmp_path, quick, columns, said, unsaid
-):
-    table = result.components.copy()
-    for name, value in columns.items():
-        if name == "caution":
-            with_notes(table, [value] * len(table))
-        else:
-            table[name] = value
-    words = words_of(result, table, tmp_path)
-    assert said in words
-    assert unsaid not in words
-    if columns.get("kind") == "stationary":
-        assert "not significant" not in words.partition("Rows in italics")[0]
-
-
-def test_each_feature_has_its_own_speed(result, folder):
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    part = text.split("<h2>Features</h2>")[1].split("</section>")[0]
+def test_each_feature_has_its_own_speed(result, page):
+    part = page.source.split("<h2>Features</h2>")[1].split("</section>")[0]
     rows = re.findall(r"<tr(?: class=not-significant)?>(.*)</tr>", part)
     head, *rows = [re.findall(r"<t[hd][^>]*>([^<]*)", row) for row in rows]
     rows = [cells for cells in rows if cells != head]
-    assert head[:2] == ["No.", "stream"]
-    assert head[-2:] == ["t_ej", "p_false"]
-    assert "speed (c)" in head
+    assert (head[:2], head[-2:]) == (["No.", "stream"], ["t_ej", "p_false"])
     # Those that are not secure are folded away.
     n_secure = part.partition("<details>")[0].count("<tr>") - 1
     assert n_secure == result.features["secure"].sum() > 0
@@ -317,82 +227,69 @@ def test_each_feature_has_its_own_speed(result, folder):
         assert cells[3] == row["first"].strftime("%Y-%m-%d")
         speed = with_error(row["pm"].value, row["pm_err"].value)
         assert cells[head.index("speed (mas/yr)")] == speed
-
-
-def test_of_many_features_those_seen_longest_are_shown(result):
-    table = result.features.copy()
-    table["secure"] = True
-    assert len(table) > 3
+    # Of many, those that were seen longest are shown.
+    table = changed(result.features, secure=True)
     _, shown, others = feature_rows(table, 2)
     longest = np.sort(np.argsort(-table["n_epochs"], kind="stable")[:2])
     numbers = table["feature"].astype(str)
+    _, said, _, *lines, _ = feature_lines(table, most=2)
+    assert said.endswith("secure; the 2 that were seen in most epochs:")
+    assert [line.split()[0] for line in lines] == list(numbers[longest])
     assert [cells[0] for cells in shown] == list(numbers[longest])
     rest = np.delete(np.arange(len(table)), longest)
     assert [cells[0] for cells, _ in others] == list(numbers[rest])
 
 
-def test_choices_that_change_the_speed_are_named(result, tmp_path, quick):
-    table = result.components
-    words = words_of(result, table, tmp_path)
-    assert "no choice changes the main speed" in words
-    choices = [dict(row) for row in result.choices]
-    for row in choices[1:3]:
-        row["significant"] = True
-    other = replace(result, choices=choices)
-    words = words_of(other, other.components, tmp_path)
-    assert "Stream 1 (moving): differs with the data: " in words
-    assert f"({choices[1]['choice']})" in words
-    other = replace(result, choices=[])
-    assert "Sensitivity to" not in words_of(other, table, tmp_path)
+@pytest.mark.slow
+def test_the_same_files_each_time_and_as_pdf(result, components, tmp_path):
+    for name in "ab":
+        write_report(result, tmp_path / name, components=components, pdf=True)
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+    written = [
+        {k.stem for k in (tmp_path / "a").glob(f"*.{f}")} for f in ("pdf", "png")
+    ]
+    assert written == 2 * [set(MAIN)]
 
 
-def test_what_does_not_move_has_a_limit(result, tmp_path, quick):
-    table = result.components.copy()
-    limit = table["pm_limit"][1]
-    assert table["kind"][1] == "stationary"
-    assert limit == table["pm"][1] + 1.645 * table["pm_err"][1]
-    assert np.isnan(table["pm_limit"][0])
-    # The core has none, and neither have features of which one is faster.
-    assert "upper limit" not in words_of(result, table, tmp_path)
-    own = result.features[result.features["component"] == 1]
-    table["pm_limit"][0] = 1.1 * own["pm"].max()
-    said = words_of(result, table, tmp_path)
-    assert f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper" in said
-    assert f"mean speed of these features ({own['feature'][0]}, " in said
-    table["pm_limit"][0] = 0.9 * own["pm"].max()
-    assert "upper limit" not in " ".join(notes(table[:1], result.features))
-    assert "is slower than" not in said
+def test_figures_that_are_empty_or_not_wanted(result, tmp_path):
+    empty = replace(result, maxima=(), velocities=(), jitters=())
+    path = write_report(empty, tmp_path, rerun="astro-scc measure again")
+    words = Page(path).words
+    assert "No motion found: no pattern has a match in another epoch." in words
+    assert "p_global is" not in words
+    assert {path.stem for path in tmp_path.glob("*.png")} <= set(MAIN)
+    assert "are drawn by astro-scc measure again --all-figures" in words
 
 
-def test_too_few_epochs_are_named(result, tmp_path, quick, monkeypatch):
-    monkeypatch.setattr("astro_scc.report.page.flow_lines", lambda result: [])
-    few = replace(result, matched=replace(result.matched, cube=result.cube[:4]))
-    table = result.components.copy()
-    assert "with so few" not in words_of(result, table, tmp_path)
-    table["p_smallest"] = 2 / 24
-    table["kind"] = ["not significant", "stationary"]
-    line = (
-        "With 4 epochs p_global cannot be below 0.083 (2/N!): with so few no motion "
-        "can be significant; measure more epochs."
-    )
-    ssps = result.ssps[result.ssps["epoch"] < 4]
-    object.__setattr__(few, "ssps", ssps)
-    object.__setattr__(few, "features", result.features)
-    vars(few.matched)["features"] = result.tracked_features
-    assert line in words_of(few, table, tmp_path)
-    # What stands still is told without an order of the epochs.
-    assert "with so few" not in words_of(few, table[1:], tmp_path)
+# -- what it says --------------------------------------------------------------------
+
+NONE = f"Stream 1 (not significant): {CHANCE}. Stream 2 (not significant): {CHANCE}."
+#: Columns of components, and what the page says of them and does not.
+SAID = [
+    ({"kind": "not significant", "caution": CHANCE}, "No motion found between", "): -"),
+    ({"kind": "not significant", "caution": CHANCE}, NONE, "): -"),
+    ({"kind": "not significant", "caution": "-"}, "No motion found", "): -"),
+    ({"kind": "stationary"}, "mas/yr: all features are stationary within", "): -"),
+    # Small probabilities are not rounded to nothing.
+    ({"p_local": 0.000123}, " 0.00012 ", "0.000123"),
+    # Columns that are new are shown, and their text is no code.
+    ({"gamma_min": 1.2346}, "gamma_min", "1.2346"),
+    ({"gamma_min": 1.2346}, " 1.235 ", "1.2346"),
+    ({"caution": "<b>good</b>"}, "<b>good</b>", "): -"),
+    (
+        {"p_smallest": 1 / 11},
+        "p_global cannot be below 0.091: with so few no motion",
+        "/N",
+    ),
+]
 
 
-def test_too_few_trials_are_named(result, tmp_path, quick):
-    table = result.components.copy()
-    table["p_smallest"] = 1 / 11
-    line = (
-        "With 10 trials p_global cannot be below 0.091: with so few no motion can "
-        "be significant; measure with more."
-    )
-    short = replace(result, meta={**result.meta, "n_trials": 10})
-    assert line in words_of(short, table, tmp_path)
+@pytest.mark.parametrize(("columns", "said", "unsaid"), SAID)
+def test_what_the_page_says_of_components(result, words_of, columns, said, unsaid):
+    words = words_of(result, changed(result.components, **columns))
+    assert said in words
+    assert unsaid not in words
 
 
 @pytest.mark.parametrize(
@@ -405,7 +302,7 @@ def test_too_few_trials_are_named(result, tmp_path, quick):
     ],
 )
 def test_headlines_are_those_of_the_terminal(
-    result, tmp_path, quick, monkeypatch, kinds, begin
+    result, words_of, kinds, begin, monkeypatch
 ):
     monkeypatch.setattr("astro_scc.report.page.fast_components", lambda *_: [])
     table = vstack([result.components[:1]] * len(kinds), metadata_conflicts="silent")
@@ -413,97 +310,77 @@ def test_headlines_are_those_of_the_terminal(
     said = headline(table)
     assert said.startswith(begin)
     assert said.count("towards PA") == kinds.count("moving")
-    assert said.replace("+-", "±") in words_of(result, table, tmp_path)
+    assert said.replace("+-", "±") in words_of(result, table)
     assert component_lines(table, result.features)[0] == said
 
 
-def test_a_radial_speed_is_outward_or_inward(result):
+def test_choices_that_change_the_speed_are_named(result, words_of):
+    choices = [dict(row) for row in result.choices]
+    for row in choices[1:3]:
+        row["significant"] = True
+    other = replace(result, choices=choices)
+    words = words_of(other, other.components)
+    assert "Stream 1 (moving): differs with the data: " in words
+    assert f"({choices[1]['choice']})" in words
+    assert "Sensitivity to" not in words_of(replace(result, choices=[]))
+
+
+def test_what_does_not_move_has_a_limit(result, words_of):
     table = result.components.copy()
-    table["kind"] = "moving"
-    table["pm_pa"] = np.nan * u.deg
-    table["pm_parallel"] = [5, -5] * u.mas / u.yr
-    said = headline(table)
-    assert said.index(" outward, ") < said.index(" inward, ")
-
-
-def test_without_features_there_is_no_speed(result, tmp_path, quick):
-    table = result.components[:1].copy()
-    table["kind"], table["n_features"] = ["not significant"], 0
-    words = words_of(result, table, tmp_path)
-    speed = with_error(table["pm"][0].value, table["pm_err"][0].value)
-    rows = words.partition("Velocity components No.")[2].partition("Errors are")[0]
-    assert rows
-    assert speed not in rows
-    assert speed not in words.partition("Velocity components No.")[0]
+    limit = table["pm_limit"][1]
+    assert limit == table["pm"][1] + 1.645 * table["pm_err"][1]
+    assert np.isnan(table["pm_limit"][0])
+    # The core has none, and neither have features of which one is faster.
+    assert "upper limit" not in words_of(result, table)
+    own = result.features[result.features["component"] == 1]
+    table["pm_limit"][0] = 1.1 * own["pm"].max()
+    said = words_of(result, table)
+    assert f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper" in said
+    assert f"mean speed of these features ({own['feature'][0]}, " in said
+    table["pm_limit"][0] = 0.9 * own["pm"].max()
+    assert "upper limit" not in " ".join(notes(table[:1], result.features))
 
 
 def test_a_component_as_fast_as_the_search_is_pointed_out(
-    result, jet_stacked, tmp_path, quick
+    result, jet_stacked, words_of
 ):
     line = (
-        "Stream 1 is as fast as anything that was searched: measure with a larger "
-        "max_speed before you believe it."
+        "Stream 1 is as fast as anything that was searched: measure with a larger max"
     )
-    table = result.components
-    assert "anything that was searched" not in words_of(result, table, tmp_path)
+    assert line not in words_of(result)
     # The features move at 7.3 mas/yr.
     close = jet_stacked(270 * u.deg, max_speed=7.5 * u.mas / u.yr)
-    assert close.components["kind"][0] == "moving"
-    assert line in words_of(close, close.components, tmp_path)
-    chance = close.components.copy()
-    chance["kind"] = "not significant"
-    assert "anything that" not in words_of(close, chance, tmp_path)
+    assert line in words_of(close)
+    chance = changed(close.components, kind="not significant")
+    assert line not in words_of(close, chance)
 
 
-def test_only_ssps_of_the_region_are_counted(result, tmp_path, quick):
-    n = len(result.ssps)
-    words = words_of(result, result.components, tmp_path)
-    assert f"{n} significant" in words
-    assert "outside the region" not in words
-    ssps = result.ssps.copy()
-    ssps["in_region"] = np.arange(n) < 5
-    other = replace(result)
-    object.__setattr__(other, "ssps", ssps)
-    words = words_of(other, result.components, tmp_path)
-    assert "; 5 significant" in words
-    assert f"on 3 scales, of {n} in the images" in words
-
-
-def test_the_core_is_no_component_of_the_jet(result, tmp_path, quick):
-    table = result.components
+def test_the_core_is_no_component_of_the_jet(result, words_of):
+    table = result.components.copy()
     assert table.meta["core"] == [2]
-    words = words_of(result, table, tmp_path)
+    words = words_of(result, table)
     assert "Row 2 of components.ecsv is the core, the reference." in words
     assert "2 stationary" not in words
     plain = replace(result.cube, beams=None)
     plain = replace(result, matched=replace(result.matched, cube=plain))
     assert core_streams(plain) == []
-    table = table.copy()
     table.meta["core"] = []
-    words = words_of(result, table, tmp_path)
-    assert "2 stationary" in words
-    assert "is the core" not in words
+    assert "2 stationary" in words_of(result, table)
 
 
-def test_only_four_figures_are_drawn_unless_all_are_wanted(result, tmp_path):
-    how = {"rerun": "astro-scc measure again"}
-    words = words_of(result, result.components, tmp_path, **how)
-    assert {path.stem for path in tmp_path.glob("*.png")} == set(MAIN)
-    assert "are drawn by astro-scc measure again --all-figures" in words
-    assert "write_report(..., all_figures=True)" in words_of(
-        result, result.components, tmp_path
-    )
+def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of):
+    command = {"explore": "astro-scc explore out"}
+    said = "features, epochs and velocities: astro-scc explore out"
+    assert said in words_of(result, **command)
+    (tmp_path / "explore.html").write_text("here")
+    assert said not in words_of(result, **command)
+    assert {"href": "explore.html"} in Page(tmp_path / "report.html").all("a")
 
 
-def test_a_file_is_no_folder(result, components, tmp_path, quick):
+def test_what_cannot_be_written(result, tmp_path, words_of, monkeypatch):
     (tmp_path / "out").touch()
     with pytest.raises(OSError, match="out: is a file; choose another folder"):
-        write_report(result, tmp_path / "out", components=components, title="M87")
-
-
-def test_what_cannot_be_completed_leaves_what_was_there(
-    result, components, tmp_path, quick, monkeypatch
-):
+        write_report(result, tmp_path / "out")
     (tmp_path / "report.html").write_text("old")
 
     def fail(*args):
@@ -511,9 +388,125 @@ def test_what_cannot_be_completed_leaves_what_was_there(
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(OSError, match="No space left"):
-        write_report(result, tmp_path, components=components, title="M87")
-    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+        words_of(result)
+    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "out"}
     assert (tmp_path / "report.html").read_text() == "old"
+
+
+# -- the terminal --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def features(jet_results):
+    return jet_results["radial"].features
+
+
+@pytest.fixture(scope="module")
+def radial(jet_results):
+    """Components away from a point, which have no direction on the sky."""
+    row = jet_results["radial"].components[:1]
+    return changed(
+        vstack([row] * 4, metadata_conflicts="silent"),
+        kind=["moving", "not significant", "stationary", "not significant"],
+        p_global=[0.00099, 0.5, 1.0, 0.3], caution=["-", "permuted", "-", "blends"],
+    )  # fmt: skip
+
+
+def test_lines_of_components(radial, features):
+    lines = component_lines(radial, features)
+    speed, n = cell(radial[0], "pm", "+-"), radial["n_features"][0]
+    assert lines[:2] == [f"Motion: {speed} mas/yr outward, {n} features.", ""]
+    heads = ["stream", "kind", "proper motion (mas / yr)", "PA (deg)", "features"]
+    heads += ["dispersion (mas / yr)", "p_global"]
+    assert set(re.split("  +", lines[2])) == set(heads)
+    spread = f"{radial['dispersion'][0].value:.2g}"
+    row = ["1", "moving", speed, "-", spread, "0.00099", str(n)]
+    assert re.split("  +", lines[3]) == row
+    assert re.split("  +", lines[5])[1:6:4] == ["stationary", "-"]
+    assert lines[7].startswith("p_global: probability that epochs in permuted order")
+    assert lines[9:11] == [
+        f"Stream {radial['component'][0]} (not significant): {why}"
+        for why in ("permuted", "blends")
+    ]
+
+
+#: Changes of a row of components, and lines of what is said.
+LINES = [
+    ({"pm_parallel": -5 * PM_UNIT}, {0: " inward, "}),
+    ({"kind": "stationary"}, {0: "mas/yr: all features are stationary within their"}),
+    (
+        {"kind": "not confirmed", "caution": "rest is near"},
+        {0: "not confirmed: {speed} mas/yr with p_global {p}, but rest is near."},
+    ),
+    (
+        {"kind": "not confirmed", "caution": "none is seen", "n_features": 0,
+         "pm_limit": 3 * PM_UNIT},
+        {0: "Motion not confirmed: p_global {p}, but none is seen.",
+         3: "1       not confirmed                         -         -  "},
+    ),
+    (
+        {"kind": "not significant", "caution": "permuted"},
+        {0: "mas/yr: the strongest peak has p_global {p}.",
+         6: "Stream 1 (not significant): permuted"},
+    ),
+    (
+        {"dispersion": 1 * PM_UNIT, "dispersion_err": 0.4 * PM_UNIT,
+         "pm_min": 0.14 * PM_UNIT, "pm_max": 0.58 * PM_UNIT},
+        {0: "Motion: 0.14 to 0.58 mas/yr, mean {speed} mas/yr outward, "},
+    ),
+    (
+        {"caution": "moves towards the core", "pm_pa": 90 * u.deg},
+        {0: "towards PA 90 deg, which is towards the core"},
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("columns", "said"), LINES)
+def test_lines_of_one_component(radial, features, columns, said):
+    table = changed(radial[:1], **columns)
+    lines = component_lines(table, features)
+    known = {"speed": cell(table[0], "pm", "+-"), "p": f"{table['p_global'][0]:.2g}"}
+    for place, words in said.items():
+        assert words.format(**known) in lines[place]
+
+
+def test_the_range_of_speeds_that_were_searched(radial, features):
+    low, high = (radial.meta[f"{k}_searched"].value for k in ("slowest", "fastest"))
+    assert 0 < low < 2 < 20 < high < 40
+    (first, *_) = component_lines(radial[1:2], features)
+    assert first.startswith(f"No motion found between {low:.2g} and {high:.2g} mas/yr:")
+    (first, advice, *_) = component_lines(radial[:0], features)
+    assert first == "No motion found: no pattern has a match in another epoch."
+    assert "a larger --max-speed" in advice
+
+
+def test_secure_features_are_shown_with_their_speeds(jet_results):
+    result = jet_results["radial"]
+    table, secure = result.features, np.asarray(result.features["secure"])
+    assert 0 < secure.sum() <= 10
+    lines = component_lines(result.components_in_c(redshift=0.1), table)
+    (head,) = (k for k, line in enumerate(lines) if line.startswith("feature "))
+    said = f"{len(table)} features, {secure.sum()} of them secure:"
+    assert lines[head - 2 : head] == ["", said]
+    assert "speed (c)" in lines[head]
+    for line, row in zip(lines[head + 1 :], table[secure], strict=False):
+        assert line.split()[:2] == [str(row["feature"]), str(row["component"])]
+        assert cell(row, "pm", "+-") in line
+
+
+def test_what_secure_features_would_need_is_said():
+    found = find_features(simulate_static(n_epochs=6, rng=1).cube)
+    lines = feature_lines(found.table)
+    assert lines[0] == f"{len(found)} features, 0 of them secure."
+    assert "moves by at least" in lines[1]
+    assert re.match(r"The nearest to that is feature \d+: p_false .* errors", lines[2])
+    (years,) = re.findall(r"would have to be seen for (\S+) yr", lines[2])
+    assert float(years) > found.cube.years[-1].to_value(u.yr)
+    assert feature_lines(found.table[:1])[0] == "1 feature, 0 of them secure."
+    assert feature_lines(found.table[:0])[0] == "0 features, 0 of them secure."
+
+
+# -- cells ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -538,23 +531,3 @@ def test_rounding_is_small_beside_the_error(value, error):
     shown, shown_error = map(float, with_error(value, error).split(" ± "))
     assert shown_error == pytest.approx(error, rel=0.06, abs=0.5 if error > 10 else 0)
     assert abs(shown - value) <= max(0.051 * error, 0.5) + 1e-9
-
-
-def test_the_page_with_linked_panels_is_linked(result, tmp_path, monkeypatch):
-    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, **_k: {})
-    command = {"explore": "astro-scc explore out"}
-
-    def written(**page):
-        path = write_report(result, tmp_path, title="Jet", **page)
-        return Page(path.read_text(encoding="utf-8"))
-
-    def linked(page):
-        return {"href": "explore.html"} in page.all("a")
-
-    assert not linked(written())
-    page = written(**command)
-    assert not linked(page)
-    assert "features, epochs and velocities: astro-scc explore out" in page.words
-    (tmp_path / "explore.html").write_text("here")
-    assert linked(written())
-    assert "astro-scc explore" not in written(**command).words

@@ -1,34 +1,33 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-The commands: help and arguments of each.
+The commands: help, arguments and place of each.
 
-Options of settings are made from `Settings`.  A function with the name of each command
-adds its arguments, and its docstring is the help; what the command does is in the
-module of the same name, which takes seconds to import.
+Options of settings are made from `Settings`; ``options.csv`` has the others.  A
+function with the name of each command adds its arguments, and its docstring is the
+help; what the command does is in another module, which takes seconds to import.
 """
 
 import argparse
+import csv
+from importlib import resources
 
 from astro_scc.settings import GROUPS, OPTIONS
 
 #: Folder, within the folder of the products, for what an interrupted run goes on from.
 WORK = ".astro_scc-work"
 JETS = ("two-fluid", "random-velocity", "ballistic", "static", "unrelated", "jet")
-#: Type and help of each option of a jet.
-FLOW = {
-    "motion": (float, "mean, in beams per median interval; default 0.6"),
-    "dispersion": (float, "of the speeds, over the mean; default 0.1"),
-    "distribution": (str, "of the speeds: normal (default), lognormal or uniform"),
-    "features": (float, "moving features in view at a time; default 8"),
-    "standing": (int, "number of stationary features; default 0"),
-    "acceleration": (float, "speed at the jet's end over that at the core; default 1"),
-    "flux_variation": (float, "scatter of ln(flux) in time; default 0.35"),
-    "alignment_error": (float, "shift of each image, rms in beams; default 0"),
-}
+#: What argparse takes for the options that are no settings, and those of a jet.
+OWN, FLOW = {}, []
+with resources.files("astro_scc.cli").joinpath("options.csv").open() as file:
+    for row in csv.DictReader(file):
+        kind = {"action": "store_true", "help": row["help"]}
+        if row["metavar"]:
+            kind = {"metavar": row["metavar"], "help": row["help"]}
+            kind["type"] = {"int": int, "float": float}.get(row["type"], str)
+        OWN[row["name"]] = kind
+        FLOW += [row["name"]] if row["jet"] else []
 #: A default folder: the names of the object and of the command.
 OF_OBJECT = "OBJECT-COMMAND"
-#: Help of ``--overwrite``.
-OVERWRITE = "replace what is in the folder under the same names"
 #: An option of a setting that is on or off.
 SWITCH = "true|false"
 
@@ -38,42 +37,33 @@ def option_name(name):
     return f"--{name.replace('_', '-')}"
 
 
-def add_setting(parser, name):
-    """Add the option of a setting; epochs are a positional argument."""
-    facts = OPTIONS[name]
-    option, kind = option_name(name), {"metavar": facts["metavar"]}
-    if name == "epochs":
-        option, kind["nargs"] = name, "*"
-    elif facts["metavar"] == SWITCH:
-        kind = {"action": argparse.BooleanOptionalAction}
-    parser.add_argument(option, help=facts["help"], **kind)
+def add(parser, *names, **more):
+    """Add options and settings by their names; epochs are a positional argument."""
+    for name in names:
+        kind, option = OWN.get(name), option_name(name)
+        if kind is None:
+            kind = {key: OPTIONS[name][key] for key in ("help", "metavar")}
+            if kind["metavar"] == SWITCH:
+                kind |= {"action": argparse.BooleanOptionalAction, "metavar": None}
+            if name == "epochs":
+                option, kind["nargs"] = name, "*"
+        parser.add_argument(option, **kind | more)
 
 
 def add_settings(parser, command):
     """Add all settings of a command in their groups, ``--config`` and the workers."""
-    boxes = {group: parser.add_argument_group(group) for group in GROUPS}
-    for name, facts in OPTIONS.items():
-        if command in facts["commands"] and facts["metavar"] is not None:
-            add_setting(boxes[facts["group"]], name)
-    parser.add_argument("--config", metavar="FILE.toml", help="read settings from here")
-    add_workers(parser)
+    for group in GROUPS:
+        box = parser.add_argument_group(group)
+        for name, facts in OPTIONS.items():
+            there = command in facts["commands"] and facts["metavar"] is not None
+            if there and facts["group"] == group:
+                add(box, name)
+    add(parser, "config")
+    add(parser.add_argument_group("running"), "workers", "scheduler")
 
 
-def add_option(parser, option, metavar, text, **kind):
-    """Add an option that has a value."""
-    parser.add_argument(option, metavar=metavar, help=text, **kind)
-
-
-def add_switches(parser, *, default=False, **texts):
-    """Add options without a value, each with its help."""
-    for name, text in texts.items():
-        parser.add_argument(
-            option_name(name), action="store_true", default=default, help=text
-        )
-
-
-def add_output(parser, what, *, default=None, overwrite=True, report=False):
-    """Add ``--output``, required without a default, and options on what is written."""
+def add_output(parser, what, default=None):
+    """Add ``--output``, required without a default."""
     parser.add_argument(
         *("-o", "--output"),
         metavar="DIR",
@@ -81,50 +71,13 @@ def add_output(parser, what, *, default=None, overwrite=True, report=False):
         default=None if default == OF_OBJECT else default,
         help=f"folder for {what}" + (f"; default {default}" if default else ""),
     )
-    if overwrite:
-        add_switches(parser, overwrite=OVERWRITE)
-    if report:
-        add_switches(parser, no_report="write no report.html and figures")
-
-
-def add_figures(parser):
-    """Add options on the figures."""
-    text = (
-        "write the figures as PDF, too, for a column of a journal, with letters of 8 pt"
-    )
-    add_switches(parser, pdf=text)
-    text = (
-        "published features of the source by epoch, in the forms that restore takes: "
-        "in grey in the figures, and as columns of features.ecsv"
-    )
-    add_option(parser, "--compare", "TABLE", text)
-
-
-def add_workers(parser):
-    """Add the options ``--workers`` and ``--scheduler``."""
-    group = parser.add_argument_group("running")
-    text = (
-        "processes; the numbers do not depend on it; by default one, and one per core "
-        "for more than three million pixels"
-    )
-    add_option(group, "--workers", "N", text, type=int)
-    text = "of a Dask cluster that works instead, tcp://node1:8786"
-    add_option(group, "--scheduler", "ADDRESS", text)
 
 
 def add_restoring(parser, *, required):
     """Add options on the images that are restored from components."""
-    add_setting(parser, "beam")
-    add_option(parser, "--pixel", '"0.1 mas"', "side of a pixel", required=required)
-    text = "rms of the noise to add, correlated by the beam; default none"
-    add_option(parser, "--noise", '"0.3 mJy/beam"', text)
-    for name in ("seed", "after", "before"):
-        add_setting(parser, name)
-    text = (
-        "source to take from a table of many; a wrong or missing one is refused with "
-        "the names that there are"
-    )
-    add_option(parser, "--source", "NAME", text)
+    add(parser, "beam")
+    add(parser, "pixel", required=required)
+    add(parser, "noise", "seed", "after", "before", "source")
     text = (
         "what is at the reference pixel, the core (feature 0) or the centre of the "
         "map; default the core in tables that refer to it"
@@ -146,7 +99,8 @@ def demo(parser):
     the region in region.reg.  To run it again, give --overwrite or another
     folder.
     """
-    add_output(parser, "images and report", default="astro_scc_demo")
+    add_output(parser, "images and report", "astro_scc_demo")
+    add(parser, "overwrite")
 
 
 def simulate(parser):
@@ -170,18 +124,14 @@ def simulate(parser):
     """
     parser.add_argument("jet", choices=JETS, metavar="JET", help="one of those below")
     parser.add_argument("output", metavar="DIR", help="folder for the images")
-    add_switches(parser, overwrite=OVERWRITE)
-    add_setting(parser, "seed")
+    add(parser, "overwrite", "seed")
     text = (
         "number of epochs; default 10, 30 days apart, and of a jet 15 at uneven "
         "dates, 0.2 years apart in the median"
     )
-    add_option(parser, "--epochs", "N", text, type=int)
-    text = "more and brighter features in the two-fluid jet"
-    add_switches(parser, dense=text, default=None)
-    group = parser.add_argument_group("options of the jet 'jet'")
-    for name, (kind, text) in FLOW.items():
-        add_option(group, option_name(name), "X", text, type=kind)
+    parser.add_argument("--epochs", metavar="N", help=text, type=int)
+    add(parser, "dense")
+    add(parser.add_argument_group("options of the jet 'jet'"), *FLOW)
 
 
 def restore(parser):
@@ -205,8 +155,9 @@ def restore(parser):
     table.
     """
     text = "a table of many epochs, or one file per epoch"
-    add_option(parser, "tables", "TABLE.ecsv|MODEL.mod", text, nargs="+")
+    parser.add_argument("tables", metavar="TABLE.ecsv|MODEL.mod", help=text, nargs="+")
     add_output(parser, "the images")
+    add(parser, "overwrite")
     add_restoring(parser, required=True)
 
 
@@ -221,12 +172,7 @@ def inspect(parser):
       astro-scc inspect 3c273/*.fits
       astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"
     """
-    add_setting(parser, "epochs")
-    text = (
-        "say what this proper motion is between epochs, and which pairs suit it; "
-        "default some between the slowest and the fastest that can be measured well"
-    )
-    add_option(parser, "--speed", '"2 mas/yr"', text)
+    add(parser, "epochs", "speed")
 
 
 def measure(parser):
@@ -251,17 +197,9 @@ def measure(parser):
     measurement, with _ for -, and some settings that have no option (see the
     documentation).  The command line takes precedence over the file.
     """
-    add_output(parser, "tables, maps and report", default=OF_OBJECT, report=True)
-    text = "draw the velocity map, epochs and more, too, which takes some seconds"
-    add_switches(parser, all_figures=text)
-    add_figures(parser)
-    add_switches(
-        parser,
-        ds9_regions="write ssp_regions too, a file per epoch that DS9 and CARTA open, "
-        "with the outlines of its patterns",
-        resume=f"keep the matches in {WORK} of the folder, go on from those of an "
-        "interrupted run, and replace what an earlier one with --resume wrote",
-    )
+    add_output(parser, "tables, maps and report", OF_OBJECT)
+    add(parser, "overwrite", "no_report", "all_figures", "pdf", "compare")
+    add(parser, "ds9_regions", "resume")
     add_settings(parser, "measure")
 
 
@@ -305,8 +243,8 @@ def profile(parser):
     velocity_maps.png and position_angles.png; and config.toml.  With --position-angle
     ridge, distances are measured along the ridge line.
     """
-    what = "the table and figures of the profile"
-    add_output(parser, what, default=OF_OBJECT)
+    add_output(parser, "the table and figures of the profile", OF_OBJECT)
+    add(parser, "overwrite")
     add_settings(parser, "profile")
 
 
@@ -326,9 +264,8 @@ def track(parser):
     figures of both, separation.png and tracks.png.  A configuration file of astro-scc
     measure sets what both commands have.
     """
-    add_output(parser, "the tables and figures", default=OF_OBJECT)
-    add_switches(parser, no_figures="write only the tables")
-    add_figures(parser)
+    add_output(parser, "the tables and figures", OF_OBJECT)
+    add(parser, "overwrite", "no_figures", "pdf", "compare")
     add_settings(parser, "track")
 
 
@@ -376,20 +313,29 @@ def survey(parser):
     """
     text = "what to measure, a table of components, or a folder of folders of images"
     parser.add_argument("survey", metavar="SURVEY.toml|TABLE|DIR", help=text)
-    what = "the catalogues and the sources' products, new or of this survey"
-    add_output(parser, what, overwrite=False)
+    add_output(
+        parser, "the catalogues and the sources' products, new or of this survey"
+    )
     parser.add_argument(
         "--report",
         action=argparse.BooleanOptionalAction,
         help="write a report of each source; default for a SURVEY.toml alone",
     )
     group = parser.add_argument_group("a table of components, or a folder of folders")
-    text = "redshifts of the sources: a table with the columns source and redshift"
-    add_option(group, "--redshifts", "TABLE", text)
+    add(group, "redshifts")
     add_restoring(group, required=False)
-    add_workers(parser)
+    add(parser.add_argument_group("running"), "workers", "scheduler")
 
 
-COMMANDS = (
-    demo, simulate, restore, inspect, measure, explore, profile, track, survey
-)  # fmt: skip
+#: Module and function of each command.
+COMMANDS = {
+    demo: "measure.demo",
+    simulate: "images.simulate",
+    restore: "images.restore",
+    inspect: "inspect.inspect",
+    measure: "measure.measure",
+    explore: "measure.explore",
+    profile: "profile.profile",
+    track: "track.track",
+    survey: "survey.run",
+}

@@ -18,6 +18,7 @@ from astro_scc.images.cutout import refuse_pixels
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.headers import first_line
 from astro_scc.measurement import choices
+from astro_scc.measurement.published import published_positions
 from astro_scc.measurement.tables import versions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
@@ -38,13 +39,16 @@ class Inputs(NamedTuple):
     Epochs as they are measured, and the settings with what was decided on the way.
 
     ``left_out`` has epochs that are not in the cube, and the reasons; ``chosen`` the
-    choices that the images have made, each with its reason, as lines.
+    choices that the images have made, each with its reason, as lines; ``published`` the
+    features to compare with, if any.
     """
 
     cube: Any
     settings: Settings
     left_out: list
     chosen: list
+    n_workers: Any = 1
+    published: Any = None
 
     @property
     def found(self):
@@ -124,13 +128,15 @@ def _ignore(text):
     """Tell nobody."""
 
 
-def read_epochs(settings, *, note=_ignore, features=False):
+def read_epochs(settings, args=None, *, note=_ignore, features=False):
     """
     Read the epochs of a measurement.
 
     Parameters
     ----------
     settings : `~astro_scc.settings.Settings`
+    args : `argparse.Namespace`, optional
+        Name the workers, and published features.
     note : callable, optional
         Called with a line of text on every decision.
     features : bool, optional
@@ -154,10 +160,14 @@ def read_epochs(settings, *, note=_ignore, features=False):
     beam = None if settings.beam is None else parse_beam(settings.beam)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
-    found = {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
+    cube, found, chosen = prepare(cube, settings, note=note, features=features)
+    found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = replace(settings, **found)
-    cube, settings, chosen = prepare(cube, settings, note=note, features=features)
-    return Inputs(cube, settings, left_out, chosen)
+    n_workers = 1 if args is None else workers_of(args, cube)
+    published = getattr(args, "compare", None) and published_positions(
+        args.compare, cube
+    )
+    return Inputs(cube, settings, left_out, chosen, n_workers, published)
 
 
 def prepare(cube, settings, *, note=_ignore, features=False):
@@ -176,7 +186,8 @@ def prepare(cube, settings, *, note=_ignore, features=False):
     Returns
     -------
     cube : `~astro_scc.EpochCube`
-    settings : `~astro_scc.settings.Settings`
+    found : dict
+        The settings that were chosen.
     chosen : list of str
         The choices and their reasons.
     """
@@ -192,7 +203,7 @@ def prepare(cube, settings, *, note=_ignore, features=False):
         chosen.append(f"--align {found['align']}: {reason}")
     cube = cube.align(found.get("align", settings.align))
     if features:
-        return cube, replace(settings, **found), chosen
+        return cube, found, chosen
     if settings.scales is None:
         found["scales"], reason = choices.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
@@ -201,7 +212,7 @@ def prepare(cube, settings, *, note=_ignore, features=False):
         found["position_angle"] = "any" if angle is None else angle
         angle = "any" if angle is None else f'"{angle:g}"'
         chosen.append(f"--position-angle {angle}: {reason}")
-    return cube, replace(settings, **found), chosen
+    return cube, found, chosen
 
 
 def select_epochs(cube, after=None, before=None):

@@ -12,7 +12,7 @@ import numpy as np
 from astro_scc import EpochCube
 from astro_scc.alignment.registration import MISALIGNED, core_positions
 from astro_scc.cli.inputs import prepare
-from astro_scc.cli.summary import misalignment_text, table_lines
+from astro_scc.columns import table_lines
 from astro_scc.components.tables import kind_of
 from astro_scc.epochs import inspect_epochs, plan_intervals
 from astro_scc.exceptions import AstroSccWarning
@@ -20,6 +20,7 @@ from astro_scc.images.beam import different_beam
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
 from astro_scc.quantities import named, one_quantity
+from astro_scc.report.answer import misalignment_text
 from astro_scc.settings import Settings
 from astro_scc.stacking.velocities import baseline_pairs
 
@@ -27,7 +28,7 @@ from astro_scc.stacking.velocities import baseline_pairs
 N_SPEEDS = 4
 
 
-def run(args, reporter):
+def inspect(args, reporter):
     """Inspect files according to the arguments."""
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")

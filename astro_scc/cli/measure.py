@@ -1,21 +1,28 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Measure the velocities in the images of one jet."""
+"""The commands on the velocities in images of one jet: measure, demo and explore."""
 
+import math
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
+from pathlib import Path
+
+from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.cli.arguments import WORK
-from astro_scc.cli.summary import component_lines
+from astro_scc.cli.program import one_line
+from astro_scc.columns import table_lines
 from astro_scc.measurement import write_epoch_regions, write_products
 from astro_scc.measurement.products import product_folder
-from astro_scc.measurement.published import published_positions
 from astro_scc.measurement.tables import versions
 from astro_scc.report import write_report
+from astro_scc.report.answer import component_lines
 from astro_scc.report.page import PRODUCTS, flow_lines
-from astro_scc.visualization.results import FIGURES
-from astro_scc.writing import replace_when_complete
+from astro_scc.settings import Settings, read_config
+from astro_scc.simulation import simulate_two_fluid, write_simulation
+from astro_scc.visualization import FIGURES
+from astro_scc.writing import make_folder, replace_when_complete
 
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (
@@ -24,9 +31,13 @@ STALE = (
     *("report.html", "ssp_regions", "explore.html"),
 )
 SEED, MATCHES = "seed.txt", "matches.fits"
+#: Seed and trials of the demo, and the columns of the jet that it measures, from 0
+#: (Mertens & Lobanov 2016, Sect. 2.4).
+DEMO_SEED, N_TRIALS = 1, 1000
+FIRST, LAST = 60, 160
 
 
-def run(args, reporter):
+def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     output, overwrite = inputs.output_of(args, settings), args.overwrite
@@ -37,17 +48,16 @@ def run(args, reporter):
     ):
         if work and settings.seed is None:
             settings = replace(settings, seed=kept_seed(work))
-        epochs = inputs.read_epochs(settings, note=reporter.note)
-        cube, settings, left_out, chosen = epochs
-        published = args.compare and published_positions(args.compare, cube)
-        n_workers = inputs.workers_of(args, cube)
-        result = measure(cube, settings, reporter, n_workers=n_workers, work=work)
-        page = {"left_out": left_out, "chosen": chosen, "pdf": args.pdf}
-        page |= {"published": published, "all_figures": args.all_figures}
-        page |= {"report": not args.no_report, "warnings": reporter.warnings}
-        components = write_measurement(result, settings, folder, output=output, **page)
+        epochs = inputs.read_epochs(settings, args, note=reporter.note)
+        result = _measured(epochs, reporter, cache=work and work / MATCHES)
+        components = write_measurement(
+            result, epochs.settings, folder, output=output, published=epochs.published,
+            report=not args.no_report, warnings=reporter.warnings,
+            left_out=epochs.left_out, chosen=epochs.chosen, pdf=args.pdf,
+            all_figures=args.all_figures,
+        )  # fmt: skip
         if args.ds9_regions:
-            write_epoch_regions(result.matched.ssps, cube, folder)
+            write_epoch_regions(result.matched.ssps, epochs.cube, folder)
     reporter.say(
         *component_lines(components, result.features),
         *flow_lines(result),
@@ -58,33 +68,16 @@ def run(args, reporter):
     )
 
 
-def measure(cube, settings, reporter, *, region=None, n_workers=1, work=None):
-    """
-    Measure a cube.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.EpochCube`
-    settings : `~astro_scc.settings.Settings`
-    reporter : `~astro_scc.cli.program.Reporter`
-    region : path, optional
-        Present path of the region file, if it will be moved.
-    n_workers : int or str, optional
-        See `~astro_scc.StackedCrossCorrelation.match`.
-    work : `~pathlib.Path`, optional
-        Folder where matches and seed are kept.
-
-    Returns
-    -------
-    `~astro_scc.measurement.SCCResult`
-    """
+def _measured(epochs, reporter, *, cache=None):
+    """Return the measurement of epochs; ``cache`` is where matches are kept."""
+    settings = epochs.settings
     return StackedCrossCorrelation.from_settings(settings)(
-        cube,
-        region=region or settings.region,
+        epochs.cube,
+        region=settings.region,
         n_trials=settings.n_trials,
         rng=settings.seed,
-        n_workers=n_workers,
-        cache=work and work / MATCHES,
+        n_workers=epochs.n_workers,
+        cache=cache,
         progress_bar=reporter.progress,
     )
 
@@ -119,10 +112,11 @@ def write_measurement(
     """
     how = settings.in_c
     components = result.components_in_c(**how) if how else result.components
-    text = settings.to_toml(versions=versions())
-    how = {"configuration": settings.to_dict(), "text": text, "published": published}
-    how["archives"] = archives
-    write_products(result, components, folder, **how)
+    write_products(
+        result, components, folder, configuration=settings.to_dict(),
+        text=settings.to_toml(versions=versions()), published=published,
+        archives=archives,
+    )  # fmt: skip
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
         page |= {"components": components, "rerun": rerun, "published": published}
@@ -141,10 +135,7 @@ def working_folder(output, overwrite):
             "folder, or --overwrite"
         )
     made = [p for p in (work, *work.parents) if not p.exists()]
-    try:
-        work.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
+    make_folder(work, output)
     try:
         yield work
     except BaseException:
@@ -166,3 +157,106 @@ def kept_seed(work):
     with replace_when_complete(path, overwrite=True) as part:
         part.write_text(f"{seed}\n", encoding="ascii")
     return seed
+
+
+# -- the jet of the paper ------------------------------------------------------------
+
+
+def demo(args, reporter):
+    """Simulate a jet, measure it, and print both results."""
+    output = Path(args.output)
+    jet = simulate_two_fluid(rng=DEMO_SEED)
+    jet.truth.meta["seed"] = DEMO_SEED
+    with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
+        *files, _ = write_simulation(jet, folder / "epochs")
+        region = folder / "region.reg"
+        _write_region(region, jet.cube.shape[1:])
+        settings = Settings(
+            epochs=[str(path) for path in files],
+            region=str(region),
+            scales="1,2,3",
+            max_speed="36 mas/yr",
+            position_angle="270 deg",
+            n_trials=N_TRIALS,
+            seed=DEMO_SEED,
+        )
+        epochs = inputs.read_epochs(settings, note=reporter.note)
+        result = _measured(epochs, reporter)
+        # Where they will be when the folder is complete.
+        paths = [str(output / path.relative_to(folder)) for path in (region, *files)]
+        settings = replace(epochs.settings, region=paths[0], epochs=paths[1:])
+        components = write_measurement(
+            result, settings, folder, output=output, warnings=reporter.warnings
+        )
+    reporter.say(
+        *_truth_lines(jet),
+        "\nMeasured:",
+        *component_lines(components, result.features),
+        f"\nReport: {output / 'report.html'}",
+    )
+
+
+def _write_region(path, shape):
+    """Write the jet between ``FIRST`` and ``LAST`` as a DS9 region."""
+    from regions import PixCoord, RectanglePixelRegion, Regions
+
+    centre = PixCoord((FIRST + LAST) / 2, (shape[0] - 1) / 2)
+    box = RectanglePixelRegion(centre, LAST - FIRST + 1, shape[0])
+    Regions([box]).write(path, format="ds9", precision=12)
+
+
+def _truth_lines(jet):
+    """Return the simulated velocities as lines."""
+    rows = []
+    for name in dict.fromkeys(jet.truth["group"]):
+        own = jet.truth[jet.truth["group"] == name]
+        axes = (own[f"pm_{axis}"].mean() for axis in ("east", "north"))
+        east, north = (axis.to_value("mas / yr") for axis in axes)
+        row = {"stream": str(name)}
+        row["proper motion (mas / yr)"] = f"{math.hypot(east, north):.2f}"
+        row["PA (deg)"] = f"{math.degrees(math.atan2(east, north)) % 360:.0f}"
+        rows.append(row)
+    return ["Simulated:", *table_lines(rows)]
+
+
+# -- a page of a measurement that is there -------------------------------------------
+
+
+def explore(args, reporter):
+    """Write the page of a measurement according to the arguments."""
+    from astro_scc.visualization.explore import write_explore
+
+    folder = Path(args.folder)
+    advice = "; name a folder that astro-scc measure has written"
+    names = ("components", "features")
+    tables = [inputs.read_table(folder / f"{name}.ecsv", advice) for name in names]
+    try:
+        hdus = fits.open(folder / "scc.fits")
+    except OSError as error:
+        what = "does not exist" if error.filename else "is no FITS file"
+        raise OSError(f"{folder / 'scc.fits'}: {what}; measure again") from None
+    with hdus:
+        if "FEATURES" not in hdus or "pm_axis1" not in hdus["FEATURES"].columns.names:
+            raise ValueError(
+                f"{folder}: is of an earlier version, without the positions of the "
+                "features; measure again"
+            )
+        cube, notes = _images(folder / "config.toml", hdus[0].header, reporter)
+        page = folder / "explore.html"
+        path = write_explore(page, *tables, hdus, cube=cube, notes=notes)
+    reporter.say(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+
+
+def _images(config, header, reporter):
+    """Return the epochs of a measurement, or None and a note on why there are none."""
+    try:
+        cube = inputs.read_epochs(Settings(**read_config(config)[0])).cube
+        dates = cube.times.utc.isot[[0, -1]].tolist()
+        measured = [header[key] for key in ("NEPOCHS", "DATE-BEG", "DATE-END")]
+        if [len(cube), *dates] != measured:
+            raise ValueError(f"{config}: names other epochs than those measured")
+    except (OSError, ValueError) as error:
+        note = f"without images: {one_line(error)}"
+        reporter.note(note)
+        return None, [note]
+    return cube, []

@@ -5,7 +5,6 @@ from dataclasses import asdict
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.summary import profile_lines
 from astro_scc.flow import measure_acceleration
 from astro_scc.flow.groups import compare_scales
 from astro_scc.flow.profile import bins_of, measure_profile, write_profile
@@ -13,7 +12,7 @@ from astro_scc.measurement import select_ssps
 from astro_scc.measurement.products import product_folder
 from astro_scc.measurement.publication import write_publication
 from astro_scc.measurement.tables import versions
-from astro_scc.report.tables import scale_lines
+from astro_scc.report.answer import profile_lines, scale_lines
 from astro_scc.units import in_speed_unit
 
 PRODUCTS = (
@@ -22,7 +21,7 @@ PRODUCTS = (
 ).split()
 
 
-def run(args, reporter):
+def profile(args, reporter):
     """Measure a profile according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
@@ -31,21 +30,21 @@ def run(args, reporter):
     bins_of(settings.bins, window=settings.window)
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PRODUCTS) as folder:
-        epochs = inputs.read_epochs(settings, note=reporter.note)
-        cube, settings, *_ = epochs
-        n_workers = inputs.workers_of(args, cube)
-        components, lines = _measure(cube, settings, folder, reporter, n_workers)
+        epochs = inputs.read_epochs(settings, args, note=reporter.note)
+        components, lines = _measure(epochs, folder, reporter)
         write_publication({"profile": components}, folder)
     lines = [*profile_lines(components), "", *lines, *epochs.found]
     reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
 
 
-def _measure(cube, settings, folder, reporter, n_workers):
+def _measure(epochs, folder, reporter):
     """Write the profile; return its components, and lines on all bins together."""
+    cube, settings = epochs.cube, epochs.settings
     scc = StackedCrossCorrelation.from_settings(settings)
-    shown = {"progress_bar": reporter.progress}
-    trials = shown | {"n_trials": settings.n_trials, "rng": settings.seed}
-    matched = scc.match(cube, region=settings.region, n_workers=n_workers, **shown)
+    shown = {"progress_bar": reporter.progress, "n_workers": epochs.n_workers}
+    matched = scc.match(cube, region=settings.region, **shown)
+    trials = {"n_trials": settings.n_trials, "rng": settings.seed}
+    trials["progress_bar"] = reporter.progress
     ridge = scc.displacements(matched)[1] if scc.position_angle == "ridge" else None
     profile = measure_profile(
         scc, matched, settings.bins, window=settings.window, ridge=ridge, **trials
@@ -62,7 +61,8 @@ def _measure(cube, settings, folder, reporter, n_workers):
         in_speed_unit(of_scales, matched.cube.speed_unit)
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += scale_lines(of_scales)
-    text = settings.to_toml("profile", versions=versions())
-    configuration = settings.to_dict("profile")
-    write_profile(profile, components, folder, configuration=configuration, text=text)
+    write_profile(
+        profile, components, folder, configuration=settings.to_dict("profile"),
+        text=settings.to_toml("profile", versions=versions()),
+    )  # fmt: skip
     return components, lines

@@ -11,7 +11,7 @@ from importlib import import_module
 from textwrap import dedent
 
 from astro_scc import __version__
-from astro_scc.cli.arguments import COMMANDS, add_switches, option_name
+from astro_scc.cli.arguments import COMMANDS, add, option_name
 from astro_scc.settings import OPTIONS
 
 # Errors that a user can correct, missing extras among them; other exceptions are
@@ -201,9 +201,15 @@ def _ended_by_signals():
         yield
 
 
-def build_parser():
+def build_parser(only=None):
     """
-    Return the parser of the whole command line.
+    Return the parser of the command line.
+
+    Parameters
+    ----------
+    only : str, optional
+        The one command whose arguments are needed; by default, and if it is none,
+        those of all are there.
 
     Returns
     -------
@@ -226,7 +232,8 @@ def build_parser():
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command", required=True
     )
-    for add_arguments in COMMANDS:
+    every = only not in {own.__name__ for own in COMMANDS}
+    for add_arguments, run in COMMANDS.items():
         # The docstring is the help; python -OO has no docstrings.
         doc = dedent(add_arguments.__doc__ or "").strip()
         brief, text, more = [*doc.split("\n\n", 2), "", "", ""][:3]
@@ -236,10 +243,11 @@ def build_parser():
             description=text,
             epilog=more,
         )
-        add_arguments(command)
-        group = command.add_argument_group("messages")
-        quiet = "print errors only: no warnings, progress or summary"
-        add_switches(group, quiet=quiet, debug=argparse.SUPPRESS)
+        if every or only == add_arguments.__name__:
+            add_arguments(command)
+        command.set_defaults(run=run)
+        add(command.add_argument_group("messages"), "quiet")
+        command.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     return parser
 
 
@@ -263,13 +271,15 @@ def main(argv: list[str] | None = None) -> int:
     SystemExit
         After ``--help`` and for invalid arguments.
     """
-    args = build_parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    args = build_parser(next(iter(argv), None)).parse_args(argv)
     options = [name for name in OPTIONS if name in vars(args) and name != "epochs"]
     name = f"astro-scc {args.command}"
     reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
         with _ended_by_signals(), reporter.warnings_as_lines():
-            import_module(f"astro_scc.cli.{args.command}").run(args, reporter)
+            module, _, run = args.run.partition(".")
+            getattr(import_module(f"astro_scc.cli.{module}"), run)(args, reporter)
         sys.stdout.flush()
     except KeyboardInterrupt as error:
         if args.debug:

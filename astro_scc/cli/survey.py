@@ -24,8 +24,8 @@ from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
-from astro_scc.cli.summary import table_lines
 from astro_scc.cli.survey_table import survey_of
+from astro_scc.columns import table_lines
 from astro_scc.correlation import parallel
 from astro_scc.images.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
@@ -339,7 +339,7 @@ def measure_source(source, output, report=False):
 
 def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
-    cube, settings, left_out, _ = read_epochs(source.settings)
+    cube, settings, left_out, *_ = read_epochs(source.settings)
     published = source.compare and published_positions(source.compare, cube)
     masks, failed, matched = {}, {}, None
     for name, path in source.regions.items():

@@ -12,7 +12,7 @@ import astropy.units as u
 import numpy as np
 from astropy.io import ascii
 
-from astro_scc.cli import restore
+from astro_scc.cli import images
 from astro_scc.cli.survey_sources import folder_names, read_survey
 from astro_scc.components.lists import read_sources
 from astro_scc.components.restoring import suited
@@ -119,7 +119,7 @@ def _restore(task):
         given = {k: v for k, v in how.items() if v is not None}
         if not given.keys() >= {"pixel_scale", "noise"}:
             given = suited(own) | given
-        restore.write_images(own, target, how | given)
+        images.write_images(own, target, how | given)
     except ValueError as error:
         return str(error)
     return None
@@ -127,7 +127,7 @@ def _restore(task):
 
 def _components(args, reporter):
     """Return the components of each source with a beam, and how to restore images."""
-    how = restore.images_of(args)
+    how = images.images_of(args)
     options = {"source": args.source, "origin": args.origin, "beams": how["beam"]}
     found = read_sources(args.survey, **options)
     if not all(own.beams for own in found.values()):

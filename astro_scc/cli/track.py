@@ -6,7 +6,6 @@ from functools import partial
 from astro_scc import StackedCrossCorrelation
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
-from astro_scc.cli.summary import feature_lines, speed_lines
 from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
@@ -14,8 +13,9 @@ from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
 from astro_scc.measurement import decomposing
 from astro_scc.measurement.products import product_folder, write_files, write_tables
 from astro_scc.measurement.publication import write_publication
-from astro_scc.measurement.published import published_positions, with_published
+from astro_scc.measurement.published import with_published
 from astro_scc.measurement.tables import versions
+from astro_scc.report.answer import feature_lines, speed_lines
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import plot_separation, plot_tracks
 
@@ -26,31 +26,35 @@ PRODUCTS = (
 ).split()
 
 
-def run(args, reporter):
+def track(args, reporter):
     """Follow features according to the arguments."""
     settings = inputs.settings_of(args, reporter)
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PRODUCTS) as folder:
-        epochs = inputs.read_epochs(settings, note=reporter.note, features=True)
-        cube, settings, *_ = epochs
-        n_workers = inputs.workers_of(args, cube)
-        published = args.compare and published_positions(args.compare, cube)
-        features = _find(cube, settings, reporter, n_workers)
-        table = _write(features, settings, folder, published)
+        epochs = inputs.read_epochs(settings, args, note=reporter.note, features=True)
+        features = _find(epochs, reporter)
+        table = _write(features, epochs, folder)
         if not args.no_figures:
-            _draw(features, folder, beta_per_pm(table), published, pdf=args.pdf)
+            own = {"published": epochs.published}
+            per_pm = {"beta_per_pm": beta_per_pm(table)}
+            figures = {
+                "separation": partial(plot_separation, features, **own, **per_pm),
+                "tracks": partial(plot_tracks, features, **own),
+            }
+            write_files(style.figure_files(figures, pdf=args.pdf), folder)
     reporter.say(
         *feature_lines(table, most=len(table)),
-        *speed_lines(settings.in_c),
+        *speed_lines(epochs.settings.in_c),
         *epochs.found,
         f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
     )
 
 
-def _find(cube, settings, reporter, n_workers):
+def _find(epochs, reporter):
     """Return the features of a cube."""
+    cube, settings = epochs.cube, epochs.settings
     warn_of_misalignment(cube)
-    how = {"n_workers": n_workers, "progress_bar": reporter.progress}
+    how = {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
     ssps = None
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
@@ -68,14 +72,14 @@ def _find(cube, settings, reporter, n_workers):
     return features
 
 
-def _write(features, settings, folder, published):
+def _write(features, epochs, folder):
     """Write the tables, and return that of the features."""
-    how, table = settings.in_c, features.table
-    if published is not None:
-        table = with_published(table, features, published)
+    how, table = epochs.settings.in_c, features.table
+    if epochs.published is not None:
+        table = with_published(table, features, epochs.published)
     table = table_in_c(table, **how) if how else table
     meta = {
-        "configuration": settings.to_dict("track"),
+        "configuration": epochs.settings.to_dict("track"),
         **table.meta,
         "epochs": list(features.cube.labels),
         "history": list(features.cube.meta.get("history", ())),
@@ -85,13 +89,3 @@ def _write(features, settings, folder, published):
     tables = write_tables(tables, folder, meta)
     write_publication(tables, folder)
     return tables["features"]
-
-
-def _draw(features, folder, per_pm, published, *, pdf):
-    """Write the figures."""
-    own = {"published": published}
-    figures = {
-        "separation": partial(plot_separation, features, beta_per_pm=per_pm, **own),
-        "tracks": partial(plot_tracks, features, **own),
-    }
-    write_files(style.figure_files(figures, pdf=pdf), folder)

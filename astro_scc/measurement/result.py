@@ -464,7 +464,7 @@ class SCCResult:
         ValueError
             If there is no such figure, or an option has a wrong value.
         """
-        from astro_scc.visualization.results import plot_result
+        from astro_scc.visualization import plot_result
 
         return plot_result(self, kind, **options)
 

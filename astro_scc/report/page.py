@@ -19,6 +19,7 @@ from astro_scc.measurement.tables import printed
 from astro_scc.report import answer, tables
 from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
+from astro_scc.writing import make_folder
 
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
@@ -97,10 +98,7 @@ def write_report(
     """
     directory = Path(directory)
     components = result.components if components is None else components
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise OSError(f"{directory}: is a file; choose another folder") from None
+    make_folder(directory, directory)
     how = {"every": all_figures, "pdf": pdf, "published": published}
     shown = printed(components)
     # Of all rows that the figures mark they need the places.
@@ -181,12 +179,12 @@ def write_overview(table, features, parts, folder, *, published):
     `~pathlib.Path`
         Path of the page.
     """
-    from astro_scc.visualization import population, style
+    from astro_scc.visualization import speeds, style
 
     folder, files = Path(folder), {}
-    found = population.population(features)
+    found = speeds.population(features)
     if found["moving"].any():
-        plot = partial(population.plot_population, features)
+        plot = partial(speeds.plot_population, features)
         files = style.figure_files({"population": plot})
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
@@ -254,7 +252,7 @@ def flow_lines(result):
         in_speed_unit(of_scales, result.cube.speed_unit)
         # With two streams, scales whose speeds do not differ need not share one speed.
         differ = of_scales["p_value"] <= result.meta["settings"]["alpha"]
-        lines += tables.scale_lines(of_scales[differ] if moving[1:] else of_scales)
+        lines += answer.scale_lines(of_scales[differ] if moving[1:] else of_scales)
     return lines
 
 

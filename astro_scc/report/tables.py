@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from astro_scc.columns import cell, cells, column_of, columns_of
+from astro_scc.columns import cell, headed, heading_of
 from astro_scc.flow.acceleration import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.quantities import with_error
@@ -71,53 +71,19 @@ def component_tables(components):
         for name in components.colnames
         if name not in listed and components[name].ndim == 1
     ]
-    return [_columns(components, own) for own in (first, ["component", *others])]
-
-
-def _columns(table, names, of="components"):
-    """Return the heading, the meaning and the cells of those columns that there are."""
-    found = []
-    for name, texts in cells(table, names).items():
-        # Headings speak of the speed instead of its column.
-        note = table[name].info.description or ""
-        note = re.sub(r"\bpm_err\b", "the error of the speed", note)
-        note = re.sub(r"\bpm\b", "the speed", note)
-        heading = _heading(of, name, table[name].info.unit or "")
-        found.append((heading, note, texts))
-    return found
-
-
-def _heading(of, name, unit):
-    """Return the heading of a column in a table, or else as in any, with its unit."""
-    heading = (columns_of(of).get(name) or column_of(name)).heading or name
-    return heading.format(unit=unit_name(unit))
-
-
-def scale_lines(of_scales):
-    """
-    Return the comparison of the speeds of groups of scales as lines.
-
-    Parameters
-    ----------
-    of_scales : `~astropy.table.QTable`
-        See `~astro_scc.flow.compare_speeds`.
-
-    Returns
-    -------
-    list of str
-        Without pairs of groups of which one has fewer than two features.
-    """
-    lines = []
-    for row in of_scales[np.isfinite(of_scales["p_value"])]:
-        speeds = [
-            f"{cell(row, f'{k}_speed', '+-')} ({row[f'{k}_n_features']} features)"
-            for k in ("first", "second")
+    return [
+        [
+            (heading, _in_words(meaning), texts)
+            for heading, meaning, texts in headed(components, names).values()
         ]
-        lines.append(
-            f"Speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
-            f"{speeds[1]} {unit_name(row['first_speed'].unit)}, p {row['p_value']:.2g}"
-        )
-    return lines
+        for names in (first, ["component", *others])
+    ]
+
+
+def _in_words(meaning):
+    """Return the meaning of a column that speaks of the speed instead of its column."""
+    meaning = re.sub(r"\bpm_err\b", "the error of the speed", meaning)
+    return re.sub(r"\bpm\b", "the speed", meaning)
 
 
 def feature_rows(features, most=MOST):
@@ -126,9 +92,8 @@ def feature_rows(features, most=MOST):
 
     Of more than ``most`` secure features, the first are those seen in most epochs.
     """
-    heads, _, columns = zip(
-        *_columns(features, FEATURES.split(), "features"), strict=True
-    )
+    columns = headed(features, FEATURES.split(), own="features").values()
+    heads, _, columns = zip(*columns, strict=True)
     rows = list(zip(*columns, strict=True))
     secure = np.asarray(features["secure"], bool)
     first = np.argsort(-(secure * features["n_epochs"]), kind="stable")[:most]
@@ -204,7 +169,7 @@ def overview(table, features, parts, folder, published):
     return {
         "rows": rows,
         "columns": {
-            name: _heading("overview", name, unit)
+            name: heading_of(name, unit_name(unit), "overview")
             for name in OVERVIEW
             if any(cells[name] for cells in rows)
         },
@@ -247,7 +212,7 @@ def _part_cells(part, row, features, unit, published, folder):
         cells[name] = cell(row, name, form=".2g")
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""
-    from astro_scc.visualization.population import population
+    from astro_scc.visualization.speeds import population
 
     cells["profile"] = _small_profile(features, unit)
     if len(features):
@@ -269,7 +234,7 @@ def _span(first, last):
 
 def _small_profile(features, unit):
     """Return the radial speeds of features against separations as parts of an SVG."""
-    from astro_scc.visualization.features import LARGE_ERROR
+    from astro_scc.visualization.speeds import LARGE_ERROR
 
     if len(features) == 0:
         return None

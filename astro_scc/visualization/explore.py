@@ -14,8 +14,7 @@ from astro_scc.images.positions import sky_columns
 from astro_scc.stacking.dispersion import error_of_speed
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
-from astro_scc.visualization import diagram, drawing, style
-from astro_scc.visualization.velocity import MAP_LABELS, speed_text, velocity_labels
+from astro_scc.visualization import drawing, style, velocity
 from astro_scc.writing import replace_when_complete
 
 try:
@@ -104,9 +103,9 @@ class Page:
 
     def __init__(self, components, features, hdus, cube):
         self.components, self.hdus, self.cube, self.notes = components, hdus, cube, []
-        self.kinds = style.component_kinds(components)
+        self.kinds = components["kind"].tolist()
         self.angle = hdus["DIAGRAM"].header.get("DISPPA")
-        self.slopes = diagram.ray_slopes(components, self.kinds, self.angle)
+        self.slopes = velocity.ray_slopes(components, self.kinds, self.angle)
         seen = QTable.read(hdus["FEATURES"])
         if len(features) > FEATURES:
             longest = np.argsort(-features["n_epochs"], kind="stable")[:FEATURES]
@@ -150,7 +149,7 @@ class Page:
 
     def _feature_columns(self, points):
         table, seen = self.table, self.seen
-        velocity = np.stack(
+        motion = np.stack(
             [table[name].to_value(PM_UNIT) for name in sky_columns(table)]
         )
         # One row of each feature has its velocity on the axes of the map.
@@ -160,14 +159,14 @@ class Page:
             along = on_map["pm_axis1"].to_value(PM_UNIT)
         else:
             along = np.sin(np.radians(self.angle)), np.cos(np.radians(self.angle))
-            along = np.array(along) @ velocity
+            along = np.array(along) @ motion
         to_length = u.mas.to(self.length)
         columns = {name: [] for name in ("xs", "ys", "ts", "ds", "lt", "ld", "ry")}
         for k, ray in enumerate(along):
             own = self.row == k
             x, y, t, d = (points[name][own] for name in "xytd")
             years = (t - t[0]) / YEAR
-            moved = velocity[:, k, None] * years
+            moved = motion[:, k, None] * years
             # Outliers are not of the line.
             start = np.median(self.place[:, own] - moved, axis=1)
             line = np.hypot(*(start[:, None] + moved)) * to_length
@@ -284,7 +283,7 @@ class Page:
         everything = models.Button(label="all features")
         buttons = {everything: []}
         for row, kind, own in zip(self.components, self.kinds, self.rows, strict=True):
-            label = f"{row['component']}: {speed_text(row, kind)}"
+            label = f"{row['component']}: {velocity.speed_text(row, kind)}"
             buttons[models.Button(label=label, disabled=not own)] = own
         for button, own in buttons.items():
             args = {"selected": self.features.selected, "rows": own}
@@ -296,7 +295,7 @@ class Page:
     def _velocity(self):
         header = self.hdus[0].header
         axes = [header[f"CNAME{k}"] for k in (1, 2)]
-        labels = velocity_labels(axes, self.words, self.pm_unit)
+        labels = velocity.velocity_labels(axes, self.words, self.pm_unit)
         names, on_sky = ("pm_parallel", "pm_transverse"), axes[0] in ("east", "lon")
         if on_sky:
             names = sky_columns(self.components)
@@ -309,7 +308,7 @@ class Page:
         (x, y), (right, top) = corners.to_value(self.pm_unit)
         plot.image([data], x=x, y=y, dw=right - x, dh=top - y, color_mapper=mapper)
         bar = models.ColorBar(
-            color_mapper=mapper, height=8, title=MAP_LABELS["coefficient"],
+            color_mapper=mapper, height=8, title=velocity.MAP_LABELS["coefficient"],
             title_text_font_style="normal",
         )  # fmt: skip
         plot.add_layout(bar, "above")
@@ -395,7 +394,7 @@ class Page:
         used = bins["n_pairs"] > 0
         years, excess = bins["interval"][used].astype(float), hdu.data[:, used]
         half = hdu.header["CDELT2"] * len(excess) / 2
-        longest = diagram.longest_interval(years, self.slopes, self.kinds, half)
+        longest = velocity.longest_interval(years, self.slopes, self.kinds, half)
         time = self.pm_unit.bases[1]
         right, top = u.yr.to(time, longest), u.mas.to(self.length, half)
         plot = self._figure(
@@ -403,7 +402,7 @@ class Page:
             f"Displacement ({unit_name(self.length)})",
             x_range=(0, right), y_range=(-top, top),
         )  # fmt: skip
-        level = diagram.diagram_levels(years, excess, longest, COLUMNS)
+        level = velocity.diagram_levels(years, excess, longest, COLUMNS)
         colors = interp_palette(RdBu11, 255)
         mapper = models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from astro_scc.epochs import EpochCube
-    from astro_scc.flow import ProfileFit
     from astro_scc.kinematics import RidgeLine
 
 #: Half the width of the strip of the jet above the profile, in beams.
@@ -28,7 +27,8 @@ STRIP = 3.0
 
 def plot_profile(
     table: QTable, *, cube: EpochCube | None = None, line: RidgeLine | None = None,
-    column: str = "pm_parallel", fits: Sequence[ProfileFit] = (),
+    column: str = "pm_parallel",
+    fits: Sequence[Callable[[u.Quantity], u.Quantity]] = (),
     others: Sequence[tuple[str, u.Quantity, u.Quantity, u.Quantity]] = (),
     beta_per_pm: float | None = None, figure: Figure | None = None,
 ) -> Figure:  # fmt: skip
@@ -136,7 +136,7 @@ def _draw_components(ax, table, column):
                     fmt=sign.on_profile, lw=1.0, zorder=3,
                     color=style.VERMILION if kind == "stationary" else style.BLUE,
                     mfc="white" if kind.startswith("not") else None,
-                    label=sign.name if size == 5 or not (own & main).any() else None,
+                    label=kind if size == 5 or not (own & main).any() else None,
                 )  # fmt: skip
 
 

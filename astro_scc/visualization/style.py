@@ -47,20 +47,19 @@ _SCALE = ContextVar("scale", default=1.0)
 
 
 class Kind(NamedTuple):
-    """Markers of a kind of component in maps, slices and profiles, line and name."""
+    """Markers of a kind of component in maps, slices and profiles, and its line."""
 
     on_map: str
     on_slice: str
     on_profile: str
     line: str
-    name: str
 
 
 KINDS = {
-    "moving": Kind("+", "o", "o", "-", "moving"),
-    "stationary": Kind("s", "s", "s", "--", "stationary"),
-    "not confirmed": Kind("x", "x", "o", ":", "not confirmed"),
-    "not significant": Kind("x", "x", "o", ":", "not significant"),
+    "moving": Kind("+", "o", "o", "-"),
+    "stationary": Kind("s", "s", "s", "--"),
+    "not confirmed": Kind("x", "x", "o", ":"),
+    "not significant": Kind("x", "x", "o", ":"),
 }
 
 
@@ -216,18 +215,6 @@ def legend_above(ax):
             ncols=legend_columns(4), loc="lower left", bbox_to_anchor=(0, 1),
             borderaxespad=0,
         )  # fmt: skip
-
-
-def component_kinds(components):
-    """Return the column ``kind`` of a table as text, or "moving" if it has none."""
-    known = "kind" in components.colnames
-    return list(map(str, components["kind"] if known else ["moving"] * len(components)))
-
-
-def marked(result, components):
-    """Return components, by default those of a result, and their kinds."""
-    components = result.components if components is None else components
-    return components, component_kinds(components)
 
 
 def beside(ax):

@@ -53,7 +53,8 @@ def plot_members(result, *, figure=None, components=None, max_panels=4, unit=Non
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
-    components, kinds = style.marked(result, components)
+    components = result.components if components is None else components
+    kinds = components["kind"].tolist()
     order = sorted(range(len(kinds)), key=lambda k: kinds[k].startswith("not"))
     panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
     own = [result.members(number)["ssp"] for number, _ in panels]

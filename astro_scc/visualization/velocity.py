@@ -1,12 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Draw velocity maps and the significance along the jet."""
+"""
+The streams of a result: velocity map, z-score along the jet, and diagram.
+
+What the options of these figures mean, `SCCResult.plot
+<astro_scc.measurement.SCCResult.plot>` says.
+"""
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell
 from astro_scc.images.positions import axis_words, sky_columns
-from astro_scc.units import PM_UNIT, unit_like, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 
@@ -24,6 +29,64 @@ CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
 CORNERS |= {"upper left": (0, 1), "lower right": (1, 0)}
 #: Size of what is in a corner as fractions of the axes.
 CORNER_SIZE = (0.34, 0.22)
+#: Intervals are shown up to this many times the one after which the slowest
+#: moving stream leaves the diagram, and at least this number of intervals.
+BEYOND = 1.3
+FEWEST_INTERVALS = 4
+#: Fraction of the diagram that is within the range of the colours.
+UNSATURATED = 0.995
+
+
+class Scene:
+    """
+    What figures of a result share: its streams, units, words and axes.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    figsize : (float, float)
+        Size of a new figure, in inches.
+    ax : `matplotlib.axes.Axes`, optional
+        Axes to draw on instead.
+    components : `~astropy.table.QTable`, optional
+        The streams that are drawn, by default ``result.components``.
+    unit : `~astropy.units.Unit`, optional
+        Unit of speeds, by default that of the tables.
+
+    Attributes
+    ----------
+    kinds : list of str
+        The kind of each stream.
+    on_sky : bool
+        Whether the axes of the result are east and north.
+    words : (str, str, bool)
+        See `~astro_scc.images.positions.axis_words`.
+    """
+
+    def __init__(self, result, figsize, ax=None, components=None, unit=None):
+        self.result, self.unit = result, result.cube.speed_unit
+        if unit is not None:
+            wanted = "an angle over a time, such as 'mas/yr'"
+            self.unit = unit_like(PM_UNIT, unit, wanted)
+        self.components = result.components if components is None else components
+        self.kinds = self.components["kind"].tolist()
+        self.on_sky = tuple(result.frame.axis_names) == ("east", "north")
+        self.words = axis_words(result.cube)
+        self.figure, self.ax = style.figure_and_axes(ax, figsize)
+
+    @property
+    def labels(self):
+        """Labels of the axes of velocities."""
+        return velocity_labels(self.result.frame.axis_names, self.words, self.unit)
+
+    def streams(self, *columns):
+        """Yield row, kind, whether it was found, and numbers in columns of each."""
+        values = [self.components[name].to_value(self.unit) for name in columns]
+        for k, (row, kind) in enumerate(zip(self.components, self.kinds, strict=True)):
+            yield row, kind, not kind.startswith("not"), [own[k] for own in values]
+
+
+# -- the paper's stack ---------------------------------------------------------------
 
 
 def plot_velocity_map(
@@ -36,62 +99,28 @@ def plot_velocity_map(
     Components are marked with their numbers in the table, a symbol for their
     kind (moving, stationary, not significant), and an ellipse of one standard
     error along each axis.  The arrow shows the direction of the jet.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-    ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
-    components : `~astropy.table.QTable`, optional
-        The components to mark, by default ``result.components``.
-    which : {"coefficient", "z_score"}
-        The map that is drawn.
-    unit : `~astropy.units.Unit`, optional
-        Unit of the axes, by default that of the tables.
-    beta_per_pm : float, optional
-        Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
-        second axis.
-    colorbar : bool, optional
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If the map is unknown, the unit is not that of a proper motion, or
-        ``beta_per_pm`` is not positive.
     """
-    image, unit = result.velocity_map(which), _unit(result, unit)
-    components, kinds = style.marked(result, components)
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 5.2))
-    drawn = draw_map(ax, image.data, result.grid, unit)
-    words = axis_words(result.cube)
-    if on_sky(result) and words[2]:
+    image = result.velocity_map(which)
+    scene = Scene(result, (style.WIDTH, 5.2), ax, components, unit)
+    ax = scene.ax
+    drawn = draw_map(ax, image.data, result.grid, scene.unit)
+    if scene.on_sky and scene.words[2]:
         ax.invert_xaxis()
-    across, up = velocity_labels(result.frame.axis_names, words, unit)
+    across, up = scene.labels
     ax.set(xlabel=across, ylabel=up)
-    place = _draw_components(ax, result, components, kinds, unit)
+    place = _draw_components(scene)
     crowd = {
         name: np.sum(np.all(np.abs(place - corner) < CORNER_SIZE, axis=1))
         for name, corner in CORNERS.items()
     }
     first, second, *_ = sorted(CORNERS, key=crowd.get)
-    if len(components):
+    if scene.kinds:
         ax.legend(loc=first, fontsize="small", facecolor="0.3", labelcolor="white")
-    _draw_jet(ax, result, CORNERS[second])
-    style.add_speed_axis(ax, unit, beta_per_pm)
+    _draw_jet(scene, CORNERS[second])
+    style.add_speed_axis(ax, scene.unit, beta_per_pm)
     if colorbar:
-        figure.colorbar(drawn, cax=style.beside(ax), label=MAP_LABELS[which])
-    return figure
-
-
-def _unit(result, unit):
-    """Return the unit of the axes, by default that of the tables."""
-    if unit is None:
-        return result.cube.speed_unit
-    return unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
+        scene.figure.colorbar(drawn, cax=style.beside(ax), label=MAP_LABELS[which])
+    return scene.figure
 
 
 def draw_map(ax, values, grid, unit):
@@ -108,11 +137,6 @@ def draw_map(ax, values, grid, unit):
     return drawn
 
 
-def on_sky(result):
-    """Return whether the axes of a result are east and north."""
-    return tuple(result.frame.axis_names) == ("east", "north")
-
-
 def velocity_labels(names, words, unit):
     """Return the labels of the axes of velocities, of the sky by where they point."""
     if names[0] in ("east", "lon"):
@@ -121,55 +145,52 @@ def velocity_labels(names, words, unit):
     return [f"{name} ({unit_name(unit)})" for name in names]
 
 
-def _draw_components(ax, result, components, kinds, unit):
+def _draw_components(scene):
     """Draw the components; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
     names = ("pm_parallel", "pm_transverse")
-    if on_sky(result):
-        names = sky_columns(components)
-    speed, error = (
-        np.stack([components[f"{name}{end}"].to_value(unit) for name in names], axis=-1)
-        for end in ("", "_err")
-    )
-    # Positions of the components as fractions of the axes place the text beside them.
-    place = ax.transLimits.transform(speed)
-    effects = style.outline(2.5, BLACK)
-    for k, kind in enumerate(kinds):
-        strong = not kind.startswith("not")
-        if np.isfinite(error[k]).all():
+    if scene.on_sky:
+        names = sky_columns(scene.components)
+    columns = *names, *(f"{name}_err" for name in names)
+    ax, effects, places = scene.ax, style.outline(2.5, BLACK), np.zeros((0, 2))
+    for row, kind, strong, (x, y, *error) in scene.streams(*columns):
+        # Positions as fractions of the axes place the text beside them.
+        place = ax.transLimits.transform((x, y))
+        if np.isfinite(error).all():
             ellipse = Ellipse(
-                speed[k], *(2 * error[k]), facecolor="none", edgecolor="white",
-                linewidth=1.2, linestyle="-" if strong else ":", path_effects=effects,
-                gid="error",
+                (x, y), *(2 * half for half in error), facecolor="none",
+                edgecolor="white", linewidth=1.2, linestyle="-" if strong else ":",
+                path_effects=effects, gid="error",
             )  # fmt: skip
             ax.add_patch(ellipse)
         ax.plot(
-            *speed[k], KINDS[kind].on_map, markersize=4, markerfacecolor="none",
+            x, y, KINDS[kind].on_map, markersize=4, markerfacecolor="none",
             markeredgecolor="white", path_effects=effects,
-            label=None if kind in kinds[:k] else KINDS[kind].name,
+            label=None if kind in scene.kinds[: len(places)] else kind,
         )  # fmt: skip
-        inward = np.where(place[k] > 0.93, -1, 1)
+        inward = np.where(place > 0.93, -1, 1)
         ax.annotate(
-            f"{components['component'][k]:.0f}", np.clip(place[k], 0, 1),
+            f"{row['component']}", np.clip(place, 0, 1),
             xycoords="axes fraction", xytext=7 * inward, textcoords="offset points",
             ha="left" if inward[0] > 0 else "right",
             va="bottom" if inward[1] > 0 else "top", color="white",
             fontweight="bold" if strong else "normal",
             fontsize="large" if strong else "small", path_effects=effects,
         )  # fmt: skip
-    return place
+        places = np.vstack([places, place])
+    return places
 
 
-def _draw_jet(ax, result, corner):
+def _draw_jet(scene, corner):
     """Draw an arrow with the jet's direction in a corner of the axes."""
-    direction = np.array([1.0, 0.0])
-    if on_sky(result):
+    direction, result = np.array([1.0, 0.0]), scene.result
+    if scene.on_sky:
         angle = result.position_angle.to_value(u.rad)
-        side = -1 if axis_words(result.cube)[2] else 1
+        side = -1 if scene.words[2] else 1
         direction = np.array([side * np.sin(angle), np.cos(angle)])
     centre = 0.17 + 0.66 * np.array(corner)
-    ax.annotate(
+    scene.ax.annotate(
         "outward" if result.frame.axis_names[0] == "radial" else "jet",
         centre + 0.09 * direction, centre - 0.09 * direction,
         xycoords="axes fraction", textcoords="axes fraction", color="white",
@@ -180,47 +201,28 @@ def _draw_jet(ax, result, corner):
 
 def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_pm=None):
     """
-    Draw the significance along the jet, at zero speed across it.
+    Draw the z-score along the jet, at zero speed across it.
 
-    The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).
-    A thin line is the largest significance at any speed across the jet;
-    components off the axis have open symbols.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-        On axes east and north, the map is interpolated along
-        ``result.position_angle``.
-    ax, components, unit, beta_per_pm
-        As in `plot_velocity_map`.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If the unit is not that of a proper motion, or ``beta_per_pm`` is not
-        positive.
+    The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin
+    line is the largest z-score at any speed across the jet; components off the axis
+    have open symbols.  On axes east and north, the map is interpolated along
+    ``result.position_angle``.
     """
-    unit = _unit(result, unit)
-    components, kinds = style.marked(result, components)
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
-    speed, axis, highest = _along_jet(result)
+    scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
+    ax, unit = scene.ax, scene.unit
+    speed, axis, highest = _along_jet(scene)
     speed = PM_UNIT.to(unit, speed)
     ax.axhline(0, color=GREY, linewidth=0.6)
-    for line, color, width, label in (
-        (highest, GREY, 0.8, "highest, any transverse speed"),
-        (axis, style.BLUE, 1.6, "at zero transverse speed"),
-    ):
-        ax.plot(speed, line, color=color, linewidth=width, label=label)
-    _mark_significance(ax, result, components, kinds, unit)
+    look = {"color": GREY, "linewidth": 0.8, "label": "highest, any transverse speed"}
+    ax.plot(speed, highest, **look)
+    look = {"color": style.BLUE, "linewidth": 1.6, "label": "at zero transverse speed"}
+    ax.plot(speed, axis, **look)
+    _mark_significance(scene)
     ax.set_xlim(speed[0], speed[-1])
-    top = max(np.nanmax(highest, initial=1.0), *components["z_score"], 1.0)
+    top = max(np.nanmax(highest, initial=1.0), *scene.components["z_score"], 1.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
-    label, _ = velocity_labels(result.frame.axis_names, axis_words(result.cube), unit)
-    if on_sky(result):
+    label = scene.labels[0]
+    if scene.on_sky:
         angle = result.position_angle.to_value(u.deg) % 360
         label = f"Proper motion along position angle {angle:.0f} deg"
         label = f"{label} ({unit_name(unit)})"
@@ -228,34 +230,11 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     columns = style.legend_columns(2)
     ax.legend(loc="upper left", fontsize="small", ncols=columns, frameon=False)
     style.add_speed_axis(ax, unit, beta_per_pm)
-    return figure
+    return scene.figure
 
 
 def plot_map_and_significance(result, *, figure=None, beta_per_pm=None, **shared):
-    """
-    Draw the velocity map over its significance along the jet.
-
-    The figure is like Fig. 2 of Mertens & Lobanov (2016): `plot_velocity_map`
-    over `plot_significance`.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-    figure : `matplotlib.figure.Figure`, optional
-        Figure to draw on instead of a new one.
-    components, unit, beta_per_pm
-        As in `plot_velocity_map`.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If the unit is not that of a proper motion, or ``beta_per_pm`` is not
-        positive.
-    """
+    """Draw the velocity map over the z-score along the jet, as the paper's Fig. 2."""
     figure = style.new_figure((style.WIDTH, 8.0)) if figure is None else figure
     upper, lower = figure.subplots(2, 1, height_ratios=(2.0, 1.0))
     plot_velocity_map(result, ax=upper, beta_per_pm=beta_per_pm, **shared)
@@ -263,14 +242,15 @@ def plot_map_and_significance(result, *, figure=None, beta_per_pm=None, **shared
     return figure
 
 
-def _along_jet(result):
+def _along_jet(scene):
     """Return speeds along the jet, z at zero speed across, and z's maximum across."""
     from scipy.ndimage import map_coordinates
 
-    grid, rows = result.grid, np.asarray(result.z_score, dtype=float)
+    grid = scene.result.grid
+    rows = np.asarray(scene.result.z_score, dtype=float)
     speed, middle = grid.v1, int(np.argmin(np.abs(grid.v2)))
-    if on_sky(result):
-        angle = result.position_angle.to_value(u.rad)
+    if scene.on_sky:
+        angle = scene.result.position_angle.to_value(u.rad)
         sin, cos = np.sin(angle), np.cos(angle)
         # The map is square, so its reach depends on the direction.
         reach = min(np.divide(grid.v_max, np.maximum(np.abs([sin, cos]), 1e-9)))
@@ -283,23 +263,21 @@ def _along_jet(result):
     return speed, rows[middle], np.fmax.reduce(rows)
 
 
-def _mark_significance(ax, result, components, kinds, unit):
+def _mark_significance(scene):
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
-    speeds = np.stack([components[name].to_value(unit) for name in names], axis=-1)
-    least = PM_UNIT.to(unit, max(result.grid.step))
-    for row, kind, (along, error, across, across_error) in zip(
-        components, kinds, speeds, strict=True
+    least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
+    for row, kind, strong, (along, error, across, across_error) in scene.streams(
+        *names
     ):
-        strong = not kind.startswith("not")
         on_axis = abs(across) <= 3 * max(across_error, least)
         color = style.VERMILION if strong else GREY
-        ax.errorbar(
+        scene.ax.errorbar(
             along, row["z_score"], xerr=error if np.isfinite(error) else 0.0,
             fmt=KINDS[kind].on_slice, color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
-        ax.annotate(
-            f"{row['component']:.0f}", (along, row["z_score"]), xytext=(0, 6),
+        scene.ax.annotate(
+            f"{row['component']}", (along, row["z_score"]), xytext=(0, 6),
             textcoords="offset points", ha="center", color=color,
             fontweight="bold" if strong else "normal", path_effects=style.outline(),
             clip_on=True,
@@ -313,3 +291,141 @@ def speed_text(row, kind):
     form = None if np.isfinite(row["pm_err"]) else ".3g"
     text = f"{cell(row, 'pm', form=form)} {unit_name(row['pm'].unit)}"
     return {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")
+
+
+# -- the diagram ---------------------------------------------------------------------
+
+
+def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
+    """
+    Draw the displacement-interval diagram with the rays of the streams.
+
+    In red areas, more patterns match than in permuted epochs.  What moves at a
+    constant speed lies on a ray from the origin; what stands still lies at zero
+    displacement.  Thin lines on both sides of a ray are one dispersion of the
+    speeds away.  Intervals are shown until the slowest moving stream leaves the
+    diagram.  A second axis shows the displacement in beams.
+    """
+    image = result.diagram()
+    _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
+    unit = offset_unit(displacement[-1], unit)
+    scene = Scene(result, (style.WIDTH, 4.2), ax, components)
+    ax, kinds = scene.ax, scene.kinds
+    slopes = ray_slopes(scene.components, kinds, image.meta["position_angle"])
+    seen = image.meta["n_pairs"] > 0
+    years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
+    longest = longest_interval(years, slopes, kinds, displacement[-1])
+    time = scene.unit.bases[1]
+    highest = highest_excess(years, excess, longest)
+    drawn = ax.pcolormesh(
+        u.yr.to(time, drawing.edges(years)),
+        u.mas.to(unit, drawing.edges(displacement)), excess, cmap="RdBu_r",
+        vmin=-highest, vmax=highest, rasterized=True, gid="excess",
+    )  # fmt: skip
+    ax.axhline(0, color=GREY, linewidth=0.6)
+    top = u.mas.to(unit, displacement[-1])
+    ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
+    factor = PM_UNIT.to(unit / time)
+    for (row, kind, *_), slope in zip(scene.streams(), slopes, strict=True):
+        label = f"{row['component']}: {speed_text(row, kind)}"
+        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
+        spread = 0.0 if kind == "stationary" else spread
+        _draw_ray(ax, slope * factor, spread * factor, kind, label)
+    if kinds:
+        corner = "lower right" if slopes[0] >= 0 else "upper right"
+        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+    ax.set_xlabel(f"Interval between epochs ({unit_name(time)})")
+    ax.set_ylabel(f"{_direction(scene, image)} ({unit_name(unit)})")
+    beam = image.meta["beam"].to_value(unit)
+    in_beams = (lambda v: v / beam, lambda v: v * beam)
+    ax.secondary_yaxis("right", functions=in_beams).set_ylabel("Displacement (beams)")
+    if colorbar:
+        above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
+        scene.figure.colorbar(
+            drawn, cax=above, orientation="horizontal", ticklocation="top",
+            extend="both", label="Matches per pattern and beam, beyond chance",
+        )  # fmt: skip
+    return scene.figure
+
+
+def _draw_ray(ax, slope, spread, kind, label):
+    (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
+    ray = {"linestyle": KINDS[kind].line, "label": label, "gid": "ray"}
+    outlined = {"linewidth": 1.4, "path_effects": style.outline(2.6)}
+    ax.axline((0, 0), slope=slope, color=BLACK, **ray, **outlined)
+    thin = {"linewidth": 0.6, "alpha": 0.7, "gid": "dispersion"}
+    for other in (slope - spread, slope + spread) if spread > 0 else ():
+        ax.axline((0, 0), slope=other, color=BLACK, **thin)
+    # The number lies on the ray, before it leaves the axes.
+    x = 0.88 * min(right, top / abs(slope) if slope else right)
+    ax.text(
+        x, slope * x, label.partition(":")[0], ha="center", va="center",
+        fontsize="small", gid="number",
+        bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.6},
+    )  # fmt: skip
+
+
+def _direction(scene, image):
+    """Return the label of the displacement, with its direction."""
+    if not scene.on_sky:
+        jet = scene.result.frame.axis_names[0] == "parallel"
+        return f"Displacement {'along the jet' if jet else 'outward'}"
+    angle = image.meta["position_angle"].to_value(u.deg)
+    axis, _, to_the_left = scene.words
+    if to_the_left:
+        return f"Displacement towards PA {angle:.0f}°"
+    return f"Displacement {angle:.0f}° from north to {axis}"
+
+
+def ray_slopes(components, kinds, angle):
+    """
+    Return the slopes of the components' rays in the diagram.
+
+    Parameters
+    ----------
+    components : `~astropy.table.QTable`
+    kinds : sequence of str
+    angle : `~astropy.units.Quantity`, float or None
+        Position angle of the displacement, in degrees; None if it is along the jet.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        In mas/yr.  That of a stationary component is zero, as is its speed within its
+        errors.
+    """
+    slopes = components["pm_parallel"].to_value(PM_UNIT)
+    if angle is not None:
+        sky = (components[name].to_value(PM_UNIT) for name in sky_columns(components))
+        angle = u.Quantity(angle, u.deg).to_value(u.rad)
+        slopes = np.array([np.sin(angle), np.cos(angle)]) @ [*sky]
+    return np.where(np.array(kinds) == "stationary", 0.0, slopes)
+
+
+def longest_interval(years, slopes, kinds, reach):
+    """Return the longest interval that is shown, in years."""
+    ends = drawing.edges(years)
+    for shown in ("moving", "not confirmed", "not significant"):
+        own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
+        if any(own):
+            longest = BEYOND * reach / min(v for v in own if v > 0)
+            # A fast stream alone would leave a single column.
+            return min(max(longest, ends[: FEWEST_INTERVALS + 1][-1]), ends[-1])
+    return ends[-1]
+
+
+def highest_excess(years, excess, longest):
+    """Return the end of the range of the colours."""
+    return np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
+
+
+def diagram_levels(years, excess, longest, n):
+    """
+    Return a diagram as levels from -127 to 127 at n equal intervals up to the longest.
+
+    The shortest intervals, which no two epochs have, are zero.
+    """
+    ends = drawing.edges(years)
+    column = np.searchsorted(ends, (np.arange(n) + 0.5) / n * longest) - 1
+    level = np.clip(excess / highest_excess(years, excess, longest), -1, 1)[:, column]
+    return np.where(column < 0, 0, np.round(127 * level)).astype(np.int8)

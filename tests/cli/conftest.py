@@ -6,14 +6,36 @@ import pytest
 from astropy.io import fits
 
 from astro_scc.cli import main
-from astro_scc.simulation import simulate_two_fluid, write_simulation
+from astro_scc.simulation import JetSimulation, Stream, write_simulation
+
+QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
+
+
+def small_jet(n_epochs=6):
+    """Features that move 0.6 beam an epoch, on small images."""
+    flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
+    small = {"shape": (64, 128), "extent": (20.0, 100.0), "axis": 32.0}
+    return JetSimulation([flow], n_epochs=n_epochs, core=1.0, **small).run(rng=2)
+
+
+@pytest.fixture(scope="session")
+def make_jet():
+    return small_jet
 
 
 @pytest.fixture(scope="session")
 def jet(tmp_path_factory):
-    """A folder with the images of a jet."""
-    folder = tmp_path_factory.mktemp("jet")
-    write_simulation(simulate_two_fluid(n_epochs=6, rng=1), folder)
+    """The images of a jet."""
+    return write_simulation(small_jet(), tmp_path_factory.mktemp("jet"))[:-1]
+
+
+@pytest.fixture(scope="session")
+def measured(jet, tmp_path_factory):
+    """A measurement of them without a report, as a folder."""
+    folder = tmp_path_factory.mktemp("measured") / "out"
+    argv = ["measure", *jet, "-o", folder, *QUICK, "--redshift", "15.8 %"]
+    argv += ["--position-angle", "-90deg", "--no-report", "--quiet"]
+    assert main([str(word) for word in argv]) == 0
     return folder
 
 
@@ -31,7 +53,7 @@ def no_figures(monkeypatch):
 
 
 @pytest.fixture
-def astro_scc(capsys):
+def astro_scc(capsys, here):
     """Run a command; its status, output and messages."""
 
     def run(*argv):
@@ -43,16 +65,30 @@ def astro_scc(capsys):
 
 
 @pytest.fixture
+def done(astro_scc):
+    """Run a command that is done; its output and messages."""
+
+    def run(*argv):
+        status, out, err = astro_scc(*argv)
+        assert status == 0, err
+        return out, err
+
+    return run
+
+
+@pytest.fixture
 def refused(astro_scc, here):
     """Run a command that is refused in one line; the line."""
 
     def run(*argv):
         before = set(here.rglob("*"))
         status, out, err = astro_scc(*argv)
-        assert status == 2
-        assert out == ""
+        assert (status, out) == (2, "")
         assert set(here.rglob("*")) == before
-        (line,) = [line for line in err.splitlines() if not line.startswith("note: ")]
+        said = [
+            k for k in err.splitlines() if not k.startswith(("note: ", "warning: "))
+        ]
+        (line,) = said
         assert line.startswith(f"astro-scc {argv[0]}: error: ")
         return line
 
@@ -61,18 +97,17 @@ def refused(astro_scc, here):
 
 @pytest.fixture
 def series(here):
-    """Write epochs with beams of their own, or none."""
+    """Write epochs with beams of their own, in mas, or none."""
 
-    def write(beams, name="series", **changes):
-        jet = simulate_two_fluid(n_epochs=len(beams), rng=1)
-        paths = write_simulation(jet, here / name)[:-1]
-        for path, beam in zip(paths, beams, strict=True):
+    def write(sizes, **changes):
+        paths = write_simulation(small_jet(len(sizes)), here / "series")[:-1]
+        for path, size in zip(paths, sizes, strict=True):
             with fits.open(path, mode="update") as hdus:
                 header = hdus[0].header
                 for key in ("BMAJ", "BMIN", "BPA"):
                     header.remove(key, ignore_missing=True)
-                if beam is not None:
-                    header["BMAJ"] = header["BMIN"] = beam.major.to_value(u.deg)
+                if size is not None:
+                    header["BMAJ"] = header["BMIN"] = (size * u.mas).to_value(u.deg)
                     header["BPA"] = 0.0
                 header.update(changes)
         return paths

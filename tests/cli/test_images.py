@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc simulate`` and ``restore``, and what is measured besides images."""
+"""``astro-scc simulate``, ``restore`` and ``inspect``: images, and what they hold."""
 
 import re
 
@@ -8,65 +8,50 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
-from astropy.time import Time
 
 from astro_scc import EpochCube
-from astro_scc.epochs import (
-    Beam,
-    ComponentList,
-    read_components,
-    restore,
-    write_epochs,
-)
+from astro_scc.epochs import Beam, read_components
+from astro_scc.simulation import simulate_jet, simulate_two_fluid
+
+MODEL = "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n"
 
 
-def epochs(folder):
-    return sorted(folder.glob("*.fits"))
+def same(one, other):
+    return all(p.read_bytes() == (other / p.name).read_bytes() for p in one.iterdir())
 
 
-def test_simulate_and_its_seed(astro_scc, here):
-    status, out, err = astro_scc("simulate", "two-fluid", "a", "--epochs", 3, "--dense")
-    assert (status, err) == (0, "")
+def test_simulate_and_its_seed(done, here):
+    words = ["simulate", "two-fluid", "--epochs", 3, "--dense"]
+    out, err = done(*words, "a")
+    assert err == ""
     seed = int(re.search(r"\(seed (\d+)\)", out).group(1))
     truth = QTable.read(here / "a" / "truth.ecsv")
     assert truth.meta["seed"] == seed
     assert set(truth["group"]) == {"slow", "fast"}
-    status, out, _ = astro_scc(
-        "simulate", "two-fluid", "b/c/", "--epochs", 3, "--dense", "--seed", seed
-    )
-    assert status == 0
+    out, _ = done(*words, "b/c/", "--seed", seed)
     assert "b/c/*.fits -o b/c-measured" in out
-    for path in (here / "a").iterdir():
-        assert path.read_bytes() == (here / "b" / "c" / path.name).read_bytes()
-    assert len(epochs(here / "a")) == 3
+    assert same(here / "a", here / "b" / "c")
+    assert len(list((here / "a").glob("*.fits"))) == 3
 
 
-def test_simulate_a_real_jet(astro_scc, here):
-    options = ["--motion", 0.4, "--features", 5, "--standing", 2, "--seed", 1]
-    options += ["--epochs", 3, "--dispersion", 0.2, "--distribution", "lognormal"]
-    options += ["--flux-variation", 0]
-    assert astro_scc("simulate", "jet", "a", *options)[::2] == (0, "")
+def test_simulate_a_jet_of_surveys(done, here):
+    done(
+        "simulate", "jet", "a", "--motion", 0.4, "--features", 5, "--standing", 2,
+        "--seed", 1, "--epochs", 3, "--dispersion", 0.2, "--distribution", "lognormal",
+        "--flux-variation", 0,
+    )  # fmt: skip
     a = QTable.read(here / "a" / "truth.ecsv")
     flow, standing = a.meta["streams"]
     assert (flow["speed"], flow["dispersion"], flow["n_features"]) == (0.4, 0.2, 5.0)
     assert flow["distribution"] == "lognormal"
     assert standing["n_features"] == 2
-    core = a["flux"][a["group"] == "core"]
-    assert np.all(core == 1 * u.Jy)
-    beams = EpochCube.read(here / "a" / "*.fits").beams
-    assert beams[0] == beams[1]
+    assert np.all(a["flux"][a["group"] == "core"] == 1 * u.Jy)
 
 
-@pytest.mark.parametrize(
-    "jet", ["random-velocity", "ballistic", "static", "unrelated", "jet"]
-)
-def test_every_jet_is_simulated(astro_scc, here, jet):
-    status, _, err = astro_scc("simulate", jet, "a", "--epochs", 2, "--seed", 1)
-    assert (status, err) == (0, "")
-    assert len(epochs(here / "a")) == 2
-
-
-MODEL = "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n"
+@pytest.mark.parametrize("jet", ["random-velocity", "ballistic", "static", "unrelated"])
+def test_every_jet_is_simulated(done, here, jet):
+    assert done("simulate", jet, "a", "--epochs", 2, "--seed", 1)[1] == ""
+    assert len(list((here / "a").glob("*.fits"))) == 2
 
 
 @pytest.fixture
@@ -78,82 +63,48 @@ def models(here):
     return names
 
 
-def test_restore(models, astro_scc, here):
-    options = ["--beam", "1.0 mas 0.5 mas -7 deg", "--pixel", "0.1 mas"]
+def test_restore(models, done, here):
+    beam = ["--beam", "1.0 mas 0.5 mas -7 deg", "--pixel", "0.1 mas"]
     noise = ["--noise", "0.3 mJy/beam"]
-    status, out, err = astro_scc("restore", *models, "-o", "a", *options, *noise)
-    assert (status, err) == (0, "")
+    out, err = done("restore", *models, "-o", "a", *beam, *noise)
+    assert err == ""
     seed = re.search(r"seed of the noise (\d+)", out).group(1)
     cube = EpochCube.read(here / "a" / "*.fits")
-    assert len(cube) == 2
-    assert cube.beams[0] == Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
+    assert cube.beams == (Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg),) * 2
     assert cube.pixel_scale.round(6) == 0.1 * u.mas
-    header = fits.getheader(epochs(here / "a")[0])
+    header = fits.getheader(min((here / "a").glob("*.fits")))
     assert any(f"seed {seed}" in line for line in header["HISTORY"])
-    astro_scc("restore", *models, "-o", "b", *options, *noise, "--seed", seed)
-    for path in (here / "a").iterdir():
-        assert path.read_bytes() == (here / "b" / path.name).read_bytes()
-
-
-TABLE = """\
-Title: Made-up jets
-Authors: Nobody N.
-Table: Fitted Jet Features
-================================================================================
-Byte-by-byte Description of file: table4.txt
---------------------------------------------------------------------------------
-   Bytes Format Units  Label  Explanations
---------------------------------------------------------------------------------
-   1-  8 A8     ---    Name   Source name, B1950
-  10- 11 I2     ---    ID     Feature identification number
-  13- 16 I4     yr     Obs.Y  Year of observation, UT
-  18- 19 I2     month  Obs.M  Month of observation, UT
-  21- 22 I2     d      Obs.D  Day of observation, UT
-  24- 29 F6.1   mJy    Dens   Flux density at 15 GHz
-  31- 34 F4.2   mas    Off    Position offset
-  36- 40 F5.1   deg    Ang    Position angle
---------------------------------------------------------------------------------
-0000+000  0 2006  3  9  489.0 0.04 290.7
-0000+000  1 2006  3  9    7.2 3.98 121.8
-0000+001  0 2006  3 10  100.0 0.00   0.0
-0000+000  0 2006 12  1  320.0 0.10 308.1
-"""
-
-
-def test_restore_one_source_of_a_survey(astro_scc, refused, here):
-    (here / "table4.txt").write_text(TABLE)
-    words = ["restore", "table4.txt", "--beam", "1 mas", "--pixel", "0.1 mas"]
-    line = refused(*words, "-o", "out")
-    assert "table4.txt: 2 sources in the table (0000+000, 0000+001); say which" in line
-    status, _, err = astro_scc(*words, "-o", "out", "--source", "0000+000")
-    assert (status, err) == (0, "")
-    names = sorted(path.name for path in (here / "out").iterdir())
-    assert names == ["0000+000_00_2006-03-09.fits", "0000+000_01_2006-12-01.fits"]
-
-
-def test_restore_some_dates_with_a_round_beam(models, astro_scc, here):
-    status, out, _ = astro_scc(
-        "restore", *models, "-o", "a", "--beam", "0.8 mas", "--pixel", "100 uas",
-        "--before", "2007-01-01",
-    )  # fmt: skip
-    assert status == 0
+    done("restore", *models, "-o", "b", *beam, *noise, "--seed", seed)
+    assert same(here / "a", here / "b")
+    # Some dates with a round beam, without noise; and with the beam of the table.
+    round_beam = ["--beam", "0.8 mas", "--pixel", "100 uas", "--before", "2007-01-01"]
+    out, _ = done("restore", *models, "-o", "c", *round_beam)
     assert "seed" not in out
-    cube = EpochCube.read(here / "a" / "*.fits")
-    assert cube.times.isot.tolist() == ["2006-03-09T00:00:00.000"]
-    assert cube.beams[0] == Beam(0.8 * u.mas, 0.8 * u.mas)
+    some = EpochCube.read(here / "c" / "*.fits")
+    assert some.times.isot.tolist() == ["2006-03-09T00:00:00.000"]
+    assert some.beams[0] == Beam(0.8 * u.mas, 0.8 * u.mas)
+    table = read_components(models, beams=cube.beams[0]).to_table()
+    table.write(here / "a.ecsv", format="ascii.ecsv")
+    done("restore", "--pixel", "0.1 mas", "-o", "d", "a.ecsv")
+    assert EpochCube.read(here / "d" / "*.fits").beams == cube.beams
 
 
-# -- what measure and track take besides images ------------------------------------
+def test_models_without_beam_or_date(refused, models, here):
+    assert "--beam '1.0 mas 0.5 mas -7 deg'" in refused("measure", *models, "-o", "a")
+    line = refused("measure", *models, "-o", "a", "--beam", "1 mas 2 mas")
+    assert "--beam '1 mas 2 mas' is no beam: has no position angle; give" in line
+    (here / models[0]).rename(here / "model.mod")
+    line = refused("track", "model.mod", "-o", "a", "--beam", "1 mas")
+    assert "model.mod: no date in the file's name; rename it" in line
 
 
 @pytest.mark.slow
-def test_difmap_models_are_tracked(astro_scc, here):
+def test_difmap_models_are_tracked(done, here):
     for k in range(6):
         text = f"1.0v 0.0v 0v 0.1v 1 0 1\n0.5v {1.5 + 0.3 * k}v 60v 0.3v 1 0 1\n"
         (here / f"3c1_200{k}-03-09.mod").write_text(text)
     beam = ["--beam", "0.8 mas", "--seed", "1", "--no-figures"]
-    status, out, err = astro_scc("track", *here.glob("*.mod"), "-o", "a", *beam)
-    assert status == 0
+    _, err = done("track", *here.glob("*.mod"), "-o", "a", *beam)
     assert "restored with the beam 0.8 x 0.8 mas" in err
     table = QTable.read(here / "a" / "features.ecsv")
     (row,) = table[table["secure"]]
@@ -161,66 +112,104 @@ def test_difmap_models_are_tracked(astro_scc, here):
     assert "beam: 0.8 mas" in (here / "a" / "features.ecsv").read_text()
 
 
-def test_models_without_beam_or_date(refused, models, here):
-    assert "--beam '1.0 mas 0.5 mas -7 deg'" in refused("measure", *models, "-o", "a")
-    (here / models[0]).rename(here / "model.mod")
-    line = refused("track", "model.mod", "-o", "a", "--beam", "1 mas")
-    assert "model.mod: no date in the file's name; rename it" in line
-    line = refused("measure", "model.mod", "-o", "a", "--beam", "1 mas 2 mas")
-    assert "--beam '1 mas 2 mas' is no beam: has no position angle; give" in line
+# -- inspect -------------------------------------------------------------------------
 
 
-def test_restore_with_the_beam_of_the_table(models, astro_scc, here):
-    words = ["restore", "--pixel", "0.1 mas", "-o"]
-    beam = Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-    table = read_components(models, beams=beam).to_table()
-    table.write(here / "a.ecsv", format="ascii.ecsv")
-    status, _, err = astro_scc(*words, "b", "a.ecsv")
-    assert (status, err) == (0, "")
-    assert EpochCube.read(here / "b" / "*.fits").beams == (beam, beam)
+def table_of(text):
+    """The rows of the table of speeds."""
+    return [k for k in text.split("pairs\n")[1].splitlines() if k[:1].isdigit()]
+
+
+def test_inspect(jet, done, here):
+    EpochCube.read(jet[:3]).write("cube.fits")
+    for files, names in ((jet[:3], [k.name for k in jet]), (["cube.fits"], None)):
+        out, err = done("inspect", *files)
+        lines = out.splitlines()
+        assert err == ""
+        assert lines[0].split()[:3] == ["epoch", "date", "pixels"]
+        dates = [line.split()[1] for line in lines[1:4]]
+        assert dates == ["2000-01-01", "2000-01-31", "2000-03-01"]
+        for k, line in enumerate(lines[1:4]):
+            assert names is None or line.startswith(names[k])
+            assert "128 x 64" in line
+            assert "1 x 1 mas at 0 deg" in line
+        assert "No problems." in lines
+        assert any("Consecutive epochs suit speeds" in line for line in lines)
+    assert [path.name for path in here.iterdir()] == ["cube.fits"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", ["GZIP_1", "GZIP_2", "RICE_1", "PLIO_1", "HCOMPRESS_1"]
-)
-def test_tables_from_tile_compressed_images(astro_scc, here, kind):
-    """The same as from the plain ones, within a sixteenth of the noise."""
-    times = Time([f"200{k}-03-09" for k in range(6)])
-    offsets = np.ravel([[0, 1.5 + 0.3 * k, 4 + 0.4 * k] for k in range(6)])
-    components = ComponentList(
-        times=times, epoch=np.repeat(np.arange(6), 3), flux=[1, 0.3, 0.2] * 6 * u.Jy,
-        east=offsets * u.mas, north=0.5 * offsets * u.mas,
-    )  # fmt: skip
-    cube = restore(
-        components, beam=Beam(0.8 * u.mas, 0.8 * u.mas), pixel_scale=0.1 * u.mas,
-        shape=(512, 512), noise=1 * u.mJy / u.beam, rng=1,
-    )  # fmt: skip
-    (here / "plain").mkdir()
-    (here / "packed").mkdir()
-    for path in write_epochs(cube, here / "own"):
-        with fits.open(path) as hdus:
-            data = hdus[0].data.astype(">f4")
-            if kind == "PLIO_1":
-                # Of numbers from 0 to 2^24.
-                data = np.rint((data + 0.01) * 1e5).astype(">i4")
-            header = hdus[0].header
-            fits.PrimaryHDU(data, header).writeto(here / "plain" / path.name)
-            image = fits.CompImageHDU(data, header, compression_type=kind)
-            image.writeto(here / "packed" / f"{path.name}.fz")
-    assert sum(p.stat().st_size for p in (here / "packed").iterdir()) < 6 * 700_000
-    tables = []
-    for name in ("plain", "packed"):
-        files = sorted((here / name).iterdir())
-        words = ["-o", f"{name}-out", "--seed", "1", "--no-figures"]
-        assert astro_scc("track", *files, *words)[0] == 0
-        tables.append(QTable.read(here / f"{name}-out" / "features.ecsv"))
-    one, other = tables
-    assert len(one) == len(other) >= 2
-    for column in ("pm", "pm_ra_cosdec", "pm_dec", "ra_offset", "dec_offset", "flux"):
-        error = one[f"{column}_err"] if f"{column}_err" in one.colnames else None
-        error = 0.01 * one[column] if error is None else error
-        assert np.all(abs(one[column] - other[column]) <= 0.25 * abs(error))
-    assert np.array_equal(one["secure"], other["secure"])
-    if kind == "PLIO_1":
-        assert np.array_equal(one["pm"], other["pm"])
+def test_inspect_explains_speeds(jet, done):
+    # Six epochs 30 days apart, a beam of 1 mas.
+    rising = table_of(done("inspect", *jet)[0])
+    assert len(rising) == 4
+    assert rising[-1].split()[1] == "1.5"
+    out, _ = done("inspect", *jet, "--speed", "6 mas/yr")
+    motion, baseline = 6 * 30 / 365.25, f'"{0.3 / 6:.2g} yr {1.5 / 6:.2g} yr"'
+    (row,) = table_of(out)
+    assert row.split() == ["6", f"{motion:.2g}", *baseline.split(), "12"]
+    (row,) = table_of(done("inspect", *jet, "--speed", "0.01 mas/yr")[0])
+    assert row.split()[2:] == ["too", "slow", "for", "this", "series", "0"]
+    # What it gives is understood.
+    how = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
+    how += ["--no-report", "--baseline", baseline.strip('"')]
+    done("measure", *jet, "-o", "out", *how)
+
+
+def test_inspect_counts_the_pairs_of_a_night(done):
+    """Of epochs ten minutes apart are those pairs counted that would be measured."""
+    simulate_two_fluid(n_epochs=4, interval=10 * u.min, rng=1).cube.write("night.fits")
+    for speed, pairs in ((2, "6"), (8, "3")):
+        speed = (speed * u.mas / u.hr).to(u.mas / u.yr)
+        (row,) = table_of(done("inspect", "night.fits", "--speed", f"{speed:.8g}")[0])
+        assert row.split()[-1] == pairs
+
+
+def test_inspect_says_what_is_wrong(series, done, refused, here):
+    paths = series([None, 1, 1])
+    (here / "note.fits").write_text("no image")
+    out, _ = done("inspect", *paths, "note.fits")
+    problems = out.split("Problems:\n")[1].splitlines()
+    assert any("no beam where others have one" in line for line in problems)
+    assert any("note.fits: cannot be read as FITS" in line for line in problems)
+    assert problems[-1].startswith("  as one series: ")
+    out, _ = done("inspect", paths[0])
+    assert "velocities need at least two epochs of different date." in out
+    with fits.open(paths[0], mode="update") as hdus:
+        for key in ("DATE-OBS", "MJD-OBS"):
+            hdus[0].header.remove(key, ignore_missing=True)
+    assert "no date of observation" in done("inspect", paths[0])[0]
+    EpochCube.read(paths[1:]).write("whole.fits")
+    with fits.open("whole.fits") as hdus:
+        fits.HDUList([hdus[0].copy()]).writeto("cube.fits")
+    assert "cube.fits" in refused("inspect", "cube.fits")
+
+
+@pytest.mark.slow
+def test_inspect_advises_an_alignment(done):
+    """An unaligned jet, one that is aligned, and ones of which only the core tells."""
+    said = {}
+    for name, jet in {
+        "bad": simulate_jet(n_epochs=8, alignment_error=0.4, rng=2),
+        "good": simulate_jet(n_epochs=8, rng=2),
+        "two": simulate_jet(n_epochs=2, alignment_error=0.6, rng=1),
+        "dense": simulate_two_fluid(n_epochs=6, core=5.0, rng=1),
+    }.items():
+        jet.cube.write(f"{name}.fits")
+        out, _ = done("inspect", f"{name}.fits")
+        said[name], choices = out.split("pairs\n")[-1].split("\n\n")[1:3]
+        head, align, scales, direction = choices.splitlines()
+        assert head == "Without options, astro-scc measure takes:"
+        taken = "core" if name == "bad" else "none"
+        assert align.startswith(f"  --align {taken}: ")
+        assert scales.startswith("  --scales 1,2,3,4: ")
+        assert direction.startswith('  --position-angle "2')
+    number = r"^The epochs are aligned to 0\.(\d\d) beams\."
+    advice = r"appear to move: align them on the core,\nif there is one, or by a table"
+    assert int(re.match(number, said["bad"])[1]) >= 20
+    assert int(re.match(number, said["good"])[1]) <= 5
+    assert "--align core" not in said["good"]
+    nobody = "The images do not show how well the epochs are aligned."
+    assert said["dense"] == nobody
+    assert said["two"].startswith(f"{nobody}\nThe core as it is fitted scatters by 0.")
+    assert all(re.search(advice, said[name]) for name in ("bad", "two"))

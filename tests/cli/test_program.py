@@ -1,12 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The program: help, arguments, errors, warnings."""
+"""The program: help, arguments, errors, signals, warnings and progress."""
 
 import os
 import re
 import signal
 import subprocess
 import sys
-import threading
 import warnings
 
 import pytest
@@ -16,46 +15,56 @@ from astro_scc.cli.program import Reporter, build_parser
 from astro_scc.exceptions import EpochWarning
 
 
+@pytest.fixture
+def simulated(monkeypatch):
+    """Let the simulation of a static jet do something else."""
+
+    def act(function):
+        monkeypatch.setattr("astro_scc.simulation.simulate_static", function)
+
+    return act
+
+
+def fail(error):
+    """Return a function that raises an error."""
+
+    def raise_it(*args, **kwargs):
+        raise error
+
+    return raise_it
+
+
 @pytest.mark.slow
 def test_help_imports_nothing_that_takes_time():
     code = (
         "import sys\nfrom astro_scc.cli import main\n"
-        "try:\n    main(sys.argv[1:])\nexcept SystemExit as leave:\n"
-        "    assert leave.code == 0\n"
+        "for words in ([], ['demo'], ['measure'], ['inspect'], ['survey']):\n"
+        "    try:\n        main([*words, '--help'])\n"
+        "    except SystemExit as leave:\n        assert leave.code == 0\n"
         "heavy = {'numpy', 'scipy', 'astropy', 'matplotlib', 'photutils', 'tqdm'}\n"
         "assert heavy.isdisjoint(sys.modules), heavy & set(sys.modules)"
     )
-    for words in ([], ["demo"], ["measure"], ["inspect"], ["track"], ["survey"]):
-        done = subprocess.run(
-            [sys.executable, "-c", code, *words, "--help"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert done.stdout.startswith("usage: astro-scc")
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.count("usage: astro-scc") == 5
 
 
 def test_completion_of_a_shell(capsys, monkeypatch):
     pytest.importorskip("shtab")
-    with pytest.raises(SystemExit) as leave:
-        main(["--print-completion", "bash"])
-    assert leave.value.code in (0, None)
-    script = capsys.readouterr().out
-    assert "survey" in script
-    assert "--position-angle" in script
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    with pytest.raises(SystemExit) as leave:
-        main(["--print-completion", "bash"])
-    assert leave.value.code == 2
-    assert "needs shtab: pip install shtab" in capsys.readouterr().err
+    for status in (0, 2):
+        with pytest.raises(SystemExit) as leave:
+            main(["--print-completion", "bash"])
+        assert (leave.value.code or 0) == status
+        monkeypatch.setitem(sys.modules, "shtab", None)
+    said = capsys.readouterr()
+    assert {"survey", "--position-angle"} <= set(re.findall(r"[\w-]+", said.out))
+    assert "needs shtab: pip install shtab" in said.err
 
 
 def test_an_option_of_several_commands_is_explained_alike():
-    parser = build_parser()
-    (commands,) = (a for a in parser._actions if a.dest == "command")
+    (commands,) = (a for a in build_parser()._actions if a.dest == "command")
     # What differs by what a command makes or takes.
-    own = {"--output", "--epochs", "--no-report"}
-    said = {}
+    own, said = {"--output", "--epochs", "--no-report"}, {}
     for command in commands.choices.values():
         for action in command._actions:
             for option in set(action.option_strings) - own:
@@ -75,54 +84,52 @@ def test_angles_below_zero_are_no_options(angle):
 @pytest.mark.parametrize(
     ("argv", "line"),
     [
-        ([], "astro-scc: error: the following arguments are required: COMMAND"),
-        (["fly"], "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
-        (["restore", "a.ecsv"], "astro-scc restore: error: the following arguments"),
-        (["--foo", "inspect"], "astro-scc: error: unrecognized arguments: --foo"),
-        (["measure", "--bins", "3"], "astro-scc measure: error: unrecognized arg"),
-        (["simulate", "jets", "x"], "astro-scc simulate: error: argument JET: invalid"),
-        (["simulate", "static", "x", "--epochs", "b"], "astro-scc simulate: error: "),
+        ("", "astro-scc: error: the following arguments are required: COMMAND"),
+        ("fly", "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
+        ("restore a.ecsv", "astro-scc restore: error: the following arguments"),
+        ("--foo inspect", "astro-scc: error: unrecognized arguments: --foo"),
+        ("measure --bins 3", "astro-scc measure: error: unrecognized arguments"),
+        ("track x --max-speed 1", "astro-scc track: error: unrecognized arguments"),
+        ("track x --n-trials 1", "astro-scc track: error: unrecognized arguments"),
+        ("simulate jets x", "astro-scc simulate: error: argument JET: invalid"),
+        ("simulate static x --epochs b", "astro-scc simulate: error: argument --epo"),
     ],
 )
 def test_arguments_that_are_not_understood(capsys, argv, line):
     with pytest.raises(SystemExit) as leave:
-        main(argv)
+        main(argv.split())
     assert leave.value.code == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(line)
-    assert len(err.splitlines()) == 1
+    assert err.count("\n") == 1
     # The help of the command, if there is one.
-    program = line.partition(":")[0]
-    assert err.endswith(f"; see {program} --help\n")
+    assert err.endswith(f"; see {line.partition(':')[0]} --help\n")
 
 
-def test_an_interrupt_is_one_line(astro_scc, here, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("astro_scc.simulation.simulate_static", interrupt)
-    status, out, err = astro_scc("simulate", "static", "out")
-    assert (status, out) == (130, "")
-    assert err == "astro-scc simulate: error: interrupted, nothing was written\n"
-    assert not list(here.iterdir())
-    with pytest.raises(KeyboardInterrupt):
+@pytest.mark.parametrize("error", [ValueError, TypeError, OSError, MemoryError])
+def test_errors_of_the_library_are_one_line(astro_scc, simulated, error):
+    simulated(fail(error("it is\nwrong")))
+    status, _, err = astro_scc("simulate", "static", "out")
+    assert status == 2
+    assert re.fullmatch(r"astro-scc simulate: error: .*it is wrong\)?\n", err)
+    with pytest.raises(error):
         main(["simulate", "static", "out", "--debug"])
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_a_signal_that_ends_is_one_line(astro_scc, here, monkeypatch, name):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_an_interrupt_or_a_signal_is_one_line(astro_scc, here, simulated, name):
     number = getattr(signal, name)
-    monkeypatch.setattr(
-        "astro_scc.simulation.simulate_static",
-        lambda *a, **k: os.kill(os.getpid(), number),
-    )
+    simulated(lambda *args, **kwargs: os.kill(os.getpid(), number))
     # Whoever runs the tests may ignore it, as nohup does.
-    before = signal.signal(number, signal.SIG_DFL)
+    own = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+    before = signal.signal(number, own)
     try:
         status, out, err = astro_scc("simulate", "static", "out")
-        assert signal.getsignal(number) is signal.SIG_DFL
+        assert signal.getsignal(number) is own
+        with pytest.raises(KeyboardInterrupt):
+            main(["simulate", "static", "out", "--debug"])
     finally:
         signal.signal(number, before)
     assert (status, out) == (128 + number, "")
@@ -131,14 +138,11 @@ def test_a_signal_that_ends_is_one_line(astro_scc, here, monkeypatch, name):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_signal_that_somebody_handles_is_theirs(astro_scc, here, monkeypatch):
+def test_a_signal_that_somebody_handles_is_theirs(here, simulated):
     received = []
     before = signal.signal(signal.SIGTERM, lambda *args: received.append(args[0]))
+    simulated(lambda *args, **kwargs: os.kill(os.getpid(), signal.SIGTERM) or 1 / 0)
     try:
-        monkeypatch.setattr(
-            "astro_scc.simulation.simulate_static",
-            lambda *a, **k: os.kill(os.getpid(), signal.SIGTERM) or 1 / 0,
-        )
         with pytest.raises(ZeroDivisionError):
             main(["simulate", "static", "out"])
     finally:
@@ -146,74 +150,28 @@ def test_a_signal_that_somebody_handles_is_theirs(astro_scc, here, monkeypatch):
     assert received == [signal.SIGTERM]
 
 
-def test_beside_the_main_thread(astro_scc, here):
-    """Where no handler of signals can be set."""
-    status = []
-    run = threading.Thread(target=lambda: status.append(astro_scc("inspect", "none")))
-    run.start()
-    run.join()
-    assert status[0][0] == 2
-
-
-@pytest.mark.parametrize("error", [ValueError, TypeError, OSError, MemoryError])
-def test_errors_of_the_library_are_one_line(astro_scc, monkeypatch, here, error):
-    def fail(*args, **kwargs):
-        raise error("it is\nwrong")
-
-    monkeypatch.setattr("astro_scc.simulation.simulate_static", fail)
-    status, _, err = astro_scc("simulate", "static", "out")
-    assert status == 2
-    assert re.fullmatch(r"astro-scc simulate: error: .*it is wrong\)?\n", err)
-    with pytest.raises(error):
-        main(["simulate", "static", "out", "--debug"])
-
-
-def test_mistakes_of_the_program_are_not_hidden(monkeypatch, here):
-    def fail(*args, **kwargs):
-        raise AssertionError
-
-    monkeypatch.setattr("astro_scc.simulation.simulate_static", fail)
-    with pytest.raises(AssertionError):
-        main(["simulate", "static", "out"])
-    assert not list(here.iterdir())
-
-
 @pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error(tmp_path):
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "astro_scc",
-            "simulate",
-            "static",
-            "x",
-            "--epochs=1",
-        ],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
+    words = [sys.executable, "-m", "astro_scc", "simulate", "static", "x", "--epochs=1"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(words, cwd=tmp_path, **pipes)
     process.stdout.close()
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait() == 0
 
 
-def test_warnings_are_lines_each_once(capsys):
-    reporter = Reporter("astro-scc test")
+@pytest.mark.parametrize("quiet", [False, True])
+def test_warnings_are_lines_each_once(capsys, quiet):
+    reporter = Reporter("astro-scc test", quiet=quiet)
     with reporter.warnings_as_lines():
         for _ in range(2):
             warnings.warn("look\n  here", EpochWarning, stacklevel=1)
-    assert capsys.readouterr().err == "warning: look here\n"
+        reporter.note("this")
+        reporter.say("that")
+    said = "that\n", "warning: look here\nnote: this\n"
+    assert capsys.readouterr() == (("", "") if quiet else said)
     assert reporter.warnings == ["look here"]
-    quiet = Reporter("astro-scc test", quiet=True)
-    with quiet.warnings_as_lines():
-        warnings.warn("look here", EpochWarning, stacklevel=1)
-        quiet.note("this")
-        quiet.say("that")
-    assert capsys.readouterr() == ("", "")
-    assert quiet.warnings == ["look here"]
 
 
 @pytest.mark.parametrize(
@@ -222,7 +180,6 @@ def test_warnings_are_lines_each_once(capsys):
         ("max_speed = '2' has no unit", "--max-speed '2' has no unit"),
         ("kappa must be above 0", "--kappa must be above 0"),
         ("give a smaller max_speed, or", "give a smaller --max-speed, or"),
-        ("along needs a position_angle", "along needs a --position-angle"),
         ("the kappa of all", "the kappa of all"),
         # Names of files, and keys in them.
         ("kappa.reg: no such file", "kappa.reg: no such file"),
@@ -231,8 +188,7 @@ def test_warnings_are_lines_each_once(capsys):
     ],
 )
 def test_messages_name_options_as_they_are_typed(capsys, said, typed):
-    settings = ("max_speed", "position_angle", "kappa")
-    reporter = Reporter("astro-scc test", settings=settings)
+    reporter = Reporter("astro-scc test", settings=("max_speed", "kappa"))
     reporter.warn(said)
     reporter.error(said)
     err = capsys.readouterr().err
@@ -240,3 +196,29 @@ def test_messages_name_options_as_they_are_typed(capsys, said, typed):
     # A survey has its settings in a file.
     Reporter("astro-scc test").error(said)
     assert capsys.readouterr().err == f"astro-scc test: error: {said}\n"
+
+
+QUICK = "--scales 2 --max-speed 36mas/yr --n-trials 20".split()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "options", "labels"),
+    [
+        ("measure", [*QUICK, "--no-report"], "Decomposing Correlating Searching"),
+        (
+            "profile",
+            [*QUICK, "--bins", "2 16 mas"],
+            "Decomposing Correlating Searching",
+        ),
+        ("track", ["--no-figures"], "Fitting"),
+    ],
+)
+def test_long_commands_tell_how_far_they_are(
+    name, options, labels, jet, done, monkeypatch
+):
+    # As if every half minute, and pytest's standard error is no terminal.
+    monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
+    _, err = done(name, *jet, "-o", "out", *options)
+    line = rf"^({'|'.join(labels.split())}): \d+ (?:of \d+|done), \d+\.\d min$"
+    assert set(re.findall(line, err, re.MULTILINE)) == set(labels.split())

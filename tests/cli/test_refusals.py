@@ -47,6 +47,8 @@ REFUSED = {
 --config alpha.toml | alpha.toml: alpha = 1.5 must be between 0
 -o file | file: is a file
 -o full | full: exists and is not empty
+-o full --resume | full: exists and is not of a run with --resume; choose another
+-o file --resume | file: cannot be made or used
 """,
     "measure": """
 -o out | no epochs were given
@@ -152,6 +154,6 @@ def test_what_a_user_gets_wrong(jet, refused, here, command, reason):
     for name, text in FILES.items():
         (here / name).parent.mkdir(exist_ok=True)
         (here / name).write_text(text)
-    files = {"JET": sorted(jet.glob("*.fits")), "MODELS": sorted(here.glob("3c1*"))}
+    files = {"JET": jet, "MODELS": sorted(here.glob("3c1*"))}
     words = (files.get(word, [word]) for word in shlex.split(command))
     assert reason in refused(*(word for own in words for word in own))

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc track``: what it writes, and what it refuses."""
+"""``astro-scc track`` and ``profile``, and all commands on a fast object."""
 
 import re
 from dataclasses import replace
@@ -10,134 +10,206 @@ import pytest
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.cli import main
-from astro_scc.cli.summary import feature_lines
+from astro_scc import Beam
 from astro_scc.cli.track import PRODUCTS
 from astro_scc.columns import cell
-from astro_scc.features import find_features
-from astro_scc.simulation import simulate_jet, simulate_static, write_simulation
+from astro_scc.simulation import JetSimulation, Stream, simulate_jet, write_simulation
+
+SHOWN = [name for name in PRODUCTS if not name.endswith(("png", "pdf"))]
 
 
 @pytest.fixture(scope="module")
 def jet(tmp_path_factory):
     folder = tmp_path_factory.mktemp("jet")
-    write_simulation(simulate_jet(n_epochs=8, dispersion=0.1, rng=1), folder)
-    return sorted(folder.glob("*.fits"))
+    how = {"n_epochs": 6, "n_features": 5, "length": 5.0, "shape": (48, 96)}
+    return write_simulation(simulate_jet(**how, rng=1), folder)[:-1]
 
 
-@pytest.fixture
-def astro_scc(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*argv):
-        status = main(["track", *(str(word) for word in argv)])
-        return status, *capsys.readouterr()
-
-    return run
-
-
-def test_all_products_are_written(astro_scc, jet, tmp_path):
-    status, out, err = astro_scc(
-        *jet, "-o", "out", "--redshift", "0.1", "--seed", "1", "--pdf"
+def test_all_products_are_written(done, jet, here):
+    out, err = done(
+        "track", *jet, "-o", "out", "--redshift", "0.1", "--seed", "1", "--pdf"
     )
-    assert (status, err) == (0, "")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == set(PRODUCTS)
-    features = QTable.read(tmp_path / "out" / "features.ecsv")
-    positions = QTable.read(tmp_path / "out" / "positions.ecsv")
+    assert err == ""
+    assert {path.name for path in (here / "out").iterdir()} == set(PRODUCTS)
+    tables = {
+        k: QTable.read(here / "out" / f"{k}.ecsv") for k in ("features", "positions")
+    }
+    features, positions = tables.values()
     secure = features[features["secure"]]
-    assert f"{len(features)} features, {len(secure)} of them secure" in out
+    assert f"{len(secure)} of them secure" in out
     row = secure[0]
     line = next(x for x in out.splitlines() if x.startswith(f"{row['feature']} "))
-    for word in (
-        row["first"].isot[:10],
-        cell(row, "beta_app", "+-"),
-    ):
-        assert word in line
+    assert row["first"].isot[:10] in line
+    assert cell(row, "beta_app", "+-") in line
     assert set(positions["feature"]) == set(features["feature"])
     assert len(positions) == np.sum(features["n_epochs"])
-    assert features.meta["configuration"]["seed"] == 1
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0" in out
-    assert features.meta["cosmology"]["Om0"] == 0.27
-    assert isinstance(features["beta_app"], u.Quantity)
+    assert features.meta["configuration"]["seed"] == 1
+    assert {"cosmology", "versions"} <= set(features.meta)
     assert isinstance(positions["date"], Time)
-    assert np.all(features["first"] < features["last"])
     assert np.all(features["first"] < features["date"])
-    assert features.meta["versions"]
-    assert len(QTable.read(tmp_path / "out" / "publication" / "features.vot")) == len(
-        features
-    )
-    assert len(QTable.read(tmp_path / "out" / "publication" / "positions.vot")) == len(
-        positions
-    )
+    for name, table in tables.items():
+        votable = QTable.read(here / "out" / "publication" / f"{name}.vot")
+        assert len(votable) == len(table)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("detections", ["gaussians", "ssp"])
-def test_the_same_seed_gives_the_same_tables(astro_scc, jet, tmp_path, detections):
-    for name, workers in (("a", "1"), ("b", "2")):
-        words = ["-o", name, "--seed", "1", "--no-figures", "--workers", workers]
-        assert astro_scc(*jet, *words, "--detections", detections)[0] == 0
-    for table in ("features.ecsv", "positions.ecsv"):
-        one, other = ((tmp_path / f / table).read_bytes() for f in "ab")
-        assert one == other
-    assert not list((tmp_path / "a").glob("*.png"))
-
-
-def test_no_features_are_empty_tables(astro_scc, jet, tmp_path):
-    status, out, _ = astro_scc(*jet[:3], "-o", "out", "--distance", "10 Mpc")
-    assert status == 0
-    assert "0 features, 0 of them secure." in out
-    assert "No detections of four epochs or more are in steady motion." in out
-    features = QTable.read(tmp_path / "out" / "features.ecsv")
-    assert len(features) == 0
-    assert {"pm", "t_ej", "beta_app"} <= set(features.colnames)
-    assert len(QTable.read(tmp_path / "out" / "positions.ecsv")) == 0
-
-
-def test_what_secure_features_would_need_is_said():
-    features = find_features(simulate_static(n_epochs=6, rng=1).cube)
-    lines = feature_lines(features.table)
-    assert lines[0] == f"{len(features)} features, 0 of them secure."
-    assert "moves by at least" in lines[1]
-    assert re.match(r"The nearest to that is feature \d+: p_false .* errors", lines[2])
-    (years,) = re.findall(r"would have to be seen for (\S+) yr", lines[2])
-    assert float(years) > features.cube.years[-1].to_value(u.yr)
-
-
-@pytest.mark.slow
-def test_a_configuration_of_a_measurement_is_understood(astro_scc, jet, tmp_path):
-    (tmp_path / "jet.toml").write_text(
-        'scales = [2]\nmax_speed = "30 mas/yr"\nposition_angle = "radial"\n'
+def test_the_same_seed_gives_the_same_tables(done, jet, here, detections):
+    (here / "jet.toml").write_text(
+        'scales = [1, 2]\nmax_speed = "30 mas/yr"\nposition_angle = "radial"\n'
         "kappa = 0.7\ndetection = 5\nn_trials = 2\nseed = 3\n"
     )
-    status, _, _ = astro_scc(*jet, "-o", "out", "--config", "jet.toml", "--no-figures")
-    assert status == 0
-    kept = QTable.read(tmp_path / "out" / "features.ecsv").meta["configuration"]
+    for name, workers in (("a", "1"), ("b", "2")):
+        words = ["-o", name, "--config", "jet.toml", "--no-figures"]
+        done("track", *jet, *words, "--workers", workers, "--detections", detections)
+    for table in ("features.ecsv", "positions.ecsv"):
+        one, other = ((here / f / table).read_bytes() for f in "ab")
+        assert one == other
+    assert {path.name for path in (here / "a").iterdir()} == set(SHOWN)
+    # A configuration of a measurement is understood.
+    kept = QTable.read(here / "a" / "features.ecsv").meta["configuration"]
     assert (kept["seed"], kept["detection"]) == (3, 5)
     assert not {"max_speed", "kappa", "n_trials"} & set(kept)
 
 
-def test_images_without_beams_have_features_of_ssps(astro_scc, tmp_path):
-    cube = simulate_jet(n_epochs=8, dispersion=0.1, rng=1).cube
-    replace(cube, beams=None).write(tmp_path / "cube.fits")
-    assert astro_scc("cube.fits", "-o", "out", "--no-figures")[0] == 0
-    features = QTable.read(tmp_path / "out" / "features.ecsv")
+def test_no_features_are_empty_tables(done, jet, here):
+    (here / "r.reg").write_text("image\ncircle(3,3,2)\n")
+    how = ["-o", "out", "--distance", "10 Mpc", "--region", "r.reg"]
+    out, err = done("track", *jet[:3], *how)
+    assert "0 features, 0 of them secure." in out
+    assert "No detections of four epochs or more are in steady motion." in out
+    said = "warning: no emission beside the core was detected in any epoch in r.reg"
+    assert said in err
+    features = QTable.read(here / "out" / "features.ecsv")
+    assert len(features) == 0
+    assert {"pm", "t_ej", "beta_app"} <= set(features.colnames)
+    assert len(QTable.read(here / "out" / "positions.ecsv")) == 0
+
+
+def test_images_without_beams_have_features_of_ssps(done, jet_cube, here):
+    replace(jet_cube, beams=None).write(here / "cube.fits")
+    done("track", "cube.fits", "-o", "out", "--no-figures", "--scales", "2")
+    features = QTable.read(here / "out" / "features.ecsv")
     assert features["secure"].any()
     assert np.all(features["size"].value == 0)
 
 
-def test_a_region_without_emission(astro_scc, jet, tmp_path):
-    (tmp_path / "r.reg").write_text("image\ncircle(3,3,2)\n")
-    status, out, err = astro_scc(*jet, "-o", "out", "--region", "r.reg")
-    assert status == 0
-    assert (
-        "warning: no emission beside the core was detected in any epoch in r.reg" in err
-    )
-    assert len(QTable.read(tmp_path / "out" / "features.ecsv")) == 0
+# -- profile -------------------------------------------------------------------------
 
 
-def test_options_of_streams_are_none_of_features(astro_scc, jet, capsys):
-    for option in ("--max-speed", "--position-angle", "--n-trials", "--profile"):
-        with pytest.raises(SystemExit):
-            astro_scc(*jet, "-o", "out", option, "1")
-        assert f"unrecognized arguments: {option}" in capsys.readouterr().err
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory):
+    """The words of a command on a cube."""
+    flow = Stream("flow", dx=8.0, sigma=3.0, density=0.4)
+    small = {"shape": (64, 200), "extent": (20.0, 180.0), "axis": 32.0}
+    path = tmp_path_factory.mktemp("epochs") / "cube.fits"
+    JetSimulation([flow], n_epochs=6, **small).run(rng=2).cube.write(path)
+    return [
+        "profile",
+        path,
+        "-o",
+        "out",
+        "--max-speed",
+        "20 mas/yr",
+        "--n-trials",
+        "25",
+    ]
+
+
+WEST = ["--position-angle", "270 deg"]
+
+
+def test_the_whole_stretch(profile, done, here):
+    """Its acceleration, and the speeds of its scales."""
+    out, _ = done(*profile, *WEST, "--bins", "0 20 mas", "--scales", "1,2")
+    assert "acceleration: " in out
+    assert "Speeds of the finest and coarser scales: " in out
+    found = QTable.read(here / "out" / "profile.ecsv").meta["acceleration"]
+    assert found["acceleration"].unit == u.mas / u.yr**2
+    assert 0 <= found["p_value"] <= 1
+    (row,) = QTable.read(here / "out" / "scales.ecsv")
+    assert (row["first"], row["second"]) == ("finest", "coarser")
+
+
+@pytest.mark.slow
+def test_profile(profile, done, here):
+    how = ["--bins", "0 10 20 mas", "--redshift", "0.1", "--seed", "1", "--scales", "2"]
+    out, _ = done(*profile, *WEST, *how)
+    assert "separation (mas)" in out
+    assert "p_fdr" in out
+    assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc" in out
+    assert {path.name for path in (here / "out").iterdir()} == {
+        "config.toml", "position_angles.png", "profile.ecsv", "profile.png",
+        "publication", "velocity_maps.png",
+    }  # fmt: skip
+    table = QTable.read(here / "out" / "profile.ecsv")
+    assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
+    assert table["beta_app"].unit == u.one
+    # The configuration does it again, to the bit.
+    done("profile", "--config", "out/config.toml", "-o", "again")
+    first, second = ((here / k / "profile.ecsv").read_text() for k in ("out", "again"))
+    assert first == second
+
+
+@pytest.mark.slow
+def test_along_the_ridge_with_windows(profile, done, here):
+    how = ["--bins", "8 14 mas", "--window", "10 mas", "--scales", "2"]
+    done(*profile, "--position-angle", "ridge", *how)
+    table = QTable.read(here / "out" / "profile.ecsv")
+    votable = QTable.read(here / "out" / "publication" / "profile.vot")
+    assert votable.colnames == table.colnames
+    assert table.meta["along"] == "ridge"
+    assert set(table["r_max"].to_value(u.mas)) <= {13.0, 19.0}
+
+
+def test_a_profile_where_nothing_is(profile, refused, here):
+    (here / "r.reg").write_text("image\ncircle(3,3,2)\n")
+    line = refused(*profile, *WEST, "--bins", "0 10 mas", "--region", "r.reg")
+    assert "no SSP lies in the bins" in line
+
+
+# -- a microquasar: twelve daily images of a jet at 17 mas per day ---------------------
+
+SPEED = 17 * u.mas / u.d
+
+
+@pytest.fixture(scope="module")
+def microquasar(tmp_path_factory):
+    beam = Beam(34 * u.mas, 26 * u.mas, 20 * u.deg)
+    width = np.sqrt(beam.major * beam.minor)
+    jet = simulate_jet(
+        dates=Time("2020-03-01T06:00:00") + np.arange(12) * u.d, beam=beam,
+        speed=(SPEED * u.d / width).to_value(u.one), dispersion=0.05, rng=5,
+        pixel_scale=3 * u.mas, position_angle=130 * u.deg, interval=1 * u.d,
+    )  # fmt: skip
+    return write_simulation(jet, tmp_path_factory.mktemp("mq"))[:-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["inspect", "track", "measure"])
+def test_speeds_are_per_day_everywhere(microquasar, command, done, here):
+    how = ["-o", "out", "--seed", "1", "--distance", "9 kpc"]
+    text, _ = done(command, *microquasar, *(how if command != "inspect" else ()))
+    units = set(re.findall(r"\b\w+ ?/ ?(?:yr|d|h)\b(?:\^2)?", text))
+    assert {unit.replace(" ", "") for unit in units} <= {"mas/d", "mas/d^2"}
+    # Neither decimal years, nor numbers with an exponent.
+    assert not re.search(r"\b2020\.\d|\de-\d", text)
+    if command == "inspect":
+        return
+    table = QTable.read(here / "out" / "features.ecsv")
+    assert np.all(table["secure"])
+    assert table["pm"].unit == u.mas / u.d
+    assert table["acc_parallel"].unit == u.mas / u.d**2
+    off = np.abs(table["pm"] - SPEED) / np.hypot(table["pm_err"], 0.05 * SPEED)
+    assert np.median(off) < 1.5
+    # The Modified Julian Date of the ejection.
+    assert table["t_ej"].unit == u.d
+    at = table["date"].mjd * u.d - table["separation"] / table["pm_radial"]
+    np.testing.assert_allclose((table["t_ej"] - at).value, 0, atol=0.3)
+    if command == "measure":
+        for name in ("components", "sensitivity"):
+            assert QTable.read(here / "out" / f"{name}.ecsv")["pm"].unit == u.mas / u.d
+        page = (here / "out" / "report.html").read_text(encoding="utf-8")
+        page = re.sub(r"data:\S+", "", page)
+        assert not re.search(r"arcsec/yr|mas/yr(?! along)", page)

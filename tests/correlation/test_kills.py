@@ -55,7 +55,7 @@ def run(args, reporter):
             time.sleep(0.3)
 
 if __name__ == "__main__":
-    track.run = run
+    track.track = run
     for seed in range(n):
         random.seed(seed)
         status = main(["track", "none.fits"])

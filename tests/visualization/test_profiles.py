@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Speed against distance, and what lies beside it."""
+"""Speed against distance and what lies beside it, and the features of many sources."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,75 +10,65 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc.stacking.velocities import VelocityGrid
+from astro_scc.units import PM_UNIT as PM
 from astro_scc.visualization.profiles import (
     plot_position_angles,
     plot_profile,
     plot_scale_maps,
 )
+from astro_scc.visualization.speeds import fastest_of, plot_population, population
 from astro_scc.visualization.style import BLUE
 
-PM = u.mas / u.yr
 WEST = SimpleNamespace(
     at=lambda s: (-s, 0 * s), position_angle=lambda s: np.full(len(s), 270) * u.deg
 )
 
 
+def labels(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
 @pytest.fixture
 def table():
-    return QTable(
-        {
-            "r_min": [0, 1, 2] * u.mas,
-            "r_max": [1, 2, 3] * u.mas,
-            "r_mid": [0.5, 1.5, 2.5] * u.mas,
-            "kind": ["moving", "not significant", "stationary"],
-            "main": [True, False, True],
-            "pm_parallel": [1.0, 1.2, 0.0] * PM,
-            "pm_parallel_err": [0.1, 9.0, np.inf] * PM,
-        }
-    )
+    middle = [0.5, 1.5, 2.5] * u.mas
+    return QTable({
+        "r_min": middle - 0.5 * u.mas, "r_max": middle + 0.5 * u.mas, "r_mid": middle,
+        "kind": ["moving", "not significant", "stationary"],
+        "main": [True, False, True],
+        "pm_parallel": [1.0, 1.2, 0.0] * PM, "pm_parallel_err": [0.1, 9.0, np.inf] * PM,
+    })  # fmt: skip
 
 
-def test_components_fits_and_others_have_names(table, cube):
+@pytest.mark.parametrize("beams", [True, False])
+def test_components_fits_and_others_have_names(table, cube, beams):
     def fit(r):
         return np.full(len(r), 1.0) * PM
 
     fit.model = "constant"
     figure = plot_profile(
-        table, cube=cube, line=WEST, fits=[fit], beta_per_pm=2.0,
+        table, cube=cube if beams else replace(cube, beams=None), line=WEST,
+        fits=[fit], beta_per_pm=2.0,
         others=[("MOJAVE", [4] * u.mas, [1] * PM, [0.1] * PM)],
     )  # fmt: skip
-    figure.draw_without_rendering()
     strip, ax = figure.axes
     assert strip.images
-    labels = {text.get_text() for text in ax.get_legend().get_texts()}
     wanted = {"moving", "not significant", "stationary", "constant", "MOJAVE"}
-    assert labels == wanted
+    assert set(labels(ax)) == wanted
     # The farthest is that of others; the large error does not squeeze the rest.
     assert ax.get_xlim()[1] == pytest.approx(1.02 * 4)
     assert ax.get_ylim()[1] < 2
-    plot_profile(table[:0]).draw_without_rendering()
 
 
-def test_only_what_is_not_significant_has_open_symbols(table):
+def test_symbols_tell_kinds_and_what_has_no_speed(table):
     table["kind"][1] = "moving"
     (ax,) = plot_profile(table).axes
     dots = [line for line in ax.lines if line.get_marker() == "o"]
     assert [line.get_markerfacecolor() for line in dots] == 2 * [BLUE]
     # Those that do not represent their bin are smaller.
     assert [line.get_markersize() for line in dots] == [5, 3]
-    assert {line.get_alpha() for line in dots} == {None}
-
-
-def test_without_features_there_is_no_speed(table):
     table["n_features"] = [0, 2, 1]
-    (ax,) = plot_profile(table).axes
-    labels = {text.get_text() for text in ax.get_legend().get_texts()}
-    assert labels == {"not significant", "stationary"}
-
-
-def test_images_without_beams_have_a_strip(table, cube):
-    plain = replace(cube, beams=None)
-    assert plot_profile(table, cube=plain, line=WEST).axes[0].images
+    assert labels(plot_profile(table).axes[0]) == ["moving", "stationary"]
+    plot_profile(table[:0]).draw_without_rendering()
 
 
 def test_maps_have_their_peaks():
@@ -90,14 +80,41 @@ def test_maps_have_their_peaks():
     marks = [line for line in lines if line.get_marker() == "+"]
     assert len(marks) == 2
     assert marks[0].get_xydata()[0] == pytest.approx([grid.v1[2], grid.v2[1]])
-    assert not figure.axes[3].axison
     with pytest.raises(ValueError, match="maps must hold one map or more"):
         plot_scale_maps({}, grid)
 
 
 def test_histograms_are_shares_of_each_group():
     figure = plot_position_angles({"a": [240, 250, 251] * u.deg, "b": [] * u.deg})
-    (ax,) = figure.axes
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels == ["a: 3 SSPs", "b: 0 SSPs"]
+    assert labels(figure.axes[0]) == ["a: 3 SSPs", "b: 0 SSPs"]
     plot_position_angles({}).draw_without_rendering()
+
+
+def test_the_features_of_many_sources():
+    """Outward, inward, stationary and accelerated ones, and a doubtful one."""
+    table = QTable({"source": list("aabbb"), "n_epochs": [5, 12, 12, 12, 5]})
+    table["secure"] = [True, True, False, True, False]
+    table["p_false"] = [0.1, 0.1, 0.2, 0.1, 0.9]
+    table["pm"], table["pm_radial"] = [1, 2, 0.1, 3, 9] * PM, [1, -2, 0, 3, 9] * PM
+    for name in ("acc_parallel", "acc_perpendicular"):
+        table[name] = [np.nan, np.nan, np.nan, 0.4, 0.4] * PM / u.yr
+    for name in ("pm", "pm_radial", "acc_parallel", "acc_perpendicular"):
+        table[f"{name}_err"] = np.full(5, 0.1) * table[name].unit
+    table["beta_app"] = 10 * table["pm"].value
+    found = {k: np.flatnonzero(use).tolist() for k, use in population(table).items()}
+    assert found == {
+        "moving": [0, 1, 3], "at rest": [2], "inward": [1], "judged": [1, 3],
+        "accelerated": [3],
+    }  # fmt: skip
+    assert fastest_of(table).tolist() == [2.0, 3.0]
+    left, right, *in_c = plot_population(table).axes
+    # The bars of inward ones are on top of those of the others.
+    heights = [sum(bar.get_height() for bar in ax.patches) for ax in (left, right)]
+    assert heights == [3, 2]
+    assert labels(left) == ["outward", "inward"]
+    assert len(in_c) == 2
+    table["beta_app"] = np.nan
+    plot_population(table)
+    table["secure"] = False
+    with pytest.raises(ValueError, match="no secure feature moves"):
+        plot_population(table)

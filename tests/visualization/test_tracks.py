@@ -1,34 +1,33 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Figures of features: separations, paths, ejections, published ones; for journals."""
 
 import itertools
 import re
 from dataclasses import replace
 
 import astropy.units as u
+import matplotlib
 import numpy as np
 import pytest
 from astropy.table import QTable
 from astropy.time import Time
+from matplotlib.colors import to_hex
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 
-from astro_scc import Beam, EpochCube
-from astro_scc.features import find_features
-from astro_scc.simulation import simulate_jet
+from astro_scc import EpochCube
 from astro_scc.visualization import style
-from astro_scc.visualization.epochs import plot_epochs
 from astro_scc.visualization.tracks import plot_separation, plot_tracks
 
 
 @pytest.fixture(scope="module")
-def features():
-    cube = simulate_jet(n_epochs=8, dispersion=0.1, rng=1).cube
-    found = find_features(cube)
-    # One of them is not secure, and one is accelerated.
+def features(result):
+    """Features of which one is not secure, and one is accelerated."""
+    found = replace(result.tracked_features)
     vars(found)["secure"] = np.arange(len(found)) != 1
-    motion = found.motions[0]
-    bent = replace(motion, acceleration=np.array([1.0, 0.0]))
-    vars(found)["motions"] = (bent, *found.motions[1:])
+    first, *others = result.tracked_features.motions
+    bent = replace(first, acceleration=np.array([1.0, 0.0]))
+    vars(found)["motions"] = (bent, *others)
     return found
 
 
@@ -38,169 +37,140 @@ def dots(ax):
     return np.concatenate([np.stack(line.get_data(), axis=1) for line in own])
 
 
-def fits(ax):
-    """Lines of the fitted motions."""
-    return [k for k in ax.lines if k.get_marker() == "None" and not k.get_gid()]
+def lines_of(ax, gid):
+    return [line for line in ax.lines if line.get_gid() == gid]
 
 
-def test_separations_are_those_of_the_positions(features):
-    figure = plot_separation(features, unit=u.uas)
-    ax = figure.axes[0]
+def names(ax):
+    return {text.get_text() for text in ax.texts} - {""}
+
+
+def test_separations_fits_and_residuals(features):
+    figure = plot_separation(features, unit=u.mas)
+    ax, lower = figure.axes
     table = features.positions
-    wanted = np.hypot(table["ra_offset"], table["dec_offset"]).to_value(u.uas)
+    wanted = np.hypot(table["ra_offset"], table["dec_offset"]).value
     assert dots(ax)[:, 1] == pytest.approx(wanted)
     assert dots(ax)[:, 0] == pytest.approx(table["date"].jyear)
-    assert {t.get_text() for t in ax.texts} <= {f"{k}" for k in features.number}
-    boxes = [text.get_window_extent() for text in ax.texts]
-    assert len(boxes) >= 3
-    assert all(box.x1 <= ax.get_window_extent().x1 for box in boxes)
-    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
-    lines = fits(ax)
-    alpha = [line.get_alpha() for line in lines]
-    assert alpha == [0.5 if k == 1 else 1.0 for k in range(len(features))]
-    assert [line.get_linestyle() for line in lines].count(":") == 1
-    figure.draw_without_rendering()
+    assert names(ax) <= {f"{k}" for k in features.number}
+    fits = [k for k in ax.lines if k.get_marker() == "None" and not k.get_gid()]
+    pale = [0.5 if k == 1 else 1.0 for k in range(len(features))]
+    assert [line.get_alpha() for line in fits] == pale
+    d, left = features.detections, []
+    for line, track, motion in zip(
+        fits, features.tracks, features.motions, strict=True
+    ):
 
+        def place(time, motion=motion):
+            dt = (np.asarray(time) - motion.date)[..., None]
+            bend = np.nan_to_num(motion.acceleration)
+            path = motion.place + motion.velocity * dt + bend * dt**2 / 2
+            return np.hypot(*np.moveaxis(path, -1, 0))
 
-def test_lines_are_the_fitted_motions(features):
-    ax = plot_separation(features, unit=u.mas).axes[0]
-    lines = fits(ax)
-    for line, motion in zip(lines, features.motions, strict=True):
         time, distance = line.get_data()
-        dt = time[-1] - motion.date
-        east, north = motion.place + motion.velocity * dt
-        if motion.accelerated:
-            east += dt**2 / 2
-        assert distance[-1] == pytest.approx(np.hypot(east, north))
+        assert distance[-1] == pytest.approx(place(time[-1]))
+        own = track.detection
+        left.extend(np.hypot(*d.place[own].T) - place(d.time[own]))
+    assert dots(lower)[:, 1] == pytest.approx(np.array(left))
+    shown = plot_separation(features, unit=u.uas, ax=Figure().add_subplot()).axes
+    assert len(shown) == 1
+    assert dots(shown[0])[:, 1] == pytest.approx(1000 * wanted)
 
 
-def test_paths_are_those_of_the_positions(features):
-    own = Figure()
-    assert plot_tracks(features, figure=own, unit=u.mas) is own
-    (ax,) = own.axes
+def test_paths_over_the_mean_image(features):
+    figure = Figure()
+    assert plot_tracks(features, figure=figure, unit=u.mas) is figure
+    (ax,) = figure.axes
     table = features.positions
     assert dots(ax)[:, 0] == pytest.approx(table["ra_offset"].value)
     assert dots(ax)[:, 1] == pytest.approx(table["dec_offset"].value)
-    left, right = ax.get_xlim()
-    assert left > right
-    own.draw_without_rendering()
-
-
-def test_paths_and_numbers_are_within_the_frame(features):
-    figure = plot_tracks(features, unit=u.mas)
-    (ax,) = figure.axes
-    figure.draw_without_rendering()
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     x, y = dots(ax).T
     assert np.all((x < left) & (x > right) & (y > bottom) & (y < top))
-    frame = ax.get_window_extent()
-    for text in (text for text in ax.texts if text.get_text()):
-        box = text.get_window_extent()
-        assert frame.x0 < box.x0 < box.x1 < frame.x1
+    # Contours double from three times the noise of the mean on.
+    (contours,) = (k for k in ax.collections if isinstance(k, QuadContourSet))
+    cube = features.cube
+    noise = np.median(cube.noise_rms().value) / np.sqrt(len(cube))
+    assert contours.levels[0] == pytest.approx(3 * noise)
+    assert contours.levels[1:] / contours.levels[:-1] == pytest.approx(2.0)
+    assert contours.levels[-1] <= np.nanmax(cube.mean_image().data)
 
 
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
-def test_of_many_features_those_of_most_epochs_have_numbers(
+def test_numbers_do_not_overlap_and_of_many_the_longest_have_one(
     features, monkeypatch, plot
 ):
+    figure = plot(features)
+    ax = figure.axes[0]
+    frame = ax.get_window_extent()
+    boxes = [text.get_window_extent() for text in ax.texts if text.get_text()]
+    assert all(frame.x0 < box.x0 < box.x1 < frame.x1 for box in boxes)
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
     for name in ("CROWDED", "NAMED"):
         monkeypatch.setattr(f"astro_scc.visualization.tracks.{name}", 2)
     n = np.array([len(track) for track in features.tracks]) * features.secure
     longest = features.number[np.argsort(-n, kind="stable")[:2]]
-    said = {text.get_text() for text in plot(features).axes[0].texts} - {""}
-    assert said == {str(number) for number in longest}
-
-
-def test_a_legend_has_each_stream_as_its_secure_features(features):
-    component = np.where(np.arange(len(features)) < 2, 1, 0)
-    legend = plot_tracks(features, component=component).axes[0].get_legend()
-    assert [text.get_text() for text in legend.get_texts()] == ["stream 1", "no stream"]
-    # The second feature is pale.
-    assert {line.get_alpha() for line in legend.get_lines()} == {1.0}
-
-
-def test_a_narrow_figure_has_thin_lines(features):
-    def sizes(figure):
-        line = next(k for k in figure.axes[0].lines if k.get_marker() == "o")
-        return np.array([line.get_markersize(), line.get_linewidth()])
-
-    wide = sizes(plot_tracks(features))
-    with style.for_journal():
-        figure = plot_tracks(features)
-        style.thin(figure)
-    assert sizes(figure) == pytest.approx(wide * style.COLUMN / style.WIDTH)
+    assert names(plot(features).axes[0]) <= {str(number) for number in longest}
 
 
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
-def test_nothing_is_drawn_of_nothing(features, plot):
+def test_colours_are_of_the_components(plot, features):
+    component = np.arange(len(features)) % 3
+    ax = plot(features, component=component).axes[0]
+    legend = ax.get_legend()
+    said = [text.get_text() for text in legend.get_texts()]
+    assert said == ["stream 1", "stream 2", "no stream"]
+    # Each as its secure features.
+    assert {line.get_alpha() for line in legend.get_lines()} <= {1.0, None}
+    colors = style.BLACK, style.component_color(1), style.component_color(2)
+    lines = [line for line in ax.lines if line.get_marker() == "o"]
+    shown = [to_hex(line.get_color()).upper() for line in lines]
+    assert shown == [colors[k] for k in component]
     nothing = features.detections.select(np.zeros(len(features.detections), bool))
     core = features.core.select(np.zeros(len(features.core), bool))
     empty = replace(features, detections=nothing, core=core, tracks=())
     plot(empty).draw_without_rendering()
 
 
-# -- for the literature ------------------------------------------------------------
-
-
-def lines_of(ax, gid):
-    return [line for line in ax.lines if line.get_gid() == gid]
-
-
-def test_residuals_are_what_the_fits_leave(features):
-    _, lower = plot_separation(features, unit=u.mas).axes
-    d, wanted = features.detections, []
-    for track, motion in zip(features.tracks, features.motions, strict=True):
-        own = track.detection
-        dt = (d.time[own] - motion.date)[:, None]
-        bend = np.nan_to_num(motion.acceleration)
-        place = motion.place + motion.velocity * dt + bend * dt**2 / 2
-        wanted.extend(np.hypot(*d.place[own].T) - np.hypot(*place.T))
-    assert dots(lower)[:, 1] == pytest.approx(np.array(wanted))
-
-
 def test_dashes_lead_to_the_ejections(features, monkeypatch):
     monkeypatch.setattr("astro_scc.visualization.tracks.EARLIER", 20.0)
     upper, _ = plot_separation(features).axes
-    t_ej = features.table["t_ej"].value
-    first, last = features.cube.times.jyear[[0, -1]]
-    known = features.secure & (t_ej >= first - 20.0 * (last - first))
-    assert known.any()
+    years = features.cube.times.jyear
+    earliest = years[0] - 20.0 * (years[-1] - years[0])
+    dates = [
+        motion.ejection(features.core_error, features.detections.fwhm)[0]
+        for motion, secure in zip(features.motions, features.secure, strict=True)
+        if secure
+    ]
+    known = sorted(date for date in dates if date >= earliest)
+    assert known
     drawn = [line.get_data() for line in lines_of(upper, "ejection")]
-    assert [x[0] for x, _ in drawn] == pytest.approx(t_ej[known])
+    assert sorted(x[0] for x, _ in drawn) == pytest.approx(known)
     assert all(y[0] == 0 for _, y in drawn)
-    assert upper.get_xlim()[0] < t_ej[known].min()
 
 
 def test_speeds_stand_beside_the_numbers(features):
     upper, _ = plot_separation(features, beta_per_pm=10.0).axes
-    texts = {text.get_text() for text in upper.texts}
-    for number, motion, secure in zip(
-        features.number, features.motions, features.secure, strict=True
-    ):
-        speed = f" ({10 * motion.speed:.2g} c)" if secure else ""
-        assert texts & {f"{number}{speed}"}
+    facts = zip(features.number, features.motions, features.secure, strict=True)
+    wanted = {f"{n} ({10 * m.speed:.2g} c)" if sure else f"{n}" for n, m, sure in facts}
+    assert names(upper)
+    assert names(upper) <= wanted
 
 
-def test_published_features_are_grey(features):
+def test_published_features_are_grey_and_of_the_time_of_the_images(features):
     times = features.cube.times
     later = np.array([*times[:3].jyear, times[-1].jyear + 9])
-    published = QTable(
-        {
-            "published": [7, 7, 7, 7],
-            "date": Time(later, format="jyear"),
-            "separation": [1.0, 2.0, 3.0, 4.0] * u.mas,
-            "ra_offset": [-1.0, -2.0, -3.0, -4.0] * u.mas,
-            "dec_offset": [0.0, 0.0, 0.0, 0.0] * u.mas,
-        }
-    )
-    upper, _ = plot_separation(features, published=published, unit=u.mas).axes
-    (line,) = lines_of(upper, "published 7")
+    one = np.arange(1.0, 5.0) * u.mas
+    published = QTable({
+        "published": [7] * 4, "date": Time(later, format="jyear"), "separation": one,
+        "ra_offset": -one, "dec_offset": 0 * one,
+    })  # fmt: skip
+    own = {"published": published, "unit": u.mas}
+    (line,) = lines_of(plot_separation(features, **own).axes[0], "published 7")
     assert line.get_color() == style.GREY
-    # Only what is seen during the images.
     assert list(line.get_ydata()) == [1, 2, 3]
     assert line.get_xdata() == pytest.approx(later[:3])
-    ax = plot_tracks(features, published=published, unit=u.mas).axes[0]
-    (line,) = lines_of(ax, "published 7")
+    (line,) = lines_of(plot_tracks(features, **own).axes[0], "published 7")
     assert list(line.get_xdata()) == [-1, -2, -3]
 
 
@@ -215,63 +185,40 @@ def test_published_features_are_grey(features):
 def test_dates_have_the_unit_of_the_series(features, step, label, first, last):
     times = Time("2020-01-01T12:00:00") + np.arange(4) * step
     cube = features.cube[:4]
-    cube = EpochCube.from_arrays(
-        cube.data, times, pixel_scale=cube.pixel_scale, beams=cube.beams
-    )
+    how = {"pixel_scale": cube.pixel_scale, "beams": cube.beams}
+    cube = EpochCube.from_arrays(cube.data, times, **how)
     ax = Figure().add_subplot()
     on_axis = style.date_axis(ax, cube)
     assert ax.get_xlabel() == label
-    assert on_axis(times.jyear[[0, -1]]) == pytest.approx([first, last], abs=2e-3)
+    ends = on_axis(times.jyear[[0, -1]])
+    assert ends == pytest.approx([first, last], abs=2e-3)
     low, high = ax.get_xlim()
-    assert low < on_axis(times.jyear[0]) < on_axis(times.jyear[-1]) < high
+    assert low < ends[0] < ends[1] < high
 
 
-def test_contours_double_from_three_times_the_noise(features):
-    ax = plot_tracks(features).axes[0]
-    (contours,) = (k for k in ax.collections if isinstance(k, QuadContourSet))
-    cube = features.cube
-    noise = np.median(cube.noise_rms().value) / np.sqrt(len(cube))
-    assert contours.levels[0] == pytest.approx(3 * noise)
-    assert contours.levels[1:] / contours.levels[:-1] == pytest.approx(2.0)
-    assert contours.levels[-1] <= np.nanmax(cube.mean_image().data)
-
-
-def test_the_beam_and_the_date_lie_where_there_is_no_light():
-    data = np.full((2, 40, 40), 1e-3)
-    data[:, :9, :9] = data[:, -9:, -9:] = 1.0
-    rng = np.random.default_rng(1)
-    cube = EpochCube.from_arrays(
-        data + rng.normal(0, 1e-4, data.shape), Time(["2000-01-01", "2001-01-01"]),
-        pixel_scale=1 * u.mas, beams=Beam(2 * u.mas, 2 * u.mas),
-    )  # fmt: skip
-    for ax in plot_epochs(cube).axes[:2]:
-        (beam,) = ax.patches
-        x, y = ax.transAxes.inverted().transform(ax.transData.transform(beam.center))
-        (text,) = ax.texts
-        a, b = text.get_position()
-        # East is to the left: light is in the lower left and the upper right.
-        assert {(x > 0.5, y > 0.5), (a > 0.5, b > 0.5)} == {
-            (True, False),
-            (False, True),
-        }
-
-
-def test_figures_for_a_journal(features):
-    import matplotlib
-
+def test_figures_for_a_journal(result, features):
     before = dict(matplotlib.rcParams)
     figures = {
-        "separation": lambda: plot_separation(features),
-        "epochs": lambda: plot_epochs(features.cube),
+        "tracks": lambda: plot_tracks(features),
+        "epochs": lambda: result.cube[:2].plot(),
     }
     files = style.figure_files(figures, pdf=True)
     assert set(files) == {f"{n}.{k}" for n in figures for k in ("png", "pdf")}
     assert dict(matplotlib.rcParams) == before
-    for name, columns in (("separation", 1), ("epochs", 2)):
+    for name, columns in (("tracks", 1), ("epochs", 2)):
         pdf = files[f"{name}.pdf"]
         width = float(re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", pdf)[1]) / 72
         assert width == pytest.approx(columns * style.COLUMN, abs=0.2)
         assert b"/Type3" not in pdf
         assert b"/FontFile2" in pdf
+
+    def sizes(figure):
+        line = next(k for k in figure.axes[0].lines if k.get_marker() == "o")
+        return np.array([line.get_markersize(), line.get_linewidth()])
+
+    wide = sizes(plot_tracks(features))
     with style.for_journal():
-        assert plot_separation(features).axes[0].yaxis.label.get_fontsize() == 8
+        figure = plot_tracks(features)
+        assert figure.axes[0].texts[0].get_fontsize() < 8.1
+        style.thin(figure)
+    assert sizes(figure) == pytest.approx(wide * style.COLUMN / style.WIDTH)

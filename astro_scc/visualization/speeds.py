@@ -1,21 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figure of the features of many sources."""
+"""Speeds of features: of a measurement, of other choices of the data, of a survey."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from textwrap import fill
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.features.trust import MOST_FALSE
-from astro_scc.units import unit_name
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
+from astro_scc.visualization.tracks import feature_look
 
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.figure import Figure
-
+#: Errors beyond so many times the median one are of features that say little.
+LARGE_ERROR = 4.0
+#: Most letters of a label beside a figure in one line.
+LABEL = 30
 #: What differs from zero by so many standard errors is not zero.
 SIGNIFICANT = 3.0
 #: Fewest epochs of a feature whose acceleration is judged, or that stands still.
@@ -23,7 +22,77 @@ EPOCHS = 10
 BINS = 20
 
 
-def population(features: QTable) -> dict[str, np.ndarray]:
+def plot_feature_speeds(
+    result, *, profile=None, beta_per_pm=None, component=None, ax=None
+):
+    """
+    Draw the radial speed of each feature against its separation from the core.
+
+    Features have the colours of their streams; those that are not secure are pale.
+    """
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
+    table = result.features
+    component = table["component"] if component is None else component
+    separation = table["separation"].to_value(u.mas)
+    unit = offset_unit(separation.max(initial=1.0))
+    speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
+    speeds = table["pm"].unit
+    if len(error):
+        error = np.minimum(error, LARGE_ERROR * np.median(error))
+    for k, place in enumerate(separation * u.mas.to(unit)):
+        look = feature_look(result.tracked_features, k, component)
+        look |= {"ms": 4, "lw": 0.8, "linestyle": "", "marker": "o"}
+        ax.errorbar(place, speed[k], error[k], **look)
+    if profile is not None and len(profile):
+        look = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
+        look["label"] = "mean of bin"
+        style.draw_bins(ax, profile, "pm_parallel", unit, speeds, **look)
+    ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
+    ax.set_xlim(left=0)
+    ax.set_xlabel(f"Core separation ({unit_name(unit)})")
+    ax.set_ylabel(f"Radial proper motion ({unit_name(speeds)})")
+    style.legend_above(ax)
+    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
+    return figure
+
+
+def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
+    """
+    Draw the main speed with other choices of the data, beside that as measured.
+
+    Raises
+    ------
+    ValueError
+        If the table has no rows.
+    """
+    if len(table) == 0:
+        raise ValueError("the table has no rows: nothing moves significantly")
+    height = 0.8 + 0.36 * len(table)
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
+    unit = table["pm"].unit
+    speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
+    ax.axvspan(
+        speed[0] - error[0], speed[0] + error[0], color=style.GREY, alpha=0.2, lw=0
+    )
+    ax.axvline(speed[0], color=style.GREY, lw=0.8)
+    row, large = np.arange(len(table)), np.asarray(table["significant"])
+    looks = (~large, style.BLUE, "o"), (large, style.VERMILION, "s")
+    for own, color, marker in looks:
+        if own.any():
+            look = {"fmt": marker, "color": color, "ms": 4, "lw": 1}
+            ax.errorbar(speed[own], row[own], xerr=error[own], **look)
+    ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
+    ax.tick_params(axis="y", labelsize="small", length=0)
+    ax.set_ylim(len(table) - 0.5, -0.5)
+    ax.set_xlabel(f"Proper motion ({unit_name(unit)})")
+    style.add_speed_axis(ax, unit, beta_per_pm)
+    return figure
+
+
+# -- of many sources -----------------------------------------------------------------
+
+
+def population(features):
     """
     Return which features of many sources show what.
 
@@ -44,7 +113,7 @@ def population(features: QTable) -> dict[str, np.ndarray]:
     Examples
     --------
     >>> from astropy.table import QTable
-    >>> from astro_scc.visualization.population import population
+    >>> from astro_scc.visualization.speeds import population
     >>> population(QTable())["moving"].sum()
     np.int64(0)
     """
@@ -82,7 +151,7 @@ def fastest_of(features, column="pm"):
     return np.array(list(largest.values()))
 
 
-def plot_population(features: QTable, *, figure: Figure | None = None) -> Figure:
+def plot_population(features, *, figure=None):
     """
     Draw the speeds of the features of many sources.
 
@@ -103,22 +172,6 @@ def plot_population(features: QTable, *, figure: Figure | None = None) -> Figure
     ------
     ValueError
         If no feature is secure and moves.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.table import QTable
-    >>> from astro_scc.visualization.population import plot_population
-    >>> speed = {k: [0.5, 0.2] * u.mas / u.yr for k in ("pm", "pm_radial")}
-    >>> error = {f"{k}_err": 0.1 * v for k, v in speed.items()}
-    >>> none = [float("nan")] * 2
-    >>> acc = {f"acc_{k}{e}": none for k in ("parallel", "perpendicular")
-    ...        for e in ("", "_err")}
-    >>> table = QTable({"source": ["a", "b"], "secure": [True, True],
-    ...                 "n_epochs": [9, 9], "p_false": [0.1, 0.1],
-    ...                 **speed, **error, **acc})
-    >>> len(plot_population(table).axes)
-    2
     """
     found = population(features)
     if not found["moving"].any():
@@ -129,13 +182,12 @@ def plot_population(features: QTable, *, figure: Figure | None = None) -> Figure
     size = style.WIDTH, 2.6 * len(columns)
     figure = style.new_figure(size) if figure is None else figure
     axes = figure.subplots(len(columns), 2, squeeze=False)
+    inward, colors = found["inward"], (style.BLUE, style.VERMILION)
     for (name, label), (left, right) in zip(columns.items(), axes, strict=True):
-        sign = np.where(found["inward"], -1.0, 1.0)
-        speed = sign * _plain(features[name])
+        speed = np.where(inward, -1.0, 1.0) * _plain(features[name])
         use = found["moving"] & np.isfinite(speed)
-        parts = [speed[use & ~found["inward"]], speed[use & found["inward"]]]
-        colors, names = (style.BLUE, style.VERMILION), ("outward", "inward")
-        _histogram(left, parts, colors, names)
+        parts = [speed[use & ~inward], speed[use & inward]]
+        _histogram(left, parts, colors, ("outward", "inward"))
         left.set(xlabel=label, ylabel="Features")
         _histogram(right, [fastest_of(features, name)], (style.GREEN,), ("fastest",))
         right.set(xlabel=f"Fastest {label[0].lower()}{label[1:]}", ylabel="Jets")
