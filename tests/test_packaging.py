@@ -113,8 +113,8 @@ def test_folders_are_attributes():
         path.parent.name
         for path in Path(astro_scc.__file__).parent.glob("*/__init__.py")
     }
-    # The command line is a program, not for use from Python.
-    assert folders - {"cli"} == set(astro_scc._FOLDERS)
+    # The command line is a program, not for use from Python; two rooms are modules.
+    assert folders - {"cli"} == set(astro_scc._FOLDERS) - {"expansion", "recovery"}
 
 
 def test_unknown_name():

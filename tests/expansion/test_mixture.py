@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.expansion.centre import Samples, fit_mixture, kernel_maximum
+from astro_scc.expansion import Samples, fit_mixture, kernel_maximum
 
 CENTRE = np.array([4.0, -3.0])
 RATES = np.array([0.02, 0.012])
