@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from astro_scc.cli.summary import component_lines
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.measurement.feature_tables import core_streams
+from astro_scc.measurement.tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import headline, notes

@@ -11,7 +11,7 @@ from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
-from astro_scc.measurement import decomposing
+from astro_scc.measurement.matched import decompose_epochs
 from astro_scc.measurement.products import product_folder, write_files, write_tables
 from astro_scc.measurement.publication import write_publication
 from astro_scc.measurement.published import published_positions, with_published
@@ -54,7 +54,7 @@ def _find(cube, settings, reporter, n_workers):
     ssps = None
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        ssps = SSPs.of_epochs(decomposing.decompose_epochs(cube, decomposer, **how))
+        ssps = SSPs.of_epochs(decompose_epochs(cube, decomposer, **how))
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
         seed=settings.seed, **how,
@@ -82,7 +82,7 @@ def _write(features, settings, folder, published):
         "versions": versions(),
     }
     tables = {"features": table, "positions": features.positions}
-    tables = write_tables(tables, folder, meta)
+    tables, _ = write_tables(tables, folder, meta)
     write_publication(tables, folder)
     return tables["features"]
 

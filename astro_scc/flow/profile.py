@@ -25,12 +25,7 @@ from astro_scc.measurement import (
     false_discovery_rate,
     select_ssps,
 )
-from astro_scc.measurement.products import (
-    with_configuration,
-    write_configuration,
-    write_files,
-    write_tables,
-)
+from astro_scc.measurement.products import write_files, write_tables
 from astro_scc.measurement.tables import component_table, stack_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
@@ -293,13 +288,12 @@ def write_profile(
     """
     from astro_scc.visualization import style
 
-    directory = Path(directory)
-    meta = with_configuration(components.meta, configuration)
-    write_tables({"profile": components}, directory, meta)
+    settings = {"configuration": configuration, "text": text}
+    of = {"profile": components}, directory, components.meta
+    _, paths = write_tables(*of, **settings)
     files = style.figure_files(_figures(profile, components))
-    write_files(files, directory)
-    names = ["profile.ecsv", *files]
-    return [directory / name for name in names] + write_configuration(directory, text)
+    write_files(files, Path(directory))
+    return paths + [Path(directory, name) for name in files]
 
 
 def _figures(profile, components):

@@ -22,15 +22,18 @@ from astro_scc.features.tables import feature_table
 from astro_scc.images.positions import axis_words, name_by_frame
 from astro_scc.images.serialize import read_object, write_object
 from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.match_files import MatchedEpochs
+from astro_scc.measurement.matched import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.measurement.tables import (
     component_row,
     component_table,
+    components_of,
+    core_streams,
+    member_table,
     paper_table,
     printed,
+    ssp_table,
 )
 from astro_scc.stacking import SearchSettings
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
@@ -183,11 +186,6 @@ class SCCResult:
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
-    def errors(self) -> tuple[np.ndarray, ...]:
-        """Covariance of each velocity."""
-        return tuple(velocity.covariance for velocity in self.velocities)
-
-    @property
     def cube(self) -> EpochCube:
         """The epochs that were measured."""
         return self.matched.cube
@@ -195,9 +193,7 @@ class SCCResult:
     @cached_property
     def ssps(self) -> QTable:
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
-        return feature_tables.ssp_table(
-            self.matched.ssps, self.cube, select=self.matched.select
-        )
+        return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
 
     @property
     def tracked_features(self) -> Features:
@@ -212,7 +208,7 @@ class SCCResult:
         Its ``component`` is that of `components` whose velocity the feature has within
         two standard errors, the dispersion included, or 0.
         """
-        own = feature_tables.components_of(self, self.tracked_features)
+        own = components_of(self, self.tracked_features)
         table = feature_table(self.tracked_features, own)
         table.meta["core"] = self.core
         return table
@@ -220,7 +216,7 @@ class SCCResult:
     @cached_property
     def core(self) -> list[int]:
         """The rows of `components` that are the core, the reference of positions."""
-        return feature_tables.core_streams(self)
+        return core_streams(self)
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -428,7 +424,7 @@ class SCCResult:
         ValueError
             If there is no such component.
         """
-        return feature_tables.member_table(self, number)
+        return member_table(self, number)
 
     def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
         """

@@ -266,10 +266,10 @@ def test_a_report_tells_warnings_and_epochs_left_out(
     assert status == 0
     assert out.splitlines()[-1] == "Report: out/report.html"
     (line,) = err.splitlines()
-    assert line.startswith("warning: the largest speed moves")
+    assert line.startswith("warning: max_speed moves")
     page = (here / "out" / "report.html").read_text()
     assert "3C &lt;273&gt;" in page
-    assert "the largest speed moves" in page
+    assert "max_speed moves" in page
     assert paths[0].name in page
     assert "before 2000-01-15" in page
     assert "astro-scc measure --config out/config.toml -o FOLDER" in page

@@ -11,7 +11,7 @@ from astro_scc.flow import feature_profile, measure_acceleration, measure_profil
 from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics import RidgeLine, paper_cosmology
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.plan import select_ssps, ssp_distances
+from astro_scc.measurement.matched import select_ssps, ssp_distances
 from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import simulate_jet
 from astro_scc.stacking.dispersion import feature_speeds, random_effects

@@ -2,6 +2,7 @@
 """Displacements and errors on the axes of frames, against rotation by hand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -23,7 +24,7 @@ from astro_scc.kinematics import (
 from astro_scc.measurement.axes import (
     AxisProjection,
     alignment_errors,
-    angular_displacements,
+    matched_displacements,
 )
 from astro_scc.simulation import simulate_two_fluid
 
@@ -62,6 +63,13 @@ def matches_of(ssps, pairs):
         ssps.x[there] - ssps.x[here], 0.8 * one, one, 20 * one,
     )  # fmt: skip
     return Matches.from_columns([columns], [[0, 1], [1, 2]], (99, 99), 0.6)
+
+
+def angular_displacements(matches, ssps, cube, frame, fraction):
+    select = np.ones(len(ssps), bool)
+    of = SimpleNamespace(matches=matches, ssps=ssps, cube=cube, select=select)
+    settings = SimpleNamespace(position_angle=frame, min_error_beams=fraction)
+    return matched_displacements(of, settings)[0]
 
 
 def projected(cube, ssps, pairs, frame):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from astro_scc import Beam, EpochCube
-from astro_scc.measurement.choices import (
+from astro_scc.measurement.plan import (
     choose_alignment,
     choose_direction,
     choose_scales,

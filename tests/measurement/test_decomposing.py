@@ -14,7 +14,7 @@ from astro_scc.decomposition.noise import plane_noise, propagated_noise, shared_
 from astro_scc.decomposition.wavelet import wavelet_planes
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.decomposing import allow_for_structure, decompose_epochs
+from astro_scc.measurement.matched import allow_for_structure, decompose_epochs
 
 # -- images without empty sky ------------------------------------------------------
 

@@ -13,7 +13,7 @@ from astropy.time import Time
 
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.measurement import write_products
-from astro_scc.measurement.feature_tables import components_of
+from astro_scc.measurement.tables import components_of
 
 
 def motion(velocity, place=(3.0, 0.0), error=0.05):

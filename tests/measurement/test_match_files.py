@@ -88,7 +88,7 @@ def test_dates_do_not_matter_but_images_and_versions_do(
     assert MatchedEpochs.read(path, later).cube.times[0] == later.times[0]
     with pytest.raises(ValueError, match="m.fits: is of other images, masks, beams;"):
         MatchedEpochs.read(path, cube[:2])
-    other = "astro_scc.measurement.match_files.versions", lambda: {"astro_scc": "0"}
+    other = "astro_scc.measurement.matched.versions", lambda: {"astro_scc": "0"}
     monkeypatch.setattr(*other)
     with pytest.raises(ValueError, match="is of other versions; match the epochs"):
         MatchedEpochs.read(path, cube)

@@ -16,15 +16,15 @@ from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.choices import mean_fwhm
-from astro_scc.measurement.decomposing import centroids_inside, decompose_epochs
+from astro_scc.measurement.matched import centroids_inside, decompose_epochs
 from astro_scc.measurement.plan import (
+    SearchPlan,
     flow_direction,
     map_grid,
+    mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
     search_radius,
-    search_reach,
 )
 
 YEAR = 365.25
@@ -154,15 +154,15 @@ def test_short_series_are_searched_farther():
 
 def reach(cube, pairs, radius, fwhm, max_speed):
     plan = SimpleNamespace(pairs=pairs, radius=radius, fwhm=fwhm, max_speed=max_speed)
-    return search_reach(cube, plan)
+    return SearchPlan.reach(plan, cube)
 
 
 def test_windows_end_with_the_image_and_warn():
     cube = cube_of((0, YEAR), shape=(40, 60))
     pairs = pairs_of_dates(cube, None)
     message = (
-        r"^the largest speed moves 10 mas in the longest interval \(1 yr\), more than "
-        "half the image: give a smaller max_speed, or a baseline that leaves out long "
+        r"^max_speed moves 10 mas in the longest interval \(1 yr\), more than "
+        "half the image: give a smaller one, or a baseline that leaves out long "
         "intervals$"
     )
     with pytest.warns(MeasurementWarning, match=message):

@@ -9,8 +9,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition import SSPs
-from astro_scc.measurement.feature_tables import ssp_table
-from astro_scc.measurement.tables import component_table, versions
+from astro_scc.measurement.tables import component_table, ssp_table, versions
 
 PM = u.mas / u.yr
 PROPER_MOTIONS = ["pm_ra_cosdec", "pm_dec", "pm", "pm_parallel", "pm_transverse"]
