@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import kstest
 
-from astro_scc.flow.acceleration import BLENDS, fit_gradient
+from astro_scc.flow.speeds import BLENDS, fit_gradient
 from astro_scc.stacking import SearchSettings
 from astro_scc.stacking.dispersion import scattered_fit
 from astro_scc.stacking.features import Feature

@@ -11,7 +11,7 @@ from scipy.stats import ttest_ind
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.flow import compare_speeds, scale_groups
-from astro_scc.flow.groups import _difference, _groups_of, _mean
+from astro_scc.flow.speeds import _difference, _groups_of, _mean
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.simulation import JetSimulation, Stream
 
