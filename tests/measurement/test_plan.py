@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What is measured: scales, pairs, windows, grids and regions, and what is refused."""
+"""What is measured: alignment, direction, scales, pairs, windows and grids."""
 
-import re
 import warnings
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,36 +12,39 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import Beam, EpochCube
-from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.matched import centroids_inside, decompose_epochs
 from astro_scc.measurement.plan import (
     SearchPlan,
+    choose_alignment,
+    choose_direction,
+    choose_scales,
     flow_direction,
     map_grid,
     mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
     search_radius,
+    structure_size,
 )
+from astro_scc.simulation import simulate_jet, simulate_static
 
 YEAR = 365.25
 PIXEL = 0.1 * u.mas
+BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
-def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None, data=None):
+def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None):
     """Epochs without anything in them."""
     dates = np.datetime64("2010-01-01T00:00:00") + np.array(
         [int(86400 * d) for d in days], dtype="timedelta64[s]"
     )
-    data = np.zeros((len(days), *shape)) if data is None else data
     return EpochCube.from_arrays(
-        data, [str(d) for d in dates], pixel_scale=PIXEL, beams=beams
+        np.zeros((len(days), *shape)),
+        [str(d) for d in dates],
+        pixel_scale=PIXEL,
+        beams=beams,
     )
-
-
-# Scales.
 
 
 @given(st.integers(1, 16), st.floats(0.84, 1.19))
@@ -56,58 +58,14 @@ def test_angles_name_the_scale_that_they_are_near(half, factor):
         assert found == number
 
 
-@pytest.mark.parametrize(
-    ("angles", "angle", "pixels"),
-    [
-        ([0.4, 0.05] * u.mas, "0.05 mas", "0.5"),
-        # Midway between 1 and 1.5 pixels.
-        ([0.122, 0.4] * u.mas, "0.122 mas", "1.2"),
-        ([2.0] * u.arcsec, "2.0 arcsec", "2e+04"),
-    ],
-)
-def test_an_angle_that_is_no_scale(angles, angle, pixels):
-    message = f"scale {angle} is {pixels} px, not near 2^j or 1.5 x 2^j px"
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        scales_of_pixels(angles, PIXEL)
+def test_pairs_of_dates():
+    def numbers(pairs):
+        return list(zip(pairs.first, pairs.second, strict=True))
 
-
-# Pairs.
-
-
-def test_consecutive_dates_are_paired():
     pairs = pairs_of_dates(cube_of(), None)
-    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 1), (1, 2)]
+    assert numbers(pairs) == [(0, 1), (1, 2)]
     np.testing.assert_allclose(pairs.interval * YEAR, [30, 60])
-
-
-def test_baselines_pair_all_dates_of_the_range():
-    pairs = pairs_of_dates(cube_of(), [50, 100] * u.day)
-    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2)]
-
-
-def test_one_epoch_has_no_velocity():
-    with pytest.raises(ValueError, match=r"^velocities need at least two epochs, the"):
-        pairs_of_dates(cube_of((0,)), None)
-
-
-def test_epochs_of_one_date_have_no_velocity():
-    message = r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"
-    with pytest.raises(ValueError, match=message):
-        pairs_of_dates(cube_of((0, 0, 0)), None)
-
-
-@pytest.mark.parametrize("days", [(0, 30, 90), (0, 0, 0)])
-def test_a_baseline_that_no_pair_has(days):
-    message = (
-        f"no two epochs are 1 to 2 yr apart: their separations go from "
-        f"{min(np.diff(days)) / YEAR:.3g} to {max(days) / YEAR:.3g} yr; "
-        "choose another baseline"
-    )
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        pairs_of_dates(cube_of(days), [1, 2] * u.yr)
-
-
-# Resolution, windows and grids.
+    assert numbers(pairs_of_dates(cube_of(), [50, 100] * u.day)) == [(0, 2), (1, 2)]
 
 
 def test_resolution_is_the_mean_over_epochs_and_axes():
@@ -173,15 +131,6 @@ def test_windows_end_with_the_image_and_warn():
         assert reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
 
 
-def test_speeds_far_beyond_the_image_or_below_any_motion_are_refused():
-    cube = cube_of((0, YEAR), shape=(40, 60))
-    pairs = pairs_of_dates(cube, None)
-    with pytest.raises(ValueError, match=r"max_speed moves 1e\+09 mas in the shortest"):
-        reach(cube, pairs, 1.5, 1.0, 1e9)
-    with pytest.raises(ValueError, match=r"1e-09 mas .* less than 0.01 of a pixel: gi"):
-        reach(cube, pairs, 1.5, 1.0, 1e-9)
-
-
 def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
     d, pairs = sky_result.displacements, sky_result.pairs
     grid = map_grid(d, pairs, 30.0)
@@ -195,52 +144,28 @@ def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
     assert map_grid(wide, pairs, 30.0).shape == (3, 3)
 
 
-# Decomposition, regions, direction.
+YEARLY = cube_of((0, YEAR))
+REFUSED = [
+    # Midway between 1 and 1.5 pixels.
+    (lambda: scales_of_pixels([0.122, 0.4] * u.mas, PIXEL),
+     r"^scale 0.122 mas is 1.2 px, not near 2\^j or 1.5 x 2\^j px$"),
+    (lambda: scales_of_pixels([2.0] * u.arcsec, PIXEL), r"scale 2.0 arcsec is 2e\+04"),
+    (lambda: pairs_of_dates(cube_of((0,)), None), "^velocities need at least two epo"),
+    (lambda: pairs_of_dates(cube_of((0, 0, 0)), None),
+     r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"),
+    (lambda: pairs_of_dates(cube_of(), [1, 2] * u.yr),
+     "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.246"),
+    (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e9),
+     r"max_speed moves 1e\+09 mas in the shortest interval"),
+    (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e-9),
+     "1e-09 mas .* less than 0.01 of a pixel: give a larger"),
+]  # fmt: skip
 
 
-def test_every_epoch_is_decomposed_with_its_mask_noise_and_beam(monkeypatch):
-    rng = np.random.default_rng(0)
-    data = rng.normal(size=(3, 40, 60))
-    beams = [Beam(b * u.mas, 0.5 * u.mas, 0 * u.deg) for b in (0.8, 1.0, 1.2)]
-    cube = cube_of(beams=beams, data=data)
-    asked = []
-
-    def record(self, image, **options):
-        asked.append((image, options))
-
-    monkeypatch.setattr(Decomposer, "__call__", record)
-    decompose_epochs(cube, Decomposer(scales=(1,), noise="propagated"))
-    for k, (image, options) in enumerate(asked):
-        np.testing.assert_array_equal(image, data[k])
-        np.testing.assert_array_equal(options["mask"], cube.mask[k])
-        assert options["rms"] == pytest.approx(cube.noise_rms()[k].value)
-        # In pixels: the long axis to the north.
-        variance = np.diag(options["beam_covariance"]) * 8 * np.log(2)
-        np.testing.assert_allclose(variance, [25, 100 * (0.8, 1.0, 1.2)[k] ** 2])
-    asked.clear()
-    decompose_epochs(cube, Decomposer(scales=(1,)))
-    assert [options["rms"] for _, options in asked] == [None] * 3
-    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
-    asked.clear()
-    decompose_epochs(cube_of(data=data), Decomposer(scales=(1,), noise="propagated"))
-    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
-    assert all(options["rms"] > 0 for _, options in asked)
-
-
-def test_ssps_are_inside_if_their_centroid_is(matched):
-    ssps, cube = matched.ssps, matched.cube
-    everything = centroids_inside(ssps, cube, None)
-    assert everything.all()
-    assert len(everything) == len(ssps) > 0
-    region = np.zeros(cube.shape[1:], bool)
-    region[:, 60:160] = True
-    inside = centroids_inside(ssps, cube, region)
-    x = np.rint(ssps.x_centroid)
-    np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
-    assert 0 < inside.sum() < len(ssps)
-    empty = np.zeros(cube.shape[1:], bool)
-    empty[0, 0] = True
-    assert not centroids_inside(ssps, cube, empty).any()
+@pytest.mark.parametrize(("call", "words"), REFUSED)
+def test_what_cannot_be_meant_is_refused(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
 
 
 def ssps_at(cube, x, y, flux):
@@ -257,3 +182,117 @@ def test_the_jet_flows_to_where_its_flux_is(dx, dy, angle):
     x0, y0 = cube.wcs.wcs.crpix - 1
     direction = flow_direction(ssps_at(cube, [x0 + dx], [y0 + dy], [1.0]))
     assert direction.to_value(u.deg) == pytest.approx(angle)
+
+
+# What the images tell.
+
+
+def spots(*places, beams=BEAM, bright=0.1):
+    """Two epochs of a core and of fainter spots, (east, north) in mas."""
+    y, x = np.mgrid[:121, :121]
+    image = np.zeros(x.shape)
+    for east, north, flux in [(0, 0, 1.0), *((*place, bright) for place in places)]:
+        r2 = (x - 60 + east / 0.1) ** 2 + (y - 60 - north / 0.1) ** 2
+        image += flux * np.exp(-4 * np.log(2) * r2 / 8**2)
+    return EpochCube.from_arrays(
+        np.stack([image] * 2), ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas,
+        reference_pixel=(60, 60), beams=beams, noise=1e-3 * u.one,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("angle", [0, 60, 145, 270])
+def test_the_direction_is_that_of_the_jet(angle):
+    way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
+    found, reason = choose_direction(spots(1.5 * way, 3 * way))
+    assert abs((found.value - angle + 180) % 360 - 180) <= 1
+    assert reason == "that of the mean image"
+
+
+@pytest.mark.parametrize(
+    ("cube", "reason"),
+    [
+        (lambda: spots((2, 0), beams=None), "without a beam"),
+        (lambda: spots(), "nothing is seen beyond a beam"),
+        (lambda: spots((0, 4.8)), "does not begin"),
+        (lambda: spots((2, 0), (-2, 0.2)), "not on one side"),
+        (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
+    ],
+)
+def test_no_direction_has_a_reason(cube, reason):
+    cube = cube()
+    found, said = choose_direction(cube)
+    assert found is None
+    assert reason in said
+
+
+def test_aligned_epochs_are_left_alone():
+    align, reason = choose_alignment(simulate_jet(n_epochs=6, rng=1).cube)
+    assert align == "none"
+    assert reason.startswith("the epochs are aligned to 0.0")
+    align, reason = choose_alignment(spots((2, 0), beams=None))
+    assert align == "none"
+    assert reason == "the images do not show how well they are aligned"
+
+
+@pytest.mark.slow
+def test_epochs_that_scatter_are_aligned_on_the_core():
+    cube = simulate_jet(n_epochs=12, alignment_error=0.4, rng=2).cube
+    align, reason = choose_alignment(cube)
+    assert align == "core"
+    assert reason.startswith("the epochs scatter by 0.")
+
+
+def test_a_core_that_is_not_found_aligns_nothing(monkeypatch):
+    def fail(self, *args, **kwargs):
+        raise ValueError("no core")
+
+    cube = simulate_static(n_epochs=4, rng=1).cube
+    object.__setattr__(cube, "misalignment", 0.3)
+    monkeypatch.setattr(EpochCube, "align", fail)
+    assert choose_alignment(cube) == (
+        "none", "the epochs scatter by 0.30 beams, no less on the core"
+    )  # fmt: skip
+
+
+def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None):
+    """Two epochs of Gaussians of a width in pixels, with noise."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    image = np.zeros(shape)
+    for x0, y0 in rng.uniform(0, 1, (30, 2)) * shape[::-1]:
+        r2 = (x - x0) ** 2 + (y - y0) ** 2
+        image = image + np.exp(-4 * np.log(2) * r2 / fwhm**2)
+    images = image + rng.normal(0, noise, (2, *shape))
+    width = None if beam is None else Beam(*(0.1 * beam * u.mas,) * 2)
+    return EpochCube.from_arrays(
+        images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas, beams=width,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("fwhm", [3, 5, 8])
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.3])
+def test_the_size_of_structures(fwhm, noise):
+    assert structure_size(field(fwhm, noise=noise)) == pytest.approx(fwhm, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("beam", "scales"),
+    [
+        (2, (1, 2)),
+        (4, (1, 2, 3)),
+        (6, (1, 2, 3, 4)),
+        (11, (1, 2, 3, 4)),
+        (16, (2, 3, 4, 5)),
+        # No scale is larger than half of the image.
+        (60, (4, 5, 6)),
+    ],
+)
+def test_scales_from_a_quarter_of_the_beam_to_two_beams(beam, scales):
+    found, reason = choose_scales(field(beam, beam=beam))
+    assert found == scales
+    assert f"({beam}.0 px)" in reason
+
+
+@pytest.mark.parametrize(("fwhm", "scales"), [(3, (1,)), (7, (1, 2)), (24, (1, 2, 3))])
+def test_scales_up_to_half_of_the_structures(fwhm, scales):
+    assert choose_scales(field(fwhm))[0] == scales

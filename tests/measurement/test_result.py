@@ -1,67 +1,28 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The vectors, kinds, maps and members of a measurement."""
+"""Components, maps, diagram and members of a result, as shown and on disk."""
+
+import io
+from dataclasses import fields, is_dataclass, replace
+from html.parser import HTMLParser
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.cosmology import FlatLambdaCDM
-from astropy.nddata import NDData
-from hypothesis import given
-from hypothesis import strategies as st
+from astropy.io import fits
+from astropy.time import Time
+from astropy.wcs import WCS
 
-from astro_scc import StackedCrossCorrelation
+from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import SkyFrame
-from astro_scc.measurement.tables import velocity_columns
+from astro_scc.images import serialize
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame, RidgeLine, SkyFrame
+from astro_scc.measurement import SCCResult
+from astro_scc.measurement.tables import paper_table, printed
+from astro_scc.simulation import simulate_two_fluid
 
 PM = u.mas / u.yr
 PAPER = FlatLambdaCDM(H0=71, Om0=0.27)
-
-speeds = st.floats(-5, 5)
-angles = st.floats(-360, 360)
-errors = st.floats(0.01, 2)
-correlations = st.floats(-0.95, 0.95)
-
-
-def covariance_of(err1, err2, correlation):
-    c = correlation * err1 * err2
-    return np.array([[err1**2, c], [c, err2**2]])
-
-
-# Vectors -------------------------------------------------------------------------
-
-
-@given(speeds, speeds, errors, errors, correlations, angles)
-def test_on_the_sky_frame(east, north, err1, err2, correlation, pa):
-    covariance = covariance_of(err1, err2, correlation)
-    row = velocity_columns(np.array([east, north]), covariance, SkyFrame(), pa * u.deg)
-    assert (row["pm_ra_cosdec"], row["pm_dec"]) == pytest.approx((east, north))
-    assert row["pm_ra_cosdec_err"] == pytest.approx(err1)
-    assert row["pm_dec_err"] == pytest.approx(err2)
-    assert row["pm"] == pytest.approx(np.hypot(east, north))
-    along = np.array([np.sin(np.radians(pa)), np.cos(np.radians(pa))])
-    across = np.array([along[1], -along[0]])
-    for name, axis in (("parallel", along), ("transverse", across)):
-        assert row[f"pm_{name}"] == pytest.approx(
-            axis @ [east, north], rel=1e-9, abs=1e-9
-        )
-        assert row[f"pm_{name}_err"] == pytest.approx(
-            np.sqrt(axis @ covariance @ axis), rel=1e-6
-        )
-    assert 0 <= row["pm_pa"] <= 360
-    if row["pm"] > 1e-6:
-        pa = np.radians(row["pm_pa"])
-        np.testing.assert_allclose(
-            (np.sin(pa), np.cos(pa)), np.array([east, north]) / row["pm"], atol=1e-9
-        )
-        unit = np.array([east, north]) / row["pm"]
-        turned = np.array([-unit[1], unit[0]])
-        assert row["pm_err"] == pytest.approx(np.sqrt(unit @ covariance @ unit))
-        sigma = np.sqrt(turned @ covariance @ turned) / row["pm"]
-        assert row["pm_pa_err"] == pytest.approx(min(np.degrees(sigma), 180.0))
-
-
-# Frames, on images ---------------------------------------------------------------
 
 
 def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
@@ -72,9 +33,6 @@ def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
     assert moving["pm_parallel"] > 0
     assert abs(moving["pm_parallel"] - moving["pm"]) < 0.1 * moving["pm"]
     assert sky_result.components.meta["jet_position_angle"] == sky_result.position_angle
-
-
-# Tables --------------------------------------------------------------------------
 
 
 def test_components_are_the_streams_in_their_order(sky_result):
@@ -98,9 +56,6 @@ def test_components_are_the_streams_in_their_order(sky_result):
         assert row["p_local"] <= row["p_global"]
         assert row["n_features"] == len(stream.features)
         np.testing.assert_array_equal(row["dispersion"].value, velocity.dispersion)
-        np.testing.assert_array_equal(
-            row["dispersion_err"].value, velocity.dispersion_error
-        )
         assert row["pm_ra_cosdec"].value == velocity.value[0]
         assert row["pm_dec"].value == velocity.value[1]
         assert row["pm_ra_cosdec_err"].value == pytest.approx(covariance[0, 0] ** 0.5)
@@ -141,18 +96,9 @@ def test_apparent_speeds_of_a_redshift(sky_result):
     np.testing.assert_allclose(
         table["beta_app_err"] / table["beta_app"], table["pm_err"] / table["pm"]
     )
-    assert table["beta_app"].info.description
     assert "beta_app" not in sky_result.components.colnames
-    assert "cosmology" not in sky_result.components.meta
-
-
-@pytest.mark.parametrize("how", [{}, {"cosmology": PAPER}])
-def test_apparent_speeds_need_a_distance(sky_result, how):
     with pytest.raises(ValueError, match=r"redshift|cosmology|distance"):
-        sky_result.components_in_c(**how)
-
-
-# Members -------------------------------------------------------------------------
+        sky_result.components_in_c(cosmology=PAPER)
 
 
 def test_members_are_the_matches_between_ssps_of_one_feature(sky_result):
@@ -182,8 +128,9 @@ def test_members_are_the_matches_between_ssps_of_one_feature(sky_result):
 
 def test_without_features_members_are_the_matches_at_the_velocity(matched):
     """Two epochs: no feature is followed."""
+    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * PM)
     with pytest.warns(MeasurementWarning, match="2 epochs allow no p_global"):
-        result = scc_of_two(matched)
+        result = scc(matched.cube[:2], n_trials=20, rng=1)
     (row,), d = result.components, result.displacements
     assert row["n_features"] == 0
     velocity = [row[k].to_value(PM) for k in ("pm_ra_cosdec", "pm_dec")]
@@ -198,47 +145,330 @@ def test_without_features_members_are_the_matches_at_the_velocity(matched):
     assert row["n_pairs"] == 1
 
 
-def scc_of_two(matched):
-    options = {"scales": [1, 2], "max_speed": 30 * PM}
-    return StackedCrossCorrelation(**options)(matched.cube[:2], n_trials=20, rng=1)
-
-
 def test_there_is_no_component_zero(sky_result):
     for number in (0, -1, len(sky_result.components) + 1):
         with pytest.raises(ValueError, match=f"no stream {number}: there are"):
             sky_result.members(number)
 
 
-# Maps ----------------------------------------------------------------------------
+def test_rows_agree_with_the_positions(sky_result):
+    table, positions = sky_result.features, sky_result.feature_positions
+    assert len(table) >= 3
+    assert np.any(table["component"] == 1)
+    for row in table:
+        own = positions[positions["feature"] == row["feature"]]
+        assert len(own) == row["n_epochs"]
+        dates = row["first"], row["last"], row["date"]
+        middle = own["date"][0] + np.mean(own["date"] - own["date"][0])
+        for date, expected in zip(dates, (*own["date"][[0, -1]], middle), strict=True):
+            assert abs(date - expected) < 1 * u.s
+        years = own["date"].jyear
+        slope = np.polyfit(years, own["ra_offset"].to_value(u.mas), 1)[0]
+        off = row["pm_ra_cosdec"].value - slope
+        assert abs(off) < 3 * row["pm_ra_cosdec_err"].value
+        if np.isfinite(row["t_ej"]):
+            moved = row["pm"] * (row["date"].jyear * u.yr - row["t_ej"])
+            assert moved.value == pytest.approx(row["separation"].value, rel=0.05)
 
 
 def test_the_velocity_map_has_velocity_coordinates(sky_result):
-    found = sky_result.velocity_map()
-    assert isinstance(found, NDData)
-    np.testing.assert_array_equal(found.data, sky_result.coefficient)
-    grid = sky_result.grid
-    columns, rows = np.arange(grid.shape[1]), np.arange(grid.shape[0])
-    to_si = (1 * PM).to_value(u.rad / u.s)
-    v1 = found.wcs.wcs_pix2world(columns, 0 * columns, 0)[0]
-    v2 = found.wcs.wcs_pix2world(0 * rows, rows, 0)[1]
-    unit = u.Unit(str(found.wcs.wcs.cunit[0])).to(u.rad / u.s)
-    np.testing.assert_allclose(v1 * unit, grid.v1 * to_si, atol=1e-9 * to_si)
-    np.testing.assert_allclose(v2 * unit, grid.v2 * to_si, atol=1e-9 * to_si)
+    found, grid = sky_result.velocity_map("z_score"), sky_result.grid
+    np.testing.assert_array_equal(found.data, sky_result.z_score)
+    v1, v2 = found.wcs.pixel_to_world(*np.indices(grid.shape[::-1]))
+    np.testing.assert_allclose(v1[:, 0].to_value(PM), grid.v1, atol=1e-9)
+    np.testing.assert_allclose(v2[0].to_value(PM), grid.v2, atol=1e-9)
     assert found.meta["axes"] == ("east", "north")
-
-
-def test_the_other_map_is_the_significance(sky_result):
-    np.testing.assert_array_equal(
-        sky_result.velocity_map("z_score").data, sky_result.z_score
-    )
     with pytest.raises(ValueError, match="unknown map 'p': use 'coefficient' or"):
         sky_result.velocity_map("p")
 
 
-@pytest.mark.parametrize("unknown", [np.inf, np.nan])
-def test_errors_that_are_not_known_are_nan_and_the_velocity_is_not(unknown):
-    covariance = np.diag([unknown, unknown])
-    row = velocity_columns(np.array([3.0, 4.0]), covariance, SkyFrame(), 65 * u.deg)
-    assert row["pm"] == pytest.approx(5.0)
-    for name, value in row.items():
-        assert np.isnan(value) == name.endswith("_err")
+# The diagram ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """Epochs at dates of which no two intervals are alike."""
+    dates = Time("2001-03-01") + np.cumsum([0, 31, 43, 29, 90]) * u.d
+    scc = StackedCrossCorrelation(
+        scales=[2], max_speed=36 * PM, position_angle=270 * u.deg,
+        baseline=(35, 110) * u.day,
+    )  # fmt: skip
+    return scc(simulate_two_fluid(dates=dates, rng=1).cube, n_trials=20, rng=1)
+
+
+def test_each_column_is_of_the_pairs_with_its_interval(uneven):
+    image = uneven.diagram()
+    n = image.data.shape[1]
+    years = uneven.cube.years.to_value(u.yr)
+    first, second = np.triu_indices(len(years), 1)
+    interval = years[second] - years[first]
+    interval = interval[(interval >= 35 / 365.25) & (interval <= 110 / 365.25)]
+    # The first interval is the edge of the first column.
+    columns = image.wcs.world_to_pixel_values(interval * (1 + 1e-9), 0 * interval)[0]
+    count = np.bincount(np.rint(columns).astype(int), minlength=n)
+    np.testing.assert_array_equal(count, image.meta["n_pairs"])
+    blank = np.isnan(image.data)
+    np.testing.assert_array_equal(blank.all(axis=0), count == 0)
+    np.testing.assert_array_equal(blank.any(axis=0), count == 0)
+    assert (count == 0).any()
+    interval, _ = image.wcs.pixel_to_world(np.arange(n), np.zeros(n))
+    # Bins are 8% wide.
+    np.testing.assert_allclose(interval[1:] / interval[:-1], np.exp(0.08))
+    ratio = (image.meta["interval"] / interval)[count > 0]
+    np.testing.assert_allclose(ratio, 1, atol=0.041)
+
+
+def test_values_are_the_excess_per_pattern_and_beam(uneven):
+    result = uneven
+    image, diagram = result.diagram(), result.search.diagram
+    seen = image.meta["n_pairs"] > 0
+    assert image.unit == 1 / u.beam
+    # Two epochs have this number of patterns, and each match the area of a Gaussian.
+    patterns = 2 * result.ssps["in_region"].sum() / len(result.cube)
+    area = np.sqrt(2 * np.pi) * 0.2
+    total = patterns * area * (image.data * image.meta["n_pairs"])[:, seen]
+    np.testing.assert_allclose(total, diagram.excess.T, atol=1e-12)
+    np.testing.assert_array_equal(
+        image.meta["interval"][seen].to_value(u.yr), diagram.interval
+    )
+    # One beam is 1 mas, and the diagram is in beams.
+    assert image.meta["beam"].to_value(u.mas) == pytest.approx(1)
+    _, displacement = image.wcs.pixel_to_world(0, np.arange(len(image.data)))
+    assert displacement.unit == u.mas
+    np.testing.assert_allclose(
+        displacement.value, diagram.displacement, rtol=1e-9, atol=1e-9
+    )
+    assert image.meta["axes"] == ("interval", "displacement")
+
+
+def test_the_other_end_of_an_axis_turns_the_diagram(uneven):
+    result, image = uneven, uneven.diagram()
+    other = replace(result, position_angle=result.position_angle + 180 * u.deg)
+    turned = other.diagram()
+    np.testing.assert_array_equal(turned.data, image.data[::-1])
+    np.testing.assert_array_equal(turned.meta["direction"], -image.meta["direction"])
+    away = turned.meta["position_angle"] - image.meta["position_angle"]
+    assert abs(away.to_value(u.deg)) == pytest.approx(180)
+
+
+# What is shown --------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """Tags that are open, and the text of cells."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.cells, self.seen = [], [], set()
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.add(tag)
+        if tag != "br":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "td":
+            self.cells.append(data)
+
+
+def test_components(sky_result):
+    html = sky_result._repr_html_()
+    page = Page(html)
+    assert not page.open
+    table = paper_table(printed(sky_result.components))
+    assert len(page.cells) == len(table.colnames) * len(table)
+    assert page.cells[0] == "1"
+    assert table["pm"][0] in page.cells
+    assert "mas / yr" in html
+    assert "40 trials, seed 1" in html
+    assert len(html) < 5000
+
+
+def test_the_representation_says_the_speeds(sky_result):
+    first = sky_result.components[0]
+    digits = max(0, 1 - int(np.floor(np.log10(first["pm_err"].value))))
+    speed, error = (f"{first[name].value:.{digits}f}" for name in ("pm", "pm_err"))
+    text = repr(sky_result)
+    assert text.startswith("<SCCResult")
+    assert f": {speed} +- {error} mas/yr {first['kind']}" in text
+    assert text.endswith("8 epochs>")
+    assert "\n" not in text
+
+
+def test_text_is_escaped(sky_result):
+    cube = replace(sky_result.cube, meta={"object": "<script>alert(1)</script>"})
+    result = replace(sky_result, matched=replace(sky_result.matched, cube=cube))
+    html = result._repr_html_()
+    assert "&lt;script&gt;" in html
+    assert "script" not in Page(html).seen
+    labels = [f"<b>{k}</b>" for k in range(len(cube))]
+    assert "b" not in Page(replace(cube, labels=labels)._repr_html_()).seen
+
+
+def test_without_components(sky_result):
+    empty = replace(sky_result, maxima=(), velocities=(), jitters=())
+    assert "no stream, 8 epochs>" in repr(empty)
+    html = empty._repr_html_()
+    assert "no stream" in html
+    assert "<table" not in html
+
+
+# Files ----------------------------------------------------------------------------
+
+
+def same(one, other, name="result"):
+    """Return whether two objects are alike down to the bits of their arrays."""
+    assert type(one) is type(other) or isinstance(one, np.generic), name
+    if is_dataclass(one):
+        for own in fields(one):
+            same(getattr(one, own.name), getattr(other, own.name), own.name)
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype, name
+        assert one.shape == other.shape, name
+        assert getattr(one, "unit", None) == getattr(other, "unit", None), name
+        assert np.asarray(one).tobytes() == np.asarray(other).tobytes(), name
+    elif isinstance(one, dict):
+        assert list(one) == list(other), name
+        for key in one:
+            same(one[key], other[key], f"{name}.{key}")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), name
+        for k, (a, b) in enumerate(zip(one, other, strict=True)):
+            same(a, b, f"{name}[{k}]")
+    elif isinstance(one, WCS):
+        for key in ("crval", "crpix", "cdelt", "pc"):
+            assert np.array_equal(getattr(one.wcs, key), getattr(other.wcs, key)), name
+    elif isinstance(one, Time):
+        assert np.array_equal(one.jd1, other.jd1), name
+        assert np.array_equal(one.jd2, other.jd2), name
+    else:
+        assert one == other or (np.isnan(one) and np.isnan(other)), name
+
+
+def tables(result):
+    return {
+        "components": result.components,
+        "features": result.features,
+        "feature_positions": result.feature_positions,
+        "ssps": result.ssps,
+        "members": result.members(1),
+    }
+
+
+def text_of(table):
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    return text.getvalue()
+
+
+@pytest.fixture(scope="module")
+def path(sky_result, tmp_path_factory):
+    path = tmp_path_factory.mktemp("result") / "jet.fits"
+    sky_result.write(path)
+    return path
+
+
+def test_everything_comes_back_to_the_bit(path, sky_result):
+    again = SCCResult.read(path)
+    same(sky_result, again)
+    for kind, table in tables(again).items():
+        assert text_of(table) == text_of(tables(sky_result)[kind])
+    one, other = (r.diagram().data.tobytes() for r in (sky_result, again))
+    assert one == other
+    assert repr(sky_result) == repr(again)
+    # Decompositions can be computed again.
+    planes = (r.matched.decompositions[0].planes for r in (sky_result, again))
+    np.testing.assert_array_equal(*planes)
+
+
+FRAMES = (
+    PositionAngleFrame(270 * u.deg),
+    RadialFrame(),
+    RidgeLine([0, -5, -12] * u.mas, [0, 0.1, 0.3] * u.mas),
+)
+
+
+@pytest.mark.parametrize("frame", FRAMES, ids=repr)
+def test_frames_come_back(frame, sky_result, tmp_path):
+    result = replace(sky_result, frame=frame)
+    result.write(tmp_path / "jet.fits")
+    same(result, SCCResult.read(tmp_path / "jet.fits"))
+
+
+def test_files_are_not_replaced_unasked(path, sky_result):
+    with pytest.raises(OSError, match=r"jet.fits: exists; pass overwrite=True"):
+        sky_result.write(path)
+    sky_result.write(path, overwrite=True)
+
+
+def refused(path, match):
+    with pytest.raises(OSError, match=match) as caught:
+        SCCResult.read(path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
+    refused(tmp_path / "none.fits", "No such file")
+    other = tmp_path / "other.fits"
+    other.write_text("nothing")
+    refused(other, "other.fits: is no complete astro_scc result file")
+    sky_result.cube.write(other, overwrite=True)
+    refused(other, "other.fits: is no complete astro_scc result.*not written as one")
+    sky_result.matched.write(other, overwrite=True)
+    refused(other, "not written as one")
+    whole = path.read_bytes()
+    other.write_bytes(whole[: len(whole) // 2])
+    refused(other, "other.fits: is no complete astro_scc result file")
+    spot = len(whole) // 2
+    other.write_bytes(whole[:spot] + bytes([whole[spot] ^ 1]) + whole[spot + 1 :])
+    refused(other, "hecksum")
+    with pytest.raises(ValueError, match=r"is a whole result; give .*SCCResult"):
+        EpochCube.read(path)
+
+
+def test_results_of_other_versions_are_refused(path, sky_result, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(serialize, "LAYOUT", 99)
+        sky_result.write(tmp_path / "new.fits")
+    refused(tmp_path / "new.fits", "new.fits: of layout 99; read it with the version")
+    with fits.open(path) as hdus:
+        text = hdus["META"].data.tobytes().replace(b"jitters:", b"tremors:")
+        hdus["META"].data = np.frombuffer(text, np.uint8)
+        hdus.writeto(tmp_path / "old.fits", checksum=True)
+    refused(tmp_path / "old.fits", "its SCCResult is of another version of astro_scc")
+
+
+class Axes:
+    """A frame of a user, without fields that could be written."""
+
+
+def test_what_cannot_be_written(sky_result, tmp_path):
+    with pytest.raises(ValueError, match="frame: an object Axes cannot be"):
+        replace(sky_result, frame=Axes()).write(tmp_path / "jet.fits")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3).T,
+        np.arange(600, dtype=">i4").reshape(20, 30).T,
+        np.arange(200, dtype=np.uint16),
+        np.arange(200) % 3 == 0,
+        np.array(2.5, dtype=np.float32),
+        np.empty((0, 4)),
+        np.full(200, np.nan),
+        np.array(["a", "bc"] * 100),
+    ],
+)
+def test_arrays_of_all_kinds(array, tmp_path):
+    write = {"creator": "test", "overwrite": True}
+    serialize.write_object({"a": [array]}, tmp_path / "a.fits", **write)
+    (again,) = serialize.read_object(tmp_path / "a.fits", creator="test")["a"]
+    assert again.dtype == array.dtype.newbyteorder("=")
+    np.testing.assert_array_equal(again, array)

@@ -103,15 +103,6 @@ def test_frame_of_the_file(matched):
         ssp_regions(matched.ssps, own, 1, frame=frame) for frame in ("cube", "epoch")
     )
     assert np.allclose((other.vertices.dec - one.vertices.dec).deg, 1e-7, atol=1e-12)
-    with pytest.raises(ValueError, match="the cube was not read from files"):
-        ssp_regions(matched.ssps, replace(cube, epoch_wcs=None), 1, frame="epoch")
-
-
-def test_none_at_all(matched, tmp_path):
-    path = tmp_path / "ssps.reg"
-    assert write_ssp_regions(SSPs.empty(), matched.cube, 0, path) == 0
-    assert len(Regions.read(path, format="ds9")) == 0
-    assert ssp_segmentation(SSPs.empty(), matched.cube, 0, 1).n_labels == 0
 
 
 def test_segmentation(matched):
@@ -121,24 +112,32 @@ def test_segmentation(matched):
     assert np.array_equal(image.data > 0, expected > 0)
     here = indices(matched.ssps, last, 2)
     assert np.array_equal(image.labels, here + 1)
+    assert ssp_segmentation(SSPs.empty(), matched.cube, 0, 1).n_labels == 0
     assert np.array_equal(image.areas, matched.ssps.n_pixels[here])
 
 
-def test_what_is_refused(matched, tmp_path):
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda *of: ssp_regions(*of, 0, shape="square"), ValueError, "shape must be"),
+        (lambda *of: ssp_regions(*of, 0, frame="sky"), ValueError, "frame must be"),
+        (lambda *of: ssp_regions(*of, 0, frame="epoch"), ValueError, "was not read fr"),
+        (lambda *of: ssp_regions(*of, 2), IndexError, "epoch 2 of a cube with 2"),
+        (lambda *of: ssp_segmentation(*of, 2, 1), IndexError, "epoch 2 of a cube wit"),
+    ],
+)
+def test_what_is_refused(call, error, words):
     cube = simulate_static(n_epochs=2, rng=1).cube
-    empty = SSPs.empty()
-    with pytest.raises(ValueError, match="shape must be"):
-        ssp_regions(empty, cube, 0, shape="square")
-    with pytest.raises(ValueError, match="frame must be"):
-        ssp_regions(empty, cube, 0, frame="sky")
-    for make in (ssp_regions, lambda *args: ssp_segmentation(*args, 1)):
-        with pytest.raises(IndexError, match="epoch 2 of a cube with 2 epochs"):
-            make(empty, cube, 2)
+    with pytest.raises(error, match=words):
+        call(SSPs.empty(), cube)
+
+
+def test_files_are_not_replaced_unasked(matched, tmp_path):
     path = tmp_path / "ssps.reg"
-    path.write_text("mine")
+    assert write_ssp_regions(SSPs.empty(), matched.cube, 0, path) == 0
+    assert len(Regions.read(path, format="ds9")) == 0
     with pytest.raises(OSError, match=r"ssps\.reg: exists"):
-        write_ssp_regions(empty, cube, 0, path)
-    assert path.read_text() == "mine"
+        write_ssp_regions(matched.ssps, matched.cube, 0, path)
 
 
 def test_a_file_for_every_epoch(matched, tmp_path):
