@@ -15,7 +15,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.correlation.correlate import match_block
 from astro_scc.decomposition import Decomposer
-from astro_scc.decomposition.noise import propagated_noise
+from astro_scc.decomposition.noise import propagated_noise, shared_variance
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement import MatchedEpochs, select_ssps
@@ -145,50 +145,28 @@ def test_a_texture_is_measured_and_said(tmp_path):
 # -- decomposition and choice -------------------------------------------------------
 
 
-def test_every_epoch_is_decomposed_with_its_mask_noise_and_beam(monkeypatch):
-    rng = np.random.default_rng(0)
-    data = rng.normal(size=(3, 40, 60))
-    sizes = (0.8, 1.0, 1.2)
-    beams = [Beam(b * u.mas, 0.5 * u.mas, 0 * u.deg) for b in sizes]
-    cube = cube_of(data, beams=beams)
-    asked = []
-
-    def record(self, image, **options):
-        asked.append((image, options))
-
-    monkeypatch.setattr(Decomposer, "__call__", record)
-    decompose_epochs(cube, Decomposer(scales=(1,), noise="propagated"))
-    for k, (image, options) in enumerate(asked):
-        np.testing.assert_array_equal(image, data[k])
-        np.testing.assert_array_equal(options["mask"], cube.mask[k])
-        assert options["rms"] == pytest.approx(cube.noise_rms()[k].value)
-        # In pixels: the long axis to the north.
-        variance = np.diag(options["beam_covariance"]) * 8 * np.log(2)
-        np.testing.assert_allclose(variance, [25, 100 * sizes[k] ** 2])
-    asked.clear()
-    decompose_epochs(cube, Decomposer(scales=(1,)))
-    assert [options["rms"] for _, options in asked] == [None] * 3
-    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
-    asked.clear()
-    decompose_epochs(cube_of(data), Decomposer(scales=(1,), noise="propagated"))
-    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
-    assert all(options["rms"] > 0 for _, options in asked)
+def test_factors_of_the_noise():
+    with pytest.raises(ValueError, match="noise_factors must be a number from 0 to 1"):
+        Decomposer(scales=[1, 2], noise_factors=(0.5, 1.1))
+    image = np.random.default_rng(0).normal(size=(64, 64))
+    plain, halved = (
+        Decomposer(scales=[1, 2], noise_factors=factors)(image).noise
+        for factors in (None, [0.5, 1])
+    )
+    assert halved == pytest.approx([0.5 * plain[0], plain[1]], rel=1e-6)
+    # Planes of nothing share nothing.
+    assert shared_variance(np.stack([image, 0 * image]), 1) == (0.0, np.inf)
 
 
 def test_ssps_are_inside_if_their_centroid_is(matched):
     ssps, cube = matched.ssps, matched.cube
-    everything = centroids_inside(ssps, cube, None)
-    assert everything.all()
-    assert len(everything) == len(ssps) > 0
+    assert centroids_inside(ssps, cube, None).all()
     region = np.zeros(cube.shape[1:], bool)
     region[:, 60:160] = True
     inside = centroids_inside(ssps, cube, region)
     x = np.rint(ssps.x_centroid)
     np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
     assert 0 < inside.sum() < len(ssps)
-    empty = np.zeros(cube.shape[1:], bool)
-    empty[0, 0] = True
-    assert not centroids_inside(ssps, cube, empty).any()
 
 
 # -- files -------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 """What is measured: alignment, direction, scales, pairs, windows and grids."""
 
 import warnings
-from dataclasses import replace
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -68,46 +67,36 @@ def test_pairs_of_dates():
     assert numbers(pairs_of_dates(cube_of(), [50, 100] * u.day)) == [(0, 2), (1, 2)]
 
 
-def test_resolution_is_the_mean_over_epochs_and_axes():
-    round_, long_ = (
-        Beam(1 * u.mas, 1 * u.mas, 0 * u.deg),
-        Beam(3 * u.mas, 1 * u.mas, 0 * u.deg),
-    )
-    cube = cube_of(beams=[round_, round_, long_])
-    assert mean_fwhm(cube, 2) == pytest.approx((1 + 1 + 1 + 1 + 3 + 1) / 6)
-    # However the beam is turned.
-    turned = cube_of(beams=[Beam(3 * u.mas, 1 * u.mas, 90 * u.deg)] * 3)
-    assert mean_fwhm(turned, 2) == pytest.approx(2.0)
+def test_resolution_is_the_mean_over_epochs_and_axes_however_beams_are_turned():
+    beams = [
+        Beam(b * u.mas, 1 * u.mas, pa * u.deg) for b, pa in ((1, 0), (1, 0), (3, 90))
+    ]
+    assert mean_fwhm(cube_of(beams=beams), 2) == pytest.approx((4 + 3 + 1) / 6)
 
 
-def evenly(n_epochs, days=30):
-    return cube_of(days * np.arange(n_epochs), shape=(8, 8))
+MONTH = 30 / YEAR
+UNEVEN = np.cumsum([0, 30, 30, 90, 90, 90])
 
 
-def test_neighbouring_features_are_not_searched():
-    """One and a half beams, where intervals are short enough for that."""
-    month = 30 / YEAR
-    assert search_radius(evenly(30), None, 1.0) == 1.5
-    assert search_radius(evenly(30), 0.5 / month, 1.0) == 1.5
-    # No two dates, no interval.
-    assert search_radius(cube_of((0,)), None, 1.0) == 1.5
-
-
-def test_the_largest_speed_is_reached_in_the_shorter_intervals():
-    # And the scatter of displacements about it, three times 0.12 beam.
-    month = 30 / YEAR
-    cube = cube_of(np.cumsum([0, 30, 30, 90, 90, 90]), shape=(8, 8))
-    for speed, fwhm in ((3.0, 1.0), (6.0, 2.0)):
-        found = search_radius(cube, speed / month, fwhm)
-        assert found == pytest.approx(3.0 + 0.36, rel=1e-6)
-
-
-def test_short_series_are_searched_farther():
-    """To four beams in the median interval, of up to 20 epochs."""
-    assert search_radius(evenly(20), None, 1.0) == pytest.approx(4.36)
-    assert search_radius(evenly(21), None, 1.0) == 1.5
-    cube = cube_of(np.cumsum([0, 30, 30, 60, 60, 60]), shape=(8, 8))
-    assert search_radius(cube, None, 1.0) == pytest.approx(2.36)
+@pytest.mark.parametrize(
+    ("days", "max_speed", "fwhm", "radius"),
+    [
+        # One and a half beams, where intervals are short enough for that.
+        (30 * np.arange(30), None, 1.0, 1.5),
+        (30 * np.arange(30), 0.5 / MONTH, 1.0, 1.5),
+        ((0,), None, 1.0, 1.5),
+        # The largest speed in the shorter intervals, and three times 0.12 beam.
+        (UNEVEN, 3.0 / MONTH, 1.0, 3.36),
+        (UNEVEN, 6.0 / MONTH, 2.0, 3.36),
+        # Short series: four beams in the median interval, of up to 20 epochs.
+        (30 * np.arange(20), None, 1.0, 4.36),
+        (30 * np.arange(21), None, 1.0, 1.5),
+        (np.cumsum([0, 30, 30, 60, 60, 60]), None, 1.0, 2.36),
+    ],
+)
+def test_the_search_radius(days, max_speed, fwhm, radius):
+    found = search_radius(cube_of(days, shape=(8, 8)), max_speed, fwhm)
+    assert found == pytest.approx(radius, rel=1e-6)
 
 
 def reach(cube, pairs, radius, fwhm, max_speed):
@@ -131,17 +120,13 @@ def test_windows_end_with_the_image_and_warn():
         assert reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
 
 
-def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
+def test_the_grid_is_half_the_narrowest_kernel(sky_result):
     d, pairs = sky_result.displacements, sky_result.pairs
     grid = map_grid(d, pairs, 30.0)
     assert grid.v_max == (30.0, 30.0)
-    for step, s in zip(grid.step, (d.s1, d.s2), strict=True):
-        narrowest = s.min() / pairs.interval.max()
-        assert 0.45 * narrowest < step <= 0.5 * narrowest
-    none = d.select(np.zeros(len(d), bool))
-    assert map_grid(none, pairs, 30.0).shape == (41, 41)
-    wide = replace(d, s1=100 * d.s1, s2=100 * d.s2)
-    assert map_grid(wide, pairs, 30.0).shape == (3, 3)
+    narrowest = np.array([d.s1.min(), d.s2.min()]) / pairs.interval.max()
+    assert np.all((0.45 * narrowest < grid.step) & (grid.step <= 0.5 * narrowest))
+    assert map_grid(d.select(np.zeros(len(d), bool)), pairs, 30.0).shape == (41, 41)
 
 
 YEARLY = cube_of((0, YEAR))
@@ -276,23 +261,16 @@ def test_the_size_of_structures(fwhm, noise):
 
 
 @pytest.mark.parametrize(
-    ("beam", "scales"),
+    ("fwhm", "beam", "scales"),
     [
-        (2, (1, 2)),
-        (4, (1, 2, 3)),
-        (6, (1, 2, 3, 4)),
-        (11, (1, 2, 3, 4)),
-        (16, (2, 3, 4, 5)),
-        # No scale is larger than half of the image.
-        (60, (4, 5, 6)),
+        # From a quarter of the beam to two; none larger than half of the image.
+        (2, 2, (1, 2)), (6, 6, (1, 2, 3, 4)), (16, 16, (2, 3, 4, 5)),
+        (9, 60, (4, 5, 6)),
+        # Without a beam up to half of the size of the structures.
+        (3, None, (1,)), (7, None, (1, 2)), (24, None, (1, 2, 3)),
     ],
-)
-def test_scales_from_a_quarter_of_the_beam_to_two_beams(beam, scales):
-    found, reason = choose_scales(field(beam, beam=beam))
+)  # fmt: skip
+def test_scales_that_suit_the_resolution(fwhm, beam, scales):
+    found, reason = choose_scales(field(fwhm, beam=beam))
     assert found == scales
-    assert f"({beam}.0 px)" in reason
-
-
-@pytest.mark.parametrize(("fwhm", "scales"), [(3, (1,)), (7, (1, 2)), (24, (1, 2, 3))])
-def test_scales_up_to_half_of_the_structures(fwhm, scales):
-    assert choose_scales(field(fwhm))[0] == scales
+    assert beam is None or f"({beam}.0 px)" in reason

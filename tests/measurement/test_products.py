@@ -137,7 +137,7 @@ def test_a_second_run_at_once_is_refused(tmp_path, monkeypatch, exists, looks):
     with product_folder(out) as first:
         (first / "a.txt").write_text("first")
         monkeypatch.setattr(products.writing, "remove_left", look)
-        with pytest.raises(OSError, match="out: another run is at work for this folde"):
+        with pytest.raises(OSError, match="out: another run is at work for this"):
             fill(out, overwrite=True)
     assert tree(out) == {"a.txt": "first"}
 

@@ -334,46 +334,34 @@ def test_is_the_procedure_over_all_tables_together(groups, by):
     assert np.all((got >= p - 1e-12) & (got <= 1))
 
 
-def test_empty_tables_keep_the_column_and_count_as_searched():
-    alone = false_discovery_rate([table([0.01])])
-    many = false_discovery_rate([table([0.01]), *[component_table([])] * 19])
-    assert alone[0]["p_fdr"][0] == pytest.approx(0.01)
-    assert many[0]["p_fdr"][0] == pytest.approx(0.2)
-    assert many[0].meta["false_discovery"] == {"method": "bh", "n_tests": 20}
-    empty = many[1]
+def test_empty_tables_are_searches_and_what_stands_still_is_none():
+    own = {"a": table([0.01, 1.0], kind=["moving", "stationary"]), "b": table([0.02])}
+    own |= {f"none {k}": component_table([]) for k in range(18)}
+    once = false_discovery_rate(own)
+    assert once["a"]["p_fdr"].tolist() == pytest.approx([0.2, 1.0])
+    assert once["b"]["p_fdr"].tolist() == pytest.approx([0.2])
+    assert once["a"].meta["false_discovery"] == {"method": "bh", "n_tests": 20}
+    empty = once["none 1"]
     assert len(empty) == 0
     assert empty["p_fdr"].dtype == float
     assert empty["p_fdr"].info.description
+    # They are copies, and can be adjusted again.
+    twice = false_discovery_rate(once)
+    assert own["b"].colnames == ["p_global"]
+    assert once["b"].colnames == twice["b"].colnames == ["p_global", "p_fdr"]
+    np.testing.assert_array_equal(once["b"]["p_fdr"], twice["b"]["p_fdr"])
     assert false_discovery_rate([]) == []
 
 
-def test_what_stands_still_is_not_tested():
-    both = table([0.01, 1.0], kind=["moving", "stationary"])
-    still = table([1.0], kind=["stationary"])
-    first, second, third = false_discovery_rate([both, still, table([0.02])])
-    # Three searches: of 0.01, of nothing, and of 0.02.
-    assert first["p_fdr"].tolist() == pytest.approx([0.03, 1.0])
-    assert second["p_fdr"].tolist() == [1.0]
-    assert third["p_fdr"].tolist() == pytest.approx([0.03])
-    assert first.meta["false_discovery"]["n_tests"] == 3
-
-
-def test_tables_are_copied_can_be_adjusted_again_and_keep_their_names():
-    own = {"inner": table([0.01, 0.2]), "outer": table([])}
-    once = false_discovery_rate(own)
-    twice = false_discovery_rate(once)
-    assert own["inner"].colnames == ["p_global"]
-    assert list(once) == ["inner", "outer"]
-    assert once["inner"].colnames == twice["inner"].colnames == ["p_global", "p_fdr"]
-    np.testing.assert_array_equal(once["inner"]["p_fdr"], twice["inner"]["p_fdr"])
-
-
-def test_says_what_is_wrong():
-    with pytest.raises(TypeError, match=r"got one: give \[table\]"):
-        false_discovery_rate(table([0.1]))
-    with pytest.raises(ValueError, match="table 1 has no column p_global"):
-        false_discovery_rate([table([0.1]), QTable()])
-    with pytest.raises(ValueError, match="table 'inner': p_global must be from 0 to 1"):
-        false_discovery_rate({"inner": table([np.nan])})
-    with pytest.raises(ValueError, match="unknown method 'bonferroni': use 'bh' or"):
-        false_discovery_rate([], method="bonferroni")
+@pytest.mark.parametrize(
+    ("tables", "method", "words"),
+    [
+        (table([0.1]), "bh", r"got one: give \[table\]"),
+        ([table([0.1]), QTable()], "bh", "table 1 has no column p_global"),
+        ({"inner": table([np.nan])}, "bh", "'inner': p_global must be from 0 to 1"),
+        ([], "bonferroni", "unknown method 'bonferroni': use 'bh' or"),
+    ],
+)
+def test_says_what_is_wrong(tables, method, words):
+    with pytest.raises((TypeError, ValueError), match=words):
+        false_discovery_rate(tables, method=method)
