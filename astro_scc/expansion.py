@@ -26,13 +26,11 @@ __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 PARTS, ENOUGH = 4, 100
 #: Fewest velocity samples of a group.
 FEWEST = 10
-#: Widths of the kernel in standard errors of a velocity sample, from wide to narrow.
-WIDTHS = (4.0, 2.0, 1.0)
-#: Rates that are tried first, for expansion and for contraction.
-TRIED = 60
-#: Most steps uphill for a kernel and for the mixture, and the step of the mixture, in
-#: standard errors, below which it has converged.
-KERNEL_STEPS, MIXTURE_STEPS, SMALL = 40, 100, 0.02
+#: Rates that are tried first, for expansion and for contraction, and the width of their
+#: kernel, in standard errors of a velocity sample.
+TRIED, WIDTH = 60, 4.0
+#: Most steps of the fit, and the step, in standard errors, that is its last one.
+STEPS, SMALL = 100, 0.02
 #: Bounds of the scatter, in standard errors of a velocity sample, and of the share of
 #: samples that expand.
 SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
@@ -95,9 +93,9 @@ def fit_shell(
     Many matches are due to chance, so the model is a mixture: a velocity sample
     either moves with its group, with a scatter that is fitted for each scale
     and quarter of the signal-to-noise ratios, or falls anywhere in the area
-    that was searched.  The fit starts at the maximum of a stack with the kernel
-    of ``scc``.  Errors combine a jackknife over 24 sectors of azimuth, each with
-    all epochs of its features, and the errors of the alignment (see
+    that was searched.  The fit starts at the rates at which a wide kernel
+    has its largest sum.  Errors combine a jackknife over 24 sectors of azimuth,
+    each with all epochs of its features, and the errors of the alignment (see
     ``alignment_errors`` of the epochs): epochs that drift by
     :math:`\delta` in the time T move the centre by :math:`\delta / (e\, T)`.
 
@@ -121,7 +119,7 @@ def fit_shell(
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
     max_rate = limit / np.median(np.hypot(*(x - x.mean(axis=0)).T))
-    start = kernel_maximum(samples, weight, max_rate=max_rate, centre=given)
+    start = start_of(samples, weight, max_rate=max_rate, centre=given)
     area = (2 * limit * samples.interval) ** 2
     fit = fit_mixture(samples, start, area, fixed=given is not None)
     covariance, errors = fit.covariance, alignment_errors(cube, scc.alignment_error)
@@ -230,42 +228,24 @@ def _with_alignment(fit, first, interval, years, errors):
     return covariance
 
 
-def kernel_maximum(samples, weight, *, max_rate, centre=None):
-    r"""
-    Return the rates and the centre that maximise a kernel, shape (n_groups + 2,).
+def start_of(samples, weight, *, max_rate, centre=None):
+    """
+    Return rates and a centre from which to fit, shape (n_groups + 2,).
 
-    The maximum of
-
-    .. math:: C(e, c) = \sum_i w_i \exp\left(-\frac{|v_i - e_{g(i)}\,
-              (x_i - c)|^2}{2\,\sigma_i^2}\right)
-
-    over the rates :math:`e_g` of all groups and the centre c is reached by
-    weighted least squares, from the rates at which a wide kernel has its
-    largest sum.  A centre that is given is kept.
+    The centre is the weighted mean position, or the one that is given, and each rate
+    the one of many at which a wide kernel about it has the largest weighted sum.
     """
     x, v, group = samples.x, samples.v, samples.group
-    s = samples.error / samples.interval
     start = np.average(x, axis=0, weights=weight) if centre is None else centre
-    rates = np.linspace(-max_rate, max_rate, 2 * TRIED + 1)
-    first = []
+    width = WIDTH * samples.error / samples.interval
+    tried, rates = np.linspace(-max_rate, max_rate, 2 * TRIED + 1), []
     for g in range(int(group.max()) + 1):
         own = group == g
-        away = x[own] - start
-        sums = [
-            weight[own] @ np.exp(-0.5 * _square(v[own] - e * away, WIDTHS[0] * s[own]))
-            for e in rates
-        ]
-        first.append(rates[int(np.argmax(sums))])
-    place = np.array([*first, *start])
-    for width in WIDTHS:
-        for _ in range(KERNEL_STEPS):
-            rest = v - _model(samples, place)
-            own = weight * np.exp(-0.5 * _square(rest, width * s)) / s**2
-            step, _ = _step(samples, place, own, centre is not None)
-            place = place + step
-            if np.all(np.abs(step) <= 1e-7 * np.abs(place) + 1e-12):
-                break
-    return place
+        rest = (v[own] - rate * (x[own] - start) for rate in tried)
+        squares = ((r**2).sum(axis=1) / width[own] ** 2 for r in rest)
+        sums = [weight[own] @ np.exp(-0.5 * square) for square in squares]
+        rates.append(tried[int(np.argmax(sums))])
+    return np.array([*rates, *start])
 
 
 class Mixture(NamedTuple):
@@ -326,7 +306,7 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
     kind, square_interval = samples.kind, samples.interval**2
     n = len(widest)
     number = np.maximum(np.bincount(kind, minlength=n), 1)
-    for _ in range(MIXTURE_STEPS):
+    for _ in range(STEPS):
         rest = samples.v - _model(samples, place)
         square = (rest**2).sum(axis=1) * square_interval
         width, f = scatter[kind], share[kind]
@@ -342,10 +322,6 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
         if np.all(np.abs(step) <= SMALL * np.sqrt(np.abs(np.diag(inverse)))):
             break
     return place, scatter, share, inverse, p
-
-
-def _square(rest, s):
-    return (rest**2).sum(axis=-1) / s**2
 
 
 def _model(samples, place):

@@ -1,10 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Tables of a measurement: components, SSPs, matches, and adjusted p-values."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -20,8 +22,12 @@ from astro_scc.columns import (
 )
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.stacking.stack import sample_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit
+
+if TYPE_CHECKING:
+    from astropy.cosmology import FLRW
 
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
@@ -90,6 +96,44 @@ def component_table(
     table = in_speed_unit(build_table("components", rows), unit)
     table.meta.update(meta or {})
     return round_to_errors(table)
+
+
+class Components:
+    """A measurement with a table of ``components``."""
+
+    def components_in_c(
+        self, *, redshift: float | str | u.Quantity | None = None,
+        cosmology: FLRW | str | dict | None = None,
+        distance: u.Quantity | str | None = None,
+    ) -> QTable:  # fmt: skip
+        """
+        Return the components with apparent speeds in units of c.
+
+        Parameters
+        ----------
+        redshift : float, str or `~astropy.units.Quantity`, optional
+        cosmology : `~astropy.cosmology.FLRW` or str, optional
+            Cosmology for the redshift, or its name; by default
+            `~astro_scc.kinematics.paper_cosmology`.
+        distance : `~astropy.units.Quantity` or str, optional
+            Distance of a nearby source, instead of a redshift.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            ``components`` with the columns ``beta_app`` and ``beta_app_err``,
+            the speed ``pm`` in units of c, see
+            `~astro_scc.kinematics.apparent_speed`.  The meta holds the redshift
+            and cosmology, or the distance.
+
+        Raises
+        ------
+        ValueError
+            If neither a redshift nor a distance is given, or if one is invalid.
+        """
+        return table_in_c(
+            self.components, redshift=redshift, cosmology=cosmology, distance=distance
+        )
 
 
 def printed(table):
