@@ -308,22 +308,6 @@ def test_a_feature_that_is_missing_at_a_date_is_taken_up_again():
     assert sorted(links.gap[own]) == [0, 0, 0, 1]
 
 
-def test_one_pattern_follows_the_larger_one_that_it_lies_in():
-    # Two equal partners: only the larger pattern says which.
-    ssps = catalogue(
-        [[0, 50, 50, 1], [1, 50, 42, 1], [1, 50, 58, 1],
-         [0, 50, 51, 2], [1, 50, 59, 2]],
-        scale=[1, 1, 1, 2, 2],
-    )  # fmt: skip
-    parent = np.array([3, -1, 4, -1, -1])
-    found = link(everything(ssps), ssps, parent=parent)
-    assert (0, 2) in list(zip(found.source, found.target, strict=True))
-    away = link(everything(ssps), ssps)
-    gains = {(i, k): g for i, k, g in zip(away.source, away.target, away.gain,
-                                          strict=True)}  # fmt: skip
-    assert found.gain[found.source == 0] > gains.get((0, 2), gains.get((0, 1)))
-
-
 def test_nothing_to_link():
     ssps = catalogue([[0, 10, 10, 1], [1, 300, 300, 1]])
     links = link(everything(ssps), ssps)
@@ -403,46 +387,17 @@ def test_gains_are_those_of_all_paths(seed):
 # -- tracks --------------------------------------------------------------------------
 
 
-def links_of(pairs, kinds=None):
-    source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
-    kinds = ["link"] * len(source) if kinds is None else kinds
-    zeros = np.zeros((5, len(source)))
-    return Links(source, target, *zeros, np.array(kinds, "U5"), zeros[0])
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10**6), st.integers(1, 4))
-def test_chains_are_what_links_connect(seed, least):
-    rng = np.random.default_rng(seed)
-    # Fifteen SSPs in five epochs; one-to-one links onwards.
-    pairs = [
-        (3 * e + i, 3 * (e + 1) + k)
-        for e in range(4)
-        for i, k in enumerate(rng.permutation(3))
-        if rng.random() < 0.6
-    ]
-    ssps = catalogue([[k // 3, 50, 50 + k, 1] for k in range(15)])
-    found = chains(links_of(pairs), ssps, min_epochs=least)
-    follower = dict(pairs)
-    paths = []
-    for start in sorted(set(range(15)) - set(follower.values())):
-        path = [start]
-        while path[-1] in follower:
-            path.append(follower[path[-1]])
-        paths.append(path)
-    wanted = [path for path in paths if len(path) >= least]
-    assert [ssp.tolist() for ssp in found] == wanted
-
-
-def best_total(row, column, weight):
-    """Largest total weight, by trying every choice."""
-    if len(row) == 0:
-        return 0.0
-    rest = list(range(1, len(row)))
-    without = best_total(row[rest], column[rest], weight[rest])
-    free = [k for k in rest if row[k] != row[0] and column[k] != column[0]]
-    with_it = weight[0] + best_total(row[free], column[free], weight[free])
-    return max(without, with_it)
+def test_chains_are_what_links_connect():
+    """Two cross at the third epoch, one has a gap, and a merge is no link."""
+    ssps = catalogue([[k // 3, 50, 50 + k, 1] for k in range(12)])
+    pairs = [(0, 3), (3, 8), (8, 9), (1, 4), (4, 6), (2, 11), (5, 6)]
+    source, target = np.array(pairs).T
+    kinds, zeros = np.array(["link"] * 6 + ["merge"]), np.zeros((5, 7))
+    links = Links(source, target, *zeros, kinds, zeros[0])
+    found = [track.tolist() for track in chains(links, ssps, min_epochs=2)]
+    assert found == [[0, 3, 8, 9], [1, 4, 6], [2, 11]]
+    assert len(chains(links, ssps, min_epochs=3)) == 2
+    assert len(chains(links, ssps)) == 6
 
 
 pairs = st.lists(
@@ -453,22 +408,11 @@ pairs = st.lists(
 @settings(max_examples=60, deadline=None)
 @given(pairs)
 def test_it_is_the_best_choice_and_one_to_one(found):
-    row, column, weight = (np.array(v, dtype=int) for v in zip(*found, strict=True)
-                           ) if found else (np.empty(0, int),) * 3  # fmt: skip
+    row, column, weight = np.array(found, dtype=int).reshape(-1, 3).T
     chosen = assign(row, column, weight)
     assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
-    assert weight[chosen].sum() == best_total(row, column, weight)
-    assert np.all(weight[chosen] > 0)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_large_choices_are_as_good_as_those_of_a_full_table(seed):
-    rng = np.random.default_rng(seed)
-    row, column = rng.integers(0, 60, (2, 400))
-    weight = rng.uniform(0.5, 1, 400)
-    table = np.zeros((60, 60))
+    table = np.zeros((5, 5))
     np.maximum.at(table, (row, column), weight)
-    chosen = assign(row, column, weight)
-    assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
     best = table[linear_sum_assignment(table, maximize=True)].sum()
-    assert weight[chosen].sum() == pytest.approx(best)
+    assert weight[chosen].sum() == best
+    assert np.all(weight[chosen] > 0)
