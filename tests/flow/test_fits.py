@@ -32,6 +32,11 @@ def test_power_law_of_a_power_law(v0, k):
     assert fit.parameters["index"].value == pytest.approx(k, abs=1e-6)
     np.testing.assert_allclose(fit(R).value, v, rtol=1e-6)
     assert fit.chi2 < 1e-6
+    # With equal relative errors it is a straight line of logarithms.
+    x = np.log(R.value)
+    _, covariance = np.polyfit(x, k * x, 1, w=np.full(12, 20.0), cov="unscaled")
+    error = fit.errors["index"].value
+    assert error == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-3)
 
 
 def test_broken_line_finds_the_break():

@@ -81,6 +81,12 @@ def test_what_few_features_tell(features, known):
     assert found.n_features == len(features)
 
 
+def test_features_within_two_beams_are_the_cores():
+    two = [feature(start, 0.0, speed=0.05) for start in (1.7, 1.9)]
+    # Their mean places are 1.875 and 2.075.
+    assert fit_gradient(two, BEAM).n_features == 1
+
+
 def test_the_acceleration_of_a_feature():
     place = np.stack([0.5 * YEARS + 0.03 * YEARS**2, 0 * YEARS], axis=1)
     found = Feature.through(np.arange(8), YEARS, place)

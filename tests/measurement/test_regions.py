@@ -6,11 +6,8 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from regions import Regions
 
-from astro_scc import EpochCube
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.measurement import (
@@ -43,40 +40,6 @@ def test_outlines_hold_the_pixels(matched, tmp_path):
         assert np.array_equal(
             pixels_inside(region, cube), np.sort(ssps.pixels_of(index))
         )
-
-
-def one_ssp(pixels):
-    """An SSP of these pixels in an image of 9 x 9, 0.05 uas wide each."""
-    pixels = np.array(sorted(pixels))
-    row, column = np.divmod(pixels, 9)
-    ones = np.ones(1)
-    ssp = SSPs(
-        scale=ones, y=ones, x=ones, y_centroid=ones, x_centroid=ones, peak=ones,
-        flux=ones, snr=ones,
-        bbox=np.array([[row.min(), column.min(), row.max() + 1, column.max() + 1]]),
-        starts=np.array([0, len(pixels)]), pixels=pixels, epoch=np.zeros(1, int),
-    )  # fmt: skip
-    cube = EpochCube.from_arrays(
-        np.ones((1, 9, 9)), ["2000-01-01"], pixel_scale=5e-5 * u.mas
-    )
-    return ssp, cube
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.lists(st.sampled_from([(0, 1), (1, 0), (0, -1), (-1, 0)]), max_size=12))
-def test_any_shape_without_holes(steps):
-    at, seen = [4, 4], {(4, 4)}
-    for step in steps:
-        at = [min(max(a + s, 0), 8) for a, s in zip(at, step, strict=True)]
-        seen.add(tuple(at))
-    inside = np.zeros((9, 9), bool)
-    inside[tuple(np.transpose(list(seen)))] = True
-    from scipy.ndimage import binary_fill_holes
-
-    inside = binary_fill_holes(inside)
-    ssp, cube = one_ssp(np.flatnonzero(inside))
-    (region,) = ssp_regions(ssp, cube, 0)
-    assert np.array_equal(pixels_inside(region, cube), np.flatnonzero(inside))
 
 
 def test_circles(matched, tmp_path):
