@@ -62,12 +62,6 @@ class FeaturePaths:
     def __len__(self):
         return len(self.x)
 
-    def __repr__(self):
-        return (
-            f"<FeaturePaths: {len(self)} features, "
-            f"{self.inside.sum(axis=0).mean():.1f} in the area at a time>"
-        )
-
 
 def draw_paths(
     cube: EpochCube, area: ArrayLike, *, speed: u.Quantity,
@@ -448,27 +442,22 @@ def completeness(
 def _direction(position_angle, axis):
     """Return the direction of motion, and the fraction of a speed along the axis."""
     axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
-    radial = isinstance(axis, str) and axis == "radial"
+    given = axis if position_angle is None else position_angle
+    radial, wanted = (isinstance(k, str) and k == "radial" for k in (axis, given))
     if not (radial or axis is None or isinstance(axis, u.Quantity)):
         raise ValueError(
             "features move on straight lines, so the measurement needs velocity axes "
             f"of one direction, or 'radial', not {axis}: give StackedCrossCorrelation "
             "an angle as position_angle"
         )
-    position_angle = axis if position_angle is None else position_angle
-    if position_angle is None:
+    if given is None or radial != wanted:
         raise ValueError(
-            "position_angle is missing: give the direction in which features move, an "
-            "angle or 'radial'"
-        )
-    if radial != (isinstance(position_angle, str) and position_angle == "radial"):
-        raise ValueError(
-            f"position_angle {position_angle} does not go with that of the "
-            f"measurement, {axis}: either both are 'radial', or none"
+            f"position_angle {given} does not go with that of the measurement, {axis}: "
+            "give the direction in which features move, an angle, or both 'radial'"
         )
     if radial:
-        return position_angle, 1.0
-    how = one_quantity, position_angle, "an angle", "65 deg", False
+        return given, 1.0
+    how = one_quantity, given, "an angle", "65 deg", False
     angle = named("position_angle", *how).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
 
@@ -505,13 +494,14 @@ def _counted(outcomes):
     """Return how many injections were found, and how well (None if unknown)."""
     found = [outcome for outcome in outcomes if outcome is not None]
     n = len(found)
-    fraction, low, high = share(n, len(outcomes))
+    of = n, len(outcomes), CONFIDENCE
+    low, high = binom_conf_interval(*of, interval="jeffreys").tolist()
     off, error = np.array(found).reshape(-1, 2).T
     spread = float(off.std(ddof=1)) if n > 1 else None
     return {
         "n_injected": len(outcomes),
         "n_found": n,
-        "fraction": fraction,
+        "fraction": n / len(outcomes),
         "fraction_low": low,
         "fraction_high": high,
         "bias": float(off.mean()) if n else None,
@@ -519,12 +509,6 @@ def _counted(outcomes):
         "scatter": spread,
         "coverage": float(np.mean(np.abs(off) <= error)) if n else None,
     }
-
-
-def share(number, of):
-    """Return a share with the limits of its 95% interval (Jeffreys)."""
-    low, high = binom_conf_interval(number, of, CONFIDENCE, interval="jeffreys")
-    return number / of, float(low), float(high)
 
 
 def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):

@@ -77,9 +77,6 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.source)
 
-    def __repr__(self):
-        return f"<Candidates: {len(self)} of {len(np.unique(self.source))} SSPs>"
-
     @property
     def motion(self) -> np.ndarray:
         """Displacements (y, x), shape (n, 2)."""

@@ -159,8 +159,8 @@ REFUSED = [
     ({}, {}, {"n_trials": 18}, "18 trials allow no p_global below 0.053.*n_trials$"),
     ({}, {}, {"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
     ({}, {}, {"tolerance": 1 * u.s}, "tolerance = 1.0 s must be"),
-    ({}, {}, {"position_angle": "radial"}, "either both are 'radial', or none"),
-    ({}, {"position_angle": None}, {}, "position_angle is missing: give the"),
+    ({}, {}, {"position_angle": "radial"}, "radial does not go with .*both 'radial'"),
+    ({}, {"position_angle": None}, {}, "position_angle None does not go with"),
     ({}, {"position_angle": RIDGE}, {}, "or 'radial', not .*: give"),
     # All directions are searched, each to the largest speed.
     ({}, {"position_angle": None}, {"speeds": 25 * PM, "position_angle": 45 * u.deg},
