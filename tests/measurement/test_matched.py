@@ -90,6 +90,9 @@ def quiet(cube, decomposer):
 @pytest.mark.parametrize("kind", ["white", "beam that nobody knows"])
 def test_noise_is_noise(kind):
     assert quiet(noise_of(kind), Decomposer(scales=SCALES))
+    # On scales as large as the image, epochs share more than half of it by chance.
+    small = cube_of(np.random.default_rng(1).normal(size=(2, 48, 48)))
+    assert quiet(small, Decomposer(scales=(2, 3, 4)))
 
 
 def test_what_is_not_measured_in_the_planes_is_as_it_was():
