@@ -11,27 +11,16 @@ import numpy as np
 from astropy.table import QTable
 
 from astro_scc.alignment.registration import warn_of_misalignment
-from astro_scc.correlation import Correlator, all_pairs
-from astro_scc.correlation.parallel import workers_of
-from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.correlation import Correlator
+from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.images.beam import require_common_beam
-from astro_scc.measurement import (
-    MatchedEpochs,
-    SCCResult,
-    SearchPlan,
-    decomposing,
-    match_files,
-)
+from astro_scc.measurement import MatchedEpochs, SCCResult, SearchPlan
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.plan import (
-    scale_numbers,
-    search_reach,
-    warn_of_none_inside,
-)
+from astro_scc.measurement.matched import allow_for_structure, match_epochs
+from astro_scc.measurement.plan import scale_numbers
 from astro_scc.measurement.stacking import stack_matches
-from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.units import comparable
@@ -189,7 +178,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         `~astro_scc.decomposition.Decomposer`
         """
         numbers = scale_numbers(cube, self.scales)
-        return decomposing.allow_for_structure(cube, self._decomposer(numbers))
+        return allow_for_structure(cube, self._decomposer(numbers))
 
     def match(
         self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
@@ -242,34 +231,17 @@ class StackedCrossCorrelation(MeasurementSettings):
         if self.common_beam is not False:
             require_common_beam(cube)
         warn_of_misalignment(cube)
-        reach = search_reach(cube, self.plan(cube))
-        inside = None if region is None else cube.region_mask(region)
-        decomposer = self.decomposer(cube)
-        correlator = Correlator(self.kappa, self.target, self.min_overlap)
-        provenance = match_files.match_provenance(
-            cube, decomposer, correlator, reach, inside
+        plan = self.plan(cube)
+        return match_epochs(
+            cube,
+            allow_for_structure(cube, self._decomposer(plan.scales)),
+            Correlator(self.kappa, self.target, self.min_overlap),
+            plan.reach(cube),
+            region=region,
+            n_workers=n_workers,
+            cache=cache,
+            progress_bar=progress_bar,
         )
-        cache, matched = match_files.kept_matches(cache, cube, provenance)
-        if matched is None:
-            with workers_of(n_workers) as workers:
-                decompositions = decomposing.decompose_epochs(
-                    cube, decomposer, n_workers=workers, progress_bar=progress_bar
-                )
-                ssps = SSPs.of_epochs(decompositions)
-                select = decomposing.centroids_inside(ssps, cube, inside)
-                with progress(len(cube), "Correlating", show=progress_bar) as done:
-                    work = decompositions, all_pairs(len(cube)), reach
-                    how = {"n_workers": workers, "progress": done}
-                    matches = correlator(*work, select=select, **how)
-            provenance["selected"] = match_files.selection_digest(select)
-            # Stacks need no planes, which are larger than everything else.
-            of = cube, decomposer, ssps, select, matches, provenance, inside
-            matched = MatchedEpochs(*of)
-            if cache is not None:
-                cache.parent.mkdir(parents=True, exist_ok=True)
-                matched.write(cache, overwrite=True)
-        warn_of_none_inside(matched.ssps, matched.select, region)
-        return matched
 
     def stack(
         self, matched: MatchedEpochs, *, n_trials: int = 1000,

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from astro_scc.columns import cell
 from astro_scc.features import find_features
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.measurement.feature_tables import core_streams
+from astro_scc.measurement.tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, feature_lines, headline, notes

@@ -241,7 +241,8 @@ def survivors_of(clone, room, number, seed):
     if fails(clone, room):
         raise SystemExit(f"tests/{room} fails without any change")
     limit = GRACE + SLOWER * (time.monotonic() - start)
-    modules = sorted((clone / "astro_scc" / room).rglob("*.py"))
+    modules = sorted((clone / "astro_scc").glob(f"{room}.py"))
+    modules += sorted((clone / "astro_scc" / room).rglob("*.py"))
     every = [mutant for path in modules for mutant in mutants_of(path)]
     drawn = random.Random(f"{room} {seed}").sample(every, min(number, len(every)))
     left = []

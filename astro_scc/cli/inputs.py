@@ -17,7 +17,7 @@ from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.cutout import refuse_pixels
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.headers import first_line
-from astro_scc.measurement import choices
+from astro_scc.measurement import plan
 from astro_scc.measurement.published import published_positions
 from astro_scc.measurement.tables import versions
 from astro_scc.quantities import to_time
@@ -199,16 +199,16 @@ def prepare(cube, settings, *, note=_ignore, features=False):
     if found["common_beam"]:
         cube = cube.to_common_beam()
     if settings.align is None:
-        found["align"], reason = choices.choose_alignment(cube)
+        found["align"], reason = plan.choose_alignment(cube)
         chosen.append(f"--align {found['align']}: {reason}")
     cube = cube.align(found.get("align", settings.align))
     if features:
         return cube, found, chosen
     if settings.scales is None:
-        found["scales"], reason = choices.choose_scales(cube)
+        found["scales"], reason = plan.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
     if settings.position_angle is None:
-        angle, reason = choices.choose_direction(cube)
+        angle, reason = plan.choose_direction(cube)
         found["position_angle"] = "any" if angle is None else angle
         angle = "any" if angle is None else f'"{angle:g}"'
         chosen.append(f"--position-angle {angle}: {reason}")

@@ -6,8 +6,8 @@ from dataclasses import asdict
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.flow import measure_acceleration
-from astro_scc.flow.groups import compare_scales
 from astro_scc.flow.profile import bins_of, measure_profile, write_profile
+from astro_scc.flow.speeds import compare_scales
 from astro_scc.measurement import select_ssps
 from astro_scc.measurement.products import product_folder
 from astro_scc.measurement.publication import write_publication

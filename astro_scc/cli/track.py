@@ -10,7 +10,7 @@ from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
-from astro_scc.measurement import decomposing
+from astro_scc.measurement.matched import decompose_epochs
 from astro_scc.measurement.products import product_folder, write_files, write_tables
 from astro_scc.measurement.publication import write_publication
 from astro_scc.measurement.published import with_published
@@ -58,7 +58,7 @@ def _find(epochs, reporter):
     ssps = None
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        ssps = SSPs.of_epochs(decomposing.decompose_epochs(cube, decomposer, **how))
+        ssps = SSPs.of_epochs(decompose_epochs(cube, decomposer, **how))
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
         seed=settings.seed, **how,
@@ -86,6 +86,6 @@ def _write(features, epochs, folder):
         "versions": versions(),
     }
     tables = {"features": table, "positions": features.positions}
-    tables = write_tables(tables, folder, meta)
+    tables, _ = write_tables(tables, folder, meta)
     write_publication(tables, folder)
     return tables["features"]

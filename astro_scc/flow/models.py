@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import curve_fit
 from scipy.special import chdtrc
 
 #: Parameters of each model; v0 is the speed at the mean distance.
@@ -212,14 +213,10 @@ def _linear(columns, y, s):
 
 def _solve_power_law(x, y, s):
     x0 = float(np.exp(np.average(np.log(x), weights=(y / s) ** 2)))
-    log = np.log(x / x0)
-    start, _, _ = _linear([np.ones_like(x), log], np.log(y), s / y)
-    values = np.array([np.exp(start[0]), start[1]])
-    for _ in range(50):
-        curve = values[0] * np.exp(values[1] * log)
-        slopes = [curve / values[0], curve * log]
-        step, covariance, _ = _linear(slopes, y - curve, s)
-        values = values + step
-        if np.all(np.abs(step) < 1e-10 * np.abs(values) + 1e-14):
-            break
-    return x0, values, covariance, _chi2(y - _model("power-law", x, x0, values), s)
+
+    def curve(r, *values):
+        return _model("power-law", r, x0, values)
+
+    how = {"p0": (np.average(y), 0.0), "sigma": s, "absolute_sigma": True}
+    values, covariance = curve_fit(curve, x, y, **how)
+    return x0, values, covariance, _chi2(y - curve(x, *values), s)

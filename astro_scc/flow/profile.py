@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -18,26 +18,18 @@ from astro_scc.epochs import EpochCube
 from astro_scc.flow.models import fit_profile
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
-from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
+from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import (
     MatchedEpochs,
     SCCResult,
     false_discovery_rate,
     select_ssps,
 )
-from astro_scc.measurement.products import (
-    with_configuration,
-    write_configuration,
-    write_files,
-    write_tables,
-)
-from astro_scc.measurement.tables import component_table, stack_tables
+from astro_scc.measurement.products import write_files, write_tables
+from astro_scc.measurement.tables import Components, component_table, stack_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking.stack import stack
-
-if TYPE_CHECKING:
-    from astropy.cosmology import FLRW
 
 
 def bins_of(edges, *, window=None):
@@ -58,7 +50,7 @@ def bins_of(edges, *, window=None):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Profile:
+class Profile(Components):
     """
     The measurement in each bin of distance.
 
@@ -122,28 +114,6 @@ class Profile:
             meta["false_discovery"] = tested
         bins = self.bins.to_value(u.mas).tolist()
         return stack_tables(placed, meta | {"bins": bins, "along": self.along})
-
-    def components_in_c(
-        self, *, redshift: float | str | u.Quantity | None = None,
-        cosmology: FLRW | str | dict | None = None,
-        distance: u.Quantity | str | None = None,
-    ) -> QTable:  # fmt: skip
-        """
-        Return the components with apparent speeds in units of c.
-
-        Parameters
-        ----------
-        redshift, cosmology, distance : optional
-            See `SCCResult.components_in_c
-            <astro_scc.measurement.SCCResult.components_in_c>`.
-
-        Returns
-        -------
-        `~astropy.table.QTable`
-        """
-        return table_in_c(
-            self.components, redshift=redshift, cosmology=cosmology, distance=distance
-        )
 
     @property
     def main(self) -> QTable:
@@ -293,13 +263,12 @@ def write_profile(
     """
     from astro_scc.visualization import style
 
-    directory = Path(directory)
-    meta = with_configuration(components.meta, configuration)
-    write_tables({"profile": components}, directory, meta)
+    settings = {"configuration": configuration, "text": text}
+    of = {"profile": components}, directory, components.meta
+    _, paths = write_tables(*of, **settings)
     files = style.figure_files(_figures(profile, components))
-    write_files(files, directory)
-    names = ["profile.ecsv", *files]
-    return [directory / name for name in names] + write_configuration(directory, text)
+    write_files(files, Path(directory))
+    return paths + [Path(directory, name) for name in files]
 
 
 def _figures(profile, components):

@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Measurement: what an array of matches means in angles, years and tables."""
 
-from astro_scc.measurement.match_files import MatchedEpochs
-from astro_scc.measurement.plan import SearchPlan, select_ssps
+from astro_scc.measurement.matched import MatchedEpochs, select_ssps
+from astro_scc.measurement.plan import SearchPlan
 from astro_scc.measurement.products import write_products
 from astro_scc.measurement.publication import write_votable
 from astro_scc.measurement.regions import (

@@ -114,33 +114,30 @@ def frame_positions(frame, east, north):
     return np.stack([distance, length * angle], axis=1)
 
 
-def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
+def matched_displacements(matched, settings):
     """
-    Return the matches as displacements along the axes of a frame.
+    Return matches as displacements along the velocity axes, and the axes.
 
     Parameters
     ----------
-    matches : `~astro_scc.correlation.Matches`
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    cube : `~astro_scc.epochs.EpochCube`
-    frame : frame of `astro_scc.kinematics`
-        Gives the two axes at the position of each SSP.
-    fraction : float
-        Smallest error of a displacement, in beams.
-    select : array_like of bool, shape (n_ssps,), optional
-        The SSPs that are used.
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    settings : `~astro_scc.StackedCrossCorrelation`
 
     Returns
     -------
-    ``VelocitySamples``
-        SSPs at which the frame has no axes count as SSPs without a match.
+    displacements : ``VelocitySamples``
+        In mas, for the selected SSPs.  SSPs at which the frame has no axes count as
+        SSPs without a match.
+    frame : frame of `astro_scc.kinematics`
+        Gives the two axes at the position of each SSP.
     """
-    select = np.ones(len(ssps), bool) if select is None else np.asarray(select, bool)
+    cube, ssps, select = matched.cube, matched.ssps, matched.select
+    frame, fraction = _frame(cube, settings.position_angle), settings.min_error_beams
     east, north = ssp_offsets(ssps, cube)
     axes = frame.matrix(east, north)
     # A radial frame has no axes at its origin.
-    matches = matches.of_ssps(select & np.isfinite(axes).all(axis=(-2, -1)))
+    known = select & np.isfinite(axes).all(axis=(-2, -1))
+    matches = matched.matches.of_ssps(known)
     owner = matches.ssp
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T
@@ -150,7 +147,7 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
     variance = position_errors(ssps.snr[owner], here, fraction) ** 2
     variance = variance + position_errors(matches.target_snr, there, fraction) ** 2
     s = np.sqrt(variance)
-    return VelocitySamples(
+    samples = VelocitySamples(
         d1=d[:, 0],
         d2=d[:, 1],
         s1=s[:, 0],
@@ -167,6 +164,24 @@ def angular_displacements(matches, ssps, cube, frame, fraction, *, select=None):
         scale=ssps.scale,
         years=cube.years.to_value(u.yr),
     )
+    return samples, frame
+
+
+def _frame(cube, position_angle):
+    """Return the velocity axes for a setting."""
+    match position_angle:
+        case u.Quantity():
+            return kinematics.PositionAngleFrame(position_angle)
+        case "fit":
+            angle, _ = kinematics.fit_position_angle(cube)
+            return kinematics.PositionAngleFrame(angle)
+        case "ridge":
+            return kinematics.find_ridge_line(cube)
+        case "radial":
+            return kinematics.RadialFrame()
+        case None | "any":
+            return kinematics.SkyFrame()
+    return position_angle
 
 
 def _widths(cube, ssps, axes, owner, target):
@@ -218,52 +233,3 @@ def alignment_errors(cube, error=None):
                 f"got {each.size}"
             )
     return np.broadcast_to(each[:, None], (n, 2)).copy()
-
-
-def velocity_frame(matched, position_angle):
-    """
-    Return the velocity axes of a measurement.
-
-    Parameters
-    ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    position_angle : `~astropy.units.Quantity`, str, frame or None
-        See `~astro_scc.StackedCrossCorrelation`.
-
-    Returns
-    -------
-    frame of `astro_scc.kinematics`
-    """
-    match position_angle:
-        case u.Quantity():
-            return kinematics.PositionAngleFrame(position_angle)
-        case "fit":
-            angle, _ = kinematics.fit_position_angle(matched.cube)
-            return kinematics.PositionAngleFrame(angle)
-        case "ridge":
-            return kinematics.find_ridge_line(matched.cube)
-        case "radial":
-            return kinematics.RadialFrame()
-        case None | "any":
-            return kinematics.SkyFrame()
-    return position_angle
-
-
-def matched_displacements(matched, settings):
-    """
-    Return matches as displacements along the velocity axes, and the axes.
-
-    Parameters
-    ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    settings : `~astro_scc.StackedCrossCorrelation`
-
-    Returns
-    -------
-    displacements : ``VelocitySamples``
-        In mas, for the selected SSPs.
-    frame : frame of `astro_scc.kinematics`
-    """
-    frame = velocity_frame(matched, settings.position_angle)
-    of = matched.matches, matched.ssps, matched.cube, frame, settings.min_error_beams
-    return angular_displacements(*of, select=matched.select), frame

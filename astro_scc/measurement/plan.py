@@ -1,24 +1,24 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Plan of a measurement: scales, pairs of dates, search radius, speeds and SSPs."""
+"""Plan of a measurement: what the images tell, and what settings mean for them."""
 
 from __future__ import annotations
 
-import os
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
-from numpy.typing import ArrayLike
+from scipy import fft
+from scipy.ndimage import gaussian_filter, map_coordinates
 
+from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.exceptions import MeasurementWarning, warn
-from astro_scc.images.positions import ssp_offsets
-from astro_scc.kinematics import PositionAngleFrame, RidgeLine
-from astro_scc.measurement.choices import choose_scales, mean_fwhm
-from astro_scc.measurement.decomposing import centroids_inside
-from astro_scc.measurement.match_files import MatchedEpochs
+from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
+from astro_scc.images.positions import beam_fwhm, ssp_offsets
+from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
+from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.stacking.diagram import Rays
 from astro_scc.stacking.search_settings import DEFAULT
@@ -52,6 +52,29 @@ BEYOND = 1.0
 #: ``FAR_BEAMS`` beams in the median interval.
 FEW_EPOCHS = 20
 FAR_BEAMS = 4.0
+#: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
+#: is half of the size of the structures (`structure_size`).
+OCTAVES = 4
+#: What is smooth on this scale, in pixels, is background to the structures: those of 3
+#: to 8 px are then measured to 20% (``tests/measurement/test_choices.py``).
+BACKGROUND = 16.0
+#: Number of epochs in which they are measured, and width of the part in the middle, in
+#: pixels.
+MOST_EPOCHS, MOST_PIXELS = 5, 512
+#: Faintest pixels that show a direction, in noises of an epoch.
+SNR = 5.0
+#: Structure is one-sided if the mean of the unit vectors from the core, weighted by
+#: brightness, is as long as this: of 63 sources of MOJAVE XVIII, CLEANed, it is 0.78 or
+#: more, of 20 simulated shells 0.23 or less (seeds from 8000 on).
+ONE_SIDED = 0.6
+#: Distance in beams within which are the wings of the core; the second one where
+#: nothing is seen farther out.
+CORE = (1.5, 1.0)
+#: It begins at the core if this share of the brightness is as near, in beams: within
+#: 3.5 of those jets; the shells have none within 18.
+INNER, NEAR = 0.05, 4.0
+#: Largest error of a direction that is used, in degrees.
+CERTAIN = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,6 +148,56 @@ class SearchPlan:
             fwhm=fwhm,
             max_speed=max_speed,
         )
+
+    def reach(self, cube: EpochCube) -> tuple[int, int]:
+        """
+        Return the largest displacement to match between any two epochs, in pixels.
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+
+        Returns
+        -------
+        tuple of int
+            Along (y, x).
+
+        Raises
+        ------
+        ValueError
+            If the largest speed leads far out of the image even in the shortest
+            interval, or hardly moves anything even in the longest.
+        """
+        farthest, interval = self.radius * self.fwhm, self.pairs.interval
+        # Pixels may not be square: (x, y) sides.
+        side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
+        if self.max_speed is not None:
+            least, most = self.max_speed * np.array([interval.min(), interval.max()])
+            unit = cube.speed_unit.bases[1]
+            short, long = (
+                f"max_speed moves {moved:.3g} mas in the {which} interval "
+                f"({(moved / self.max_speed * u.yr).to(unit):.3g})"
+                for moved, which in ((least, "shortest"), (most, "longest"))
+            )
+            if least > MOST_MOTION * np.hypot(*(side * shape[::-1])):
+                raise ValueError(
+                    f"{short}, more than {MOST_MOTION} times the image: give a smaller "
+                    "one"
+                )
+            if most < LEAST_MOTION * side.min():
+                raise ValueError(
+                    f"{long}, less than {LEAST_MOTION:g} of a pixel: give a larger "
+                    "one, or a baseline with longer intervals"
+                )
+            if np.any(most / side > (shape.max() - 1) // 2):
+                warn(
+                    f"{long}, more than half the image: give a smaller one, or a "
+                    "baseline that leaves out long intervals",
+                    MeasurementWarning,
+                )
+            farthest = max(farthest, most + BEYOND * self.fwhm)
+        reach = np.ceil(farthest / side).astype(int)[::-1]
+        return tuple(np.minimum(reach, shape - 1).tolist())
 
     def speed_limit(self, cube: EpochCube) -> u.Quantity:
         """
@@ -278,60 +351,6 @@ def search_radius(cube, max_speed, fwhm):
     return max(DEFAULT.radius, far + MARGIN * DEFAULT.smoothing)
 
 
-def search_reach(cube, plan):
-    """
-    Return the largest displacement to match between any two epochs, in pixels.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    plan : `SearchPlan`
-
-    Returns
-    -------
-    tuple of int
-        Along (y, x).
-
-    Raises
-    ------
-    ValueError
-        If the largest speed leads far out of the image even in the shortest
-        interval, or hardly moves anything even in the longest.
-    """
-    farthest, max_speed = plan.radius * plan.fwhm, plan.max_speed
-    # Pixels may not be square: (x, y) sides.
-    side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
-    if max_speed is not None:
-        shortest, longest = plan.pairs.interval.min(), plan.pairs.interval.max()
-        unit = cube.speed_unit.bases[1]
-
-        def easy(interval):
-            return f"{(interval * u.yr).to(unit):.3g}"
-
-        least, most = max_speed * shortest, max_speed * longest
-        if least > MOST_MOTION * np.hypot(*(side * shape[::-1])):
-            raise ValueError(
-                f"max_speed moves {least:.3g} mas in the shortest interval "
-                f"({easy(shortest)}), more than {MOST_MOTION} times the image: give "
-                "a smaller one"
-            )
-        in_longest = f"{most:.3g} mas in the longest interval ({easy(longest)})"
-        if most < LEAST_MOTION * side.min():
-            raise ValueError(
-                f"max_speed moves {in_longest}, less than {LEAST_MOTION:g} of a pixel: "
-                "give a larger one, or a baseline with longer intervals"
-            )
-        if np.any(most / side > (shape.max() - 1) // 2):
-            warn(
-                f"the largest speed moves {in_longest}, more than half the image: give "
-                "a smaller max_speed, or a baseline that leaves out long intervals",
-                MeasurementWarning,
-            )
-        farthest = max(farthest, most + BEYOND * plan.fwhm)
-    reach = np.ceil(farthest / side).astype(int)[::-1]
-    return tuple(np.minimum(reach, shape - 1).tolist())
-
-
 def map_grid(displacements, pairs, limit):
     """
     Return the grid of velocities of the stack.
@@ -382,117 +401,208 @@ def flow_direction(matched, frame=None):
     return np.degrees(np.arctan2(*mean)) % 360 * u.deg
 
 
-def ssp_distances(matched, *, origin=None, ridge=None):
+# -- what the images tell ----------------------------------------------------------
+
+
+def choose_alignment(cube):
     """
-    Return the distances of the centroids of SSPs from a point or along a line.
+    Return the alignment that the images need.
+
+    Epochs that agree on their reference pixels to 0.2 beams are left so.  Others are
+    aligned on the core, if they agree better afterwards.
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    origin : `~astropy.units.Quantity`, shape (2,), optional
-        (east, north) of the core, by default the reference pixel.
-    ridge : `~astro_scc.kinematics.RidgeLine`, optional
-        Measure along this line instead of from ``origin``.
+    cube : `~astro_scc.epochs.EpochCube`
 
     Returns
     -------
-    `~astropy.units.Quantity`, shape (n_ssps,)
-        In mas.
-    """
-    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True) * u.mas
-    if ridge is not None:
-        return ridge.coordinates(east, north)[0]
-    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
-    return np.hypot(east - origin[0], north - origin[1]).to(u.mas)
-
-
-def select_ssps(
-    matched: MatchedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
-    r_max: u.Quantity | None = None, scales: ArrayLike | None = None,
-    origin: u.Quantity | SkyCoord | None = None, ridge: RidgeLine | None = None,
-) -> MatchedEpochs:  # fmt: skip
-    """
-    Return the matches of the SSPs in a part of the jet and on some scales.
-
-    Nothing is correlated again; only the matches of the selected SSPs are
-    stacked.  An SSP is selected by its centroid; its matches may lie outside.
-
-    Parameters
-    ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
-    region : optional
-        Anything that ``cube.region_mask`` takes.
-    r_min, r_max : `~astropy.units.Quantity`, optional
-        ``r_min <= r < r_max``.
-    scales : sequence of float or `~astropy.units.Quantity`, optional
-        Numbers, or angles.
-    origin, ridge : optional
-        Point from which, or line along which, r is measured, see
-        ``ssp_distances``.
-
-    Returns
-    -------
-    `~astro_scc.measurement.MatchedEpochs`
-
-    Raises
-    ------
-    ValueError
-        If ``r_min`` is not below ``r_max``, or a scale was not decomposed.
+    align : {"none", "core"}
+    reason : str
 
     Examples
     --------
-    >>> import astropy.units as u
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import select_ssps
-    >>> from astro_scc.simulation import simulate_static
-    >>> matched = StackedCrossCorrelation(scales=[1, 2]).match(
-    ...     simulate_static(n_epochs=3, rng=1).cube)
-    >>> inner = select_ssps(matched, r_max=8 * u.mas, scales=[1])
-    >>> bool(0 < inner.select.sum() < matched.select.sum())
-    True
+    >>> from astro_scc.measurement.plan import choose_alignment
+    >>> from astro_scc.simulation import simulate_jet
+    >>> choose_alignment(simulate_jet(n_epochs=12, alignment_error=0.4, rng=1).cube)
+    ('core', 'the epochs scatter by 0.38 beams, 0.01 on the core')
     """
-    select = matched.select & centroids_inside(matched.ssps, matched.cube, region)
-    if r_min is not None or r_max is not None:
-        low = 0 * u.mas if r_min is None else u.Quantity(r_min)
-        high = np.inf * u.mas if r_max is None else u.Quantity(r_max)
-        if not low < high:
-            raise ValueError(f"r_min={r_min} must be below r_max={r_max}")
-        r = ssp_distances(matched, origin=origin, ridge=ridge)
-        select &= (r >= low) & (r < high)
-    if scales is not None:
-        scales = require("scales", scales)
-        numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
-        have = matched.scales
-        missing = [s for s in numbers if s not in have]
-        if missing:
-            what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))
-            raise ValueError(f"scale {what} was not decomposed; there are {there}")
-        select &= np.isin(matched.ssps.scale, numbers)
-    return matched.part(select)
+    scatter = cube.misalignment
+    if scatter is None:
+        return "none", "the images do not show how well they are aligned"
+    if scatter < MISALIGNED:
+        return "none", f"the epochs are aligned to {scatter:.2f} beams"
+    on_core = None
+    with suppress(ValueError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", AstroSccWarning)
+        on_core = cube.align("core").misalignment
+    if on_core is None or on_core >= scatter:
+        return "none", f"the epochs scatter by {scatter:.2f} beams, no less on the core"
+    reason = f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core"
+    return "core", reason
 
 
-def warn_of_none_inside(ssps, select, region):
+def mean_fwhm(cube, scale):
     """
-    Warn if a region holds none of the SSPs.
+    Return the resolution, the mean FWHM over epochs and both axes, in mas.
 
     Parameters
     ----------
-    ssps : `~astro_scc.decomposition.SSPs`
-    select : `~numpy.ndarray` of bool, shape (n_ssps,)
-        Those with their centroid in the region.
-    region : optional
-        The region, or None for everything, which gives no warning.
+    cube : `~astro_scc.epochs.EpochCube`
+    scale : float
+        Number of the scale whose size is the resolution if there are no beams.
 
-    Warns
-    -----
-    `~astro_scc.exceptions.MeasurementWarning`
-        If there are SSPs, but none in the region.
+    Returns
+    -------
+    float
     """
-    if region is None or np.any(select) or len(ssps) == 0:
-        return
-    name = region if isinstance(region, str | os.PathLike) else "the region"
-    warn(
-        f"{name}: no significant pattern has its centroid inside, {len(ssps)} in the "
-        "rest of the images: check where it lies, or make it larger",
-        MeasurementWarning,
+    every = np.arange(len(cube))
+    return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
+
+
+def choose_scales(cube):
+    """
+    Return the scales that suit the resolution of the images.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    scales : tuple of int
+        Four from a quarter of the beam to two beams; without a beam, up to half of
+        the size of the structures.
+    reason : str
+
+    Examples
+    --------
+    >>> from astro_scc import EpochCube
+    >>> from astro_scc.measurement.plan import choose_scales
+    >>> from astro_scc.simulation import simulate_jet
+    >>> cube = simulate_jet(n_epochs=5, rng=1).cube
+    >>> choose_scales(cube)
+    ((1, 2, 3, 4), 'from a quarter of the beam (8.0 px) to two beams')
+    >>> images = cube.data, cube.times
+    >>> choose_scales(EpochCube.from_arrays(*images, pixel_scale=cube.pixel_scale))
+    ((1, 2), 'up to half of the size of the structures (7.3 px)')
+    """
+    most = max(1, int(np.log2(min(cube.shape[1:]) / 2)))
+    if cube.beams is None:
+        size = structure_size(cube)
+        last = min(most, max(1, round(np.log2(size / 2))))
+        scales = range(max(1, last - OCTAVES + 1), last + 1)
+        reason = f"up to half of the size of the structures ({size:.1f} px)"
+    else:
+        size = mean_fwhm(cube, 1) / cube.pixel_scale.to_value(u.mas)
+        first = round(np.log2(size / 4))
+        scales = range(max(1, first), min(most, max(1, first + OCTAVES - 1)) + 1)
+        reason = f"from a quarter of the beam ({size:.1f} px) to two beams"
+    return tuple(scales) or (most,), reason
+
+
+def structure_size(cube):
+    """
+    Return the full width at half maximum of the structures in the images.
+
+    It is the width of their mean autocorrelation over the square root of two, as
+    for a Gaussian, after what is much larger has been subtracted.  Lag zero has
+    all of the noise, so it is extrapolated from the next two lags by a Gaussian.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    float
+        In pixels, at least 2; too small by a fifth for structures of 14 px.
+    """
+    some = np.unique(np.linspace(0, len(cube) - 1, MOST_EPOCHS).astype(int))
+    n = int(min(4 * BACKGROUND, *cube.shape[1:]))
+    total = np.zeros((n, n))
+    middle = tuple(
+        slice(max(0, (size - MOST_PIXELS) // 2), (size + MOST_PIXELS) // 2)
+        for size in cube.shape[1:]
     )
+    for epoch in some:
+        parts = (a[epoch][middle] for a in (cube.data, cube.mask))
+        image = np.ma.masked_array(*parts, dtype=float)
+        image = np.ma.masked_invalid(image)
+        image = (image - np.ma.median(image)).filled(0.0)
+        image -= gaussian_filter(image, BACKGROUND)
+        # Twice the size, so that the image does not meet itself at its border.
+        shape = [fft.next_fast_len(2 * k, real=True) for k in image.shape]
+        power = np.abs(fft.rfft2(image, shape)) ** 2
+        total += fft.irfft2(power, shape)[:n, :n]
+    lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
+    profile = (np.bincount(lag, total.ravel()) / np.bincount(lag))[:n]
+    if not 0 < profile[2] < profile[1]:
+        return 2.0
+    profile[0] = profile[1] * (profile[1] / profile[2]) ** (1 / 3)
+    below = np.flatnonzero(profile < profile[0] / 2)
+    if len(below) == 0:
+        return float(n)
+    k = below[0]
+    step = profile[k - 1] - profile[k]
+    half = k - 1 + (profile[k - 1] - profile[0] / 2) / step
+    return max(2.0, float(2 * half / np.sqrt(2)))
+
+
+def choose_direction(cube):
+    """
+    Return the direction of a one-sided jet, from the mean of its images.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    position_angle : `~astropy.units.Quantity` or None
+        In whole degrees; None where the structure does not extend to one side from the
+        reference pixel, so that motion in all directions is searched for.
+    reason : str
+
+    Examples
+    --------
+    >>> from astro_scc.measurement.plan import choose_direction
+    >>> from astro_scc.simulation import simulate_jet
+    >>> choose_direction(simulate_jet(n_epochs=5, rng=1).cube)[0]
+    <Quantity 273. deg>
+    """
+    if cube.beams is None:
+        return None, "images without a beam have no core"
+    try:
+        angle, error = fit_position_angle(cube)
+    except ValueError:
+        return None, "nothing is seen beyond a beam from the core"
+    image = np.nan_to_num(np.asarray(cube.mean_image().data, dtype=float))
+    east, north = cube.offsets()
+    width = mean_width(cube)
+    r = np.hypot(east, north).to_value(u.mas)
+    offset = np.stack([east, north], axis=-1).to_value(u.mas)
+    beam = np.mean([b.covariance.to_value(u.mas**2) for b in cube.beams], axis=0)
+    beams = np.einsum("...i,ij,...j", offset, np.linalg.inv(beam), offset)
+    beams = np.sqrt(beams / (8 * np.log(2)))
+    # Without what is as bright on the other side: the core's wings, a shell.
+    x, y = cube.offset_to_pixel(-east, -north)
+    excess = image - map_coordinates(image, [y, x], order=1, cval=0.0)
+    noise = np.median(u.Quantity(cube.noise_rms()).value)
+    for core in CORE:
+        use = (excess > SNR * noise) & (beams > core)
+        if use.any():
+            break
+    else:
+        return None, "nothing is seen beyond a beam from the core"
+    weight = excess[use] / r[use]
+    if (
+        np.hypot(*(weight @ offset[use])) <= ONE_SIDED * excess[use].sum()
+        or error.value > CERTAIN
+    ):
+        return None, "the structure is not on one side of the reference pixel"
+    order = np.argsort(r[use])
+    share = np.cumsum(excess[use][order]) / excess[use].sum()
+    if r[use][order][np.searchsorted(share, INNER)] > NEAR * width:
+        return None, "the structure does not begin at the reference pixel"
+    return np.round(angle), "that of the mean image"

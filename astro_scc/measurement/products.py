@@ -21,9 +21,9 @@ from astro_scc import writing
 from astro_scc.columns import describe
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.measurement.feature_tables import frame_velocities
 from astro_scc.measurement.publication import ascii_line, write_publication
 from astro_scc.measurement.published import with_published
+from astro_scc.measurement.tables import frame_velocities
 from astro_scc.stacking import SearchSettings
 from astro_scc.units import PM_UNIT
 
@@ -233,37 +233,61 @@ def write_products(
     features = table_in_c_as(result.features, components)
     if published is not None:
         features = with_published(features, result.tracked_features, published)
-    meta = with_configuration({**result.meta, **components.meta}, configuration)
+    meta = {**result.meta, **components.meta}
     meta["history"] = list(result.cube.meta.get("history", ()))
+    epochs, used = result.cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
+    epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
     tables = {
         "components": components,
         "features": features,
         "positions": result.feature_positions,
         "sensitivity": result.sensitivity,
-        "epochs": _epochs(result),
+        "epochs": describe(epochs, "epochs"),
         "ssps": result.ssps,
     }
-    tables = write_tables(tables, directory, meta)
-    published = []
+    settings = {"configuration": configuration, "text": text}
+    tables, paths = write_tables(tables, directory, meta, **settings)
+    paths.append(directory / "scc.fits")
+    hdus = velocity_hdus(result, text=text)
+    hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
     if archives:
         printed = {name: tables[name] for name in PRINTED}
-        published = write_publication(printed, directory, {"ssps": result.ssps})
-    maps = directory / "scc.fits"
-    hdus = velocity_hdus(result, text=text)
-    hdus.writeto(maps, output_verify="exception", overwrite=True)
-    paths = [*(directory / f"{name}.ecsv" for name in tables), maps, *published]
-    return paths + write_configuration(directory, text)
+        paths += write_publication(printed, directory, {"ssps": result.ssps})
+    return paths
 
 
-def write_tables(tables, folder, meta):
-    """Write tables by their names with one meta and their notes; return them so."""
-    written = {}
+def write_tables(tables, folder, meta, *, configuration=None, text=None):
+    """
+    Write tables by their names with one meta and their notes, and the settings.
+
+    Parameters
+    ----------
+    tables : dict of `~astropy.table.QTable`
+    folder : path
+    meta : dict
+    configuration, text : optional
+        See `write_products`.
+
+    Returns
+    -------
+    tables : dict of `~astropy.table.QTable`
+        As they were written.
+    paths : list of `~pathlib.Path`
+    """
+    if configuration is not None:
+        kept = {key: value for key, value in meta.items() if key != "settings"}
+        meta = {"configuration": configuration, **kept}
+    written, paths = {}, []
     for name, table in tables.items():
         written[name] = own = table.copy(copy_data=False)
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
         own.meta = plain_meta(meta | note)
-        own.write(Path(folder, f"{name}.ecsv"), format="ascii.ecsv", overwrite=True)
-    return written
+        paths.append(Path(folder, f"{name}.ecsv"))
+        own.write(paths[-1], format="ascii.ecsv", overwrite=True)
+    if text is not None:
+        paths.append(Path(folder, "config.toml"))
+        paths[-1].write_text(text, encoding="utf-8")
+    return written, paths
 
 
 def write_files(files, folder):
@@ -271,31 +295,6 @@ def write_files(files, folder):
     for name, content in files.items():
         with writing.replace_when_complete(folder / name, overwrite=True) as part:
             part.write_bytes(content)
-
-
-def _epochs(result):
-    """Return the table of the epochs with the number of their SSPs."""
-    epochs, ssps = result.cube.epochs, result.ssps
-    own = ssps["epoch"][ssps["in_region"]]
-    epochs["n_ssp"] = np.bincount(own, minlength=len(epochs))
-    return describe(epochs, "epochs")
-
-
-def with_configuration(meta, configuration):
-    """Return a table's meta with all settings instead of those of the stack alone."""
-    if configuration is None:
-        return dict(meta)
-    kept = {key: value for key, value in meta.items() if key != "settings"}
-    return {"configuration": configuration, **kept}
-
-
-def write_configuration(directory, text):
-    """Write settings, if any, to ``config.toml``, and return the list of paths."""
-    if text is None:
-        return []
-    path = Path(directory, "config.toml")
-    path.write_text(text, encoding="utf-8")
-    return [path]
 
 
 def plain_meta(value):

@@ -130,10 +130,6 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
 
 def speed_of(years, place):
     """Return the speed of a straight line, and its error, in mas/yr."""
-    dt = years - years.mean()
-    weight = dt / (dt @ dt)
-    velocity = place @ weight
-    left = place - place.mean(axis=1)[:, None] - velocity[:, None] * dt
-    variance = (left**2).sum(axis=1) / max(len(dt) - 2, 1) * (weight @ weight)
+    (velocity, _), covariance = np.polyfit(years - years.mean(), place.T, 1, cov=True)
     speed = float(np.hypot(*velocity))
-    return speed, float(np.sqrt(velocity**2 @ variance)) / (speed or 1.0)
+    return speed, float(np.sqrt(velocity**2 @ covariance[0, 0])) / (speed or 1.0)

@@ -21,16 +21,19 @@ from astro_scc.features import Features
 from astro_scc.features.tables import feature_table
 from astro_scc.images.positions import axis_words, name_by_frame
 from astro_scc.images.serialize import read_object, write_object
-from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement import feature_tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.match_files import MatchedEpochs
+from astro_scc.measurement.matched import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.measurement.tables import (
+    Components,
     component_row,
     component_table,
+    components_of,
+    core_streams,
+    member_table,
     paper_table,
     printed,
+    ssp_table,
 )
 from astro_scc.stacking import SearchSettings
 from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
@@ -41,7 +44,6 @@ from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySampl
 from astro_scc.units import PM_UNIT, unit_name
 
 if TYPE_CHECKING:
-    from astropy.cosmology import FLRW
     from matplotlib.figure import Figure
 
 #: What the files of results are, in their headers and in messages.
@@ -49,7 +51,7 @@ RESULT = "astro_scc result"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SCCResult:
+class SCCResult(Components):
     """
     The stacked cross-correlation of a cube and its velocity components.
 
@@ -183,11 +185,6 @@ class SCCResult:
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
-    def errors(self) -> tuple[np.ndarray, ...]:
-        """Covariance of each velocity."""
-        return tuple(velocity.covariance for velocity in self.velocities)
-
-    @property
     def cube(self) -> EpochCube:
         """The epochs that were measured."""
         return self.matched.cube
@@ -195,9 +192,7 @@ class SCCResult:
     @cached_property
     def ssps(self) -> QTable:
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
-        return feature_tables.ssp_table(
-            self.matched.ssps, self.cube, select=self.matched.select
-        )
+        return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
 
     @property
     def tracked_features(self) -> Features:
@@ -212,7 +207,7 @@ class SCCResult:
         Its ``component`` is that of `components` whose velocity the feature has within
         two standard errors, the dispersion included, or 0.
         """
-        own = feature_tables.components_of(self, self.tracked_features)
+        own = components_of(self, self.tracked_features)
         table = feature_table(self.tracked_features, own)
         table.meta["core"] = self.core
         return table
@@ -220,7 +215,7 @@ class SCCResult:
     @cached_property
     def core(self) -> list[int]:
         """The rows of `components` that are the core, the reference of positions."""
-        return feature_tables.core_streams(self)
+        return core_streams(self)
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -271,40 +266,6 @@ class SCCResult:
             meta["fastest_searched"] = (speed.max() * PM_UNIT).to(unit)
             meta["core"] = self.core
         return name_by_frame(component_table(rows, meta=meta, unit=unit), self.cube)
-
-    def components_in_c(
-        self, *, redshift: float | str | u.Quantity | None = None,
-        cosmology: FLRW | str | dict | None = None,
-        distance: u.Quantity | str | None = None,
-    ) -> QTable:  # fmt: skip
-        """
-        Return the components with apparent speeds in units of c.
-
-        Parameters
-        ----------
-        redshift : float, str or `~astropy.units.Quantity`, optional
-        cosmology : `~astropy.cosmology.FLRW` or str, optional
-            Cosmology for the redshift, or its name; by default
-            `~astro_scc.kinematics.paper_cosmology`.
-        distance : `~astropy.units.Quantity` or str, optional
-            Distance of a nearby source, instead of a redshift.
-
-        Returns
-        -------
-        `~astropy.table.QTable`
-            `components` with the columns ``beta_app`` and ``beta_app_err``,
-            the speed ``pm`` in units of c, see
-            `~astro_scc.kinematics.apparent_speed`.  The meta holds the redshift
-            and cosmology, or the distance.
-
-        Raises
-        ------
-        ValueError
-            If neither a redshift nor a distance is given, or if one is invalid.
-        """
-        return table_in_c(
-            self.components, redshift=redshift, cosmology=cosmology, distance=distance
-        )
 
     def velocity_map(self, which: str = "coefficient") -> NDData:
         """
@@ -428,7 +389,7 @@ class SCCResult:
         ValueError
             If there is no such component.
         """
-        return feature_tables.member_table(self, number)
+        return member_table(self, number)
 
     def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
         """

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from astro_scc.columns import build_table, cell, round_to_errors
-from astro_scc.measurement.plan import ssp_distances
+from astro_scc.measurement.matched import ssp_distances
 from astro_scc.measurement.searching import search_matches
 from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit
 

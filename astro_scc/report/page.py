@@ -11,7 +11,7 @@ from astropy.table import QTable
 
 from astro_scc.columns import cell
 from astro_scc.flow import feature_profile, measure_acceleration
-from astro_scc.flow.groups import compare_scales
+from astro_scc.flow.speeds import compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c_as
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.products import write_files

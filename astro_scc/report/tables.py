@@ -10,7 +10,7 @@ import numpy as np
 from astropy.time import Time
 
 from astro_scc.columns import cell, headed, heading_of
-from astro_scc.flow.acceleration import LEAST, MOST_BINS
+from astro_scc.flow.speeds import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.quantities import with_error
 from astro_scc.units import offset_unit, unit_name

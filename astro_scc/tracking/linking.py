@@ -15,8 +15,22 @@ from scipy.sparse.csgraph import (
 
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.tracking.candidates import Candidates, equal_pairs, lowest, rank_in_group
-from astro_scc.tracking.likelihood import MERGE_COST, LinkLikelihood, chance_density
+from astro_scc.tracking.likelihood import (
+    MERGE_COST,
+    Candidates,
+    brightness,
+    chance_density,
+    coarse_to_fine,
+    correlation_term,
+    equal_pairs,
+    lowest,
+    merged_flux,
+    moves_alike,
+    neighbours,
+    rank_in_group,
+    similarity,
+    steady_motion,
+)
 
 #: Rounds in which candidates are evaluated, given the links of the previous round.
 ROUNDS = 5
@@ -66,7 +80,7 @@ class Links(Candidates):
 
 def link(
     candidates: Candidates, ssps: SSPs, *, parent: ArrayLike | None = None,
-    likelihood: LinkLikelihood | None = None,
+    tolerance: float = 2.0,
 ) -> Links:  # fmt: skip
     """
     Choose links among candidates.
@@ -87,7 +101,9 @@ def link(
     parent : array_like of int, shape (n_ssps,), optional
         The SSP of the next coarser scale in which each SSP lies, or -1.  Its
         motion is the prior for the smaller SSPs in it.
-    likelihood : `LinkLikelihood`, optional
+    tolerance : float, optional
+        Standard deviation of a displacement from steady motion, in pixels on each
+        axis.
 
     Returns
     -------
@@ -100,7 +116,7 @@ def link(
     >>> from astro_scc.correlation import Correlator, all_pairs
     >>> from astro_scc.correlation.matches import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.tracking.candidates import find_candidates
+    >>> from astro_scc.tracking.likelihood import find_candidates
     >>> from astro_scc.tracking.linking import link
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):
@@ -114,20 +130,18 @@ def link(
     >>> links.source.tolist(), links.target.tolist()
     ([0, 1], [1, 2])
     """
-    likelihood = likelihood or LinkLikelihood()
-    step = ssps.epoch
-    density = chance_density(ssps)
-    similarity = likelihood.similarity(candidates, ssps)
+    step, density = ssps.epoch, chance_density(ssps)
+    alone = similarity(candidates, ssps)
     kind, gain = np.full(len(candidates), "", "U5"), np.zeros(len(candidates))
     coarse = width = None
     for scale in sorted(np.unique(ssps.scale), reverse=True):
         own = np.flatnonzero(ssps.scale[candidates.source] == scale)
         part = candidates.select(own)
-        worth = similarity[own] + likelihood.merged_flux(part, ssps)
+        worth = alone[own] + merged_flux(part, ssps, tolerance)
         if coarse is not None and parent is not None:
-            worth += likelihood.coarse_to_fine(part, coarse, parent, width, density)
-        chosen, gains = _link_scale(part, worth, step, density, likelihood)
-        kind[own] = _merges_and_splits(part, chosen, gains, ssps, likelihood)
+            worth += coarse_to_fine(part, coarse, parent, width, density)
+        chosen, gains = _link_scale(part, worth, step, density, tolerance)
+        kind[own] = _merges_and_splits(part, chosen, gains, ssps, tolerance)
         gain[own] = gains
         coarse, width = part.select(chosen), scale_size(scale)
     order = np.lexsort((candidates.target, candidates.source))
@@ -136,12 +150,12 @@ def link(
     return Links(**vars(links), kind=kind[order], gain=gain[order])
 
 
-def _link_scale(part, worth, step, density, likelihood):
+def _link_scale(part, worth, step, density, tolerance):
     """Return which candidates of a scale are chosen, and the gains of all."""
     transitions = equal_pairs(part.target, part.source)
     use, chosen = np.ones(len(part), bool), np.zeros(len(part), bool)
     for _ in range(ROUNDS):
-        between = _steady_motion(part, chosen, transitions, step, density, likelihood)
+        between = _steady_motion(part, chosen, transitions, step, density, tolerance)
         gain = path_gains(part, worth, transitions, between, step, use)
         now = _choose(part, gain)
         if np.array_equal(now, chosen):
@@ -150,7 +164,7 @@ def _link_scale(part, worth, step, density, likelihood):
     return chosen, gain
 
 
-def _steady_motion(part, chosen, transitions, step, density, likelihood):
+def _steady_motion(part, chosen, transitions, step, density, tolerance):
     """Return the term of each transition, given the track before and the one after."""
     motion, interval = part.motion, part.interval
     own = np.flatnonzero(chosen)
@@ -169,9 +183,10 @@ def _steady_motion(part, chosen, transitions, step, density, likelihood):
         total, first = np.cumsum(sums[links], axis=0), np.arange(len(links)) - rank
         sums[links] = total - (total[first] - sums[links[first]])
         between.append(
-            likelihood.steady_motion(
+            steady_motion(
                 motion[other], interval[other],
                 sums[one, 1:] / sums[one, :1], sums[one, 0], density[end[other]],
+                tolerance,
             )
         )  # fmt: skip
     return between
@@ -232,7 +247,7 @@ def _best_paths(source, target, worth, transitions, between, step, use):
     return best, ending
 
 
-def _merges_and_splits(part, chosen, gain, ssps, likelihood):
+def _merges_and_splits(part, chosen, gain, ssps, tolerance):
     """
     Link SSPs without a partner to the partner of a neighbour.
 
@@ -257,12 +272,12 @@ def _merges_and_splits(part, chosen, gain, ssps, likelihood):
         host = sitting[shared]
         own = np.flatnonzero((host >= 0) & ~np.isin(free, free[kind != ""]))
         own = own[part.gap[own] == part.gap[host[own]]]
-        alike = likelihood.moves_alike(motion[own] - motion[host[own]])
-        own = own[alike & likelihood.neighbours(free[own], free[host[own]], ssps)]
+        alike = moves_alike(motion[own] - motion[host[own]], tolerance)
+        own = own[alike & neighbours(free[own], free[host[own]], ssps)]
         beside, other = flux[free[host[own]]], flux[shared[own]]
-        value = likelihood.brightness(np.log((flux[free[own]] + beside) / other))
-        value -= likelihood.brightness(np.log(beside / other))
-        value += np.minimum(likelihood.correlation(part.coefficient[own]), 0.0)
+        value = brightness(np.log((flux[free[own]] + beside) / other))
+        value -= brightness(np.log(beside / other))
+        value += np.minimum(correlation_term(part.coefficient[own]), 0.0)
         value -= MERGE_COST
         # Two more SSPs can share each; the first place is always preferred.
         seats = np.concatenate([shared[own], len(ssps) + shared[own]])

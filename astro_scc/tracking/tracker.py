@@ -1,8 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Link the SSPs of a cube: settings, search windows, and the call."""
+"""Link the SSPs of a cube within limits of speed, and the features of these links."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -15,18 +16,25 @@ from astro_scc.correlation.matches import COLUMNS, target_ssps
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.decomposition.segmentation import require_ssps
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
+from astro_scc.features.detecting import finest_patterns, is_new, ssp_sizes, ssps_of
+from astro_scc.features.tracks import Track
 from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.frames import frame_displacements
+from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.progress import progress
 from astro_scc.settings import BEAMS, require
-from astro_scc.tracking.candidates import core_ssps, find_candidates
-from astro_scc.tracking.likelihood import LinkLikelihood, coarser_ssps
-from astro_scc.tracking.linking import Links, link
-from astro_scc.tracking.tracks import linked_features, mean_fwhm
+from astro_scc.tracking.likelihood import (
+    coarser_ssps,
+    core_ssps,
+    find_candidates,
+    lowest,
+)
+from astro_scc.tracking.linking import Links, chains, link
 from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
@@ -121,9 +129,15 @@ class FeatureTracker:
     common_beam: bool = True
 
     def __post_init__(self):
-        for field in fields(self):
-            value = _checked_setting(field.name, getattr(self, field.name))
-            object.__setattr__(self, field.name, value)
+        for name in (field.name for field in fields(self)):
+            value = getattr(self, name)
+            if name not in CHECKS:
+                value = require(name, value)
+            elif value is not None:
+                unit, *check = CHECKS[name]
+                value = q.named(name, check[0], value, *check[1:])
+                value = value if unit is None else value.to(unit)
+            object.__setattr__(self, name, value)
         if isinstance(self.position_angle, str) and self.position_angle != "radial":
             raise ValueError(
                 f"position_angle = {self.position_angle!r} must be an angle or 'radial'"
@@ -131,12 +145,6 @@ class FeatureTracker:
         limited = self.along is not None or self.across is not None
         if limited and self.position_angle is None:
             raise ValueError("along and across need a position_angle")
-        self._correlator()
-
-    def _correlator(self):
-        return Correlator(
-            kappa=self.kappa, target=self.target, min_overlap=self.min_overlap
-        )
 
     def speed_limit(self, cube: EpochCube, scales: ArrayLike) -> u.Quantity:
         """
@@ -166,117 +174,18 @@ class FeatureTracker:
             )
         if self.max_speed is not None:
             return u.Quantity(self.max_speed)
-        fwhm = mean_fwhm(cube, scales).value
-        return BEAMS_PER_INTERVAL * fwhm / np.median(steps) * PM_UNIT
-
-    def _pairs(self, cube):
-        """Return the pairs of epochs that may be linked, and their intervals."""
-        years = cube.years.to_value(u.yr)
-        first, second = np.triu_indices(len(years), 1)
-        interval = years[second] - years[first]
-        limit = np.inf if self.max_interval is None else self.max_interval.value
-        keep = (second - first <= self.max_gap + 1) & (0 < interval)
-        keep &= interval <= limit
-        return np.stack([first[keep], second[keep]], axis=1), interval[keep]
-
-    def match(
-        self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
-        select: ArrayLike | None = None, n_workers: int = 1, progress_bar: bool = False,
-    ) -> Matches:  # fmt: skip
-        """
-        Correlate the SSPs of each epoch with the next epochs.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-        decompositions : sequence of ``Decomposition``
-        select : array_like of bool, shape (n_ssps,), optional
-            The SSPs that are tracked.
-        n_workers : int, optional
-        progress_bar : bool, optional
-
-        Returns
-        -------
-        `~astro_scc.correlation.Matches`
-            The window of each pair is as large as its interval requires.
-        """
-        pairs, interval = self._pairs(cube)
-        scales = decompositions[0].scales
-        margin = (MARGIN + 1) * self.tolerance * mean_fwhm(cube, scales)
-        radius = self._fastest(cube, scales) * interval[:, None]
-        radius += float(margin / cube.pixel_scale)
-        radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
-        radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
-        columns, correlator = [], self._correlator()
-        kinds, kind = np.unique(radius, axis=0, return_inverse=True)
-        with progress(len(pairs), "Correlating", show=progress_bar) as done:
-            for k, window in enumerate(kinds.tolist()):
-                own = pairs[kind.ravel() == k]
-                part = correlator(
-                    decompositions, own, window, select=select, n_workers=n_workers
-                )
-                columns.append(tuple(getattr(part, name) for name in COLUMNS))
-                done(len(own))
-        reach = kinds.max(axis=0, initial=0).tolist()
-        return Matches.from_columns(columns, pairs, reach, self.kappa).sorted()
-
-    def _limits(self, cube, scales):
-        """Return the ranges of speed along and across in mas/yr, shape (2, 2)."""
-        limit = self.speed_limit(cube, scales).value
-        given = self.along, self.across
-        return np.array([[-limit, limit] if v is None else v.value for v in given])
-
-    @property
-    def _frame(self):
-        """Axes of the limits of speed; None if speeds are limited in any direction."""
-        if self.along is None and self.across is None:
-            return None
-        radial = isinstance(self.position_angle, str)
-        return RadialFrame() if radial else PositionAngleFrame(self.position_angle)
-
-    def _fastest(self, cube, scales):
-        """Return the largest speeds along (y, x), in pixels per year."""
-        limits, frame = self._limits(cube, scales), self._frame
-        matrix = np.linalg.inv(cube.pixel_matrix.value)
-        if isinstance(frame, PositionAngleFrame):
-            corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
-            # The frame's matrix is symmetric and orthogonal, so it is its own inverse.
-            return np.abs(matrix @ frame.matrix() @ corners).max(axis=1)[::-1]
-        ends = np.abs(limits).max(axis=1)
-        fastest = ends[0] if frame is None else np.hypot(*ends)
-        return fastest * np.hypot(*matrix.T)[::-1]
-
-    def _inside(self, candidates, ssps, cube, scales):
-        """Return which candidates are within the limits of speed."""
-        pixels = np.stack([candidates.dx, candidates.dy], axis=1)
-        sky = pixels @ cube.pixel_matrix.value.T
-        low, high = self._limits(cube, scales).T
-        spare = MARGIN * self.tolerance * mean_fwhm(cube, scales).value
-        time = candidates.interval[:, None]
-        if self._frame is None:
-            inside = np.hypot(*sky.T) <= high[0] * candidates.interval + spare
-        else:
-            position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
-            moved = frame_displacements(self._frame, position, sky)
-            # A radial frame has no axes at its origin, and any will do there.
-            moved = np.where(np.isfinite(moved), moved, sky)
-            inside = (moved >= low * time - spare) & (moved <= high * time + spare)
-            inside = inside.all(axis=1)
-        if self.max_interval is not None:
-            inside &= candidates.interval <= self.max_interval.value
-        return inside
+        return BEAMS_PER_INTERVAL * mean_fwhm(cube, scales) / np.median(steps) * PM_UNIT
 
     def __call__(
-        self, cube: EpochCube, decompositions: Sequence[Decomposition],
-        matches: Matches | None = None, *, select: ArrayLike | None = None,
-        n_workers: int = 1, progress_bar: bool = False,
+        self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
+        select: ArrayLike | None = None, **how: Any,
     ) -> Features:  # fmt: skip
         """
         Return the features of a cube.
 
         Parameters
         ----------
-        cube, decompositions, matches, select, n_workers, progress_bar
+        cube, decompositions, select, **how
             See `link`.
 
         Returns
@@ -290,19 +199,15 @@ class FeatureTracker:
         ValueError
             See `link`.
         """
-        links = self.link(
-            cube, decompositions, matches, select=select, n_workers=n_workers,
-            progress_bar=progress_bar,
-        )  # fmt: skip
+        links = self.link(cube, decompositions, select=select, **how)
         ssps = SSPs.of_epochs(decompositions)
         return linked_features(
             cube, ssps, links, select=select, min_epochs=self.min_epochs
         )
 
     def link(
-        self, cube: EpochCube, decompositions: Sequence[Decomposition],
-        matches: Matches | None = None, *, select: ArrayLike | None = None,
-        n_workers: int = 1, progress_bar: bool = False,
+        self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
+        select: ArrayLike | None = None, n_workers: int = 1, progress_bar: bool = False,
     ) -> Links:  # fmt: skip
         """
         Link the SSPs of a cube, on each scale.
@@ -314,9 +219,6 @@ class FeatureTracker:
             reference pixel, and what stands there is the core.
         decompositions : sequence of ``Decomposition``
             One for each epoch.
-        matches : `~astro_scc.correlation.Matches`, optional
-            Matches of at least the pairs of epochs that may be linked.  By default
-            those of `match`.
         select : array_like of bool, shape (n_ssps,), optional
             The SSPs that are linked.
         n_workers : int, optional
@@ -339,23 +241,21 @@ class FeatureTracker:
             If the alignment of the epochs is as poor as 0.2 beams or worse.
         """
         ssps, select = self._checked(cube, decompositions, select)
-        if matches is None:
-            matches = self.match(
-                cube, decompositions, select=select, n_workers=n_workers,
-                progress_bar=progress_bar,
-            )  # fmt: skip
-        scales = decompositions[0].scales
-        matches = matches.of_ssps(select)
-        matches = matches.select(matches.coefficient >= self.kappa)
+        fwhm = mean_fwhm(cube, decompositions[0].scales)
+        limit = self.speed_limit(cube, decompositions[0].scales).value
+        # Smallest and largest speeds along and across, in mas/yr.
+        given = self.along, self.across
+        limits = np.array([[-limit, limit] if v is None else v.value for v in given])
+        how = {"select": select, "n_workers": n_workers, "progress_bar": progress_bar}
+        matches = self._match(cube, decompositions, limits, fwhm, **how)
         target = target_ssps(matches, ssps)
         target = np.where((target >= 0) & select[target], target, -1)
         core = core_ssps(ssps, cube)
-        fwhm = float(mean_fwhm(cube, scales) / cube.pixel_scale)
 
         def inside(found):
             # Features do not jump into the core or out of it.
             same = core[found.source] == core[found.target]
-            return same & self._inside(found, ssps, cube, scales)
+            return same & self._inside(found, ssps, cube, limits, fwhm)
 
         candidates = find_candidates(
             matches, target, ssps, cube.years.to_value(u.yr), max_gap=self.max_gap,
@@ -363,8 +263,79 @@ class FeatureTracker:
         )  # fmt: skip
         return link(
             candidates, ssps, parent=coarser_ssps(ssps, cube.shape[2]),
-            likelihood=LinkLikelihood(tolerance=self.tolerance * fwhm),
+            tolerance=self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas),
         )  # fmt: skip
+
+    def _match(
+        self, cube, decompositions, limits, fwhm, *, select, n_workers, progress_bar
+    ):
+        """
+        Correlate the SSPs of each epoch with the next epochs.
+
+        The window of each pair of epochs is as large as its interval requires.
+        """
+        years = cube.years.to_value(u.yr)
+        pairs = np.stack(np.triu_indices(len(years), 1), axis=1)
+        interval = np.diff(years[pairs])[:, 0]
+        limit = np.inf if self.max_interval is None else self.max_interval.value
+        keep = (np.diff(pairs)[:, 0] <= self.max_gap + 1) & (0 < interval)
+        keep &= interval <= limit
+        pairs, interval = pairs[keep], interval[keep]
+        radius = self._fastest(cube, limits) * interval[:, None]
+        margin = (MARGIN + 1) * self.tolerance * fwhm
+        radius += margin / cube.pixel_scale.to_value(u.mas)
+        radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
+        radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
+        columns = []
+        correlator = Correlator(self.kappa, self.target, self.min_overlap)
+        kinds, kind = np.unique(radius, axis=0, return_inverse=True)
+        with progress(len(pairs), "Correlating", show=progress_bar) as done:
+            for k, window in enumerate(kinds.tolist()):
+                own = pairs[kind.ravel() == k]
+                part = correlator(
+                    decompositions, own, window, select=select, n_workers=n_workers
+                )
+                columns.append(tuple(getattr(part, name) for name in COLUMNS))
+                done(len(own))
+        reach = kinds.max(axis=0, initial=0).tolist()
+        return Matches.from_columns(columns, pairs, reach, self.kappa).sorted()
+
+    @property
+    def _frame(self):
+        """Axes of the limits of speed; None if speeds are limited in any direction."""
+        if self.along is None and self.across is None:
+            return None
+        radial = isinstance(self.position_angle, str)
+        return RadialFrame() if radial else PositionAngleFrame(self.position_angle)
+
+    def _fastest(self, cube, limits):
+        """Return the largest speeds along (y, x), in pixels per year."""
+        frame = self._frame
+        matrix = np.linalg.inv(cube.pixel_matrix.value)
+        if isinstance(frame, PositionAngleFrame):
+            corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
+            # The frame's matrix is symmetric and orthogonal, so it is its own inverse.
+            return np.abs(matrix @ frame.matrix() @ corners).max(axis=1)[::-1]
+        ends = np.abs(limits).max(axis=1)
+        fastest = ends[0] if frame is None else np.hypot(*ends)
+        return fastest * np.hypot(*matrix.T)[::-1]
+
+    def _inside(self, candidates, ssps, cube, limits, fwhm):
+        """Return which candidates are within the limits of speed."""
+        pixels = np.stack([candidates.dx, candidates.dy], axis=1)
+        sky = pixels @ cube.pixel_matrix.value.T
+        (low, high), spare = limits.T, MARGIN * self.tolerance * fwhm
+        time = candidates.interval[:, None]
+        if self._frame is None:
+            inside = np.hypot(*sky.T) <= high[0] * candidates.interval + spare
+        else:
+            position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
+            moved = frame_displacements(self._frame, position, sky)
+            # A radial frame has no axes at its origin, and any will do there.
+            moved = np.where(np.isfinite(moved), moved, sky)
+            inside = (moved >= low * time - spare) & (moved <= high * time + spare)
+            inside = inside.all(axis=1)
+        return inside
 
     def _checked(self, cube, decompositions, select):
         """Return the SSPs of all epochs, and which of them are linked."""
@@ -387,10 +358,59 @@ class FeatureTracker:
         return ssps, select
 
 
-def _checked_setting(name, value):
-    """Return the value of a setting in the unit of calculations."""
-    if name not in CHECKS:
-        return require(name, value)
-    unit, check, *more = CHECKS[name]
-    found = None if value is None else q.named(name, check, value, *more)
-    return found if unit is None or found is None else found.to(unit)
+def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
+    """
+    Return the features that links of SSPs make up, one row for each.
+
+    A pattern that is followed on several scales is one feature, that of the finest
+    scale.  Detections are the SSPs of these tracks, and of the others those that are
+    not the same pattern, also the finest ones.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    links : `Links`
+    select : array_like of bool, shape (n_ssps,), optional
+        The SSPs that were linked.
+    min_epochs : int, optional
+        Fewest epochs of a track.
+
+    Returns
+    -------
+    `~astro_scc.features.Features`
+        There are no disturbed assignments, so ``agreement`` and ``same_speed`` are 1;
+        no track is ``proven``, as the rounds of `link` need not find the best links.
+    """
+    core = core_ssps(ssps, cube)
+    jet = ~core if select is None else np.asarray(select) & ~core
+    size, keep = ssp_sizes(ssps), np.zeros(len(ssps), bool)
+    tracks = []
+    found = [t for t in chains(links, ssps, min_epochs=min_epochs) if jet[t].all()]
+    for track in sorted(found, key=lambda track: size[track[0]]):
+        if np.mean([is_new(ssps, keep, k) for k in track.tolist()]) > 0.5:
+            keep[track] = True
+            tracks.append(track)
+    own = finest_patterns(ssps, keep, jet)
+    number = np.full(len(ssps), -1)
+    number[own] = np.arange(len(own))
+    # Detections are in the order of the epochs.
+    tracks = sorted((number[track] for track in tracks), key=lambda own: own[0])
+    cores = np.flatnonzero(core)
+    cores = cores[lowest(size[cores], ssps.epoch[cores])]
+    fwhm = mean_fwhm(cube, np.unique(ssps.scale))
+    return Features(
+        cube=cube,
+        detections=ssps_of(cube, ssps, own, fwhm),
+        core=ssps_of(cube, ssps, cores, fwhm),
+        tracks=tuple(Track(own, np.ones(len(own) - 1), 1.0, False) for own in tracks),
+    )
+
+
+def mean_fwhm(cube, scales):
+    """Return the resolution in mas: the mean beam, or twice the middle scale."""
+    if cube.beams is None:
+        middle = np.exp(np.mean(np.log([scale_size(s) for s in scales])))
+        return 2 * middle * cube.pixel_scale.to_value(u.mas)
+    return mean_width(cube)

@@ -4,9 +4,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from astro_scc.expansion.centre import Samples, fit_mixture, kernel_maximum
+from astro_scc.expansion import Samples, fit_mixture, start_of
 
 CENTRE = np.array([4.0, -3.0])
 RATES = np.array([0.02, 0.012])
@@ -33,7 +32,7 @@ def samples_of(x, v, interval, group, kind=None):
 
 def fitted(samples, area, centre=None):
     weight = np.ones(len(area))
-    start = kernel_maximum(samples, weight, max_rate=0.1, centre=centre)
+    start = start_of(samples, weight, max_rate=0.1, centre=centre)
     return fit_mixture(samples, start, area, fixed=centre is not None)
 
 
@@ -85,18 +84,3 @@ def test_a_side_alone_has_no_error():
     part = samples.select(keep)
     fit = fitted(part, (10 * part.interval) ** 2, CENTRE)
     assert np.isinf(fit.covariance).all()
-
-
-def test_the_kernel_is_least_squares_without_chance():
-    """With one far wider than the noise."""
-    x, v, interval, _ = made_up(2, chance=0.0, scatter=(0.1, 0.1))
-    v = 0.02 * (x - CENTRE) + np.random.default_rng(2).normal(0, 0.01, v.shape)
-    none = np.zeros(len(x), dtype=int)
-    samples = Samples(x, v, interval, np.full(len(x), 0.2), none, none)
-    found = kernel_maximum(samples, np.ones(len(x)), max_rate=0.1)
-    design = np.zeros((2 * len(x), 3))
-    design[:, 0] = x.ravel()
-    design[0::2, 1] = design[1::2, 2] = -1
-    rate, *product = np.linalg.lstsq(design, v.ravel())[0]
-    assert found[0] == pytest.approx(rate, rel=1e-2)
-    np.testing.assert_allclose(found[1:], np.array(product) / rate, atol=0.3)

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import kstest
 
-from astro_scc.flow.acceleration import BLENDS, fit_gradient
+from astro_scc.flow.speeds import BLENDS, fit_gradient
 from astro_scc.stacking import SearchSettings
 from astro_scc.stacking.dispersion import scattered_fit
 from astro_scc.stacking.features import Feature
@@ -79,6 +79,12 @@ def test_what_few_features_tell(features, known):
     found = fit_gradient(features, BEAM)
     assert np.isfinite(found.p_value) == known
     assert found.n_features == len(features)
+
+
+def test_features_within_two_beams_are_the_cores():
+    two = [feature(start, 0.0, speed=0.05) for start in (1.7, 1.9)]
+    # Their mean places are 1.875 and 2.075.
+    assert fit_gradient(two, BEAM).n_features == 1
 
 
 def test_the_acceleration_of_a_feature():

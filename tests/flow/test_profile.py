@@ -11,7 +11,7 @@ from astro_scc.flow import feature_profile, measure_acceleration, measure_profil
 from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics import RidgeLine, paper_cosmology
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.plan import select_ssps, ssp_distances
+from astro_scc.measurement.matched import select_ssps, ssp_distances
 from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import simulate_jet
 from astro_scc.stacking.dispersion import feature_speeds, random_effects
@@ -22,22 +22,6 @@ PM = u.mas / u.yr
 @pytest.fixture(scope="module")
 def profile(scc, matched):
     return measure_profile(scc, matched, [0, 7, 14, 90, 99] * u.mas, n_trials=20, rng=1)
-
-
-@pytest.mark.parametrize(
-    ("edges", "window", "message"),
-    [
-        ([1.0], None, "2 distance"),
-        ([2.0, 1.0], None, "bins = .* must be increasing distances"),
-        ([-1.0, 1.0], None, "bins = .* must be increasing distances"),
-        ([1.0, np.nan], None, "bins = .* must be increasing distances"),
-        ([1.0, 2.0], 0.0, "window = 0.0 mas must be finite and above 0"),
-    ],
-)
-def test_bins_that_make_no_sense(edges, window, message):
-    window = window if window is None else window * u.mas
-    with pytest.raises(ValueError, match=message):
-        bins_of(edges * u.mas, window=window)
 
 
 def test_a_bin_is_a_stack_of_its_ssps(scc, matched, profile):
@@ -68,9 +52,20 @@ def test_columns_and_adjusted_probabilities(profile):
     assert "4 bins from 0" in repr(profile)
 
 
-def test_nothing_there(scc, matched):
-    with pytest.raises(ValueError, match="no SSP lies in the bins"):
-        measure_profile(scc, matched, [80, 90] * u.mas, n_trials=20, rng=1)
+REFUSED = [
+    (lambda *_: bins_of([1.0] * u.mas), "2 distance"),
+    (lambda *_: bins_of([2.0, 1.0] * u.mas), "bins = .* must be increasing distances"),
+    (lambda *_: bins_of([1.0, 2.0] * u.mas, window=0 * u.mas), "window = 0.0 mas must"),
+    (lambda *of: measure_profile(*of, [80, 90] * u.mas), "no SSP lies in the bins"),
+    (lambda _, m: select_ssps(m, r_min=3 * u.mas, r_max=2 * u.mas), "must be below"),
+    (lambda _, m: select_ssps(m, scales=[1, 4]), "scale 4 was not decomposed"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSED)
+def test_what_makes_no_sense_is_refused(scc, matched, call, words):
+    with pytest.raises(ValueError, match=words):
+        call(scc, matched)
 
 
 def test_along_a_ridge_line(scc, matched):
@@ -80,10 +75,8 @@ def test_along_a_ridge_line(scc, matched):
     r = ssp_distances(matched, origin=[-5, 0] * u.mas).value
     far = (r > 5) & (s > 0)
     np.testing.assert_allclose(s[far], r[far], atol=1.0)
-    found = measure_profile(
-        scc, matched, [3, 15] * u.mas, ridge=line, n_trials=20, rng=1
-    )
-    assert found.along == "ridge"
+    bins = [3, 15] * u.mas
+    found = measure_profile(scc, matched, bins, ridge=line, n_trials=20, rng=1)
     assert found.components.meta["along"] == "ridge"
 
 
@@ -98,10 +91,8 @@ def test_selections(matched):
     np.testing.assert_array_equal(
         by_angle.select, select_ssps(matched, scales=[2]).select
     )
-    with pytest.raises(ValueError, match="must be below"):
-        select_ssps(matched, r_min=3 * u.mas, r_max=2 * u.mas)
-    with pytest.raises(ValueError, match="scale 4 was not decomposed"):
-        select_ssps(matched, scales=[1, 4])
+    windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
+    assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
 
 
 @pytest.fixture(scope="module")
@@ -149,22 +140,14 @@ def test_products(profile, tmp_path):
     np.testing.assert_array_equal(again["pm"], table["pm"])
 
 
-def test_bins_hold_all_features_in_order(accelerated):
+def test_bins_hold_all_features_in_order_with_their_mean_speeds(accelerated):
     result, _ = accelerated
-    profile = feature_profile(result)
-    stream = result.search.streams[0]
+    profile, stream = feature_profile(result), result.search.streams[0]
     assert stream.kind == "moving"
     assert profile["n_features"].sum() == len(stream.features)
     assert np.all(profile["n_features"] >= 5)
-    assert np.all(profile["r_min"] <= profile["r_mid"])
-    assert np.all(profile["r_mid"] <= profile["r_max"])
-    assert np.all(profile["r_max"][:-1] <= profile["r_min"][1:])
-
-
-def test_speeds_are_those_of_random_effects(accelerated):
-    result, _ = accelerated
-    profile = feature_profile(result)
-    stream = result.search.streams[0]
+    limits = np.stack([profile[k].value for k in ("r_min", "r_mid", "r_max")], axis=1)
+    assert np.all(np.diff(limits.ravel()) >= 0)
     features = sorted(stream.features, key=lambda feature: abs(feature.place))
     mean = random_effects(*feature_speeds(features[: profile["n_features"][0]]))
     beam = projection_of(result).beam(stream.angle)[0]

@@ -2,6 +2,7 @@
 """Displacements and errors on the axes of frames, against rotation by hand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -13,7 +14,6 @@ from astropy.wcs import WCS
 from astro_scc import Beam, EpochCube
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
-from astro_scc.images.positions import beam_fwhm
 from astro_scc.kinematics import (
     ExpansionFrame,
     PositionAngleFrame,
@@ -23,7 +23,7 @@ from astro_scc.kinematics import (
 from astro_scc.measurement.axes import (
     AxisProjection,
     alignment_errors,
-    angular_displacements,
+    matched_displacements,
 )
 from astro_scc.simulation import simulate_two_fluid
 
@@ -64,9 +64,16 @@ def matches_of(ssps, pairs):
     return Matches.from_columns([columns], [[0, 1], [1, 2]], (99, 99), 0.6)
 
 
+def displacements_of(matches, ssps, cube, frame):
+    select = np.ones(len(ssps), bool)
+    of = SimpleNamespace(matches=matches, ssps=ssps, cube=cube, select=select)
+    settings = SimpleNamespace(position_angle=frame, min_error_beams=0.2)
+    return matched_displacements(of, settings)[0]
+
+
 def projected(cube, ssps, pairs, frame):
     matches = matches_of(ssps, pairs)
-    d = angular_displacements(matches, ssps, cube, frame, 0.2)
+    d = displacements_of(matches, ssps, cube, frame)
     return AxisProjection(d, cube, frame)
 
 
@@ -89,7 +96,7 @@ UNIFORM = {
 
 
 @pytest.mark.parametrize("name", UNIFORM)
-@pytest.mark.parametrize("angle", [-2.5, -0.4, 0.0, 0.7, np.pi / 2])
+@pytest.mark.parametrize("angle", [-2.5, 0.0, 0.7])
 def test_axes_that_are_the_same_everywhere(name, angle):
     frame, first, sense = UNIFORM[name]
     cube = cube_of()
@@ -119,7 +126,7 @@ def test_beams_of_epochs_and_scales_are_averaged_over_ssps():
     np.testing.assert_allclose(project.beam(1.0), (4 * 0.4 + 2 * 0.8) / 6)
 
 
-@pytest.mark.parametrize("pa", [0.0, 77.0, 180.0, 291.0])
+@pytest.mark.parametrize("pa", [0.0, 180.0, 291.0])
 def test_away_from_a_point_what_moves_outward_keeps_its_direction(pa):
     """Three features that move by 0.5 and 1 mas, in any direction, also south."""
     cube = cube_of(Beam(0.5 * u.mas, 0.5 * u.mas))
@@ -164,22 +171,18 @@ def test_in_homologous_expansion_all_features_move_alike():
     np.testing.assert_allclose(np.diff(place[..., 1], axis=0), 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "frame",
-    [SkyFrame(), RadialFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas)],
-    ids=repr,
-)
 @pytest.mark.parametrize("beams", [BEAM, None])
-def test_no_ssps_no_displacements(frame, beams):
-    cube = cube_of(beams)
+def test_no_ssps_no_displacements(beams):
     matches = Matches.from_columns([], [[0, 1]], (3, 3), 0.6)
-    d = angular_displacements(matches, SSPs.empty(), cube, frame, 0.2)
-    project = AxisProjection(d, cube, frame)
-    assert len(project(0.3)) == 0
-    np.testing.assert_array_equal(project.beam(0.3), 1.0)
+    cube = cube_of(beams)
+    for frame in SkyFrame(), RadialFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas):
+        d = displacements_of(matches, SSPs.empty(), cube, frame)
+        project = AxisProjection(d, cube, frame)
+        assert len(project(0.3)) == 0
+        np.testing.assert_array_equal(project.beam(0.3), 1.0)
 
 
-def test_alignment_errors_of_epochs():
+def test_errors_of_the_alignment_are_given_or_those_that_it_found():
     cube = simulate_two_fluid(n_epochs=3, rng=1).cube
     np.testing.assert_array_equal(alignment_errors(cube), np.zeros((3, 2)))
     one = alignment_errors(cube, 0.2e-3 * u.arcsec)
@@ -188,14 +191,10 @@ def test_alignment_errors_of_epochs():
     np.testing.assert_allclose(each, [[0.1, 0.1], [0, 0], [0.3, 0.3]])
     with pytest.raises(ValueError, match="must be one angle or 3, one an epoch, got 2"):
         alignment_errors(cube, [0.1, 0.2] * u.mas)
-
-
-def test_the_error_that_the_alignment_found_counts():
-    cube = simulate_two_fluid(n_epochs=3, rng=1).cube
-    dates = [time.isot[:10] for time in cube.times]
     columns = {"east": [0, 0, 0], "north": [0, 0, 0]}
     columns |= {"east_err": [3, 1, 0], "north_err": [4, 1, 0]}
-    table = QTable({"epoch": dates, **{k: v * u.uas for k, v in columns.items()}})
+    table = QTable({name: values * u.uas for name, values in columns.items()})
+    table["epoch"] = [time.isot[:10] for time in cube.times]
     aligned = cube.align("table", table=table)
     found = alignment_errors(aligned)
     np.testing.assert_allclose(found[:, 0], [np.sqrt(12.5e-6), 1e-3, 0], atol=1e-9)
@@ -209,14 +208,13 @@ BEAMS = (
 )
 GRIDS = {
     "usual": [[-0.1, 0.0], [0.0, 0.1]],
-    "east to the right": [[0.1, 0.0], [0.0, 0.1]],
     "not square": [[-0.05, 0.0], [0.0, 0.2]],
     "rotated": [[-0.1 * np.cos(0.5), 0.15 * np.sin(0.5)],
                 [0.1 * np.sin(0.5), 0.15 * np.cos(0.5)]],
 }  # fmt: skip
 
 
-def celestial(cd=GRIDS["usual"]):
+def make_cube(cd=GRIDS["usual"]):
     """With RA and Dec from 180 and 30 deg and the reference pixel at (20, 12)."""
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
@@ -224,15 +222,8 @@ def celestial(cd=GRIDS["usual"]):
     wcs.wcs.crval = [180.0, 30.0]
     wcs.wcs.crpix = [21.0, 13.0]
     wcs.wcs.cd = (np.array(cd) * u.mas).to_value(u.deg)
-    wcs.wcs.set()
-    return wcs
-
-
-def make_cube(cd=GRIDS["usual"], beams=BEAMS):
     times = ["2000-01-01", "2000-07-01", "2001-03-01"]
-    return EpochCube(
-        data=np.ones((3, 32, 48)), times=times, wcs=celestial(cd), beams=beams
-    )
+    return EpochCube(data=np.ones((3, 32, 48)), times=times, wcs=wcs, beams=BEAMS)
 
 
 @pytest.fixture
@@ -257,62 +248,46 @@ def matches(ssps):
 
 
 def sky_offsets(wcs, x, y):
-    """Offsets of pixels from the reference pixel by way of celestial coordinates."""
+    """Offsets (east, north) from the reference pixel by celestial coordinates."""
     centre = SkyCoord(180 * u.deg, 30 * u.deg)
-    east, north = centre.spherical_offsets_to(wcs.pixel_to_world(x, y))
-    return east.to_value(u.mas), north.to_value(u.mas)
-
-
-def test_each_epoch_has_its_own_beam_and_each_row_its_own_axes():
-    angles = np.array([10.0, 60.0, -40.0, 100.0])
-    axes = np.stack([PositionAngleFrame(a * u.deg).matrix() for a in angles])
-    epoch = np.array([0, 2, 1, 2])
-    found = beam_fwhm(make_cube(), epoch, np.ones(4), axes)
-    expected = [
-        [BEAMS[e].fwhm_along(p * u.deg).value for p in (a, a + 90)]
-        for e, a in zip(epoch, angles, strict=True)
-    ]
-    np.testing.assert_allclose(found, expected)
-
-
-def unit_vectors(frame, east, north):
-    """The two axes as (east, north), from the definition of the frames."""
-    if isinstance(frame, SkyFrame):
-        return (1.0, 0.0), (0.0, 1.0)
-    if isinstance(frame, RadialFrame):
-        pa = np.arctan2(east, north)
-    else:
-        pa = frame.pa.to_value(u.rad)
-    return (np.sin(pa), np.cos(pa)), (np.cos(pa), -np.sin(pa))
+    offsets = centre.spherical_offsets_to(wcs.pixel_to_world(x, y))
+    return np.array([offset.to_value(u.mas) for offset in offsets])
 
 
 @pytest.mark.parametrize("name", GRIDS)
 @pytest.mark.parametrize(
-    "frame", [SkyFrame(), PositionAngleFrame(40 * u.deg), RadialFrame()], ids=repr
+    ("frame", "first", "turn"),
+    [
+        (SkyFrame(), lambda place: np.pi / 2 + 0 * place[0], -1),
+        (
+            PositionAngleFrame(40 * u.deg),
+            lambda place: np.radians(40) + 0 * place[0],
+            1,
+        ),
+        (RadialFrame(), lambda place: np.arctan2(*place), 1),
+    ],
 )
-def test_displacements_and_errors_by_hand(matches, ssps, name, frame):
-    cube = make_cube(GRIDS[name])
-    found = angular_displacements(matches, ssps, cube, frame, 0.2)
-    assert len(found) == len(matches)
-    owner = matches.ssp
+def test_displacements_and_errors_by_hand(matches, ssps, name, frame, first, turn):
+    """``first`` is the position angle of the first axis at a place."""
+    cube, owner = make_cube(GRIDS[name]), matches.ssp
+    found = displacements_of(matches, ssps, cube, frame)
     x, y = ssps.x[owner], ssps.y[owner]
-    start = np.array(sky_offsets(cube.wcs, x, y))
-    end = np.array(sky_offsets(cube.wcs, x + matches.dx, y + matches.dy))
-    for k in range(len(matches)):
-        axes = unit_vectors(frame, *start[:, k])
-        for axis, d, s in zip(
-            axes, (found.d1[k], found.d2[k]), (found.s1[k], found.s2[k]), strict=True
+    start = sky_offsets(cube.wcs, x, y)
+    moved = sky_offsets(cube.wcs, x + matches.dx, y + matches.dy) - start
+    for pa, d, s in (
+        (first(start), found.d1, found.s1),
+        (first(start) + turn * np.pi / 2, found.d2, found.s2),
+    ):
+        np.testing.assert_allclose(d, (direction(pa) * moved).sum(axis=0), atol=2e-6)
+        variance = 0.0
+        for epoch, snr in (
+            (ssps.epoch[owner], ssps.snr[owner]),
+            (matches.target, matches.target_snr),
         ):
-            assert d == pytest.approx(np.dot(axis, end[:, k] - start[:, k]), abs=2e-6)
-            variance = 0.0
-            for epoch, snr in (
-                (ssps.epoch[owner[k]], ssps.snr[owner[k]]),
-                (matches.target[k], matches.target_snr[k]),
-            ):
-                pa = np.arctan2(*axis) * u.rad
-                beam = BEAMS[epoch].fwhm_along(pa).value
-                variance += beam**2 * (0.5 / snr**2 + 0.5 * 0.2**2)
-            assert s == pytest.approx(np.sqrt(variance), rel=1e-6)
+            beams = zip(epoch, pa, strict=True)
+            beam = np.array([BEAMS[k].fwhm_along(a * u.rad).value for k, a in beams])
+            variance += beam**2 * (0.5 / snr**2 + 0.5 * 0.2**2)
+        np.testing.assert_allclose(s, np.sqrt(variance), rtol=1e-6)
     np.testing.assert_array_equal(found.reference, ssps.epoch[owner])
     np.testing.assert_array_equal(found.target, matches.target)
     np.testing.assert_array_equal(found.ssp, owner)
@@ -325,11 +300,7 @@ def test_at_the_origin_of_a_radial_frame_there_is_no_match(ssps, matches):
     x, y = ssps.x.copy(), ssps.y.copy()
     x[0], y[0] = 20.0, 12.0
     core = replace(ssps, x=x, y=y)
-    found = angular_displacements(matches, core, make_cube(), RadialFrame(), 0.2)
-    assert 0 in matches.ssp
+    found = displacements_of(matches, core, make_cube(), RadialFrame())
     np.testing.assert_array_equal(found.ssp, matches.ssp[matches.ssp != 0])
-    for values in (found.d1, found.d2, found.s1, found.s2):
-        assert np.isfinite(values).all()
+    assert np.isfinite([found.d1, found.d2, found.s1, found.s2]).all()
     np.testing.assert_array_equal(found.n_ssps, np.bincount(ssps.epoch))
-    on_sky = angular_displacements(matches, core, make_cube(), SkyFrame(), 0.2)
-    assert len(on_sky) == len(matches)

@@ -106,9 +106,9 @@ def test_parts_of_the_epochs_and_of_the_scales(matched):
 
 @pytest.fixture(scope="module")
 def walks():
-    """0.2 beams a step of thirty days, of 120 features in 20 epochs."""
-    stream = Stream("walk", half_width=40.0, jitter=2.0, density=0.8)
-    return SCC.match(JetSimulation(streams=[stream], n_epochs=20).run(rng=1).cube)
+    """0.2 beams a step of thirty days, of 80 features in 14 epochs."""
+    stream = Stream("walk", half_width=24.0, jitter=2.0, density=0.8)
+    return SCC.match(JetSimulation(streams=[stream], n_epochs=14).run(rng=1).cube)
 
 
 def variance_of_steps(cube, beams, years):

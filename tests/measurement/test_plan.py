@@ -1,9 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What is measured: scales, pairs, windows, grids and regions, and what is refused."""
+"""What is measured: alignment, direction, scales, pairs, windows and grids."""
 
-import re
 import warnings
-from dataclasses import replace
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -13,36 +11,39 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import Beam, EpochCube
-from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.choices import mean_fwhm
-from astro_scc.measurement.decomposing import centroids_inside, decompose_epochs
 from astro_scc.measurement.plan import (
+    SearchPlan,
+    choose_alignment,
+    choose_direction,
+    choose_scales,
     flow_direction,
     map_grid,
+    mean_fwhm,
     pairs_of_dates,
     scales_of_pixels,
     search_radius,
-    search_reach,
+    structure_size,
 )
+from astro_scc.simulation import simulate_jet, simulate_static
 
 YEAR = 365.25
 PIXEL = 0.1 * u.mas
+BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
-def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None, data=None):
+def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None):
     """Epochs without anything in them."""
     dates = np.datetime64("2010-01-01T00:00:00") + np.array(
         [int(86400 * d) for d in days], dtype="timedelta64[s]"
     )
-    data = np.zeros((len(days), *shape)) if data is None else data
     return EpochCube.from_arrays(
-        data, [str(d) for d in dates], pixel_scale=PIXEL, beams=beams
+        np.zeros((len(days), *shape)),
+        [str(d) for d in dates],
+        pixel_scale=PIXEL,
+        beams=beams,
     )
-
-
-# Scales.
 
 
 @given(st.integers(1, 16), st.floats(0.84, 1.19))
@@ -56,113 +57,59 @@ def test_angles_name_the_scale_that_they_are_near(half, factor):
         assert found == number
 
 
+def test_pairs_of_dates():
+    def numbers(pairs):
+        return list(zip(pairs.first, pairs.second, strict=True))
+
+    pairs = pairs_of_dates(cube_of(), None)
+    assert numbers(pairs) == [(0, 1), (1, 2)]
+    np.testing.assert_allclose(pairs.interval * YEAR, [30, 60])
+    assert numbers(pairs_of_dates(cube_of(), [50, 100] * u.day)) == [(0, 2), (1, 2)]
+
+
+def test_resolution_is_the_mean_over_epochs_and_axes_however_beams_are_turned():
+    beams = [
+        Beam(b * u.mas, 1 * u.mas, pa * u.deg) for b, pa in ((1, 0), (1, 0), (3, 90))
+    ]
+    assert mean_fwhm(cube_of(beams=beams), 2) == pytest.approx((4 + 3 + 1) / 6)
+
+
+MONTH = 30 / YEAR
+UNEVEN = np.cumsum([0, 30, 30, 90, 90, 90])
+
+
 @pytest.mark.parametrize(
-    ("angles", "angle", "pixels"),
+    ("days", "max_speed", "fwhm", "radius"),
     [
-        ([0.4, 0.05] * u.mas, "0.05 mas", "0.5"),
-        # Midway between 1 and 1.5 pixels.
-        ([0.122, 0.4] * u.mas, "0.122 mas", "1.2"),
-        ([2.0] * u.arcsec, "2.0 arcsec", "2e+04"),
+        # One and a half beams, where intervals are short enough for that.
+        (30 * np.arange(30), None, 1.0, 1.5),
+        (30 * np.arange(30), 0.5 / MONTH, 1.0, 1.5),
+        ((0,), None, 1.0, 1.5),
+        # The largest speed in the shorter intervals, and three times 0.12 beam.
+        (UNEVEN, 3.0 / MONTH, 1.0, 3.36),
+        (UNEVEN, 6.0 / MONTH, 2.0, 3.36),
+        # Short series: four beams in the median interval, of up to 20 epochs.
+        (30 * np.arange(20), None, 1.0, 4.36),
+        (30 * np.arange(21), None, 1.0, 1.5),
+        (np.cumsum([0, 30, 30, 60, 60, 60]), None, 1.0, 2.36),
     ],
 )
-def test_an_angle_that_is_no_scale(angles, angle, pixels):
-    message = f"scale {angle} is {pixels} px, not near 2^j or 1.5 x 2^j px"
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        scales_of_pixels(angles, PIXEL)
-
-
-# Pairs.
-
-
-def test_consecutive_dates_are_paired():
-    pairs = pairs_of_dates(cube_of(), None)
-    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 1), (1, 2)]
-    np.testing.assert_allclose(pairs.interval * YEAR, [30, 60])
-
-
-def test_baselines_pair_all_dates_of_the_range():
-    pairs = pairs_of_dates(cube_of(), [50, 100] * u.day)
-    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2)]
-
-
-def test_one_epoch_has_no_velocity():
-    with pytest.raises(ValueError, match=r"^velocities need at least two epochs, the"):
-        pairs_of_dates(cube_of((0,)), None)
-
-
-def test_epochs_of_one_date_have_no_velocity():
-    message = r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"
-    with pytest.raises(ValueError, match=message):
-        pairs_of_dates(cube_of((0, 0, 0)), None)
-
-
-@pytest.mark.parametrize("days", [(0, 30, 90), (0, 0, 0)])
-def test_a_baseline_that_no_pair_has(days):
-    message = (
-        f"no two epochs are 1 to 2 yr apart: their separations go from "
-        f"{min(np.diff(days)) / YEAR:.3g} to {max(days) / YEAR:.3g} yr; "
-        "choose another baseline"
-    )
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        pairs_of_dates(cube_of(days), [1, 2] * u.yr)
-
-
-# Resolution, windows and grids.
-
-
-def test_resolution_is_the_mean_over_epochs_and_axes():
-    round_, long_ = (
-        Beam(1 * u.mas, 1 * u.mas, 0 * u.deg),
-        Beam(3 * u.mas, 1 * u.mas, 0 * u.deg),
-    )
-    cube = cube_of(beams=[round_, round_, long_])
-    assert mean_fwhm(cube, 2) == pytest.approx((1 + 1 + 1 + 1 + 3 + 1) / 6)
-    # However the beam is turned.
-    turned = cube_of(beams=[Beam(3 * u.mas, 1 * u.mas, 90 * u.deg)] * 3)
-    assert mean_fwhm(turned, 2) == pytest.approx(2.0)
-
-
-def evenly(n_epochs, days=30):
-    return cube_of(days * np.arange(n_epochs), shape=(8, 8))
-
-
-def test_neighbouring_features_are_not_searched():
-    """One and a half beams, where intervals are short enough for that."""
-    month = 30 / YEAR
-    assert search_radius(evenly(30), None, 1.0) == 1.5
-    assert search_radius(evenly(30), 0.5 / month, 1.0) == 1.5
-    # No two dates, no interval.
-    assert search_radius(cube_of((0,)), None, 1.0) == 1.5
-
-
-def test_the_largest_speed_is_reached_in_the_shorter_intervals():
-    # And the scatter of displacements about it, three times 0.12 beam.
-    month = 30 / YEAR
-    cube = cube_of(np.cumsum([0, 30, 30, 90, 90, 90]), shape=(8, 8))
-    for speed, fwhm in ((3.0, 1.0), (6.0, 2.0)):
-        found = search_radius(cube, speed / month, fwhm)
-        assert found == pytest.approx(3.0 + 0.36, rel=1e-6)
-
-
-def test_short_series_are_searched_farther():
-    """To four beams in the median interval, of up to 20 epochs."""
-    assert search_radius(evenly(20), None, 1.0) == pytest.approx(4.36)
-    assert search_radius(evenly(21), None, 1.0) == 1.5
-    cube = cube_of(np.cumsum([0, 30, 30, 60, 60, 60]), shape=(8, 8))
-    assert search_radius(cube, None, 1.0) == pytest.approx(2.36)
+def test_the_search_radius(days, max_speed, fwhm, radius):
+    found = search_radius(cube_of(days, shape=(8, 8)), max_speed, fwhm)
+    assert found == pytest.approx(radius, rel=1e-6)
 
 
 def reach(cube, pairs, radius, fwhm, max_speed):
     plan = SimpleNamespace(pairs=pairs, radius=radius, fwhm=fwhm, max_speed=max_speed)
-    return search_reach(cube, plan)
+    return SearchPlan.reach(plan, cube)
 
 
 def test_windows_end_with_the_image_and_warn():
     cube = cube_of((0, YEAR), shape=(40, 60))
     pairs = pairs_of_dates(cube, None)
     message = (
-        r"^the largest speed moves 10 mas in the longest interval \(1 yr\), more than "
-        "half the image: give a smaller max_speed, or a baseline that leaves out long "
+        r"^max_speed moves 10 mas in the longest interval \(1 yr\), more than "
+        "half the image: give a smaller one, or a baseline that leaves out long "
         "intervals$"
     )
     with pytest.warns(MeasurementWarning, match=message):
@@ -173,74 +120,37 @@ def test_windows_end_with_the_image_and_warn():
         assert reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
 
 
-def test_speeds_far_beyond_the_image_or_below_any_motion_are_refused():
-    cube = cube_of((0, YEAR), shape=(40, 60))
-    pairs = pairs_of_dates(cube, None)
-    with pytest.raises(ValueError, match=r"max_speed moves 1e\+09 mas in the shortest"):
-        reach(cube, pairs, 1.5, 1.0, 1e9)
-    with pytest.raises(ValueError, match=r"1e-09 mas .* less than 0.01 of a pixel: gi"):
-        reach(cube, pairs, 1.5, 1.0, 1e-9)
-
-
-def test_the_grid_is_half_the_narrowest_kernel(matched, sky_result):
+def test_the_grid_is_half_the_narrowest_kernel(sky_result):
     d, pairs = sky_result.displacements, sky_result.pairs
     grid = map_grid(d, pairs, 30.0)
     assert grid.v_max == (30.0, 30.0)
-    for step, s in zip(grid.step, (d.s1, d.s2), strict=True):
-        narrowest = s.min() / pairs.interval.max()
-        assert 0.45 * narrowest < step <= 0.5 * narrowest
-    none = d.select(np.zeros(len(d), bool))
-    assert map_grid(none, pairs, 30.0).shape == (41, 41)
-    wide = replace(d, s1=100 * d.s1, s2=100 * d.s2)
-    assert map_grid(wide, pairs, 30.0).shape == (3, 3)
+    narrowest = np.array([d.s1.min(), d.s2.min()]) / pairs.interval.max()
+    assert np.all((0.45 * narrowest < grid.step) & (grid.step <= 0.5 * narrowest))
+    assert map_grid(d.select(np.zeros(len(d), bool)), pairs, 30.0).shape == (41, 41)
 
 
-# Decomposition, regions, direction.
+YEARLY = cube_of((0, YEAR))
+REFUSED = [
+    # Midway between 1 and 1.5 pixels.
+    (lambda: scales_of_pixels([0.122, 0.4] * u.mas, PIXEL),
+     r"^scale 0.122 mas is 1.2 px, not near 2\^j or 1.5 x 2\^j px$"),
+    (lambda: scales_of_pixels([2.0] * u.arcsec, PIXEL), r"scale 2.0 arcsec is 2e\+04"),
+    (lambda: pairs_of_dates(cube_of((0,)), None), "^velocities need at least two epo"),
+    (lambda: pairs_of_dates(cube_of((0, 0, 0)), None),
+     r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"),
+    (lambda: pairs_of_dates(cube_of(), [1, 2] * u.yr),
+     "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.246"),
+    (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e9),
+     r"max_speed moves 1e\+09 mas in the shortest interval"),
+    (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e-9),
+     "1e-09 mas .* less than 0.01 of a pixel: give a larger"),
+]  # fmt: skip
 
 
-def test_every_epoch_is_decomposed_with_its_mask_noise_and_beam(monkeypatch):
-    rng = np.random.default_rng(0)
-    data = rng.normal(size=(3, 40, 60))
-    beams = [Beam(b * u.mas, 0.5 * u.mas, 0 * u.deg) for b in (0.8, 1.0, 1.2)]
-    cube = cube_of(beams=beams, data=data)
-    asked = []
-
-    def record(self, image, **options):
-        asked.append((image, options))
-
-    monkeypatch.setattr(Decomposer, "__call__", record)
-    decompose_epochs(cube, Decomposer(scales=(1,), noise="propagated"))
-    for k, (image, options) in enumerate(asked):
-        np.testing.assert_array_equal(image, data[k])
-        np.testing.assert_array_equal(options["mask"], cube.mask[k])
-        assert options["rms"] == pytest.approx(cube.noise_rms()[k].value)
-        # In pixels: the long axis to the north.
-        variance = np.diag(options["beam_covariance"]) * 8 * np.log(2)
-        np.testing.assert_allclose(variance, [25, 100 * (0.8, 1.0, 1.2)[k] ** 2])
-    asked.clear()
-    decompose_epochs(cube, Decomposer(scales=(1,)))
-    assert [options["rms"] for _, options in asked] == [None] * 3
-    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
-    asked.clear()
-    decompose_epochs(cube_of(data=data), Decomposer(scales=(1,), noise="propagated"))
-    assert [options["beam_covariance"] for _, options in asked] == [None] * 3
-    assert all(options["rms"] > 0 for _, options in asked)
-
-
-def test_ssps_are_inside_if_their_centroid_is(matched):
-    ssps, cube = matched.ssps, matched.cube
-    everything = centroids_inside(ssps, cube, None)
-    assert everything.all()
-    assert len(everything) == len(ssps) > 0
-    region = np.zeros(cube.shape[1:], bool)
-    region[:, 60:160] = True
-    inside = centroids_inside(ssps, cube, region)
-    x = np.rint(ssps.x_centroid)
-    np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
-    assert 0 < inside.sum() < len(ssps)
-    empty = np.zeros(cube.shape[1:], bool)
-    empty[0, 0] = True
-    assert not centroids_inside(ssps, cube, empty).any()
+@pytest.mark.parametrize(("call", "words"), REFUSED)
+def test_what_cannot_be_meant_is_refused(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
 
 
 def ssps_at(cube, x, y, flux):
@@ -257,3 +167,110 @@ def test_the_jet_flows_to_where_its_flux_is(dx, dy, angle):
     x0, y0 = cube.wcs.wcs.crpix - 1
     direction = flow_direction(ssps_at(cube, [x0 + dx], [y0 + dy], [1.0]))
     assert direction.to_value(u.deg) == pytest.approx(angle)
+
+
+# What the images tell.
+
+
+def spots(*places, beams=BEAM, bright=0.1):
+    """Two epochs of a core and of fainter spots, (east, north) in mas."""
+    y, x = np.mgrid[:121, :121]
+    image = np.zeros(x.shape)
+    for east, north, flux in [(0, 0, 1.0), *((*place, bright) for place in places)]:
+        r2 = (x - 60 + east / 0.1) ** 2 + (y - 60 - north / 0.1) ** 2
+        image += flux * np.exp(-4 * np.log(2) * r2 / 8**2)
+    return EpochCube.from_arrays(
+        np.stack([image] * 2), ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas,
+        reference_pixel=(60, 60), beams=beams, noise=1e-3 * u.one,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("angle", [0, 60, 145, 270])
+def test_the_direction_is_that_of_the_jet(angle):
+    way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
+    found, reason = choose_direction(spots(1.5 * way, 3 * way))
+    assert abs((found.value - angle + 180) % 360 - 180) <= 1
+    assert reason == "that of the mean image"
+
+
+@pytest.mark.parametrize(
+    ("cube", "reason"),
+    [
+        (lambda: spots((2, 0), beams=None), "without a beam"),
+        (lambda: spots(), "nothing is seen beyond a beam"),
+        (lambda: spots((0, 4.8)), "does not begin"),
+        (lambda: spots((2, 0), (-2, 0.2)), "not on one side"),
+        (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
+    ],
+)
+def test_no_direction_has_a_reason(cube, reason):
+    cube = cube()
+    found, said = choose_direction(cube)
+    assert found is None
+    assert reason in said
+
+
+def test_aligned_epochs_are_left_alone():
+    align, reason = choose_alignment(simulate_jet(n_epochs=6, rng=1).cube)
+    assert align == "none"
+    assert reason.startswith("the epochs are aligned to 0.0")
+    align, reason = choose_alignment(spots((2, 0), beams=None))
+    assert align == "none"
+    assert reason == "the images do not show how well they are aligned"
+
+
+@pytest.mark.slow
+def test_epochs_that_scatter_are_aligned_on_the_core():
+    cube = simulate_jet(n_epochs=12, alignment_error=0.4, rng=2).cube
+    align, reason = choose_alignment(cube)
+    assert align == "core"
+    assert reason.startswith("the epochs scatter by 0.")
+
+
+def test_a_core_that_is_not_found_aligns_nothing(monkeypatch):
+    def fail(self, *args, **kwargs):
+        raise ValueError("no core")
+
+    cube = simulate_static(n_epochs=4, rng=1).cube
+    object.__setattr__(cube, "misalignment", 0.3)
+    monkeypatch.setattr(EpochCube, "align", fail)
+    assert choose_alignment(cube) == (
+        "none", "the epochs scatter by 0.30 beams, no less on the core"
+    )  # fmt: skip
+
+
+def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None):
+    """Two epochs of Gaussians of a width in pixels, with noise."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    image = np.zeros(shape)
+    for x0, y0 in rng.uniform(0, 1, (30, 2)) * shape[::-1]:
+        r2 = (x - x0) ** 2 + (y - y0) ** 2
+        image = image + np.exp(-4 * np.log(2) * r2 / fwhm**2)
+    images = image + rng.normal(0, noise, (2, *shape))
+    width = None if beam is None else Beam(*(0.1 * beam * u.mas,) * 2)
+    return EpochCube.from_arrays(
+        images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas, beams=width,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("fwhm", [3, 5, 8])
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.3])
+def test_the_size_of_structures(fwhm, noise):
+    assert structure_size(field(fwhm, noise=noise)) == pytest.approx(fwhm, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("fwhm", "beam", "scales"),
+    [
+        # From a quarter of the beam to two; none larger than half of the image.
+        (2, 2, (1, 2)), (6, 6, (1, 2, 3, 4)), (16, 16, (2, 3, 4, 5)),
+        (9, 60, (4, 5, 6)),
+        # Without a beam up to half of the size of the structures.
+        (3, None, (1,)), (7, None, (1, 2)), (24, None, (1, 2, 3)),
+    ],
+)  # fmt: skip
+def test_scales_that_suit_the_resolution(fwhm, beam, scales):
+    found, reason = choose_scales(field(fwhm, beam=beam))
+    assert found == scales
+    assert beam is None or f"({beam}.0 px)" in reason

@@ -11,7 +11,7 @@ from astro_scc.measurement.sensitivity import (
     sensitivity_table,
     with_choices,
 )
-from astro_scc.simulation import simulate_jet, simulate_static
+from astro_scc.simulation import simulate_jet
 from astro_scc.stacking.errors import StreamVelocity
 
 SCC = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
@@ -66,11 +66,3 @@ def test_halves_that_differ_are_said_and_are_in_the_error():
     assert np.sqrt(axis @ wider.covariance @ axis) == pytest.approx(0.115)
     assert [-axis[1], axis[0]] @ wider.covariance @ axis == pytest.approx(0)
     assert with_choices(own, angle, rows[:1]) is own
-
-
-def test_without_motion_nothing_is_searched_again():
-    static = SCC(simulate_static(n_epochs=8, rng=1).cube, n_trials=50, rng=1)
-    table = static.sensitivity
-    assert len(table) == 0
-    assert table.meta["note"] == "nothing moves significantly"
-    assert table["pm"].unit == u.mas / u.yr

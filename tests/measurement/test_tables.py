@@ -1,52 +1,36 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tables that keep their columns, units and meta, empty or not, on disk or not."""
+"""Tables that keep their columns and units, on disk too, and adjusted p-values."""
+
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.cosmology import Cosmology, FlatLambdaCDM
 from astropy.table import QTable
 from astropy.time import Time
+from astropy.utils.masked import Masked
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from astro_scc import StackedCrossCorrelation
+from astro_scc.columns import columns_of
 from astro_scc.decomposition import SSPs
-from astro_scc.measurement.feature_tables import ssp_table
-from astro_scc.measurement.tables import component_table, versions
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement.publication import latex_text_of
+from astro_scc.measurement.tables import (
+    component_table,
+    components_of,
+    paper_table,
+    ssp_table,
+    velocity_columns,
+    versions,
+)
+from astro_scc.quantities import decimals
 
 PM = u.mas / u.yr
-PROPER_MOTIONS = ["pm_ra_cosdec", "pm_dec", "pm", "pm_parallel", "pm_transverse"]
-MOTIONS = [*PROPER_MOTIONS, "pm_pa"]
-CONTRACT = [
-    "component",
-    "kind",
-    "pm_ra_cosdec",
-    "pm_dec",
-    "pm",
-    "pm_pa",
-    "pm_parallel",
-    "pm_transverse",
-    "coefficient",
-    "z_score",
-    "p_local",
-    "p_global",
-    "p_global_err",
-    "p_distinct",
-    "p_smallest",
-    "dispersion",
-    "pm_min",
-    "pm_max",
-    "pm_limit",
-    "pm_err_jitter",
-    "pm_err_alignment",
-    "n_ssp",
-    "n_pairs",
-    "n_features",
-    "caution",
-]
-
-
-def row(number):
-    names = [*CONTRACT, *(f"{name}_err" for name in (*MOTIONS, "dispersion"))]
-    return {**dict.fromkeys(names, number), "kind": "not significant", "caution": "few"}
 
 
 def same(read, written):
@@ -66,57 +50,30 @@ def same(read, written):
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
-def test_components_have_all_columns_with_units_and_descriptions(n):
-    table = component_table([row(k) for k in range(n)])
+def test_components_have_all_columns_with_units_and_descriptions(n, tmp_path):
+    row = dict.fromkeys(columns_of("components"), 1.0) | {"kind": "few", "caution": "-"}
+    meta = {"seed": 1, "max_speed": 2 * PM}
+    table = component_table([row] * n, meta=meta)
     assert len(table) == n
-    for name in CONTRACT:
-        assert name in table.colnames
+    for name in table.colnames:
         assert table[name].info.description
-    for name in (*PROPER_MOTIONS, "dispersion"):
-        for column in (name, f"{name}_err"):
-            assert isinstance(table[column], u.Quantity)
-            assert table[column].unit == PM
+        if name.startswith("pm") and "_pa" not in name:
+            assert table[name].unit == PM
     assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
-    assert table["pm_err"].info.description == "standard error of pm"
-    assert table["pm_err_jitter"].unit == PM
-    for name, value in (("kind", "not significant"), ("caution", "few")):
-        assert list(table[name]) == [value] * n
-        assert table[name].dtype.kind == "U"
-    for name in ("component", "n_ssp", "n_pairs", "n_features"):
-        assert table[name].dtype.kind == "i"
-    for name in ("coefficient", "p_local", "p_global", "p_distinct", "p_smallest"):
-        assert table[name].dtype.kind == "f"
-
-
-def test_errors_stand_beside_their_values():
-    names = component_table([]).colnames
-    for name in (*MOTIONS, "dispersion"):
-        assert names[names.index(name) + 1] == f"{name}_err"
-
-
-def test_a_missing_column_is_no_silence():
-    broken = row(1)
-    del broken["pm_dec"]
+    table.write(tmp_path / "components.ecsv")
+    read = QTable.read(tmp_path / "components.ecsv")
+    same(read, table)
+    assert read.meta == table.meta == meta
+    # A missing column is no silence.
+    del row["pm_dec"]
     with pytest.raises(KeyError, match="pm_dec"):
-        component_table([broken])
+        component_table([row])
 
 
-def test_meta_is_copied():
-    meta = {"seed": 3}
-    table = component_table([], meta=meta)
-    table.meta["seed"] = 4
-    assert meta == {"seed": 3}
-
-
-def test_versions_name_what_the_numbers_depend_on():
+def test_versions_name_what_the_numbers_depend_on(monkeypatch):
     found = versions()
     assert set(found) >= {"astro_scc", "numpy", "scipy", "astropy", "scikit-image"}
     assert found["numpy"] == np.__version__
-    assert all(isinstance(value, str) for value in found.values())
-
-
-def test_a_package_without_metadata_has_an_unknown_version(monkeypatch):
-    from importlib.metadata import PackageNotFoundError
 
     def missing(name):
         raise PackageNotFoundError(name)
@@ -128,65 +85,50 @@ def test_a_package_without_metadata_has_an_unknown_version(monkeypatch):
 # Of a measurement ----------------------------------------------------------------
 
 
-def test_components_round_trip_in_ecsv(stacked, tmp_path):
-    result = stacked(
-        270 * u.deg, baseline=[20, 70] * u.day, min_error_beams=0.2, min_overlap=0.8
+def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_path):
+    own = sky_result.components_in_c(redshift=0.158)
+    for name, table in (("c", own), ("s", sky_result.ssps)):
+        table.write(tmp_path / f"{name}.ecsv")
+        same(QTable.read(tmp_path / f"{name}.ecsv"), table)
+    meta = QTable.read(tmp_path / "c.ecsv").meta
+    assert (meta["seed"], meta["n_trials"], meta["redshift"]) == (1, 40, 0.158)
+    assert meta["versions"] == versions()
+    again = StackedCrossCorrelation(**meta["settings"])
+    assert again.to_dict() == sky_result.meta["settings"]
+
+
+def test_printed_columns_are_rounded_to_their_errors(sky_result):
+    table = sky_result.components
+    least = table["pm_err"].value.min()
+    digits = decimals(least)
+    assert table["pm"].info.format == table["pm_err"].info.format == f".{digits}f"
+    assert f"{least:.{digits}f}" in "".join(table["pm", "pm_err"].pformat())
+    # The numbers are whole.
+    assert table["pm"][0].value != round(table["pm"][0].value, digits)
+    shown = table.pformat(max_width=80)[0].split()
+    assert {"kind", "pm", "pm_err", "p_global"} <= {*shown}
+
+
+def test_what_a_paper_table_cannot_know():
+    table = QTable(
+        {
+            "feature": ["2001_s2", "50% & more"],
+            "first": Time(["2001-01-01", "2002-05-01"]),
+            "pm": [2.128, np.nan] * u.mas / u.yr,
+            "pm_err": [np.nan, np.nan] * u.mas / u.yr,
+            "t_ej": Masked([2000.12, 0.0] * u.yr, mask=[False, True]),
+            "t_ej_err": Masked([0.1, 0.0] * u.yr, mask=[False, True]),
+            "r_min": [-3.14159, 20.0] * u.mas,
+        }
     )
-    table = result.components
-    assert len(table) > 0
-    path = tmp_path / "components.ecsv"
-    table.write(path)
-    read = QTable.read(path)
-    same(read, table)
-    settings = read.meta["settings"]
-    assert settings["max_speed"] == 30 * PM
-    assert settings["scales"] == [1.0, 2.0]
-    assert settings["position_angle"] == 270 * u.deg
-    np.testing.assert_array_equal(
-        settings["baseline"], ([20, 70] * u.day).to(u.yr), strict=False
-    )
-    assert read.meta["seed"] == 1
-    assert read.meta["n_trials"] == 40
-    assert read.meta["versions"] == versions()
-    assert read.meta["jet_position_angle"] == 270 * u.deg
-    # The settings are what a measurement can be repeated with.
-    from astro_scc import StackedCrossCorrelation
-
-    again = StackedCrossCorrelation(**settings)
-    assert again.to_dict().keys() == settings.keys()
-
-
-def test_components_in_c_round_trip_with_their_cosmology(sky_result, tmp_path):
-    cosmology = FlatLambdaCDM(H0=71, Om0=0.27)
-    table = sky_result.components_in_c(redshift=0.158, cosmology=cosmology)
-    path = tmp_path / "components.ecsv"
-    table.write(path)
-    read = QTable.read(path)
-    same(read, table)
-    plain = read.meta["cosmology"]
-    assert Cosmology.from_format(plain, format="mapping") == cosmology
-    assert read.meta["redshift"] == 0.158
-
-
-def test_no_components_round_trip_too(tmp_path):
-    table = component_table([], meta={"seed": 1, "max_speed": 2 * PM})
-    path = tmp_path / "components.ecsv"
-    table.write(path)
-    read = QTable.read(path)
-    same(read, table)
-    assert len(read) == 0
-    assert read.meta == table.meta
-
-
-def test_ssps_round_trip_in_ecsv(sky_result, tmp_path):
-    table = sky_result.ssps
-    path = tmp_path / "ssps.ecsv"
-    table.write(path)
-    same(QTable.read(path), table)
-    path = tmp_path / "ssps.fits"
-    table.meta = {}
-    table.write(path)
-    same(QTable.read(path, astropy_native=True), table)
+    plain = paper_table(table)
+    assert plain.colnames == ["feature", "r_min", "first", "pm", "t_ej"]
+    assert list(plain["pm"]) == ["2.13 (error unknown)", "-"]
+    rows = latex_text_of(table, "tracks", "aastex").splitlines()
+    assert rows[rows.index(r"\startdata") + 1 : rows.index(r"\enddata")] == [
+        r"2001\_s2 & $-3.142$ & 2001-01-01 & $2.13 \pm \ldots$ & $2000.12 \pm 0.10$ \\",
+        r"50\% \& more & 20 & 2002-05-01 & \nodata & \nodata",
+    ]
 
 
 def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
@@ -209,17 +151,12 @@ def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
         dates = table["date"][table["epoch"] == epoch]
         assert isinstance(dates, Time)
         assert np.all(dates == cube.times[epoch])
-    assert table["in_region"].all()
     np.testing.assert_array_equal(table["n_pixels"], np.diff(ssps.starts))
     near = np.hypot(
         (table["east_centroid"] - table["east"]).value,
         (table["north_centroid"] - table["north"]).value,
     )
     assert np.all(near < 2.0)
-
-
-def test_ssp_table_says_which_were_used(sky_result):
-    ssps, cube = sky_result.matched.ssps, sky_result.cube
     select = np.arange(len(ssps)) % 3 == 0
     np.testing.assert_array_equal(
         ssp_table(ssps, cube, select=select)["in_region"], select
@@ -227,9 +164,7 @@ def test_ssp_table_says_which_were_used(sky_result):
 
 
 @pytest.mark.parametrize("beams", [True, False])
-def test_an_empty_ssp_table_has_all_columns(sky_result, beams, tmp_path):
-    from dataclasses import replace
-
+def test_an_empty_ssp_table_has_all_columns(sky_result, beams):
     cube = sky_result.cube if beams else replace(sky_result.cube, beams=None)
     empty = ssp_table(SSPs.empty(), cube)
     assert len(empty) == 0
@@ -237,5 +172,196 @@ def test_an_empty_ssp_table_has_all_columns(sky_result, beams, tmp_path):
     for name in empty.colnames:
         unit = getattr(sky_result.ssps[name], "unit", None)
         assert getattr(empty[name], "unit", None) == unit
-    empty.write(tmp_path / "ssps.ecsv")
-    assert QTable.read(tmp_path / "ssps.ecsv").colnames == empty.colnames
+
+
+# Vectors -------------------------------------------------------------------------
+
+speeds, errors = st.floats(-5, 5), st.floats(0.01, 2)
+correlations = st.floats(-0.95, 0.95)
+
+
+@given(speeds, speeds, errors, errors, correlations, st.floats(-360, 360))
+def test_on_the_sky_frame(east, north, err1, err2, correlation, pa):
+    covariance = np.diag([err1, err2])
+    covariance = covariance @ [[1, correlation], [correlation, 1]] @ covariance
+    row = velocity_columns(np.array([east, north]), covariance, SkyFrame(), pa * u.deg)
+    assert (row["pm_ra_cosdec"], row["pm_dec"]) == pytest.approx((east, north))
+    assert row["pm_ra_cosdec_err"] == pytest.approx(err1)
+    assert row["pm_dec_err"] == pytest.approx(err2)
+    assert row["pm"] == pytest.approx(np.hypot(east, north))
+    along = np.array([np.sin(np.radians(pa)), np.cos(np.radians(pa))])
+    across = np.array([along[1], -along[0]])
+    for name, axis in (("parallel", along), ("transverse", across)):
+        assert row[f"pm_{name}"] == pytest.approx(
+            axis @ [east, north], rel=1e-9, abs=1e-9
+        )
+        assert row[f"pm_{name}_err"] == pytest.approx(
+            np.sqrt(axis @ covariance @ axis), rel=1e-6
+        )
+    assert 0 <= row["pm_pa"] <= 360
+    if row["pm"] > 1e-6:
+        pa = np.radians(row["pm_pa"])
+        np.testing.assert_allclose(
+            (np.sin(pa), np.cos(pa)), np.array([east, north]) / row["pm"], atol=1e-9
+        )
+        unit = np.array([east, north]) / row["pm"]
+        turned = np.array([-unit[1], unit[0]])
+        assert row["pm_err"] == pytest.approx(np.sqrt(unit @ covariance @ unit))
+        sigma = np.sqrt(turned @ covariance @ turned) / row["pm"]
+        assert row["pm_pa_err"] == pytest.approx(min(np.degrees(sigma), 180.0))
+
+
+@pytest.mark.parametrize("unknown", [np.inf, np.nan])
+def test_errors_that_are_not_known_are_nan_and_the_velocity_is_not(unknown):
+    covariance = np.diag([unknown, unknown])
+    row = velocity_columns(np.array([3.0, 4.0]), covariance, SkyFrame(), 65 * u.deg)
+    assert row["pm"] == pytest.approx(5.0)
+    for name, value in row.items():
+        assert np.isnan(value) == name.endswith("_err")
+
+
+# Features and their components -----------------------------------------------------
+
+
+def motion(velocity, place=(3.0, 0.0), error=0.05):
+    speed = float(np.hypot(*velocity))
+    return SimpleNamespace(
+        velocity=np.array(velocity), velocity_err=np.full(2, error), speed=speed,
+        speed_err=error, place=np.array(place),
+    )  # fmt: skip
+
+
+class Moving(list):
+    """Features of which only the motions are known."""
+
+    @property
+    def motions(self):
+        return self
+
+
+def streams(*each, frame):
+    """A result with components: kind, velocity on the axes and dispersion."""
+    made = [
+        (
+            SimpleNamespace(kind=kind, angle=np.arctan2(*velocity[::-1])),
+            SimpleNamespace(
+                value=np.array(velocity), covariance=np.diag([0.03, 0.03]) ** 2,
+                dispersion=dispersion,
+            ),
+        )
+        for kind, velocity, dispersion in each
+    ]  # fmt: skip
+    own, velocities = zip(*made, strict=True)
+    search = SimpleNamespace(streams=own)
+    return SimpleNamespace(search=search, velocities=velocities, frame=frame)
+
+
+ALONG = (
+    ("moving", (2.0, 0.0), 0.3),
+    ("moving", (4.0, 0.0), np.nan),
+    ("stationary", (0.0, 0.0), np.nan),
+    ("not significant", (8.0, 0.0), np.nan),
+)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "component"),
+    [
+        ((2.5, 0.0), 1),  # within the dispersion
+        ((2.0, 0.1), 1),
+        ((2.0, 0.5), 1),  # which is that across as well
+        ((2.0, 0.7), 0),
+        ((2.7, 0.0), 0),
+        ((4.1, 0.0), 2),
+        ((4.2, 0.0), 0),
+        ((0.05, 0.05), 3),
+        ((0.11, 0.11), 0),  # within two errors on both axes, but it moves
+        ((8.0, 0.0), 0),
+    ],
+)
+def test_a_feature_is_of_the_component_with_its_velocity(velocity, component):
+    speed, across = velocity
+    sky = SkyFrame(), motion((speed, across))
+    west = PositionAngleFrame(270 * u.deg), motion((-speed, across))
+    # At north of the origin, a radial motion is to the north.
+    radial = RadialFrame(), motion((across, speed), place=(0.0, 5.0))
+    for frame, own in (sky, west, radial):
+        result = streams(*ALONG, frame=frame)
+        assert components_of(result, Moving([own])).tolist() == [component]
+
+
+def test_the_nearest_component_in_units_of_the_errors():
+    wide, narrow = ("moving", (2.0, 0.0), 1.0), ("moving", (3.0, 0.0), 0.0)
+    result = streams(wide, narrow, frame=SkyFrame())
+    slow, fast = motion((2.85, 0.0)), motion((3.02, 0.0))
+    assert components_of(result, Moving([slow, fast])).tolist() == [1, 2]
+
+
+# Adjusted p-values ----------------------------------------------------------------
+
+
+def table(p, **columns):
+    return QTable({"p_global": np.array(p, dtype=float), **columns})
+
+
+def by_definition(p, method):
+    """The smallest rate at which the procedure would accept each of them."""
+    p = np.asarray(p)
+    m = len(p)
+    factor = m * (sum(1 / k for k in range(1, m + 1)) if method == "by" else 1.0)
+    adjusted = []
+    for own in p:
+        candidates = [
+            factor * other / np.sum(p <= other) for other in p if other >= own
+        ]
+        adjusted.append(min(1.0, *candidates, np.inf))
+    return adjusted
+
+
+probabilities = st.lists(
+    st.integers(1, 40).map(lambda b: b / 40), min_size=1, max_size=9
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(groups=st.lists(probabilities, min_size=1, max_size=4), by=st.booleans())
+def test_is_the_procedure_over_all_tables_together(groups, by):
+    method = "by" if by else "bh"
+    done = false_discovery_rate([table(p) for p in groups], method=method)
+    got = np.concatenate([t["p_fdr"] for t in done])
+    p = np.concatenate(groups)
+    np.testing.assert_allclose(got, by_definition(p, method), rtol=1e-12)
+    assert np.all((got >= p - 1e-12) & (got <= 1))
+
+
+def test_empty_tables_are_searches_and_what_stands_still_is_none():
+    own = {"a": table([0.01, 1.0], kind=["moving", "stationary"]), "b": table([0.02])}
+    own |= {f"none {k}": component_table([]) for k in range(18)}
+    once = false_discovery_rate(own)
+    assert once["a"]["p_fdr"].tolist() == pytest.approx([0.2, 1.0])
+    assert once["b"]["p_fdr"].tolist() == pytest.approx([0.2])
+    assert once["a"].meta["false_discovery"] == {"method": "bh", "n_tests": 20}
+    empty = once["none 1"]
+    assert len(empty) == 0
+    assert empty["p_fdr"].dtype == float
+    assert empty["p_fdr"].info.description
+    # They are copies, and can be adjusted again.
+    twice = false_discovery_rate(once)
+    assert own["b"].colnames == ["p_global"]
+    assert once["b"].colnames == twice["b"].colnames == ["p_global", "p_fdr"]
+    np.testing.assert_array_equal(once["b"]["p_fdr"], twice["b"]["p_fdr"])
+    assert false_discovery_rate([]) == []
+
+
+@pytest.mark.parametrize(
+    ("tables", "method", "words"),
+    [
+        (table([0.1]), "bh", r"got one: give \[table\]"),
+        ([table([0.1]), QTable()], "bh", "table 1 has no column p_global"),
+        ({"inner": table([np.nan])}, "bh", "'inner': p_global must be from 0 to 1"),
+        ([], "bonferroni", "unknown method 'bonferroni': use 'bh' or"),
+    ],
+)
+def test_says_what_is_wrong(tables, method, words):
+    with pytest.raises((TypeError, ValueError), match=words):
+        false_discovery_rate(tables, method=method)

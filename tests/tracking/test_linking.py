@@ -1,17 +1,251 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Links of features whose motions are known."""
+"""Candidates, their likelihood and links, against loops and densities."""
 
 from dataclasses import replace
 
+import astropy.units as u
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.optimize import linear_sum_assignment
 
-from astro_scc.tracking.candidates import Candidates, equal_pairs
-from astro_scc.tracking.likelihood import LinkLikelihood
+from astro_scc import Beam
+from astro_scc.correlation import Matches
+from astro_scc.decomposition import SSPs
+from astro_scc.simulation import simulate_static
+from astro_scc.tracking import likelihood
+from astro_scc.tracking.likelihood import (
+    Candidates,
+    chance_density,
+    coarse_to_fine,
+    coarser_ssps,
+    core_ssps,
+    equal_pairs,
+    find_candidates,
+    similarity,
+    steady_motion,
+)
 from astro_scc.tracking.linking import Links, assign, chains, link, path_gains
+
+
+def catalogue(rows, *, scale=1.0, half=2, width=400):
+    """SSPs of (epoch, y, x, peak) with square patches of pixels."""
+    rows = np.asarray(rows, dtype=float).reshape(-1, 4)
+    n = len(rows)
+    half, y, x = np.broadcast_to(half, n), *np.rint(rows[:, 1:3]).astype(int).T
+    around = [np.arange(-h, h + 1) for h in half]
+    parts = [
+        ((b + a)[:, None] * width + c + a).ravel()
+        for a, b, c in zip(around, y, x, strict=True)
+    ]
+    starts = np.cumsum([0, *map(len, parts)])
+    return SSPs(
+        scale=np.broadcast_to(np.asarray(scale, dtype=float), n),
+        y=rows[:, 1], x=rows[:, 2], y_centroid=rows[:, 1], x_centroid=rows[:, 2],
+        peak=rows[:, 3], flux=10 * rows[:, 3], snr=100 * rows[:, 3],
+        bbox=np.stack([y - half, x - half, y + half + 1, x + half + 1], axis=1),
+        starts=starts, pixels=np.concatenate([np.empty(0, int), *parts]),
+        epoch=rows[:, 0].astype(int),
+    )  # fmt: skip
+
+
+# -- candidates --------------------------------------------------------------------
+
+
+def random_matches(rng, ssps, n):
+    source = rng.integers(0, len(ssps), n)
+    landed = rng.integers(-1, len(ssps), n)
+    target = np.where(landed >= 0, ssps.epoch[landed], rng.integers(0, 4, n))
+    columns = (source, target, np.zeros(n), np.zeros(n), rng.random(n), np.ones(n),
+               np.ones(n))  # fmt: skip
+    return Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0), landed
+
+
+RANDOM = catalogue(
+    [
+        [k // 3, *place, k // 3 + 1.0]
+        for k, place in enumerate(np.random.default_rng(2).uniform(5, 90, (12, 2)))
+    ]
+)
+
+
+@pytest.mark.parametrize("max_gap", [0, 1, 5])
+def test_candidates_are_those_of_loops(max_gap):
+    ssps = RANDOM
+    matches, landed = random_matches(np.random.default_rng(3), ssps, 300)
+    years = np.array([2000.0, 2000.3, 2000.3, 2001.0])
+    found = find_candidates(matches, landed, ssps, years, max_gap=max_gap)
+    best = {}
+    for i, k, c in zip(matches.ssp, landed, matches.coefficient, strict=True):
+        if k < 0:
+            continue
+        a, b = ssps.epoch[i], ssps.epoch[k]
+        if 0 < b - a <= max_gap + 1 and years[b] > years[a]:
+            best[i, k] = max(best.get((i, k), 0), c)
+    assert list(zip(found.source, found.target, strict=True)) == sorted(best)
+    assert found.coefficient == pytest.approx([best[p] for p in sorted(best)])
+    for i, k, dy, dx, interval, gap in zip(
+        found.source, found.target, found.dy, found.dx, found.interval, found.gap,
+        strict=True,
+    ):  # fmt: skip
+        a, b = ssps.epoch[i], ssps.epoch[k]
+        assert (dy, dx) == (ssps.y[k] - ssps.y[i], ssps.x[k] - ssps.x[i])
+        assert interval == years[b] - years[a]
+        assert gap == b - a - 1
+
+
+def test_only_the_best_candidates_of_an_epoch_are_kept(monkeypatch):
+    ssps = RANDOM
+    matches, landed = random_matches(np.random.default_rng(3), ssps, 500)
+    every = find_candidates(matches, landed, ssps, np.arange(4.0))
+    monkeypatch.setattr(likelihood, "MAX_CANDIDATES", 1)
+    one = find_candidates(matches, landed, ssps, np.arange(4.0))
+    groups = {}
+    for i, gap, c in zip(every.source, every.gap, every.coefficient, strict=True):
+        groups.setdefault((i, gap), []).append(c)
+    assert len(one) == len(groups) < len(every)
+    for i, gap, c in zip(one.source, one.gap, one.coefficient, strict=True):
+        assert c == max(groups[i, gap])
+
+
+@pytest.fixture(scope="module")
+def cube():
+    """Six epochs with the reference pixel at (20, 64) and a beam of ten pixels."""
+    return simulate_static(n_epochs=6, rng=1).cube
+
+
+def rows_at(places):
+    """A pattern an epoch, at (x, y) from the reference pixel."""
+    return [
+        [k, 64 + y, 20 + x, 1.0] for k, (x, y) in enumerate(places) if x is not None
+    ]
+
+
+def test_the_core_is_the_nearest_within_half_a_beam(cube):
+    near = rows_at([(0, 0), (4.9, 0), (0, -4.9), (5.1, 0), (-3, -3), (None, None)])
+    beside = rows_at([(4, 0), (0, 0), (4.9, 0.5), (9, 9), (30, 0), (4, 4)])
+    ssps = catalogue(near + beside)
+    wanted = [k in (0, 2, 4, 6) for k in range(11)]
+    assert core_ssps(ssps, cube).tolist() == wanted
+
+
+def test_what_is_near_at_few_epochs_is_no_core(cube):
+    passing = rows_at([(-6, 0), (-2, 0), (2, 0), (6, 0), (10, 0), (14, 0)])
+    standing = rows_at([(1, 0), (0, 1), (1, 1), (7, 0), (8, 0), (9, 0)])
+    ssps = catalogue(passing + standing, scale=[1.0] * 6 + [2.0] * 6)
+    assert core_ssps(ssps, cube).tolist() == [6 <= k < 9 for k in range(12)]
+    assert len(core_ssps(ssps.empty(), cube)) == 0
+
+
+def test_half_of_a_long_beam_reaches_farther_along_it(cube):
+    beam = Beam(2 * u.mas, 0.5 * u.mas, 0 * u.deg)
+    cube = replace(cube, beams=(beam,) * 6)
+    north, west = rows_at([(0, 9)] * 6), rows_at([(3, 0)] * 6)
+    assert core_ssps(catalogue(north), cube).all()
+    assert not core_ssps(catalogue(west), cube).any()
+    # Without a beam twice the scale, 8 pixels on scale 2.
+    plain = replace(cube, beams=None)
+    assert core_ssps(catalogue(west, scale=2.0), plain).all()
+    assert not core_ssps(catalogue(north, scale=2.0), plain).any()
+
+
+# -- likelihood --------------------------------------------------------------------
+
+
+def candidates_of(ssps, pairs, coefficient=1.0):
+    source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
+    step = ssps.epoch[target] - ssps.epoch[source]
+    dy, dx = (v[target] - v[source] for v in (ssps.y, ssps.x))
+    return Candidates(
+        source, target, dy, dx,
+        step.astype(float), step - 1, np.broadcast_to(coefficient, len(source)),
+    )  # fmt: skip
+
+
+def test_similarities_are_ratios_of_densities():
+    # On one scale a core, a hundred times the others; what is on another is no matter.
+    peak = np.array([100.0, 1.0, 1.3, 0.9, 110.0, 2.0])
+    rows = np.column_stack([[0, 0, 1, 3, 3, 3], np.full(6, 10), 9 * np.arange(6), peak])
+    ssps = catalogue(rows, scale=[1, 1, 1, 1, 1, 2])
+    pairs = [(0, 4), (0, 2), (1, 2), (2, 3)]
+    found = similarity(candidates_of(ssps, pairs, 0.8), ssps)
+    same = stats.cauchy(scale=0.15)
+    of_scale = np.log(peak[:5])
+    shape = stats.expon.logpdf(0.2, scale=0.06) - stats.expon.logpdf(0.2, scale=0.15)
+    for (i, k), value in zip(pairs, found, strict=True):
+        ratio = np.log(peak[k] / peak[i])
+        chance = same.pdf(ratio - (of_scale[:, None] - of_scale)).mean()
+        gap = ssps.epoch[k] - ssps.epoch[i] - 1
+        wanted = shape + same.logpdf(ratio) - np.log(chance) - 2.0 * gap
+        # The ratios are counted in bins of a quarter of the half width.
+        assert value == pytest.approx(wanted, abs=0.1)
+
+
+def test_steady_motion_knows_the_error_of_a_mean_velocity():
+    # Of many tracks of uneven intervals the next displacement is as far from the
+    # weighted mean as the variance says.
+    rng, interval = np.random.default_rng(1), np.array([0.3, 1.0, 0.5, 2.0])
+    steps = rng.normal(0, 1.5, (4000, 4, 2))
+    weight = np.sum(interval[:3] ** 2)
+    mean = np.einsum("nki,k->ni", steps[:, :3], interval[:3]) / weight
+    away = steps[:, 3] - interval[3] * mean
+    variance = 1.5**2 * (1 + interval[3] ** 2 / weight)
+    assert np.var(away) == pytest.approx(variance, rel=0.05)
+    value = steady_motion(
+        steps[:1, 3], interval[3:], mean[:1], np.array([weight]), np.ones(1), 1.5
+    )
+    normal = stats.multivariate_normal(np.zeros(2), variance)
+    assert value == pytest.approx(normal.logpdf(away[0]))
+
+
+def test_the_coarser_scale_helps_where_it_agrees_and_never_forbids():
+    # A small pattern that lies in a large one, which moves by eight pixels.
+    ssps = catalogue(
+        [[0, 50, 50, 1], [1, 50, 58, 1], [1, 50, 108, 1],
+         [0, 50, 50, 2], [1, 50, 58, 2]],
+        scale=[1, 1, 1, 2, 2],
+    )  # fmt: skip
+    parent = np.array([3, 4, -1, -1, -1])
+    near, far = coarse_to_fine(
+        candidates_of(ssps, [(0, 1), (0, 2)]), candidates_of(ssps, [(3, 4)]),
+        parent, 4.0, np.full(5, 0.001),
+    )  # fmt: skip
+    assert near == pytest.approx(np.log(0.5 + 0.5 / (2 * np.pi * 16 * 0.001)))
+    assert far == pytest.approx(np.log(0.5))
+
+
+def test_density_of_a_lattice():
+    y, x = (10 * v.ravel() + 10 for v in np.mgrid[:6, :6])
+    ssps = catalogue(np.column_stack([np.zeros(36), y, x, np.ones(36)]))
+    # Inside, the third neighbour is one step away.
+    assert chance_density(ssps) == pytest.approx(np.full(36, 3 / (np.pi * 100)))
+    alone = catalogue([[0, 10, 10, 1.0]])
+    assert chance_density(alone) == pytest.approx([1 / (np.pi * 400)])
+
+
+def test_coarser_ssps_are_those_of_loops():
+    rng = np.random.default_rng(4)
+    rows = np.column_stack(
+        [rng.integers(0, 2, 60), rng.uniform(10, 90, (60, 2)), np.ones(60)]
+    )
+    scale = rng.integers(1, 4, 60)
+    ssps = catalogue(rows, scale=scale, half=3 * scale)
+    found = coarser_ssps(ssps, 400)
+    for i, parent in enumerate(found):
+        at = int(np.rint(ssps.y[i])) * 400 + int(np.rint(ssps.x[i]))
+        holders = [
+            k
+            for k in np.flatnonzero(
+                (ssps.scale == ssps.scale[i] + 1) & (ssps.epoch == ssps.epoch[i])
+            )
+            if at in ssps.pixels_of(k)
+        ]
+        assert parent in holders if holders else parent == -1
+
+
+# -- links -------------------------------------------------------------------------
 
 
 def everything(ssps, *, most=20.0, max_gap=1):
@@ -40,7 +274,7 @@ def streams(seed=1, n_epochs=6):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_streams_of_two_speeds_are_distinguished(catalogue, seed):
+def test_streams_of_two_speeds_are_distinguished(seed):
     rows, feature = streams(seed)
     ssps = catalogue(rows)
     links = link(everything(ssps), ssps)
@@ -51,7 +285,7 @@ def test_streams_of_two_speeds_are_distinguished(catalogue, seed):
 
 
 @pytest.mark.parametrize(("x", "linked"), [(124, True), (112, False)])
-def test_a_track_predicts_more_than_its_last_step(catalogue, x, linked):
+def test_a_track_predicts_more_than_its_last_step(x, linked):
     # Steady, but for a last step that is too short; then eight times the interval.
     # The mean velocity leads to 124, the last step to 112.
     rows = [[t, 50, 50 + 4.0 * t, 1] for t in range(12)]
@@ -59,11 +293,11 @@ def test_a_track_predicts_more_than_its_last_step(catalogue, x, linked):
     ssps = catalogue([*rows, [12, 50, x, 1]])
     pairs = everything(ssps, most=60.0, max_gap=0)
     pairs = replace(pairs, interval=np.where(ssps.epoch[pairs.target] == 12, 8.0, 1.0))
-    found = link(pairs, ssps, likelihood=LinkLikelihood(tolerance=1.0))
+    found = link(pairs, ssps, tolerance=1.0)
     assert list(found.source) == list(range(12 if linked else 11))
 
 
-def test_a_feature_that_is_missing_at_a_date_is_taken_up_again(catalogue):
+def test_a_feature_that_is_missing_at_a_date_is_taken_up_again():
     rows, feature = streams()
     gone = (feature == 3) & (rows[:, 0] == 2)
     ssps = catalogue(rows[~gone])
@@ -74,25 +308,7 @@ def test_a_feature_that_is_missing_at_a_date_is_taken_up_again(catalogue):
     assert sorted(links.gap[own]) == [0, 0, 0, 1]
 
 
-def test_one_pattern_follows_the_larger_one_that_it_lies_in(catalogue):
-    # Two equal partners: only the larger pattern says which.
-    ssps = catalogue(
-        [[0, 50, 50, 1], [1, 50, 42, 1], [1, 50, 58, 1],
-         [0, 50, 51, 2], [1, 50, 59, 2]],
-        scale=[1, 1, 1, 2, 2],
-    )  # fmt: skip
-    parent = np.array([3, -1, 4, -1, -1])
-    likelihood = LinkLikelihood(follow=0.9)
-    found = link(everything(ssps), ssps, parent=parent, likelihood=likelihood)
-    assert (0, 2) in list(zip(found.source, found.target, strict=True))
-    mirrored = everything(ssps)
-    away = link(mirrored, ssps, likelihood=likelihood)
-    gains = {(i, k): g for i, k, g in zip(away.source, away.target, away.gain,
-                                          strict=True)}  # fmt: skip
-    assert found.gain[found.source == 0] > gains.get((0, 2), gains.get((0, 1)))
-
-
-def test_nothing_to_link(catalogue):
+def test_nothing_to_link():
     ssps = catalogue([[0, 10, 10, 1], [1, 300, 300, 1]])
     links = link(everything(ssps), ssps)
     assert len(links) == 0
@@ -101,7 +317,7 @@ def test_nothing_to_link(catalogue):
     assert len(link(everything(empty), empty)) == 0
 
 
-def test_a_merge_and_a_split_are_recorded(catalogue):
+def test_a_merge_and_a_split_are_recorded():
     # Two neighbours of unequal flux become one of their sum, and part again.
     rows = [[0, 50, 50, 1.0], [0, 50, 54, 0.8], [1, 50, 53, 1.8],
             [2, 50, 54, 1.0], [2, 50, 58, 0.8], [3, 50, 56, 1.0]]  # fmt: skip
@@ -171,46 +387,17 @@ def test_gains_are_those_of_all_paths(seed):
 # -- tracks --------------------------------------------------------------------------
 
 
-def links_of(pairs, kinds=None):
-    source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
-    kinds = ["link"] * len(source) if kinds is None else kinds
-    zeros = np.zeros((5, len(source)))
-    return Links(source, target, *zeros, np.array(kinds, "U5"), zeros[0])
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10**6), st.integers(1, 4))
-def test_chains_are_what_links_connect(catalogue, seed, least):
-    rng = np.random.default_rng(seed)
-    # Fifteen SSPs in five epochs; one-to-one links onwards.
-    pairs = [
-        (3 * e + i, 3 * (e + 1) + k)
-        for e in range(4)
-        for i, k in enumerate(rng.permutation(3))
-        if rng.random() < 0.6
-    ]
-    ssps = catalogue([[k // 3, 50, 50 + k, 1] for k in range(15)])
-    found = chains(links_of(pairs), ssps, min_epochs=least)
-    follower = dict(pairs)
-    paths = []
-    for start in sorted(set(range(15)) - set(follower.values())):
-        path = [start]
-        while path[-1] in follower:
-            path.append(follower[path[-1]])
-        paths.append(path)
-    wanted = [path for path in paths if len(path) >= least]
-    assert [ssp.tolist() for ssp in found] == wanted
-
-
-def best_total(row, column, weight):
-    """Largest total weight, by trying every choice."""
-    if len(row) == 0:
-        return 0.0
-    rest = list(range(1, len(row)))
-    without = best_total(row[rest], column[rest], weight[rest])
-    free = [k for k in rest if row[k] != row[0] and column[k] != column[0]]
-    with_it = weight[0] + best_total(row[free], column[free], weight[free])
-    return max(without, with_it)
+def test_chains_are_what_links_connect():
+    """Two cross at the third epoch, one has a gap, and a merge is no link."""
+    ssps = catalogue([[k // 3, 50, 50 + k, 1] for k in range(12)])
+    pairs = [(0, 3), (3, 8), (8, 9), (1, 4), (4, 6), (2, 11), (5, 6)]
+    source, target = np.array(pairs).T
+    kinds, zeros = np.array(["link"] * 6 + ["merge"]), np.zeros((5, 7))
+    links = Links(source, target, *zeros, kinds, zeros[0])
+    found = [track.tolist() for track in chains(links, ssps, min_epochs=2)]
+    assert found == [[0, 3, 8, 9], [1, 4, 6], [2, 11]]
+    assert len(chains(links, ssps, min_epochs=3)) == 2
+    assert len(chains(links, ssps)) == 6
 
 
 pairs = st.lists(
@@ -221,22 +408,11 @@ pairs = st.lists(
 @settings(max_examples=60, deadline=None)
 @given(pairs)
 def test_it_is_the_best_choice_and_one_to_one(found):
-    row, column, weight = (np.array(v, dtype=int) for v in zip(*found, strict=True)
-                           ) if found else (np.empty(0, int),) * 3  # fmt: skip
+    row, column, weight = np.array(found, dtype=int).reshape(-1, 3).T
     chosen = assign(row, column, weight)
     assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
-    assert weight[chosen].sum() == best_total(row, column, weight)
-    assert np.all(weight[chosen] > 0)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_large_choices_are_as_good_as_those_of_a_full_table(seed):
-    rng = np.random.default_rng(seed)
-    row, column = rng.integers(0, 60, (2, 400))
-    weight = rng.uniform(0.5, 1, 400)
-    table = np.zeros((60, 60))
+    table = np.zeros((5, 5))
     np.maximum.at(table, (row, column), weight)
-    chosen = assign(row, column, weight)
-    assert len(set(row[chosen])) == len(set(column[chosen])) == chosen.sum()
     best = table[linear_sum_assignment(table, maximize=True)].sum()
-    assert weight[chosen].sum() == pytest.approx(best)
+    assert weight[chosen].sum() == best
+    assert np.all(weight[chosen] > 0)

@@ -1,23 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Speeds and accelerations of features against distance: bins, and the gradient."""
+"""Speeds of features: gradient and bins of distance, and groups of scales."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from numpy.typing import ArrayLike
 from scipy.special import stdtr
 
-from astro_scc.measurement import SCCResult
+from astro_scc.kinematics import SkyFrame
+from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
-from astro_scc.stacking.dispersion import (
-    feature_speeds,
-    random_effects,
-    scattered_fit,
-)
+from astro_scc.stacking.dispersion import feature_speeds, random_effects, scattered_fit
 from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit
 
@@ -35,6 +35,15 @@ MOST_BINS = 8
 #: Columns of the bins: numbers, distances and speeds.
 BINS = ("component", "n_features", "r_min", "r_max", "r_mid", "pm_parallel",
         "pm_parallel_err", "dispersion", "dispersion_err")  # fmt: skip
+#: Fewest features of a group that are divided from others by their brightness.
+FEWEST = 2
+#: Logarithms of shares that differ by more from the median do not divide better.
+CLEAR = 0.5
+#: Columns of a comparison of speeds.
+COMPARED = ("first", "first_n_ssp", "first_n_features", "first_speed",
+            "first_speed_err", "second", "second_n_ssp", "second_n_features",
+            "second_speed", "second_speed_err", "difference", "difference_err",
+            "p_value")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -233,3 +242,205 @@ def feature_profile(result: SCCResult) -> QTable:
             )  # fmt: skip
     units = dict.fromkeys(BINS[2:5], u.mas) | dict.fromkeys(BINS[5:], PM_UNIT)
     return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)
+
+
+# -- groups of scales --------------------------------------------------------------
+
+
+def scale_groups(
+    matched: MatchedEpochs, groups: Mapping[str, ArrayLike]
+) -> dict[str, np.ndarray]:
+    """
+    Return groups of SSPs by their scale.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    groups : dict of sequence of float or `~astropy.units.Quantity`
+        The scales of each group, by its name.
+
+    Returns
+    -------
+    dict of `~numpy.ndarray` of bool, shape (n_ssps,)
+
+    Raises
+    ------
+    ValueError
+        If a scale was not decomposed, or belongs to two groups.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_static
+    >>> from astro_scc.flow import scale_groups
+    >>> matched = StackedCrossCorrelation(scales=[1, 2]).match(
+    ...     simulate_static(n_epochs=3, rng=1).cube)
+    >>> groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
+    >>> bool(np.all(groups["fine"] ^ groups["coarse"]))
+    True
+    """
+    chosen = {
+        name: select_ssps(matched, scales=scales).select
+        for name, scales in groups.items()
+    }
+    _check_groups(chosen)
+    return chosen
+
+
+def _check_groups(groups):
+    """Refuse fewer than two groups, and groups that share SSPs."""
+    if len(groups) < 2:
+        raise ValueError(f"a comparison needs two groups or more, got {len(groups)}")
+    for (a, first), (b, second) in combinations(groups.items(), 2):
+        if np.any(np.asarray(first) & np.asarray(second)):
+            raise ValueError(f"groups {a!r} and {b!r} share SSPs: they must not")
+
+
+def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTable:
+    """
+    Compare the speeds along the jet of groups of SSPs.
+
+    A feature belongs to the group that has more of its brightness than of the
+    others': of two groups, the shares are divided where the variance within the
+    two parts is least (Otsu 1979, IEEE Trans. SMC 9, 62).  The mean speed of a
+    group follows from a random-effects model of its features' speeds (see
+    ``random_effects``), the p-value of a difference from Welch's
+    test (1947, Biometrika 34, 28).
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+        With a ``position_angle``, "radial", "fit" or "ridge".
+    groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,)
+        Groups from `scale_groups`, or others that share no SSP.
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each pair of groups: ``first`` and ``second``; for each of
+        them the numbers of SSPs and of features and the mean speed with its
+        error; ``difference`` with its error, and ``p_value``.  What is unknown
+        with fewer than two features is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the velocity axes are east and north, or groups share SSPs.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> from astro_scc.flow import compare_speeds, scale_groups
+    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> matched = scc.match(simulate_two_fluid(n_epochs=8, rng=1).cube)
+    >>> groups = scale_groups(matched, {"fine": [1], "coarse": [2]})
+    >>> result = scc.stack(matched, n_trials=99, rng=1)
+    >>> compare_speeds(result, groups)["first", "second"]
+    <QTable length=1>
+    first second
+     str4  str6
+    ----- ------
+     fine coarse
+    """
+    if isinstance(result.frame, SkyFrame):
+        raise ValueError(
+            "the direction of the flow is needed: give position_angle as an angle, "
+            "'fit', 'radial' or 'ridge'"
+        )
+    _check_groups(groups)
+    matched, project = result.matched, projection_of(result)
+    d = project(result.search.angle)
+    beam = float(project.beam(result.search.angle)[0])
+    streams = [s for s in result.search.streams if s.kind != "stationary"]
+    features = [feature for stream in streams for feature in stream.features]
+    belongs = _groups_of(features, d, matched.ssps, list(groups.values()))
+    known = {}
+    for k, (name, member) in enumerate(groups.items()):
+        found = [features[i] for i in np.flatnonzero(belongs == k)]
+        n_ssp = int((matched.select & member).sum())
+        known[name] = n_ssp, len(found), *_mean(found, beam)
+    rows = []
+    for first, second in combinations(groups, 2):
+        difference = _difference(known[first][2:], known[second][2:])
+        rows.append((first, *known[first][:4], second, *known[second][:4], *difference))
+    speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
+    return QTable(rows=rows, names=COMPARED, units=dict.fromkeys(speeds, PM_UNIT))
+
+
+def compare_scales(result):
+    """
+    Compare the speeds of the finest scale and of the coarser ones.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+
+    Returns
+    -------
+    `~astropy.table.QTable` or None
+        As of `compare_speeds`; None with one scale, or without a direction.
+    """
+    scales = result.matched.scales
+    if len(scales) < 2 or isinstance(result.frame, SkyFrame):
+        return None
+    groups = {"finest": scales[:1], "coarser": scales[1:]}
+    return compare_speeds(result, scale_groups(result.matched, groups))
+
+
+def _groups_of(features, d, ssps, groups):
+    """
+    Return the group of each feature, the one in which it is relatively brightest.
+
+    Small features are seen on large scales, too, and large ones on small
+    scales, so the share of brightness is compared with that of the others: of two
+    groups by the division of the shares with the least variance within its parts
+    (Otsu 1979, IEEE Trans. SMC 9, 62), of more by the median.
+    """
+    total = np.zeros((len(features), len(groups)))
+    for row, feature in zip(total, features, strict=True):
+        for ssp in feature.ssp:
+            here = np.flatnonzero(d.epoch == d.epoch[ssp])
+            away = np.hypot(*(d.position[here] - d.position[ssp]).T)
+            here = here[away <= DEFAULT.same_feature]
+            row += [ssps.peak[here[g[here]]].max(initial=0) for g in groups]
+    share = np.log(np.maximum(total, np.finfo(float).tiny))
+    share -= share.mean(axis=1, keepdims=True)
+    several = np.count_nonzero(total, axis=1) > 1
+    if len(groups) == 2 and several.sum() >= 2 * FEWEST:
+        share[several] -= _division(share[several, 0]) * np.array([1, -1])
+    elif several.any():
+        share[several] -= np.median(share[several], axis=0)
+    return np.argmax(share, axis=1)
+
+
+def _division(values):
+    """Return the value that divides others into two parts of least variance."""
+    middle = np.median(values)
+    values = np.sort(np.clip(values, middle - CLEAR, middle + CLEAR))
+    ends = range(FEWEST, len(values) - FEWEST + 1)
+    within = [k * values[:k].var() + values[k:].var() * (len(values) - k) for k in ends]
+    first = ends[int(np.argmin(within))]
+    return values[first - 1 : first + 1].mean()
+
+
+def _mean(features, beam):
+    """Return the mean speed in mas/yr, its error, and the degrees of freedom."""
+    if len(features) < 2:
+        speed = features[0].speed * beam if features else np.nan
+        return abs(speed), np.nan, np.nan
+    speed, error = (x * beam for x in feature_speeds(features))
+    one = np.ones((len(features), 1))
+    (mean,), covariance, _, _ = scattered_fit(one, np.abs(speed), error)
+    return mean, np.sqrt(covariance[0, 0]), len(features) - 1.0
+
+
+def _difference(first, second):
+    """Return the difference of means, its error, and the p-value of Welch's test."""
+    (m1, e1, n1), (m2, e2, n2) = first, second
+    error = np.hypot(e1, e2)
+    freedom = error**4 / (e1**4 / n1 + e2**4 / n2)
+    return m2 - m1, error, 2 * stdtr(freedom, -abs(m2 - m1) / error)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Fit the centre of a shell and the expansion rates of groups of patterns."""
+"""Expansion: the centre of a shell, its rates, and its stack in sectors."""
 
 from __future__ import annotations
 
@@ -9,28 +9,36 @@ from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
-from astro_scc.measurement import MatchedEpochs
+from astro_scc.images.positions import ssp_offsets
+from astro_scc.kinematics import ExpansionFrame
+from astro_scc.measurement import MatchedEpochs, false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
+from astro_scc.measurement.tables import stack_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.stacking.errors import jackknife_covariance
+from astro_scc.units import PM_UNIT
+
+__all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 
 #: Most kinds of one scale, by signal-to-noise ratio, and velocity samples per kind.
 PARTS, ENOUGH = 4, 100
 #: Fewest velocity samples of a group.
 FEWEST = 10
-#: Widths of the kernel in standard errors of a velocity sample, from wide to narrow.
-WIDTHS = (4.0, 2.0, 1.0)
-#: Rates that are tried first, for expansion and for contraction.
-TRIED = 60
-#: Most steps uphill for a kernel and for the mixture, and the step of the mixture, in
-#: standard errors, below which it has converged.
-KERNEL_STEPS, MIXTURE_STEPS, SMALL = 40, 100, 0.02
+#: Rates that are tried first, for expansion and for contraction, and the width of their
+#: kernel, in standard errors of a velocity sample.
+TRIED, WIDTH = 60, 4.0
+#: Most steps of the fit, and the step, in standard errors, that is its last one.
+STEPS, SMALL = 100, 0.02
 #: Bounds of the scatter, in standard errors of a velocity sample, and of the share of
 #: samples that expand.
 SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
 #: Sectors of azimuth that the jackknife leaves out in turn.
 AZIMUTHS = 24
+#: Columns of the components that the table of sectors keeps.
+KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
+        "n_pairs", "n_features", "caution")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +93,9 @@ def fit_shell(
     Many matches are due to chance, so the model is a mixture: a velocity sample
     either moves with its group, with a scatter that is fitted for each scale
     and quarter of the signal-to-noise ratios, or falls anywhere in the area
-    that was searched.  The fit starts at the maximum of a stack with the kernel
-    of ``scc``.  Errors combine a jackknife over 24 sectors of azimuth, each with
-    all epochs of its features, and the errors of the alignment (see
+    that was searched.  The fit starts at the rates at which a wide kernel
+    has its largest sum.  Errors combine a jackknife over 24 sectors of azimuth,
+    each with all epochs of its features, and the errors of the alignment (see
     ``alignment_errors`` of the epochs): epochs that drift by
     :math:`\delta` in the time T move the centre by :math:`\delta / (e\, T)`.
 
@@ -106,12 +114,12 @@ def fit_shell(
     """
     names, parts = _parts(matched, groups)
     cube = parts[0].cube
-    limit = scc.plan(cube).speed_limit(cube).to_value(u.mas / u.yr)
+    limit = scc.plan(cube).speed_limit(cube).to_value(PM_UNIT)
     samples, first, weight = _samples_of(scc, names, parts, limit)
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
     max_rate = limit / np.median(np.hypot(*(x - x.mean(axis=0)).T))
-    start = kernel_maximum(samples, weight, max_rate=max_rate, centre=given)
+    start = start_of(samples, weight, max_rate=max_rate, centre=given)
     area = (2 * limit * samples.interval) ** 2
     fit = fit_mixture(samples, start, area, fixed=given is not None)
     covariance, errors = fit.covariance, alignment_errors(cube, scc.alignment_error)
@@ -220,45 +228,24 @@ def _with_alignment(fit, first, interval, years, errors):
     return covariance
 
 
-def kernel_maximum(samples, weight, *, max_rate, centre=None):
-    r"""
-    Return the rates and the centre that maximise a kernel, shape (n_groups + 2,).
+def start_of(samples, weight, *, max_rate, centre=None):
+    """
+    Return rates and a centre from which to fit, shape (n_groups + 2,).
 
-    The maximum of
-
-    .. math:: C(e, c) = \sum_i w_i \exp\left(-\frac{|v_i - e_{g(i)}\,
-              (x_i - c)|^2}{2\,\sigma_i^2}\right)
-
-    over the rates :math:`e_g` of all groups and the centre c is reached by
-    weighted least squares, from the rates at which a wide kernel has its
-    largest sum.  A centre that is given is kept.
+    The centre is the weighted mean position, or the one that is given, and each rate
+    the one of many at which a wide kernel about it has the largest weighted sum.
     """
     x, v, group = samples.x, samples.v, samples.group
-    s = samples.error / samples.interval
     start = np.average(x, axis=0, weights=weight) if centre is None else centre
-    rates = np.linspace(-max_rate, max_rate, 2 * TRIED + 1)
-    first = []
+    width = WIDTH * samples.error / samples.interval
+    tried, rates = np.linspace(-max_rate, max_rate, 2 * TRIED + 1), []
     for g in range(int(group.max()) + 1):
         own = group == g
-        away = x[own] - start
-        sums = [
-            weight[own] @ np.exp(-0.5 * _square(v[own] - e * away, WIDTHS[0] * s[own]))
-            for e in rates
-        ]
-        first.append(rates[int(np.argmax(sums))])
-    place = np.array([*first, *start])
-    for width in WIDTHS:
-        for _ in range(KERNEL_STEPS):
-            rest = v - _model(samples, place)
-            own = weight * np.exp(-0.5 * _square(rest, width * s)) / s**2
-            flat = _design(samples, place, centre is not None).reshape(-1, len(place))
-            both = np.repeat(own, 2)
-            unit, inverse = _scaled_inverse(flat.T @ (both[:, None] * flat))
-            step = unit * (inverse @ (unit * (flat.T @ (both * rest.reshape(-1)))))
-            place = place + step
-            if np.all(np.abs(step) <= 1e-7 * np.abs(place) + 1e-12):
-                break
-    return place
+        rest = (v[own] - rate * (x[own] - start) for rate in tried)
+        squares = ((r**2).sum(axis=1) / width[own] ** 2 for r in rest)
+        sums = [weight[own] @ np.exp(-0.5 * square) for square in squares]
+        rates.append(tried[int(np.argmax(sums))])
+    return np.array([*rates, *start])
 
 
 class Mixture(NamedTuple):
@@ -319,7 +306,7 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
     kind, square_interval = samples.kind, samples.interval**2
     n = len(widest)
     number = np.maximum(np.bincount(kind, minlength=n), 1)
-    for _ in range(MIXTURE_STEPS):
+    for _ in range(STEPS):
         rest = samples.v - _model(samples, place)
         square = (rest**2).sum(axis=1) * square_interval
         width, f = scatter[kind], share[kind]
@@ -330,20 +317,11 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
         scatter = np.clip(np.sqrt(mean), *np.multiply.outer(SCATTER, widest))
         share = np.clip(total / number, *SHARE)
         weight = p * square_interval / scatter[kind] ** 2
-        normal, right = _equations(samples, place, weight, rest)
-        if fixed:
-            normal[-2:] = normal[:, -2:] = right[-2:] = 0
-        unit, inverse = _scaled_inverse(normal)
-        inverse = np.outer(unit, unit) * inverse
-        step = inverse @ right
+        step, inverse = _step(samples, place, weight, fixed)
         place = place + step
         if np.all(np.abs(step) <= SMALL * np.sqrt(np.abs(np.diag(inverse)))):
             break
     return place, scatter, share, inverse, p
-
-
-def _square(rest, s):
-    return (rest**2).sum(axis=-1) / s**2
 
 
 def _model(samples, place):
@@ -359,26 +337,163 @@ def _design(samples, place, fixed):
     return design
 
 
-def _equations(samples, place, weight, rest):
-    """Return the normal equations of the rates and the centre."""
-    away, rate = samples.x - place[-2:], place[samples.group]
-    normal, right = np.zeros((len(place),) * 2), np.zeros(len(place))
-
-    def sums(values):
-        return np.bincount(samples.group, weight * values, len(place) - 2)
-
-    np.fill_diagonal(normal[:-2, :-2], sums((away**2).sum(axis=1)))
-    right[:-2] = sums((away * rest).sum(axis=1))
-    # The coordinates of the centre are the last two parameters.
-    for axis in (-2, -1):
-        normal[:-2, axis] = normal[axis, :-2] = -sums(rate * away[:, axis])
-        normal[axis, axis] = (weight * rate**2).sum()
-        right[axis] = -(weight * rate * rest[:, axis]).sum()
-    return normal, right
+def _step(samples, place, weight, fixed):
+    """Return a step of weighted least squares, and the inverse of the normal matrix."""
+    design = _design(samples, place, fixed)
+    weighted = weight[:, None, None] * design
+    normal = np.einsum("iaj,iak->jk", weighted, design, optimize=True)
+    # Rates and lengths need one scale.  What is fixed stays as it is.
+    diagonal = np.diag(normal)
+    unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 0)
+    unit = np.outer(unit, unit)
+    inverse = unit * np.linalg.pinv(normal * unit, hermitian=True)
+    rest = samples.v - _model(samples, place)
+    return inverse @ np.einsum("iaj,ia->j", weighted, rest), inverse
 
 
-def _scaled_inverse(normal):
-    """Return units that give rates and lengths one scale, and the inverse in them."""
-    unit = 1 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
-    unit[np.diag(normal) == 0] = 0.0
-    return unit, np.linalg.pinv(normal * np.outer(unit, unit), hermitian=True)
+# -- the stack ---------------------------------------------------------------------
+
+
+def expansion_speed(
+    rate: u.Quantity, radius: u.Quantity, distance: u.Quantity
+) -> u.Quantity:
+    """
+    Return the speed of expansion across the line of sight.
+
+    Parameters
+    ----------
+    rate : `~astropy.units.Quantity`
+        Expansion rate, for example in per cent per year.
+    radius : `~astropy.units.Quantity`
+        Angle from the centre.
+    distance : `~astropy.units.Quantity`
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        In km/s.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.expansion import expansion_speed
+    >>> expansion_speed(0.11 * u.percent / u.yr, 100 * u.arcsec, 3.4 * u.kpc).round(-1)
+    <Quantity 1770. km / s>
+    """
+    length = u.Quantity(radius).to_value(u.rad) * u.Quantity(distance)
+    return (u.Quantity(rate) * length).to(u.km / u.s)
+
+
+def measure_expansion(
+    scc: StackedCrossCorrelation, matched: MatchedEpochs, centre: u.Quantity,
+    radius: u.Quantity, *, sectors: int | u.Quantity = 1,
+    distance: u.Quantity | None = None, n_trials: int = 1000,
+    rng: np.random.Generator | int | None = None,
+) -> QTable:  # fmt: skip
+    """
+    Stack a shell in rates of expansion from, and rotation about, a centre.
+
+    Parameters
+    ----------
+    scc : `~astro_scc.StackedCrossCorrelation`
+        The settings; ``max_speed`` is the speed at the radius.
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    centre : `~astropy.units.Quantity`, shape (2,)
+        (east, north) from the reference pixel, see `fit_shell`.
+    radius : `~astropy.units.Quantity`
+        Radius of the shell, for which speeds are given.
+    sectors : int or `~astropy.units.Quantity`, optional
+        Number of equal sectors of azimuth from north through east, or the
+        limits of sectors.
+    distance : `~astropy.units.Quantity`, optional
+        Distance of the object, for speeds in km/s at the radius.
+    n_trials : int, optional
+    rng : None, int or `~numpy.random.Generator`, optional
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        A row for each sector and velocity that was tested: ``pa_min``,
+        ``pa_max``, ``rate`` and ``rotation`` in per cent per year with
+        errors, ``kind``, p-values (``p_fdr`` adjusted for all sectors),
+        ``n_features``, ``note`` and, with a distance, ``speed`` and
+        ``speed_err``.
+
+    Raises
+    ------
+    ValueError
+        If there is no sector, or no SSP in any.
+
+    Notes
+    -----
+    Without a beam, the resolution of an SSP is twice the size of its scale,
+    so the errors of displacements grow with the scale.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.expansion import measure_expansion
+    >>> from astro_scc.simulation import simulate_shell
+    >>> shell = simulate_shell(n_epochs=6, interval=8 * u.yr, n_clumps=0, n_knots=25,
+    ...                        radius=50 * u.arcsec, size=160, rng=4)
+    >>> scc = StackedCrossCorrelation(
+    ...     scales=[1], max_speed=150 * u.mas / u.yr, min_error_beams=0.1, detection=7,
+    ...     segmentation=5)
+    >>> matched = scc.match(shell.cube)
+    >>> table = measure_expansion(
+    ...     scc, matched, shell.centre, shell.radius, n_trials=119, rng=1)
+    >>> table["rate"].round(2)[0]
+    <Quantity 0.11 % / yr>
+    """
+    limits = _limits(sectors)
+    frame = ExpansionFrame(centre, radius)
+    stacker = replace(scc, position_angle=frame)
+    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
+    x0, y0 = frame.centre.value
+    azimuth = np.degrees(np.arctan2(east - x0, north - y0))
+    tables = {}
+    rngs = np.random.default_rng(rng).spawn(len(limits))
+    for (low, high), own in zip(limits, rngs, strict=True):
+        inside = (azimuth - low) % 360 < high - low
+        part = replace(matched, select=matched.select & inside)
+        if part.select.any():
+            stacked = stacker.stack(part, n_trials=n_trials, rng=own)
+            tables[low, high] = stacked.components
+    if not tables:
+        raise ValueError("no SSP lies in any sector: there is nothing to stack")
+    rows = [
+        _in_sector(table, low, high, frame)
+        for (low, high), table in false_discovery_rate(tables).items()
+    ]
+    joined = stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})
+    if distance is not None:
+        for name, of in (("speed", "rate"), ("speed_err", "rate_err")):
+            joined[name] = expansion_speed(joined[of], frame.radius, distance)
+        joined.meta["distance"] = u.Quantity(distance)
+    return joined
+
+
+def _limits(sectors):
+    """Return the limits of each sector in azimuth, in degrees."""
+    if isinstance(sectors, u.Quantity):
+        edges = sectors.to_value(u.deg)
+        if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
+            raise ValueError(f"the limits of sectors must increase, got {sectors}")
+        if edges[-1] - edges[0] > 360 * (1 + 1e-12):
+            raise ValueError("sectors must not overlap: they cover more than a turn")
+    else:
+        if int(sectors) != sectors or sectors < 1:
+            raise ValueError(f"sectors must be a whole number above 0, got {sectors}")
+        edges = np.linspace(0, 360, int(sectors) + 1)
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _in_sector(table, low, high, frame):
+    """Return the components of a sector as rates of expansion and rotation."""
+    limits = {"pa_min": low, "pa_max": high}
+    columns = {name: np.full(len(table), a) * u.deg for name, a in limits.items()}
+    for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
+        for end in ("", "_err"):
+            columns[name + end] = frame.rate(table[of + end])
+    return QTable(columns | {name: table[name] for name in KEPT})

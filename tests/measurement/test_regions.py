@@ -6,11 +6,8 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from regions import Regions
 
-from astro_scc import EpochCube
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.measurement import (
@@ -45,40 +42,6 @@ def test_outlines_hold_the_pixels(matched, tmp_path):
         )
 
 
-def one_ssp(pixels):
-    """An SSP of these pixels in an image of 9 x 9, 0.05 uas wide each."""
-    pixels = np.array(sorted(pixels))
-    row, column = np.divmod(pixels, 9)
-    ones = np.ones(1)
-    ssp = SSPs(
-        scale=ones, y=ones, x=ones, y_centroid=ones, x_centroid=ones, peak=ones,
-        flux=ones, snr=ones,
-        bbox=np.array([[row.min(), column.min(), row.max() + 1, column.max() + 1]]),
-        starts=np.array([0, len(pixels)]), pixels=pixels, epoch=np.zeros(1, int),
-    )  # fmt: skip
-    cube = EpochCube.from_arrays(
-        np.ones((1, 9, 9)), ["2000-01-01"], pixel_scale=5e-5 * u.mas
-    )
-    return ssp, cube
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.lists(st.sampled_from([(0, 1), (1, 0), (0, -1), (-1, 0)]), max_size=12))
-def test_any_shape_without_holes(steps):
-    at, seen = [4, 4], {(4, 4)}
-    for step in steps:
-        at = [min(max(a + s, 0), 8) for a, s in zip(at, step, strict=True)]
-        seen.add(tuple(at))
-    inside = np.zeros((9, 9), bool)
-    inside[tuple(np.transpose(list(seen)))] = True
-    from scipy.ndimage import binary_fill_holes
-
-    inside = binary_fill_holes(inside)
-    ssp, cube = one_ssp(np.flatnonzero(inside))
-    (region,) = ssp_regions(ssp, cube, 0)
-    assert np.array_equal(pixels_inside(region, cube), np.flatnonzero(inside))
-
-
 def test_circles(matched, tmp_path):
     ssps, cube = matched.ssps, matched.cube
     path = tmp_path / "ssps.reg"
@@ -103,15 +66,6 @@ def test_frame_of_the_file(matched):
         ssp_regions(matched.ssps, own, 1, frame=frame) for frame in ("cube", "epoch")
     )
     assert np.allclose((other.vertices.dec - one.vertices.dec).deg, 1e-7, atol=1e-12)
-    with pytest.raises(ValueError, match="the cube was not read from files"):
-        ssp_regions(matched.ssps, replace(cube, epoch_wcs=None), 1, frame="epoch")
-
-
-def test_none_at_all(matched, tmp_path):
-    path = tmp_path / "ssps.reg"
-    assert write_ssp_regions(SSPs.empty(), matched.cube, 0, path) == 0
-    assert len(Regions.read(path, format="ds9")) == 0
-    assert ssp_segmentation(SSPs.empty(), matched.cube, 0, 1).n_labels == 0
 
 
 def test_segmentation(matched):
@@ -121,24 +75,32 @@ def test_segmentation(matched):
     assert np.array_equal(image.data > 0, expected > 0)
     here = indices(matched.ssps, last, 2)
     assert np.array_equal(image.labels, here + 1)
+    assert ssp_segmentation(SSPs.empty(), matched.cube, 0, 1).n_labels == 0
     assert np.array_equal(image.areas, matched.ssps.n_pixels[here])
 
 
-def test_what_is_refused(matched, tmp_path):
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda *of: ssp_regions(*of, 0, shape="square"), ValueError, "shape must be"),
+        (lambda *of: ssp_regions(*of, 0, frame="sky"), ValueError, "frame must be"),
+        (lambda *of: ssp_regions(*of, 0, frame="epoch"), ValueError, "was not read fr"),
+        (lambda *of: ssp_regions(*of, 2), IndexError, "epoch 2 of a cube with 2"),
+        (lambda *of: ssp_segmentation(*of, 2, 1), IndexError, "epoch 2 of a cube"),
+    ],
+)
+def test_what_is_refused(call, error, words):
     cube = simulate_static(n_epochs=2, rng=1).cube
-    empty = SSPs.empty()
-    with pytest.raises(ValueError, match="shape must be"):
-        ssp_regions(empty, cube, 0, shape="square")
-    with pytest.raises(ValueError, match="frame must be"):
-        ssp_regions(empty, cube, 0, frame="sky")
-    for make in (ssp_regions, lambda *args: ssp_segmentation(*args, 1)):
-        with pytest.raises(IndexError, match="epoch 2 of a cube with 2 epochs"):
-            make(empty, cube, 2)
+    with pytest.raises(error, match=words):
+        call(SSPs.empty(), cube)
+
+
+def test_files_are_not_replaced_unasked(matched, tmp_path):
     path = tmp_path / "ssps.reg"
-    path.write_text("mine")
+    assert write_ssp_regions(SSPs.empty(), matched.cube, 0, path) == 0
+    assert len(Regions.read(path, format="ds9")) == 0
     with pytest.raises(OSError, match=r"ssps\.reg: exists"):
-        write_ssp_regions(empty, cube, 0, path)
-    assert path.read_text() == "mine"
+        write_ssp_regions(matched.ssps, matched.cube, 0, path)
 
 
 def test_a_file_for_every_epoch(matched, tmp_path):

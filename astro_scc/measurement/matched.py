@@ -1,0 +1,621 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Matches: decompositions of epochs, choice of SSPs, and files of matches."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from numpy.typing import ArrayLike
+
+from astro_scc.correlation import Matches, all_pairs
+from astro_scc.correlation.parallel import in_order, workers_of
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition.decompose import Decomposition
+from astro_scc.epochs import EpochCube
+from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.features import Features, find_features
+from astro_scc.images.positions import ssp_offsets
+from astro_scc.images.serialize import read_object, without_dates, write_object
+from astro_scc.kinematics import RidgeLine
+from astro_scc.measurement.plan import scales_of_pixels
+from astro_scc.measurement.tables import versions
+from astro_scc.progress import progress
+from astro_scc.settings import require
+
+#: What the files are, in their headers and in messages.
+MATCHES = "astro_scc matches"
+#: Words for parts in messages, where their names are not clear.
+NAMES = {
+    "data": "images",
+    "mask": "masks",
+    "wcs": "coordinates",
+    "decomposition": "settings of the decomposition",
+    "correlation": "settings of the correlation",
+    "reach": "largest displacement",
+}
+#: Apparent noise is structure if more than this share of it is in other epochs too...
+SHARED = 0.5
+#: ... and more than this many times the share by chance.  The largest correlation of
+#: noise at any displacement is five times chance, seldom eight.
+BEYOND_CHANCE = 6.0
+#: Pairs of epochs examined; most must show structure, as one epoch may be there twice.
+PAIRS = 3
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MatchedEpochs:
+    """
+    Decomposed and correlated epochs: all that a stack needs except the dates.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+        That of every epoch.
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs of the region.
+    matches : `~astro_scc.correlation.Matches`
+    provenance : dict
+        What determined the matches, see
+        ``match_provenance``; `write` needs it.
+    region : `~numpy.ndarray` of bool, shape (ny, nx), optional
+        The pixels of the region; None for all.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> int(matched.select.sum()) == len(matched.ssps)
+    True
+    >>> matched.write("matches.fits")
+    >>> again = type(matched).read("matches.fits", cube)
+    >>> len(again.matches) == len(matched.matches)
+    True
+    """
+
+    cube: EpochCube
+    decomposer: Decomposer
+    ssps: SSPs
+    select: np.ndarray
+    matches: Matches
+    provenance: dict = field(default_factory=dict)
+    region: np.ndarray | None = None
+
+    def __repr__(self):
+        return (
+            f"<MatchedEpochs: {len(self.cube)} epochs, "
+            f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
+        )
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Numbers of the scales that were decomposed."""
+        return tuple(self.decomposer.scales)
+
+    @property
+    def decompositions(self) -> Sequence[Decomposition]:
+        """Decompositions of all epochs, which are computed again at each access."""
+        return decompose_epochs(self.cube, self.decomposer)
+
+    @property
+    def features(self) -> Features:
+        """
+        The features that are followed from epoch to epoch.
+
+        They are `~astro_scc.features.Features` of Gaussian models of the images or,
+        without beams, of SSPs, inside the region.
+        """
+        return self.follow()
+
+    def follow(self, **how: Any) -> Features:
+        """
+        Return the `features`, which are found only once.
+
+        Parameters
+        ----------
+        **how
+            ``n_workers`` and ``progress_bar`` of `~astro_scc.features.find_features`.
+
+        Returns
+        -------
+        `~astro_scc.features.Features`
+        """
+        if "features" not in vars(self):
+            of = {"ssps": self.ssps, "region": self.region}
+            vars(self)["features"] = find_features(self.cube, **of, **how)
+        return vars(self)["features"]
+
+    def part(self, select: np.ndarray) -> MatchedEpochs:
+        """
+        Return the matches of some SSPs.
+
+        Parameters
+        ----------
+        select : `~numpy.ndarray` of bool, shape (n_ssps,)
+
+        Returns
+        -------
+        `MatchedEpochs`
+        """
+        found = replace(self, select=select)
+        # The same features, which are found only once.
+        vars(found)["features"] = self.features
+        return found
+
+    def write(self, path: Path | str, *, overwrite: bool = False) -> None:
+        """
+        Write the SSPs and their matches.
+
+        Parameters
+        ----------
+        path : path
+            A FITS file.
+        overwrite : bool, optional
+
+        Raises
+        ------
+        OSError
+            If the file exists and ``overwrite`` is False, or cannot be
+            written.
+        ValueError
+            If these matches have no ``provenance``.
+
+        Notes
+        -----
+        The file holds neither the images nor their wavelet planes, which are
+        quickly computed again.
+        """
+        if not self.provenance:
+            raise ValueError(
+                "these matches have no provenance and cannot be written: get them from "
+                "StackedCrossCorrelation.match"
+            )
+        provenance, selected = self.provenance, selection_digest(self.select)
+        if provenance["selected"] != selected:
+            # No region that can be requested gives SSPs that were selected later.
+            provenance = provenance | {"region": "chosen SSPs", "selected": selected}
+        parts = replace(self, cube=None, provenance=provenance)
+        write_object(parts, path, creator=MATCHES, overwrite=overwrite)
+
+    @classmethod
+    def read(
+        cls, path: Path | str, cube: EpochCube, *, wanted: dict | None = None
+    ) -> MatchedEpochs:
+        """
+        Read what `write` wrote.
+
+        Parameters
+        ----------
+        path : path
+        cube : `~astro_scc.epochs.EpochCube`
+            The cube that was matched; its dates may differ.
+        wanted : dict, optional
+            Provenance that the matches must have; by default the images and
+            versions must be the present ones.
+
+        Returns
+        -------
+        `MatchedEpochs`
+            With the dates of ``cube``.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read, or is not a file of matches.
+        ValueError
+            If it was made from other images, or by other settings or versions.
+        """
+        parts = read_object(path, creator=MATCHES)
+        found = parts.provenance
+        if wanted is None:
+            wanted = {**image_provenance(cube), "versions": versions()}
+        stale = [name for name, value in wanted.items() if found.get(name) != value]
+        if stale:
+            what = ", ".join(NAMES.get(name, name) for name in stale)
+            raise ValueError(f"{path}: is of other {what}; match the epochs again")
+        return replace(parts, cube=cube)
+
+
+def match_epochs(
+    cube, decomposer, correlator, reach, *, region=None, n_workers=1, cache=None,
+    progress_bar=False,
+):  # fmt: skip
+    """
+    Decompose epochs and correlate their SSPs, unless the cache has their matches.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    correlator : `~astro_scc.correlation.Correlator`
+    reach : tuple of int
+        Largest displacement in pixels.
+    region, n_workers, cache, progress_bar
+        See `~astro_scc.StackedCrossCorrelation.match`.
+
+    Returns
+    -------
+    `MatchedEpochs`
+    """
+    inside = None if region is None else cube.region_mask(region)
+    provenance = match_provenance(cube, decomposer, correlator, reach, inside)
+    cache, found = kept_matches(cache, cube, provenance)
+    if found is None:
+        with workers_of(n_workers) as workers:
+            decompositions = decompose_epochs(
+                cube, decomposer, n_workers=workers, progress_bar=progress_bar
+            )
+            ssps = SSPs.of_epochs(decompositions)
+            select = centroids_inside(ssps, cube, inside)
+            with progress(len(cube), "Correlating", show=progress_bar) as done:
+                work = decompositions, all_pairs(len(cube)), reach
+                how = {"n_workers": workers, "progress": done}
+                matches = correlator(*work, select=select, **how)
+        provenance["selected"] = selection_digest(select)
+        # Stacks need no planes, which are larger than everything else.
+        of = cube, decomposer, ssps, select, matches, provenance, inside
+        found = MatchedEpochs(*of)
+        if cache is not None:
+            cache.parent.mkdir(parents=True, exist_ok=True)
+            found.write(cache, overwrite=True)
+    if region is not None and len(found.ssps) and not found.select.any():
+        name = region if isinstance(region, str | os.PathLike) else "the region"
+        warn(
+            f"{name}: no significant pattern has its centroid inside, "
+            f"{len(found.ssps)} in the rest of the images: check where it lies, or "
+            "make it larger",
+            MeasurementWarning,
+        )
+    return found
+
+
+# -- files -------------------------------------------------------------------------
+
+
+def kept_matches(path, cube, provenance):
+    """
+    Return the file for the matches of a provenance, and what it holds.
+
+    Parameters
+    ----------
+    path : path or None
+        A FITS file, or a folder for files of many provenances.
+    cube : `~astro_scc.epochs.EpochCube`
+    provenance : dict
+        See `match_provenance`.
+
+    Returns
+    -------
+    path : `~pathlib.Path` or None
+    matched : `MatchedEpochs` or None
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If there is a file but it cannot be used.
+    """
+    if path is None:
+        return None, None
+    path, matched = Path(path), None
+    if path.suffix.lower() != ".fits":
+        digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
+        path /= f"matches-{digest}.fits"
+    if path.exists():
+        try:
+            matched = MatchedEpochs.read(path, cube, wanted=provenance)
+        except (OSError, ValueError) as error:
+            why = str(error).removesuffix("; match the epochs again")
+            warn(f"{why}; not used, the epochs are matched again", MeasurementWarning)
+    return path, matched
+
+
+def image_provenance(cube):
+    """
+    Return the images of a cube as digests: SHA-256 of values, masks, grid and beams.
+
+    Dates are left out because matches do not depend on them.
+    """
+    # The dates are of the first epoch, and the pixel coordinates do not need them.
+    wcs = without_dates(cube.wcs.to_header(relax=True))
+    cards = [f"{card.keyword}={card.value!r}" for card in wcs.cards]
+    beams = [
+        tuple(float(axis.value) for axis in (beam.major, beam.minor, beam.pa))
+        for beam in cube.beams or ()
+    ]
+    return {
+        "data": _of_array(cube.data),
+        "mask": _of_array(np.packbits(cube.mask)),
+        "wcs": _of_text(cards, cube.pixel_matrix.value.tolist()),
+        "beams": _of_text(beams),
+    }
+
+
+def match_provenance(cube, decomposer, correlator, reach, inside):
+    """
+    Return all that determines the matches of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    correlator : `~astro_scc.correlation.Correlator`
+    reach : tuple of int
+        Largest displacement in pixels.
+    inside : `~numpy.ndarray` of bool, shape (ny, nx), or None
+        The region, or None for everything.
+
+    Returns
+    -------
+    dict
+        Text, numbers and lists, which JSON can hold.  The dates of the epochs
+        enter only through their order and through ``reach``.
+    """
+    noise = noise_facts(cube, decomposer)
+    made = {
+        **image_provenance(cube),
+        "decomposition": asdict(decomposer),
+        "correlation": asdict(correlator),
+        "noise": _of_text([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
+        "reach": list(reach),
+        "region": "everything" if inside is None else _of_array(np.packbits(inside)),
+        "versions": versions(),
+    }
+    # Give it the types that it will have when it is read.
+    return json.loads(json.dumps(made))
+
+
+def selection_digest(select):
+    """Return a short digest of a selection of SSPs."""
+    return _of_array(np.asarray(select, dtype=bool))[:16]
+
+
+def _of_array(array):
+    array = np.ascontiguousarray(array)
+    sum_ = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
+    sum_.update(array.data)
+    return sum_.hexdigest()
+
+
+def _of_text(*parts):
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+# -- decomposition -----------------------------------------------------------------
+
+
+def allow_for_structure(cube, decomposer):
+    """
+    Return a decomposer that does not take structure for noise.
+
+    The noise of a plane is measured where the plane looks like empty sky.
+    If a texture fills the images, there is no empty sky, and no pattern
+    stands out from the texture.  Consecutive epochs share structure, though
+    not its position, but no noise: their `shared_variance` separates the two.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+
+    Returns
+    -------
+    `~astro_scc.decomposition.Decomposer`
+        The same, or one with ``noise_factors``: the square root of the share
+        of each plane's variance that epochs do not have in common.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If the decomposer needs ``noise_factors``.
+    """
+    if decomposer.noise == "propagated" or len(cube) < 2:
+        return decomposer
+    starts = np.unique(np.linspace(0, len(cube) - 2, PAIRS).astype(int))
+    most = len(starts) // 2 + 1
+    shares = []
+    for left, k in zip(range(len(starts))[::-1], starts, strict=True):
+        data, masks = cube.data[k : k + 2], cube.mask[k : k + 2]
+        share, chance = decomposer.shared_variance(data, masks=masks)
+        real = share > np.maximum(SHARED, BEYOND_CHANCE * chance)
+        shares.append(np.where(real, share, 0.0))
+        if np.count_nonzero(shares, axis=0).max() + left < most:
+            return decomposer
+    share = np.sort(shares, axis=0)[-most]
+    full = share > 0
+    scales = ", ".join(f"{scale:g}" for scale in np.array(decomposer.scales)[full])
+    warn(
+        f"the images are full of structure on scale {scales}: {share[full].min():.0%} "
+        "or more of what looks like noise in one epoch is in others too and is not "
+        "taken for noise; noise='propagated' takes the noise that the epochs are given "
+        "instead",
+        MeasurementWarning,
+    )
+    return replace(decomposer, noise_factors=tuple(np.sqrt(1 - share).tolist()))
+
+
+def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
+    """
+    Decompose every epoch of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    n_workers : int, str or `dask.distributed.Client`, optional
+        See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
+    progress_bar : bool, optional
+
+    Returns
+    -------
+    tuple of ``Decomposition``
+    """
+    facts = noise_facts(cube, decomposer)
+    work = (
+        (decomposer, image, cube.mask[k], *own)
+        for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
+    )
+    found = []
+    with progress(len(cube), "Decomposing", show=progress_bar) as done:
+        for decomposition in in_order(_decompose, work, n_workers):
+            found.append(decomposition)
+            done(1)
+    return tuple(found)
+
+
+def noise_facts(cube, decomposer):
+    """
+    Return what the decomposition of each epoch needs besides its image and mask.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+
+    Returns
+    -------
+    list of tuple
+        The rms of each image and the covariance of its beam in pixels; None
+        where it is not needed or not known.
+    """
+    propagated = decomposer.noise == "propagated"
+    rms = cube.noise_rms().value if propagated else [None] * len(cube)
+    covariances = [None] * len(cube)
+    if propagated and cube.beams is not None:
+        inverse = np.linalg.inv(cube.pixel_matrix.value)
+        covariances = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
+    return list(zip(rms, covariances, strict=True))
+
+
+def _decompose(epoch):
+    """Decompose one epoch, given as the arguments of one task."""
+    decomposer, image, mask, rms, beam_covariance = epoch
+    return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)
+
+
+def centroids_inside(ssps, cube, region):
+    """
+    Return which SSPs have their centroid in a region.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (n_ssps,)
+    """
+    if region is None:
+        return np.ones(len(ssps), bool)
+    inside, centroid = cube.region_mask(region), (ssps.y_centroid, ssps.x_centroid)
+    pixel = np.rint(centroid).astype(int).T
+    return inside[tuple(np.clip(pixel, 0, np.array(inside.shape) - 1).T)]
+
+
+# -- choice of SSPs ----------------------------------------------------------------
+
+
+def ssp_distances(matched, *, origin=None, ridge=None):
+    """
+    Return the distances of the centroids of SSPs from a point or along a line.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    origin : `~astropy.units.Quantity`, shape (2,), optional
+        (east, north) of the core, by default the reference pixel.
+    ridge : `~astro_scc.kinematics.RidgeLine`, optional
+        Measure along this line instead of from ``origin``.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (n_ssps,)
+        In mas.
+    """
+    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True) * u.mas
+    if ridge is not None:
+        return ridge.coordinates(east, north)[0]
+    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
+    return np.hypot(east - origin[0], north - origin[1]).to(u.mas)
+
+
+def select_ssps(
+    matched: MatchedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
+    r_max: u.Quantity | None = None, scales: ArrayLike | None = None,
+    origin: u.Quantity | SkyCoord | None = None, ridge: RidgeLine | None = None,
+) -> MatchedEpochs:  # fmt: skip
+    """
+    Return the matches of the SSPs in a part of the jet and on some scales.
+
+    Nothing is correlated again; only the matches of the selected SSPs are
+    stacked.  An SSP is selected by its centroid; its matches may lie outside.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.measurement.MatchedEpochs`
+    region : optional
+        Anything that ``cube.region_mask`` takes.
+    r_min, r_max : `~astropy.units.Quantity`, optional
+        ``r_min <= r < r_max``.
+    scales : sequence of float or `~astropy.units.Quantity`, optional
+        Numbers, or angles.
+    origin, ridge : optional
+        Point from which, or line along which, r is measured, see
+        ``ssp_distances``.
+
+    Returns
+    -------
+    `~astro_scc.measurement.MatchedEpochs`
+
+    Raises
+    ------
+    ValueError
+        If ``r_min`` is not below ``r_max``, or a scale was not decomposed.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.measurement import select_ssps
+    >>> from astro_scc.simulation import simulate_static
+    >>> matched = StackedCrossCorrelation(scales=[1, 2]).match(
+    ...     simulate_static(n_epochs=3, rng=1).cube)
+    >>> inner = select_ssps(matched, r_max=8 * u.mas, scales=[1])
+    >>> bool(0 < inner.select.sum() < matched.select.sum())
+    True
+    """
+    select = matched.select & centroids_inside(matched.ssps, matched.cube, region)
+    if r_min is not None or r_max is not None:
+        low = 0 * u.mas if r_min is None else u.Quantity(r_min)
+        high = np.inf * u.mas if r_max is None else u.Quantity(r_max)
+        if not low < high:
+            raise ValueError(f"r_min={r_min} must be below r_max={r_max}")
+        r = ssp_distances(matched, origin=origin, ridge=ridge)
+        select &= (r >= low) & (r < high)
+    if scales is not None:
+        scales = require("scales", scales)
+        numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
+        have = matched.scales
+        missing = [s for s in numbers if s not in have]
+        if missing:
+            what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))
+            raise ValueError(f"scale {what} was not decomposed; there are {there}")
+        select &= np.isin(matched.ssps.scale, numbers)
+    return matched.part(select)

@@ -1,0 +1,615 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Recovery: injection of moving features, and how often they are found."""
+
+from __future__ import annotations
+
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice, product
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+from astropy.stats import binom_conf_interval
+from astropy.table import QTable
+from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
+
+from astro_scc.columns import build_table
+from astro_scc.components.restoring import add_gaussians
+from astro_scc.epochs import EpochCube
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.images.beam import FWHM_TO_SIGMA
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame
+from astro_scc.measurement.stacking import seeded
+from astro_scc.measurement.tables import versions
+from astro_scc.progress import progress
+from astro_scc.quantities import (
+    check_integer,
+    check_number,
+    finite_quantities,
+    named,
+    one_quantity,
+)
+from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.settings import require
+from astro_scc.stacking.permutations import number_of_permutations
+from astro_scc.units import PM_UNIT
+
+__all__ = ["completeness", "draw_paths", "inject"]
+
+#: Largest difference of a component's velocity from that of the features, in beams
+#: over the median interval.
+TOLERANCE = 0.2
+#: Confidence level of the intervals of shares.
+CONFIDENCE = 0.95
+#: An SSP belongs to an injected feature within this distance, in beams.
+NEAR = 0.5
+#: Beginning of the warning of a region without SSPs.
+NOTHING_THERE = ".*: no significant pattern has its centroid inside"
+NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FeaturePaths:
+    """Positions of features at each epoch of a cube, see `draw_paths`."""
+
+    x: np.ndarray
+    y: np.ndarray
+    inside: np.ndarray
+
+    def __len__(self):
+        return len(self.x)
+
+
+def draw_paths(
+    cube: EpochCube, area: ArrayLike, *, speed: u.Quantity,
+    position_angle: u.Quantity | str, n_features: float = 10,
+    scatter: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+) -> FeaturePaths:  # fmt: skip
+    """
+    Draw features that flow through an area at one speed.
+
+    All lines that meet the area are equally likely, so features populate it
+    evenly at all times: a line is drawn through a point of the area at one of
+    the epochs and kept with probability 1/m, where m is the number of epochs at
+    which it meets the area.  Lines are added until the mean number of features
+    in the area reaches ``n_features``.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    area : array_like of bool, shape (ny, nx)
+    speed : `~astropy.units.Quantity`
+        An angle per time.
+    position_angle : `~astropy.units.Quantity` or "radial"
+        Direction of motion, north through east, or away from the reference
+        pixel.
+    n_features : float, optional
+        Mean number in the area at a time.
+    scatter : `~astropy.units.Quantity`, optional
+        Standard deviation of positions around the lines, an angle; it is drawn
+        on each axis and at each epoch independently.
+    rng : `numpy.random.Generator`, seed or None, optional
+
+    Returns
+    -------
+    ``FeaturePaths``
+        ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
+        NaN at epochs before a feature has left the origin of a radial flow; and
+        ``inside``, whether the feature, without scatter, is in the area.
+
+    Raises
+    ------
+    ValueError
+        If the area holds no pixel.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> from astro_scc.recovery import draw_paths
+    >>> cube = EpochCube.from_arrays(np.zeros((3, 32, 64)), ["2000-01-01", "2001-01-01",
+    ...                              "2003-01-01"], pixel_scale=0.1 * u.mas)
+    >>> area = np.zeros((32, 64), dtype=bool)
+    >>> area[10:20, 10:50] = True
+    >>> paths = draw_paths(cube, area, speed=1 * u.mas / u.yr,
+    ...                    position_angle=270 * u.deg, n_features=4, rng=1)
+    >>> np.diff(paths.x)[0].round(1)  # west is to the right
+    array([10., 20.])
+    """
+    rng = np.random.default_rng(rng)
+    rows, columns = np.nonzero(area)
+    if len(rows) == 0:
+        raise ValueError("the area for features holds no pixel")
+    years = cube.years.to_value(u.yr)
+    speed = u.Quantity(speed).to_value(PM_UNIT)
+    to_sky = cube.pixel_matrix.value
+    to_pixels = np.linalg.inv(to_sky)
+    origin = np.array(cube.reference_pixel)
+    lines, insides, number = [], [], 0.0
+    while number < n_features * (1 - 1e-9):
+        epoch, pixel = rng.integers(len(years)), rng.integers(len(rows))
+        start = [columns[pixel], rows[pixel]] + rng.uniform(-0.5, 0.5, 2)
+        keep = rng.random()
+        direction, distance = _motion(start, origin, to_sky, position_angle)
+        travelled = speed * (years - years[epoch])
+        line = start[:, None] + (to_pixels @ direction)[:, None] * travelled
+        line[:, distance + travelled < 0] = np.nan
+        inside = _is_inside(line, area)
+        if keep * max(inside.sum(), 1) < 1:
+            lines.append(line)
+            insides.append(inside)
+            number += inside.mean()
+    lines = np.array(lines)
+    if scatter is not None:
+        sigma = u.Quantity(scatter).to_value(u.mas)
+        shift = rng.normal(0, sigma, (len(lines), len(years), 2))
+        lines = lines + np.einsum("ij,nej->nie", to_pixels, shift)
+    return FeaturePaths(lines[:, 0], lines[:, 1], np.array(insides))
+
+
+def _motion(start, origin, to_sky, position_angle):
+    """Return the direction of motion (east, north) and the distance from its origin."""
+    if isinstance(position_angle, str):
+        offset = to_sky @ (start - origin)
+        # Avoid a division by zero at the origin.
+        distance = max(np.hypot(*offset), 1e-12)
+        return offset / distance, distance
+    angle = u.Quantity(position_angle).to_value(u.rad)
+    return np.array([np.sin(angle), np.cos(angle)]), np.inf
+
+
+def _is_inside(line, area):
+    """Return at which epochs a line is in the area."""
+    ny, nx = area.shape
+    known = np.isfinite(line).all(axis=0)
+    x, y = np.rint(np.where(known, line, -1)).astype(int)
+    known &= (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
+    return known & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
+
+
+def inject(
+    cube: EpochCube, paths: FeaturePaths, peak: u.Quantity, *,
+    fwhm: u.Quantity | None = None,
+) -> EpochCube:  # fmt: skip
+    """
+    Add features with the shape of each epoch's beam to a cube.
+
+    Everything but the images stays the same.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    paths : ``FeaturePaths``
+        See `draw_paths`.
+    peak : `~astropy.units.Quantity`
+        Peak of a feature in the unit of the cube.
+    fwhm : `~astropy.units.Quantity`, optional
+        Full width of round features, instead of the beams.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+
+    Raises
+    ------
+    ValueError
+        If the cube has no beams and ``fwhm`` is not given.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc import EpochCube
+    >>> from astro_scc.recovery import draw_paths, inject
+    >>> dates = ["2000-01-01", "2001-01-01"]
+    >>> cube = EpochCube.from_arrays(np.zeros((2, 16, 32)), dates,
+    ...                              pixel_scale=0.1 * u.mas)
+    >>> paths = draw_paths(cube, np.eye(16, 32) > 0, speed=1 * u.mas / u.yr,
+    ...                    position_angle=270 * u.deg, n_features=1, rng=1)
+    >>> fuller = inject(cube, paths, 2.0, fwhm=0.5 * u.mas)
+    >>> bool(fuller.data.max() > 1)
+    True
+    """
+    to_pixels = np.linalg.inv(cube.pixel_matrix.value)
+    if fwhm is not None:
+        sigma = FWHM_TO_SIGMA * u.Quantity(fwhm).to_value(u.mas)
+        covariances = [sigma**2 * np.eye(2)] * len(cube)
+    elif cube.beams is not None:
+        covariances = [beam.covariance.to_value(u.mas**2) for beam in cube.beams]
+    else:
+        raise ValueError(NO_BEAMS)
+    value = u.Quantity(peak, cube.unit).to_value(cube.unit)
+    data = cube.data.copy()
+    for epoch, covariance in enumerate(covariances):
+        x, y = paths.x[:, epoch], paths.y[:, epoch]
+        there = np.isfinite(x)
+        x, y = x[there], y[there]
+        shape = np.broadcast_to(to_pixels @ covariance @ to_pixels.T, (len(x), 2, 2))
+        add_gaussians(data[epoch], x, y, np.full(len(x), value), shape)
+    return cube.with_step(f"{len(paths)} simulated features added", data=data)
+
+
+def completeness(
+    cube: EpochCube, scc: StackedCrossCorrelation, *, speeds: u.Quantity,
+    fluxes: u.Quantity | float, position_angle: u.Quantity | str | None = None,
+    region: Any = None, n_features: float = 10, n_injections: int = 30,
+    n_trials: int = 200, scatter: float = 0.1, tolerance: u.Quantity | None = None,
+    fwhm: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+    n_workers: int = 1, progress_bar: bool = False,
+) -> QTable:  # fmt: skip
+    """
+    Inject moving features into epochs and count how often they are found.
+
+    The epochs keep their images, dates, noise, masks and beams.  Features with
+    the shape of the beam, on straight lines at one speed, are added to them
+    (`draw_paths`, `inject`), and the sum is measured with the settings that
+    are used for the epochs themselves.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    scc : `~astro_scc.StackedCrossCorrelation`
+    speeds : `~astropy.units.Quantity`, scalar or shape (n,)
+        Proper motions of the features.
+    fluxes : `~astropy.units.Quantity` or float, scalar or shape (n,)
+        Peaks of the features in the unit of the cube (equal to their flux
+        densities, as they have the size of the beam), or, as plain numbers, in
+        multiples of the median noise of the epochs.
+    position_angle : `~astropy.units.Quantity` or "radial", optional
+        Direction in which the features move, by default that of ``scc``.
+    region : optional
+        Anything that ``cube.region_mask`` takes.  SSPs inside are correlated,
+        and features are injected there.  Without it, everything is correlated
+        and features are injected where the epochs have SSPs, or anywhere if
+        they have none.
+    n_features : float, optional
+        Mean number of features in the region at a time.
+    n_injections : int, optional
+        Number of measurements at each speed and flux.
+    n_trials : int, optional
+        Number of trials of each measurement.
+    scatter : float, optional
+        Standard deviation of a feature's position around its line at each
+        epoch, on each axis, in beams.
+    tolerance : `~astropy.units.Quantity`, optional
+        Largest distance of a component's velocity from the true one, by
+        default 0.2 beams over the median interval of the pairs of epochs.
+    fwhm : `~astropy.units.Quantity`, optional
+        Full width of the features, which replaces the beam in the lengths
+        above.  Needed if the cube has no beams.
+    rng : None, int or `~numpy.random.Generator`, optional
+        Every measurement has a generator of its own, so the table is the same
+        for any ``n_workers``.
+    n_workers : int, optional
+        Number of threads.
+    progress_bar : bool, optional
+
+    Returns
+    -------
+    `~astropy.table.QTable`
+        One row per speed and flux: ``speed``, ``flux``, ``snr``,
+        ``n_injected``, ``n_found``, ``fraction`` with the limits
+        ``fraction_low`` and ``fraction_high`` of its 95% interval (Jeffreys);
+        ``bias``, ``bias_err``, ``scatter`` and ``coverage`` of those found,
+        masked if there are too few (``bias_err`` and ``scatter`` need two);
+        and ``own``.  The meta holds the settings, the velocities of the epochs'
+        own components, the seed and the versions.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range, if the velocity axes of ``scc``
+        are neither radial nor of a single direction, if there are too few
+        epochs or trials to find anything, if a speed is beyond the largest
+        that ``scc`` searches, or if the cube has no beams and ``fwhm`` is not
+        given.
+    `~astropy.units.UnitConversionError`
+        If a unit cannot be converted.
+
+    Notes
+    -----
+    The features are found if there is a component that
+
+    1. is "moving",
+    2. lies within the tolerance of the features' velocity,
+    3. is not one of the epochs' own components: the epochs are first measured
+       without features, and each moving component found there claims the
+       nearest one within the tolerance.  At a speed that the epochs already
+       show (``own``), a second component is therefore needed, and
+    4. has most of its SSPs within half a beam of injected features.
+
+    The epochs are measured ``1 + len(speeds) len(fluxes) n_injections``
+    times.  Features change the planes of every epoch and the noise that is
+    measured on them, so every measurement decomposes and correlates everything
+    again.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.recovery import completeness
+    >>> from astro_scc.simulation import simulate_static
+    >>> cube = simulate_static(n_epochs=5, shape=(64, 128), extent=(10, 120), axis=32,
+    ...                        rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=20 * u.mas / u.yr,
+    ...                               position_angle=270 * u.deg)
+    >>> table = completeness(cube, scc, speeds=12 * u.mas / u.yr, fluxes=2 * u.Jy,
+    ...                      n_injections=3, n_trials=30, rng=1)
+    >>> table["speed", "flux", "n_injected"].pprint()
+     speed     flux   n_injected
+    mas / yr Jy / beam
+    -------- --------- ----------
+        12.0       2.0          3
+    """
+    orders, n_trials = number_of_permutations(len(cube)), require("n_trials", n_trials)
+    smallest = max(1 / orders, 1 / (n_trials + 1))
+    if smallest > scc.alpha:
+        more = "measure more epochs" if 1 / orders > scc.alpha else "give more n_trials"
+        raise ValueError(
+            f"{len(cube)} epochs (2/N!) and {n_trials} trials allow no p_global below "
+            f"{smallest:.2g}, so nothing can be found at level {scc.alpha:g}: {more}"
+        )
+    position_angle, largest_part = _direction(position_angle, scc.position_angle)
+    plan = scc.plan(cube)
+    if fwhm is not None:
+        how = one_quantity, fwhm, "an angle", "1 mas"
+        width = named("fwhm", *how).to_value(u.mas)
+    elif cube.beams is not None:
+        width = plan.fwhm
+    else:
+        raise ValueError(NO_BEAMS)
+    if tolerance is None:
+        tolerance = TOLERANCE * width / np.median(plan.pairs.interval)
+    else:
+        how = one_quantity, tolerance, "a proper motion", "2 mas/yr"
+        tolerance = named("tolerance", *how).to_value(PM_UNIT)
+    region = None if region is None else cube.region_mask(region)
+    limit = plan.speed_limit(cube).to_value(PM_UNIT)
+    speeds = _positive("speeds", speeds, PM_UNIT)
+    # The component along the axis must be searched.
+    if np.any(speeds * largest_part > limit):
+        raise ValueError(
+            f"speed {speeds.max():.4g} mas/yr is beyond the largest that is searched, "
+            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
+        )
+    noise = float(np.median(cube.noise_rms().value))
+    peaks = _peaks(fluxes, cube.unit, noise).tolist()
+    named("n_injections", check_integer, n_injections, 1)
+    named("n_features", check_number, n_features, 0, np.inf, "must be above 0")
+    if not 0 <= scatter < np.inf:
+        raise ValueError(f"scatter must be zero or positive, got {scatter}")
+    rng, seed = seeded(rng)
+    own_rng, root = np.random.default_rng(rng).spawn(2)
+
+    def measure(cube, rng):
+        matched = scc.match(cube, region=region)
+        return scc.stack(matched, n_trials=n_trials, rng=rng)
+
+    with warnings.catch_warnings():
+        # Features are injected even if the region has no SSP.
+        warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
+        bare = measure(cube, own_rng)
+    area = area_for_features(bare.matched, region)
+    own = np.reshape([*moving_components(bare).values()], (-1, 2))
+    axis = velocity_along(bare.frame, position_angle)
+    flow = {"position_angle": position_angle, "n_features": n_features}
+    flow["scatter"] = scatter * width * u.mas
+    rule = {"tolerance": tolerance, "fwhm": width}
+
+    def recover(cell, rng):
+        (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
+        how = {"speed": speed * PM_UNIT, "rng": path_rng}
+        paths = draw_paths(cube, area, **flow, **how)
+        fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
+        result, velocity = measure(fuller, trial_rng), speed * axis
+        number = recovered(result, own, velocity, paths=paths, **rule)
+        if number is None:
+            return None
+        velocity, error = result.velocities[number - 1], np.inf
+        if np.all(np.isfinite(velocity.covariance)):
+            error = np.sqrt(axis @ velocity.covariance @ axis)
+        return axis @ velocity.value - speed, error
+
+    cells = list(product(speeds.tolist(), peaks))
+    outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
+    rows = []
+    for (speed, peak), found in zip(cells, outcomes, strict=True):
+        snr = peak / noise if noise > 0 else None
+        away = np.hypot(*(own - speed * axis).T)
+        row = {"speed": speed, "snr": snr, **_counted(found)}
+        rows.append(row | {"own": bool(np.any(away <= tolerance))})
+    peaks = np.array([peak for _, peak in cells]) * cube.unit
+    table = build_table("completeness", rows, flux=peaks)
+    table.meta = {
+        "settings": scc.to_dict(),
+        "position_angle": position_angle,
+        "tolerance": tolerance * PM_UNIT,
+        "alpha": scc.alpha,
+        "n_features": n_features,
+        "n_trials": n_trials,
+        "scatter": scatter,
+        "own_velocities": own * PM_UNIT,
+        "seed": seed,
+        "versions": versions(),
+    }
+    return table
+
+
+def _direction(position_angle, axis):
+    """Return the direction of motion, and the fraction of a speed along the axis."""
+    axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
+    given = axis if position_angle is None else position_angle
+    radial, wanted = (isinstance(k, str) and k == "radial" for k in (axis, given))
+    if not (radial or axis is None or isinstance(axis, u.Quantity)):
+        raise ValueError(
+            "features move on straight lines, so the measurement needs velocity axes "
+            f"of one direction, or 'radial', not {axis}: give StackedCrossCorrelation "
+            "an angle as position_angle"
+        )
+    if given is None or radial != wanted:
+        raise ValueError(
+            f"position_angle {given} does not go with that of the measurement, {axis}: "
+            "give the direction in which features move, an angle, or both 'radial'"
+        )
+    if radial:
+        return given, 1.0
+    how = one_quantity, given, "an angle", "65 deg", False
+    angle = named("position_angle", *how).to(u.deg)
+    return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
+
+
+def _peaks(fluxes, unit, noise):
+    """Return peaks of features in the unit of a cube."""
+    if not isinstance(fluxes, u.Quantity):
+        if noise == 0:
+            raise ValueError(
+                "fluxes in multiples of the noise need epochs with noise, theirs is 0: "
+                "give fluxes in the unit of the cube"
+            )
+        fluxes = np.asarray(fluxes, dtype=float) * noise * unit
+    elif (fluxes / u.beam).unit.is_equivalent(unit):
+        # The flux density of a feature of the size of the beam equals its peak.
+        fluxes = fluxes / u.beam
+    return _positive("fluxes", fluxes, unit)
+
+
+def _positive(name, value, unit):
+    """Return one or more positive quantities as numbers in a unit."""
+    wanted = f"must be one or more positive numbers in a unit like {unit}"
+
+    def check(value):
+        found = np.atleast_1d(finite_quantities(value, unit, wanted).to_value(unit))
+        if not np.all(found > 0):
+            raise ValueError(wanted)
+        return found
+
+    return named(name, check, value)
+
+
+def _counted(outcomes):
+    """Return how many injections were found, and how well (None if unknown)."""
+    found = [outcome for outcome in outcomes if outcome is not None]
+    n = len(found)
+    of = n, len(outcomes), CONFIDENCE
+    low, high = binom_conf_interval(*of, interval="jeffreys").tolist()
+    off, error = np.array(found).reshape(-1, 2).T
+    spread = float(off.std(ddof=1)) if n > 1 else None
+    return {
+        "n_injected": len(outcomes),
+        "n_found": n,
+        "fraction": n / len(outcomes),
+        "fraction_low": low,
+        "fraction_high": high,
+        "bias": float(off.mean()) if n else None,
+        "bias_err": spread / np.sqrt(n) if n > 1 else None,
+        "scatter": spread,
+        "coverage": float(np.mean(np.abs(off) <= error)) if n else None,
+    }
+
+
+def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
+    """
+    Call a function with each cell and each of its generators; return lists by cell.
+
+    Each cell has ``number`` generators of its own, so the outcome is the same for any
+    number of threads.  Warnings about what the data support are not repeated.
+    """
+    named("n_workers", check_integer, n_workers, 1)
+    jobs = [
+        (cell, own)
+        for cell, root in zip(cells, rng.spawn(len(cells)), strict=True)
+        for own in root.spawn(number)
+    ]
+    with (
+        # Each measurement limits the threads of matrix products by itself; limits
+        # that overlap in time would be restored in the wrong order.
+        threadpool_limits(1),
+        warnings.catch_warnings(),
+        progress(len(jobs), "Recovering", show=progress_bar) as done,
+        ThreadPoolExecutor(n_workers) as pool,
+    ):
+        warnings.simplefilter("ignore", MeasurementWarning)
+
+        def work(job):
+            result = function(*job)
+            done(1)
+            return result
+
+        found = map(work, jobs) if n_workers == 1 else pool.map(work, jobs)
+        return [list(islice(found, number)) for _ in cells]
+
+
+def area_for_features(matched, region=None):
+    """
+    Return the pixels in which features are injected, shape (ny, nx).
+
+    They are the pixels of the region that are valid in any epoch.  Without a region,
+    they are the pixels of SSPs of any epoch and scale, or all if there are none.
+    """
+    exists = ~matched.cube.mask.all(axis=0)
+    if region is None:
+        area = np.zeros(exists.shape, dtype=bool)
+        area.flat[matched.ssps.pixels] = True
+        return area if area.any() else exists
+    area = region & exists
+    if not area.any():
+        raise ValueError("region holds masked pixels only: no feature can be injected")
+    return area
+
+
+def velocity_along(frame, position_angle):
+    """Return the unit vector of a direction of motion on the axes of a frame."""
+    if isinstance(frame, RadialFrame):
+        return np.array([1.0, 0.0])
+    angle = position_angle.to_value(u.rad)
+    return frame.matrix(0.0, 0.0) @ [np.sin(angle), np.cos(angle)]
+
+
+def moving_components(result):
+    """Return the velocities of the moving components by their numbers, from 1."""
+    pairs = zip(result.search.streams, result.velocities, strict=True)
+    return {k: v.value for k, (s, v) in enumerate(pairs, 1) if s.kind == "moving"}
+
+
+def recovered(result, own, velocity, *, tolerance, paths, fwhm):
+    """
+    Return the number of the component that is due to injected features, or None.
+
+    The component is moving, and within the ``tolerance`` (mas/yr) of the features'
+    ``velocity`` on the axes of the result's frame.  It is not a component that the
+    epochs have without features: each velocity in ``own``, shape (n, 2), claims the
+    component nearest to it within the tolerance.  And more than half of its SSPs are
+    within half a beam (``fwhm`` in mas) of an injected feature.
+    """
+    left = moving_components(result)
+    for v in np.reshape(own, (-1, 2)):
+        left.pop(_nearest(left, v, tolerance), None)
+    while (nearest := _nearest(left, np.asarray(velocity), tolerance)) is not None:
+        if _share_of_features(result, nearest, paths, fwhm) > 0.5:
+            return nearest
+        del left[nearest]
+    return None
+
+
+def _nearest(velocities, velocity, tolerance):
+    """Return the key of the nearest velocity within a tolerance, or None."""
+    distance = {k: np.hypot(*(v - velocity)) for k, v in velocities.items()}
+    near = [k for k, d in distance.items() if d <= tolerance]
+    return min(near, key=distance.get, default=None)
+
+
+def _share_of_features(result, number, paths, fwhm):
+    """Return the share of a component's SSPs that lie on injected features."""
+    ssps = result.matched.ssps
+    member = np.unique(result.members(number)["ssp"])
+    if len(member) == 0:
+        return 0.0
+    epoch = ssps.epoch[member]
+    pixels = paths.x[:, epoch] - ssps.x[member], paths.y[:, epoch] - ssps.y[member]
+    offset = np.einsum("ij,jnm->inm", result.cube.pixel_matrix.value, np.stack(pixels))
+    # Positions of features that do not exist yet are NaN and compare as far away.
+    return float((np.hypot(*offset) <= NEAR * fwhm).any(axis=0).mean())

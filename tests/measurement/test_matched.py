@@ -1,0 +1,293 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Matches: decomposed epochs, noise and structure, SSPs of a part, and files."""
+
+import warnings
+from dataclasses import fields, replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.time import Time
+from scipy import ndimage
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.components.restoring import correlated_noise
+from astro_scc.correlation.correlate import match_block
+from astro_scc.decomposition import Decomposer
+from astro_scc.decomposition.noise import propagated_noise, shared_variance
+from astro_scc.epochs import Beam
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement import MatchedEpochs, select_ssps
+from astro_scc.measurement.matched import (
+    allow_for_structure,
+    centroids_inside,
+    decompose_epochs,
+)
+from astro_scc.simulation import simulate_two_fluid
+
+SCC = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr)
+
+# -- images without empty sky ------------------------------------------------------
+
+BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
+SCALES = (1, 2, 3, 4)
+
+
+def cube_of(images, **facts):
+    """Epochs 0.2 yr apart, with pixels of 0.1 mas."""
+    dates = Time(2000 + 0.2 * np.arange(len(images)), format="jyear")
+    return EpochCube.from_arrays(
+        np.array(images), dates,
+        pixel_scale=0.1 * u.mas, **facts,
+    )  # fmt: skip
+
+
+def power_law(slope, shape, rng):
+    """A Gaussian field, unit variance, power falling as k^-slope, of a beam of 3 px."""
+    k = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+    k[0, 0] = np.inf
+    spectrum = k ** (-slope / 2) * np.exp(-2 * (np.pi * 1.3 * k) ** 2)
+    field = np.fft.irfft2(np.fft.rfft2(rng.normal(size=shape)) * spectrum, s=shape)
+    return field / field.std()
+
+
+def textured(kind, *, noise=0.1, step=2.3, n_epochs=5, shape=(128, 128), **facts):
+    """A texture that fills the images and moves along x, with noise of its own."""
+    rng = np.random.default_rng(0)
+    if kind == "smooth":
+        field = ndimage.gaussian_filter(rng.normal(size=shape), 2, mode="wrap")
+        field /= field.std()
+    else:
+        field = power_law(kind, shape, rng)
+    return cube_of(
+        [
+            ndimage.shift(field, (0, step * k), order=3, mode="grid-wrap")
+            + rng.normal(0, noise, shape)
+            for k in range(n_epochs)
+        ],
+        **facts,
+    )
+
+
+def noise_of(kind, n_epochs=4, shape=(128, 128)):
+    rng = np.random.default_rng(3)
+    if kind == "white":
+        return cube_of(rng.normal(size=(n_epochs, *shape)))
+    images = [
+        correlated_noise(shape, rms=1, beam=BEAM, pixel_scale=0.1 * u.mas, rng=rng)
+        for _ in range(n_epochs)
+    ]
+    return cube_of(images, beams=BEAM if kind == "beam" else None)
+
+
+def quiet(cube, decomposer):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return allow_for_structure(cube, decomposer) is decomposer
+
+
+@pytest.mark.parametrize("kind", ["white", "beam that nobody knows"])
+def test_noise_is_noise(kind):
+    assert quiet(noise_of(kind), Decomposer(scales=SCALES))
+    # On scales as large as the image, epochs share more than half of it by chance.
+    small = cube_of(np.random.default_rng(1).normal(size=(2, 48, 48)))
+    assert quiet(small, Decomposer(scales=(2, 3, 4)))
+
+
+def test_what_is_not_measured_in_the_planes_is_as_it_was():
+    cube = textured("smooth")
+    assert quiet(cube, Decomposer(scales=[1, 2], noise="propagated"))
+    assert quiet(cube[:1], Decomposer(scales=[1, 2]))
+
+
+@pytest.mark.parametrize(("kind", "noise"), [("smooth", "local"), (3, "plane")])
+def test_the_noise_of_a_texture_is_what_its_epochs_do_not_share(kind, noise):
+    cube = textured(kind, noise=0.3)
+    with pytest.warns(
+        MeasurementWarning,
+        match=r"^the images are full of structure on scale (1, )?2, 3: \d\d% or more "
+        "of what looks like noise in one epoch is in others too and is not taken for "
+        "noise; noise='propagated' takes the noise that the epochs are given instead$",
+    ):
+        allowed = allow_for_structure(cube, Decomposer(scales=[1, 2, 3], noise=noise))
+    found = allowed(cube.data[0])
+    # Somewhat more at the edges, where one has what the other has not.
+    ratio = [np.mean(own) for own in found.noise] / propagated_noise(0.3, [1, 2, 3])
+    assert np.all((ratio > 0.9) & (ratio < 3))
+    assert len(found.ssps) > 20 * len(Decomposer(scales=[1, 2, 3])(cube.data[0]).ssps)
+
+
+def test_only_scales_that_are_full_of_structure_are_changed():
+    """A wide texture below noise that hides its finer parts."""
+    wide = textured(3, noise=5.0, shape=(256, 256))
+    with pytest.warns(MeasurementWarning, match="full of structure on scale 4: "):
+        allowed = allow_for_structure(wide, Decomposer(scales=SCALES))
+    assert allowed.noise_factors[:3] == (1, 1, 1)
+    assert 0.3 < allowed.noise_factors[3] < 0.8
+
+
+@pytest.mark.slow
+def test_a_texture_is_measured_and_said(tmp_path):
+    cube = textured(3, shape=(64, 96), n_epochs=5)
+    scc = StackedCrossCorrelation(scales=[2], max_speed=3 * u.mas / u.yr)
+    for _ in "ab":
+        # The second time from the file.
+        with pytest.warns(MeasurementWarning, match="full of structure on scale 2: "):
+            matched = scc.match(cube, cache=tmp_path / "m.fits")
+    assert len(matched.ssps) > 80
+    again = decompose_epochs(cube, matched.decomposer)[0]
+    assert matched.decompositions[0].noise == again.noise
+    assert np.sum(matched.ssps.epoch == 0) == len(again.ssps)
+    row = scc.stack(matched, n_trials=40, rng=1).components[0]
+    assert row["kind"] == "moving"
+    # 2.3 px of 0.1 mas in 0.2 yr to the right, which is west.
+    assert abs(row["pm_ra_cosdec"].value + 1.15) < 3 * row["pm_err"].value < 0.2
+
+
+# -- decomposition and choice -------------------------------------------------------
+
+
+def test_factors_of_the_noise():
+    with pytest.raises(ValueError, match="noise_factors must be a number from 0 to 1"):
+        Decomposer(scales=[1, 2], noise_factors=(0.5, 1.1))
+    image = np.random.default_rng(0).normal(size=(64, 64))
+    plain, halved = (
+        Decomposer(scales=[1, 2], noise_factors=factors)(image).noise
+        for factors in (None, [0.5, 1])
+    )
+    assert halved == pytest.approx([0.5 * plain[0], plain[1]], rel=1e-6)
+    # Planes of nothing share nothing.
+    assert shared_variance(np.stack([image, 0 * image]), 1) == (0.0, np.inf)
+
+
+def test_ssps_are_inside_if_their_centroid_is(matched):
+    ssps, cube = matched.ssps, matched.cube
+    assert centroids_inside(ssps, cube, None).all()
+    region = np.zeros(cube.shape[1:], bool)
+    region[:, 60:160] = True
+    inside = centroids_inside(ssps, cube, region)
+    x = np.rint(ssps.x_centroid)
+    np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
+    assert 0 < inside.sum() < len(ssps)
+
+
+# -- files -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return simulate_two_fluid(
+        n_epochs=3, rng=3, shape=(48, 120), axis=24.0, extent=(10.0, 110.0)
+    ).cube
+
+
+@pytest.fixture(scope="module")
+def made(cube):
+    return SCC.match(cube)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How many blocks were correlated."""
+    blocks = []
+
+    def count(block):
+        blocks.append(block)
+        return match_block(block)
+
+    monkeypatch.setattr("astro_scc.correlation.correlate.match_block", count)
+    # A block for each epoch.
+    monkeypatch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
+    return blocks
+
+
+def same(one, other):
+    assert one.matches.same_as(other.matches)
+    for own in fields(one.ssps):
+        a, b = getattr(one.ssps, own.name), getattr(other.ssps, own.name)
+        np.testing.assert_array_equal(a, b)
+        assert a.dtype == b.dtype, own.name
+    np.testing.assert_array_equal(one.select, other.select)
+    assert one.scales == other.scales
+
+
+def test_round_trip(made, cube, tmp_path):
+    made.write(tmp_path / "m.fits")
+    read = MatchedEpochs.read(tmp_path / "m.fits", cube)
+    same(made, read)
+    # Planes are made again, and the same, if somebody asks for them.
+    assert len(read.decompositions) == len(cube)
+    np.testing.assert_array_equal(
+        read.decompositions[2].planes, made.decompositions[2].planes
+    )
+    loose = replace(SCC, alpha=0.5)
+    one, other = (loose.stack(m, n_trials=10, rng=1) for m in (made, read))
+    np.testing.assert_array_equal(one.coefficient, other.coefficient)
+    assert np.array_equal(one.components["pm"], other.components["pm"])
+    with pytest.raises(FileExistsError):
+        made.write(tmp_path / "m.fits")
+    made.write(tmp_path / "m.fits", overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["m.fits"]
+
+
+def test_dates_do_not_matter_but_images_and_versions_do(
+    made, cube, tmp_path, monkeypatch
+):
+    """Each of those alone is in ``tests/robustness/test_stale.py``."""
+    path = tmp_path / "m.fits"
+    made.write(path)
+    later = replace(cube, times=cube.times + 1 * u.yr)
+    assert MatchedEpochs.read(path, later).cube.times[0] == later.times[0]
+    with pytest.raises(ValueError, match="m.fits: is of other images, masks, beams;"):
+        MatchedEpochs.read(path, cube[:2])
+    other = "astro_scc.measurement.matched.versions", lambda: {"astro_scc": "0"}
+    monkeypatch.setattr(*other)
+    with pytest.raises(ValueError, match="is of other versions; match the epochs"):
+        MatchedEpochs.read(path, cube)
+
+
+def test_files_that_are_no_matches(made, cube, tmp_path):
+    """Damaged ones are in ``test_result_files.py``."""
+    path = tmp_path / "m.fits"
+    with pytest.raises(FileNotFoundError):
+        MatchedEpochs.read(path, cube)
+    path.write_text("nothing")
+    with pytest.raises(OSError, match="is no complete astro_scc matches file"):
+        MatchedEpochs.read(path, cube)
+    fits.PrimaryHDU(np.ones((3, 3))).writeto(path, overwrite=True)
+    with pytest.raises(OSError, match="it was not written as one"):
+        MatchedEpochs.read(path, cube)
+    with pytest.raises(ValueError, match="no provenance"):
+        replace(made, provenance={}).write(tmp_path / "n.fits")
+    assert [p.name for p in tmp_path.iterdir()] == ["m.fits"]
+
+
+@pytest.mark.parametrize("name", ["m.fits", "folder"])
+def test_a_cache_is_used_when_only_the_stack_changes(
+    cube, made, counted, tmp_path, name
+):
+    path = tmp_path / name
+    same(made, SCC.match(cube, cache=path))
+    assert len(counted) == len(cube)
+    again = replace(SCC, alpha=0.5, position_angle=90 * u.deg)
+    same(made, again.match(cube, cache=path))
+    result = again(cube, n_trials=10, rng=1, cache=path)
+    assert len(counted) == len(cube)
+    assert result.matched.matches.same_as(made.matches)
+    files = [p for p in tmp_path.rglob("*") if p.is_file()]
+    assert len(files) == 1
+    # What cannot be read is made again.
+    files[0].write_text("nothing")
+    with pytest.warns(MeasurementWarning, match="is no complete astro_scc matches"):
+        same(made, SCC.match(cube, cache=path))
+    assert len(counted) == 2 * len(cube)
+
+
+def test_a_part_that_was_chosen_later_is_no_cache(made, cube, tmp_path):
+    path = tmp_path / "m.fits"
+    part = select_ssps(made, scales=[1])
+    part.write(path)
+    same(part, MatchedEpochs.read(path, cube))
+    with pytest.warns(MeasurementWarning, match="other region"):
+        same(made, SCC.match(cube, cache=path))

@@ -1,0 +1,361 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Features against the Gaussians and lines they are to be, and when they are found."""
+
+import warnings
+from dataclasses import replace
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.time import Time
+from astropy.wcs import WCS
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.components.restoring import correlated_noise
+from astro_scc.epochs import Beam
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame, RidgeLine, SkyFrame
+from astro_scc.recovery import (
+    FeaturePaths,
+    area_for_features,
+    completeness,
+    draw_paths,
+    inject,
+    recovered,
+    run_all,
+    velocity_along,
+)
+
+PM, WEST = u.mas / u.yr, 270 * u.deg
+FAST = 10 * PM
+QUICK = {"n_features": 8, "n_injections": 2, "n_trials": 60, "rng": 1}
+#: Uneven, 20 to 45 days apart.
+DATES = [
+    f"2000-{day}" for day in ("01-01", "02-01", "02-21", "04-05", "05-03", "06-01")
+]
+PIXEL = 0.1 * u.mas
+
+
+@pytest.fixture(scope="module")
+def sky():
+    """Six epochs of nothing but noise."""
+    beam, rng = Beam(1 * u.mas, 1 * u.mas), np.random.default_rng(1)
+    images = [
+        correlated_noise((48, 96), rms=0.01, beam=beam, pixel_scale=PIXEL, rng=rng)
+        for _ in DATES
+    ]
+    return EpochCube.from_arrays(
+        np.array(images), DATES, pixel_scale=PIXEL, unit=u.Jy / u.beam, beams=beam
+    )
+
+
+@pytest.fixture(scope="module")
+def settings():
+    """One scale, along the jet to the west."""
+    return StackedCrossCorrelation(
+        scales=[2], max_speed=24 * u.mas / u.yr, position_angle=270 * u.deg
+    )
+
+
+@pytest.fixture(scope="module")
+def table(sky, settings):
+    """Two fluxes, far above and below the noise."""
+    return completeness(sky, settings, speeds=FAST, fluxes=[0.5, 100], **QUICK)
+
+
+def test_a_strong_stream_is_found_and_one_below_the_noise_is_not(table):
+    assert table["n_found"].tolist() == [0, 2]
+    assert table["fraction"].tolist() == [0.0, 1.0]
+    assert table["fraction_low"][0] == 0
+    assert table["fraction_high"][1] == 1
+    assert abs(table["bias"][1]) < table.meta["tolerance"]
+    assert 0 <= table["coverage"][1] <= 1
+    # Nothing is known of the speed of what is not found.
+    for name in ("bias", "bias_err", "scatter", "coverage"):
+        assert table[name].mask.tolist() == [True, False]
+    assert not table["own"].any()
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_table_whatever_the_workers(sky, settings):
+    how = {**QUICK, "speeds": FAST, "fluxes": 20.0, "n_trials": 20}
+    one, two = (completeness(sky, settings, n_workers=n, **how) for n in (1, 3))
+    assert one.colnames == two.colnames
+    for name in one.colnames:
+        a, b = np.ma.asarray(one[name]), np.ma.asarray(two[name])
+        np.testing.assert_array_equal(np.ma.getmaskarray(a), np.ma.getmaskarray(b))
+        np.testing.assert_array_equal(a.data, b.data)
+    assert one.meta["seed"] == 1
+
+
+@pytest.mark.slow
+def test_components_of_the_epochs_themselves_are_no_recoveries(sky, settings):
+    area = np.ones(sky.shape[1:], dtype=bool)
+    paths = draw_paths(
+        sky, area, speed=FAST, position_angle=270 * u.deg, n_features=8,
+        scatter=0.1 * u.mas, rng=4,
+    )  # fmt: skip
+    jet = inject(sky, paths, 1.0 * u.Jy / u.beam)
+    how = {**QUICK, "region": area, "n_injections": 1}
+    # What is put in cannot be seen: all that moves is of the epochs.
+    table = completeness(jet, settings, speeds=[10, 10.3] * PM, fluxes=1e-6, **how)
+    assert table["own"].all()
+    assert len(table.meta["own_velocities"]) == 1
+    assert u.isclose(table.meta["own_velocities"][0, 0], FAST, rtol=0.1)
+    assert table["n_found"].tolist() == [0, 0]
+
+
+def test_features_are_put_where_the_epochs_have_ssps(sky, settings):
+    where = np.zeros(sky.shape[1:], dtype=bool)
+    where[20:30, 30:60] = True
+    paths = draw_paths(
+        sky, where, speed=1 * PM, position_angle=270 * u.deg, n_features=3, rng=1
+    )
+    matched = settings.match(inject(sky, paths, 1.0))
+    area = area_for_features(matched, None)
+    assert 0 < area.sum() < 0.6 * area.size
+    assert area[20:30, 30:60].any()
+    np.testing.assert_array_equal(area_for_features(matched, where), where)
+    # Without any SSP they may be anywhere.
+    assert area_for_features(settings.match(sky), None).all()
+
+
+def test_warnings_are_not_repeated_and_generators_are_those_of_each_cell():
+    def work(cell, rng):
+        warnings.warn("the data do not support this", MeasurementWarning, stacklevel=2)
+        return cell, rng.random()
+
+    how = work, [1, 2], 2
+    one, two = (run_all(*how, np.random.default_rng(1), n) for n in (1, 2))
+    assert one == two
+    assert [[cell for cell, _ in found] for found in one] == [[1, 1], [2, 2]]
+    assert len({number for found in one for _, number in found}) == 4
+
+
+def run(cube, settings, **changes):
+    return completeness(
+        cube, settings, **{"speeds": FAST, "fluxes": 5.0, **QUICK, **changes}
+    )
+
+
+CORNER = np.zeros((48, 96), dtype=bool)
+CORNER[:20, :20] = True
+RIDGE = RidgeLine([0, -5] * u.mas, [0, 0] * u.mas)
+#: Changes of the cube, of the settings of the measurement and of the call, and words.
+REFUSED = [
+    ({}, {}, {"speeds": 0 * PM}, "speeds = 0.0 mas / yr must be .* positive"),
+    ({}, {}, {"speeds": 30 * PM}, "speed 30 mas/yr is beyond .* 24 mas/yr: give"),
+    ({}, {}, {"fluxes": -1.0}, "fluxes = .* must be one or more positive numbers"),
+    ({}, {}, {"fluxes": []}, "fluxes = .* must be one or more positive numbers"),
+    ({}, {}, {"fluxes": 1 * u.K}, "fluxes = .* must be"),
+    ({}, {}, {"n_injections": 0}, "n_injections = 0 must be 1 or more"),
+    ({}, {}, {"n_features": 0}, "n_features = 0 must be above 0"),
+    ({}, {}, {"n_workers": 0}, "n_workers = 0 must be 1 or more"),
+    ({}, {}, {"scatter": -1}, "scatter must be zero or positive, got -1"),
+    ({}, {}, {"n_trials": 18}, "18 trials allow no p_global below 0.053.*n_trials$"),
+    ({}, {}, {"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
+    ({}, {}, {"tolerance": 1 * u.s}, "tolerance = 1.0 s must be"),
+    ({}, {}, {"position_angle": "radial"}, "radial does not go with .*both 'radial'"),
+    ({}, {"position_angle": None}, {}, "position_angle None does not go with"),
+    ({}, {"position_angle": RIDGE}, {}, "or 'radial', not .*: give"),
+    # All directions are searched, each to the largest speed.
+    ({}, {"position_angle": None}, {"speeds": 25 * PM, "position_angle": 45 * u.deg},
+     "speed 25 mas/yr is beyond the largest"),
+    ({"beams": None}, {}, {}, "has no beams: give fwhm"),
+    ({"noise": np.zeros(6) * u.Jy / u.beam}, {}, {}, "noise need epochs with"),
+    ({"mask": np.broadcast_to(CORNER, (6, 48, 96))}, {}, {"region": CORNER},
+     "region holds masked pixels only"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cube", "axes", "changes", "words"), REFUSED)
+def test_what_cannot_be_meant_is_refused(sky, settings, cube, axes, changes, words):
+    with pytest.raises(ValueError, match=words):
+        run(replace(sky, **cube), replace(settings, **axes), **changes)
+
+
+def test_four_epochs_are_too_few(sky, settings):
+    words = "4 epochs .* allow no p_global below 0.083, so nothing .* more epochs$"
+    with pytest.raises(ValueError, match=words):
+        run(sky[:4], settings)
+
+
+def test_along_an_axis_the_largest_speed_is_slower_and_noise_may_be_zero(sky, settings):
+    clean = replace(sky, noise=np.zeros(6) * sky.unit)
+    how = {"position_angle": 250 * u.deg, "n_injections": 1, "fluxes": 1e-9 * u.Jy}
+    table = run(clean, settings, speeds=25 * PM, **how)
+    assert table["n_found"][0] == 0
+    assert table["snr"].mask.all()
+
+
+YEARS = np.array([0.0, 0.3, 1.0, 1.2, 2.5])
+
+
+def cube_of(shape=(40, 60), angle=0.0, sides=(0.1, 0.1), **options):
+    """Uneven dates, pixels that may be turned and oblong."""
+    turn = np.deg2rad(angle)
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
+    wcs.wcs.crpix = [shape[1] / 2, shape[0] / 2]
+    wcs.wcs.cunit = ["deg", "deg"]
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    wcs.wcs.cd = rotation @ np.diag([-sides[0], sides[1]]) * u.mas.to(u.deg)
+    return EpochCube(
+        data=np.zeros((len(YEARS), *shape)),
+        times=Time(2000 + YEARS, format="jyear"),
+        wcs=wcs,
+        **options,
+    )
+
+
+def box(cube, rows=slice(10, 30), columns=slice(5, 55)):
+    area = np.zeros(cube.shape[1:], dtype=bool)
+    area[rows, columns] = True
+    return area
+
+
+def test_features_are_gaussians_of_each_epochs_beam():
+    beams = [Beam((1 + k / 10) * u.mas, 0.5 * u.mas, 25 * k * u.deg) for k in range(5)]
+    cube = cube_of(angle=20, sides=(0.1, 0.13), beams=beams)
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, 60, (3, 5)), rng.uniform(0, 40, (3, 5))
+    full = inject(cube, FeaturePaths(x, y, x > 0), 0.7)
+    column, row = np.meshgrid(np.arange(60), np.arange(40))
+    for k, beam in enumerate(beams):
+        expected = np.zeros((40, 60))
+        inverse = np.linalg.inv(beam.covariance.value)
+        for f in range(3):
+            offset = np.stack([column - x[f, k], row - y[f, k]], axis=-1)
+            offset = offset @ cube.pixel_matrix.value.T
+            square = np.einsum("yxi,ij,yxj->yx", offset, inverse, offset)
+            expected += 0.7 * np.exp(-square / 2)
+        np.testing.assert_allclose(full.data[k], expected, atol=1e-9)
+
+
+def test_the_epochs_stay_as_they_are_and_without_beams_a_width_is_needed():
+    data = np.random.default_rng(2).normal(size=(5, 40, 60))
+    data[:, :, 30:34] = np.nan
+    dates = Time(2000 + YEARS, format="jyear")
+    cube = EpochCube.from_arrays(data, dates, pixel_scale=0.1 * u.mas)
+    x = np.full((1, 5), 29.0)
+    x[0, 2] = np.nan
+    paths = FeaturePaths(x, 0 * x + 20, x > 0)
+    with pytest.raises(ValueError, match="has no beams: give fwhm, the full width"):
+        inject(cube, paths, 1.0)
+    full = inject(cube, paths, 5.0, fwhm=0.8 * u.mas)
+    np.testing.assert_array_equal(full.mask, cube.mask)
+    np.testing.assert_array_equal(full.data[2], cube.data[2])
+    more = full.data[0, 20] - cube.data[0, 20]
+    assert more[[29, 25]] == pytest.approx([5.0, 2.5])
+    assert full.meta["history"][-1] == "1 simulated features added"
+    assert "simulated" not in str(cube.meta)
+
+
+@examples(max_examples=25, deadline=None)
+@given(
+    angle=st.floats(0, 360),
+    turn=st.floats(-90, 90),
+    speed=st.floats(0.01, 3),
+    seed=st.integers(0, 2**32),
+)
+def test_features_move_at_the_speed_in_the_direction(angle, turn, speed, seed):
+    cube = cube_of(angle=turn, sides=(0.1, 0.15))
+    paths = draw_paths(
+        cube, box(cube), speed=speed * PM, position_angle=angle * u.deg,
+        n_features=5, rng=seed,
+    )  # fmt: skip
+    pixels = np.stack([paths.x - paths.x[:, :1], paths.y - paths.y[:, :1]])
+    sky = np.einsum("ij,jne->ine", cube.pixel_matrix.value, pixels)
+    direction = np.array([np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))])
+    expected = speed * direction[:, None] * cube.years.value
+    np.testing.assert_allclose(
+        sky, np.broadcast_to(expected[:, None], sky.shape), atol=1e-6
+    )
+    assert paths.inside.any(axis=1).all()
+    assert 5 <= paths.inside.sum(axis=0).mean() + 1e-6 < 6.01
+
+
+def test_radial_features_leave_the_reference_pixel():
+    cube = cube_of()
+    paths = draw_paths(
+        cube, box(cube), speed=2 * PM, position_angle="radial",
+        n_features=200, rng=1,
+    )  # fmt: skip
+    x0, y0 = cube.reference_pixel
+    distance = np.hypot(paths.x - x0, paths.y - y0) * 0.1
+    gone = np.isnan(distance)
+    # None before it was sent off, and none comes back.
+    assert gone.any()
+    assert not np.any(gone[:, 1:] & ~gone[:, :-1])
+    assert not np.any(gone & paths.inside)
+    rate = np.diff(distance, axis=1) / np.diff(cube.years.value)
+    np.testing.assert_allclose(rate[np.isfinite(rate)], 2.0, rtol=1e-6)
+
+
+def test_an_area_without_pixels_holds_no_feature():
+    nowhere = np.zeros((40, 60), dtype=bool)
+    with pytest.raises(ValueError, match="area for features holds no pixel"):
+        draw_paths(cube_of(), nowhere, speed=1 * PM, position_angle=0 * u.deg)
+
+
+#: One feature that stays at (50, 20) in both epochs.
+PATHS = FeaturePaths(
+    np.full((1, 2), 50.0), np.full((1, 2), 20.0), np.ones((1, 2), bool)
+)
+
+
+def result(*components):
+    """Of components (kind, v1, v2, number of ten SSPs that lie on the feature)."""
+    x = [54 if k < near else 56 for *_, near in components for k in range(10)]
+    n, streams = len(x), [SimpleNamespace(kind=kind) for kind, *_ in components]
+    ssps = SimpleNamespace(x=np.array(x), y=np.full(n, 20.0), epoch=np.arange(n) % 2)
+    return SimpleNamespace(
+        search=SimpleNamespace(streams=streams),
+        velocities=[SimpleNamespace(value=np.array(v)) for _, *v, _ in components],
+        members=lambda number: {"ssp": np.arange(10 * (number - 1), 10 * number)},
+        matched=SimpleNamespace(ssps=ssps),
+        cube=SimpleNamespace(pixel_matrix=np.diag([-0.1, 0.1]) * u.mas),
+    )
+
+
+TWO = ("moving", 4.6, 0.0, 10), ("moving", 5.4, 0.0, 10)
+
+
+@pytest.mark.parametrize(
+    ("components", "own", "number"),
+    [
+        ([("moving", 5.2, 0.3, 9)], [], 1),
+        ([("not significant", 5.0, 0.0, 10)], [], None),
+        ([("stationary", 5.0, 0.0, 10)], [], None),
+        ([("moving", 5.8, 0.7, 10)], [], None),
+        # It must have more than half of its SSPs on the features.
+        ([("moving", 5.0, 0.0, 5)], [], None),
+        ([], [(5, 0)], None),
+        # What the epochs have already is not found; of two, the one that is left.
+        ([("moving", 5.0, 0.0, 10)], [(4.5, 0.0)], None),
+        (TWO, [(4.5, 0.0)], 2),
+        (TWO, [(4.5, 0.0), (5.5, 0.0)], None),
+        ([("moving", 5.1, 0, 2), ("moving", 5.6, 0, 9), ("moving", 4.7, 0, 9)], [], 3),
+    ],
+)  # fmt: skip
+def test_when_features_are_found(components, own, number):
+    how = {"tolerance": 1.0, "paths": PATHS, "fwhm": 1.0}
+    assert recovered(result(*components), own, (5, 0), **how) == number
+
+
+def test_a_component_without_ssps_is_not_of_the_features():
+    bare = result(("moving", 5.0, 0.0, 10))
+    bare.members = lambda number: {"ssp": np.empty(0, dtype=int)}
+    assert recovered(bare, [], (5, 0), tolerance=1.0, paths=PATHS, fwhm=1.0) is None
+
+
+def test_the_direction_on_the_axes_of_frames():
+    angle = 30 * u.deg
+    np.testing.assert_allclose(velocity_along(SkyFrame(), angle), [0.5, 0.75**0.5])
+    along = velocity_along(PositionAngleFrame(30 * u.deg), angle)
+    np.testing.assert_allclose(along, [1, 0], atol=1e-12)
+    np.testing.assert_array_equal(velocity_along(RadialFrame(), "radial"), [1, 0])
