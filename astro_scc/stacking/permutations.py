@@ -150,16 +150,21 @@ class EpochPermutations:
             density = PairDensity(axis, rays.radius, settings)
             matrix = rays.matrix(speed, density.grid)
             chance = matrix @ (bins.number[:, None] * density.mean).ravel()
-            size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
+            largest, pairs = max(largest, chance.max()), density.pairs
+            if one_way:
+                # Displacements of both signs at once, which have the same mean.
+                middle, chance = len(density.grid) // 2, 0.0
+                pairs = pairs[:, middle:] - pairs[:, middle::-1]
+                matrix = rays.matrix(speed[speed > 0], density.grid[middle:])
+            size = max(1, int(BYTES // (8 * len(bins.mean) * pairs.shape[1])))
             parts = [
-                matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
+                matrix @ bins.sums(pairs, some).reshape(len(some), -1).T
                 for some in np.split(orders, np.arange(size, len(orders), size))
             ]
             sums.append(np.concatenate(parts, axis=1).T - chance)
-            largest = max(largest, chance.max())
         sums = np.stack(sums, axis=1)
         if one_way:
-            sums = sums - sums[..., ::-1]
+            sums = np.concatenate([-sums[..., ::-1], sums], axis=-1)
         std = sums.std(axis=0)
         # The floor keeps rounding errors of identical epochs from counting.
         floor = settings.least_std * std.max(axis=0) + 1e-6 * largest
