@@ -15,11 +15,6 @@ _FWHM = np.sqrt(8 * np.log(2))
 # Columns of the parameters of components: convolved peak, position, and variance
 # before the convolution, which unlike a width has a gradient at zero.
 _PEAK, _Y, _X, _VARIANCE = range(4)
-#: Most iterations of a fit.
-ITERATIONS = 12
-#: A fit ends if even so many times the gain of its last step in each step that is
-#: left would not do: of 400 fits to two jets none would have come further.
-HOPELESS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,14 +284,13 @@ def _derivatives(p, shape, gy, gx):
     return found
 
 
-def _least_squares(p, data, where, fixed, worst=np.inf, tolerance=1e-4):
+def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     """
     Fit components by the method of Levenberg and Marquardt.
 
     ``fixed`` is the sum of other components at the samples.  The normal equations
     are solved, which takes less time than the decomposition of the whole Jacobian
-    by `scipy.optimize.least_squares`.  The fit ends early where chi^2 is so far above
-    ``worst``, beyond which it has no use, that no steps like the last one lead there.
+    by `scipy.optimize.least_squares`.
     """
     y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight
@@ -313,7 +307,7 @@ def _least_squares(p, data, where, fixed, worst=np.inf, tolerance=1e-4):
 
     parts, left, cost = state(p)
     damping = 1e-3
-    for left_over in reversed(range(ITERATIONS)):
+    for _ in range(iterations):
         jacobian = _derivatives(p, *parts).reshape(p.size, -1)
         normal, gradient = jacobian @ jacobian.T, jacobian @ left
         scale = np.sqrt(normal.diagonal())
@@ -337,8 +331,7 @@ def _least_squares(p, data, where, fixed, worst=np.inf, tolerance=1e-4):
             damping *= 5
         else:
             break
-        gain, above = cost - after[2], after[2] - worst / data.independent
-        done = gain < tolerance * cost or above > HOPELESS * left_over * gain
+        done = cost - after[2] < tolerance * cost
         p, (parts, left, cost) = new, after
         damping = max(damping / 5, 1e-7)
         if done:
@@ -346,21 +339,16 @@ def _least_squares(p, data, where, fixed, worst=np.inf, tolerance=1e-4):
     return p
 
 
-def _refitted(p, data, at, limit=None):
-    """
-    Fit the components around a position; return all, and the samples used.
-
-    Of worth are only fits whose chi^2 is at most that of ``limit`` and the penalty.
-    """
+def _refitted(p, data, at):
+    """Fit the components around a position; return all, and the samples used."""
     near = data.distance(p[:, _Y], p[:, _X], at) < 3
     width = _FWHM * np.sqrt(np.diag(data.beam))
     where = np.abs(data.y - at[0]) < 4 * width[0]
     where &= np.abs(data.x - at[1]) < 4 * width[1]
     if near.any():
-        worst = np.inf if limit is None else data.chi2(limit, where) + data.penalty
         fixed = data.model(p[~near], where)
         p = p.copy()
-        p[near] = _least_squares(p[near], data, where, fixed, worst)
+        p[near] = _least_squares(p[near], data, where, fixed)
     return p, where
 
 
@@ -389,7 +377,7 @@ def _pruned(p, data):
     """Return components without those whose removal costs less than they do."""
     for one in p[np.argsort(p[:, _PEAK], kind="stable")]:
         k = np.argmin(np.abs(p - one).sum(axis=1))
-        new, where = _refitted(np.delete(p, k, axis=0), data, p[k, [_Y, _X]], p)
+        new, where = _refitted(np.delete(p, k, axis=0), data, p[k, [_Y, _X]])
         if data.chi2(new, where) - data.chi2(p, where) < data.penalty:
             p = new
     return p
