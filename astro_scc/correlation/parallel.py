@@ -19,6 +19,7 @@ from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.reduction import ForkingPickler
 from numbers import Integral
 from pathlib import Path
+from weakref import WeakSet
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.
@@ -30,8 +31,10 @@ TIMEOUT = 15
 #: Seconds to wait for the first workers of a cluster, for others if all are lost, and
 #: between two checks.
 FIRST_WORKERS = 45
-WITHOUT_WORKERS = 8
+WITHOUT_WORKERS = 6
 LOOK = 1
+#: Clients of clusters that have had workers: others may have to start.
+HAD_WORKERS = WeakSet()
 #: Limits of containers and of the jobs of batch systems.
 CONTROL_GROUPS = (
     "/sys/fs/cgroup/memory.max",
@@ -453,8 +456,11 @@ def _check_import(client, function):
         # Pickled by value, since this module may be the missing one.
         importlib.import_module(name)
 
+    if _ask(client, client.nthreads):
+        HAD_WORKERS.add(client)
     future = _submit(client, load)
-    _wait_on_cluster(client, [future], patience=FIRST_WORKERS)
+    _wait_on_cluster(client, [future])
+    HAD_WORKERS.add(client)
     try:
         _result(_gathered(client, future))
     except ImportError as error:
@@ -489,7 +495,7 @@ def _one_thread(function, piece):
         return function(piece)
 
 
-def _wait_on_cluster(client, futures, patience=None):
+def _wait_on_cluster(client, futures):
     """Wait until one future is done, as long as there are workers."""
     from distributed import wait
 
@@ -498,7 +504,7 @@ def _wait_on_cluster(client, futures, patience=None):
         with client.as_current(), suppress(CancelledError):
             wait(futures, timeout=timeout, return_when="FIRST_COMPLETED")
 
-    _while_workers(client, wait_for, patience)
+    _while_workers(client, wait_for)
 
 
 def _gathered(client, future):
@@ -511,11 +517,11 @@ def _gathered(client, future):
     return own
 
 
-def _while_workers(client, ask, patience=None):
+def _while_workers(client, ask):
     """Ask with a timeout, again and again as long as there are workers."""
-    patience = WITHOUT_WORKERS if patience is None else patience
     last = time.monotonic()
     while True:
+        patience = WITHOUT_WORKERS if client in HAD_WORKERS else FIRST_WORKERS
         begin = time.monotonic()
         try:
             return ask(timeout=min(LOOK, patience))
@@ -524,6 +530,7 @@ def _while_workers(client, ask, patience=None):
             if time.monotonic() - begin < min(LOOK, patience):
                 raise
         if _ask(client, client.nthreads):
+            HAD_WORKERS.add(client)
             last = time.monotonic()
         elif time.monotonic() - last >= patience:
             raise OSError(

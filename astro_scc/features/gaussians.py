@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
+from scipy.linalg.lapack import dgesv
 
 # Full width at half maximum of a Gaussian in standard deviations.
 _FWHM = np.sqrt(8 * np.log(2))
@@ -256,17 +257,30 @@ def _shapes(p, y, x, beam):
     """
     v, area = p[:, _VARIANCE, None], _areas(p, beam)[:, None]
     dy, dx = y - p[:, _Y, None], x - p[:, _X, None]
-    gy = ((beam[1, 1] + v) * dy - beam[0, 1] * dx) / area
-    gx = ((beam[0, 0] + v) * dx - beam[0, 1] * dy) / area
-    return np.exp(-0.5 * (dy * gy + dx * gx)), gy, gx
+    cross = beam[0, 1] / area
+    gy = (beam[1, 1] + v) / area * dy
+    gy -= cross * dx
+    gx = (beam[0, 0] + v) / area * dx
+    gx -= cross * dy
+    # These arrays are small, and new ones take longer than the numbers.
+    dy *= gy
+    dx *= gx
+    dy += dx
+    dy *= -0.5
+    return np.exp(dy, out=dy), gy, gx
 
 
 def _derivatives(p, shape, gy, gx):
     """Return the derivatives of the components, shape (n, 4, number of positions)."""
     value = p[:, _PEAK, None] * shape
     found = np.empty((len(p), 4, shape.shape[1]))
-    found[:, _PEAK], found[:, _Y], found[:, _X] = shape, value * gy, value * gx
-    found[:, _VARIANCE] = 0.5 * value * (gy**2 + gx**2)
+    found[:, _PEAK] = shape
+    np.multiply(value, gy, out=found[:, _Y])
+    np.multiply(value, gx, out=found[:, _X])
+    square = gy * gy
+    square += gx * gx
+    square *= 0.5
+    np.multiply(value, square, out=found[:, _VARIANCE])
     return found
 
 
@@ -296,19 +310,21 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     for _ in range(iterations):
         jacobian = _derivatives(p, *parts).reshape(p.size, -1)
         normal, gradient = jacobian @ jacobian.T, jacobian @ left
-        free = np.ones(p.shape, dtype=bool)
-        free[:, _VARIANCE] = (p[:, _VARIANCE] > 0) | (gradient[_VARIANCE::4] > 0)
-        free = np.flatnonzero(free)
-        scale = np.sqrt(normal.diagonal()[free])
-        # A component without samples stays as it is.
-        scale = np.where(scale > 1e-9 * scale.max(), scale, 1.0)
-        normal = normal[free[:, None], free] / (scale[:, None] * scale)
+        scale = np.sqrt(normal.diagonal())
+        # A component without samples stays as it is, and so does a variance of zero
+        # that would become negative.
+        scale[scale <= 1e-9 * scale.max()] = 1.0
+        stays = (p[:, _VARIANCE] <= 0) & (gradient[_VARIANCE::4] <= 0)
+        scale[_VARIANCE::4][stays] = np.inf
+        normal /= scale
+        normal /= scale[:, None]
+        gradient /= scale
         for _ in range(6):
-            step, damped = np.zeros(p.size), normal.copy()
-            damped.flat[:: len(free) + 1] += damping
-            step[free] = np.linalg.solve(damped, gradient[free] / scale) / scale
-            step = np.clip(step.reshape(p.shape), -largest_step, largest_step)
-            new = np.clip(p + step, lowest, highest)
+            damped = normal.copy()
+            damped.flat[:: p.size + 1] += damping
+            step = dgesv(damped, gradient)[2] / scale
+            step = step.reshape(p.shape).clip(-largest_step, largest_step)
+            new = (p + step).clip(lowest, highest)
             after = state(new)
             if after[2] < cost:
                 break

@@ -152,11 +152,10 @@ class EpochPermutations:
         for kind in zip(*axes, strict=True):
             if any(map(len, kind)) or not each:
                 sums, chance = zip(
-                    *(_ray_sums(a, rays, orders) for a in kind), strict=True
+                    *(_ray_sums(a, rays, orders, one_way) for a in kind), strict=True
                 )
-                sums = np.stack(sums, axis=1)
-                sums = sums - sums[..., ::-1] if one_way else sums
-                each.append(_in_deviations(sums, max((*chance, 1e-294)), settings))
+                sums, size = np.stack(sums, axis=1), max((*chance, 1e-294))
+                each.append(_in_deviations(sums, size, settings))
         z = each[0] if len(each) == 1 else _in_deviations(sum(each), 1.0, settings)
         # Slow drifts of blends are no motion, and permutations have none.
         span = min(years[-1] - years[0], rays.intervals[1])
@@ -249,17 +248,24 @@ class EpochPermutations:
         return float(p_local), float(((self.maxima >= z - 1e-6).sum() + 1) / n)
 
 
-def _ray_sums(samples, rays, orders):
+def _ray_sums(samples, rays, orders, one_way):
     """Return the excess along each ray in each order, (n_orders, n_v), and its mean."""
     density = PairDensity(samples, rays.radius, rays.settings)
     bins, matrix = rays.bins, rays.matrix(rays.speed, density.grid)
     chance = matrix @ (bins.number[:, None] * density.mean).ravel()
-    size = max(1, int(BYTES // (8 * len(bins.mean) * len(density.grid))))
+    largest, pairs = chance.max(), density.pairs
+    if one_way:
+        # Displacements of both signs at once, which have the same mean.
+        middle, chance = len(density.grid) // 2, 0.0
+        pairs = pairs[:, middle:] - pairs[:, middle::-1]
+        matrix = rays.matrix(rays.speed[rays.speed > 0], density.grid[middle:])
+    size = max(1, int(BYTES // (8 * len(bins.mean) * pairs.shape[1])))
     parts = [
-        matrix @ bins.sums(density.pairs, some).reshape(len(some), -1).T
+        matrix @ bins.sums(pairs, some).reshape(len(some), -1).T
         for some in np.split(orders, np.arange(size, len(orders), size))
     ]
-    return np.concatenate(parts, axis=1).T - chance, chance.max()
+    sums = np.concatenate(parts, axis=1).T - chance
+    return np.concatenate([-sums[:, ::-1], sums], axis=1) if one_way else sums, largest
 
 
 def _in_deviations(sums, size, settings):

@@ -141,6 +141,16 @@ def test_a_scheduler_without_workers(monkeypatch):
                 list(work(operator.neg, [1], client))
 
 
+def test_workers_that_are_lost_between_two_stages(monkeypatch):
+    monkeypatch.setattr("astro_scc.correlation.parallel.WITHOUT_WORKERS", 0.1)
+    with threads(1) as client:
+        assert list(in_order(operator.neg, [1], client)) == [-1]
+        client.retire_workers()
+        # Nobody waits as long as for the first workers.
+        with pytest.raises(OSError, match="has had no workers for 0.1 s; start"):
+            list(in_order(operator.neg, [1], client))
+
+
 def test_a_scheduler_that_is_lost():
     def pieces(client):
         yield 1
