@@ -27,12 +27,18 @@ CORE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A feature: motion, its error with the random walk, detections, SSPs."""
+    """
+    A feature that was followed.
+
+    Its motion, with the error of a random walk, its detections, the nearest SSP of
+    each of those that have one, and all SSPs of its emission.
+    """
 
     motion: Motion
     error: np.ndarray
     detection: np.ndarray
     ssp: np.ndarray
+    emission: np.ndarray
 
 
 class FollowedFeatures:
@@ -93,7 +99,9 @@ class FollowedFeatures:
                 away = np.hypot(*np.moveaxis(offset, -1, 0))
                 use[here] = select[ssps[away.argmin(axis=1)]]
                 detection, ssp = np.nonzero((away <= NEAR * d.fwhm) & select[ssps])
-                near.append(np.stack([here[detection], ssps[ssp]]))
+                # The nearest SSP of each detection comes first.
+                first = np.lexsort((away[detection, ssp], detection))
+                near.append(np.stack([here[detection], ssps[ssp]])[:, first])
         self._near = np.concatenate(near, axis=1)
         return use
 
@@ -111,8 +119,9 @@ class FollowedFeatures:
                 parts = (v[own] for v in (d.time, d.place, d.place_error))
                 moving = fit_motion(*parts, d.fwhm)
             error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))
-            detection, ssp = self._near
-            yield _Followed(moving, error, own, np.unique(ssp[np.isin(detection, own)]))
+            detection, ssps = self._near[:, np.isin(self._near[0], own)]
+            nearest = ssps[np.unique(detection, return_index=True)[1]]
+            yield _Followed(moving, error, own, nearest, ssps)
 
     def _positions(self, angle):
         """Return the positions of detections along an axis and across it, in beams."""
@@ -191,5 +200,5 @@ class FollowedFeatures:
                     detection=own,
                 )
             )
-            taken[one.ssp] = True
+            taken[one.emission] = True
         return found, taken
