@@ -196,7 +196,7 @@ def test_finds_what_does_not_move():
 @pytest.mark.parametrize(
     "settings",
     [
-        {"scales": [1.5, 2], "wavelet": "b3", "target": "plane"},
+        {"scales": [1, 2], "wavelet": "b3", "target": "plane"},
         {"noise": "local", "min_error_beams": 0.1, "kappa": 0.8},
         {"noise": "propagated", "position_angle": 288 * u.deg, "outward": True},
         {"small_displacement_correction": True, "baseline": [20, 70] * u.day},

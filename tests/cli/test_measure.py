@@ -168,10 +168,10 @@ def test_a_report_tells_warnings_and_epochs_left_out(series, done, here, no_figu
     out, err = done("measure", *paths, *QUICK, "-o", "out", *how)
     assert out.splitlines()[-1] == "Report: out/report.html"
     (line,) = err.splitlines()
-    assert line.startswith("warning: max_speed moves")
+    assert line.startswith("warning: --max-speed moves")
     page = (here / "out" / "report.html").read_text()
     for words in (
-        "3C &lt;273&gt;", "max_speed moves", paths[0].name,
+        "3C &lt;273&gt;", "--max-speed moves", paths[0].name,
         "before 2000-01-15", "astro-scc measure --config out/config.toml -o FOLDER",
     ):  # fmt: skip
         assert words in page
