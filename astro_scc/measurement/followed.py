@@ -85,7 +85,7 @@ class FollowedFeatures:
         self._pairs = pairs[d.epoch[pairs[:, 0]] < d.epoch[pairs[:, 1]]].T
         diffusion = measure_diffusion(features)
         self.diffuse = bool(use.any()) and diffusion.is_walk
-        self.found = list(self._followed(features, use, diffusion))
+        self.found = list(self._followed(features, last, use, diffusion))
 
     def _find_ssps(self, last, select):
         """Find the SSPs of detections; return which are in the selected part."""
@@ -105,14 +105,18 @@ class FollowedFeatures:
         self._near = np.concatenate(near, axis=1)
         return use
 
-    def _followed(self, features, use, diffusion):
+    def _followed(self, features, last, use, diffusion):
         d, walk = self.detections, diffusion.variance if self.diffuse else 0.0
         for track, motion, secure in zip(
             features.tracks, features.motions, features.secure, strict=True
         ):
             moves = secure and motion.speed >= SIGNIFICANT * motion.speed_err
-            own = track.detection[use[track.detection]]
+            epoch = d.epoch[track.detection]
+            own = track.detection[(epoch >= self.first) & (epoch < last)]
             if len(own) < LEAST_EPOCHS or not (moves or self.diffuse):
+                continue
+            # It belongs to the part of the image in which it is half of the time.
+            if 2 * use[own].sum() < len(own):
                 continue
             moving = motion
             if len(own) < len(track.detection):
