@@ -121,7 +121,8 @@ def observe(
         shapes = [setup.covariance(beams[i])] * len(at_x)
         images.append(add_gaussians(image, at_x, at_y, model[at_y, at_x], shapes))
     line = f"observed with {len(STATIONS)} antennas"
-    fields = {"data": np.array(images), "mask": None, "noise": None, "beams": beams}
+    data = np.array(images)
+    fields = {"data": data, "mask": ~np.isfinite(data), "noise": None, "beams": beams}
     return replace(jet, cube=jet.cube.with_step(line, **fields))
 
 
