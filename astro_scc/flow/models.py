@@ -217,6 +217,11 @@ def _solve_power_law(x, y, s):
     def curve(r, *values):
         return _model("power-law", r, x0, values)
 
+    # A difference quotient is too coarse where the index is near 0.
+    def slopes(r, v0, index):
+        power = _model("power-law", r, x0, (1.0, index))
+        return np.stack([power, v0 * power * np.log(r / x0)], axis=1)
+
     how = {"p0": (np.average(y), 0.0), "sigma": s, "absolute_sigma": True}
-    values, covariance = curve_fit(curve, x, y, **how)
+    values, covariance = curve_fit(curve, x, y, jac=slopes, **how)
     return x0, values, covariance, _chi2(y - curve(x, *values), s)
