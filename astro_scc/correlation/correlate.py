@@ -268,7 +268,7 @@ def match_block(block):
 def _match_scale(block, patterns, scale, wanted):
     # One displacement more shows whether values at the largest one are maxima.
     beyond = np.add(block.search_radius, 1)
-    ssps, settings, stack = patterns.ssps, block.settings, TargetStack(block, scale)
+    ssps, stack = patterns.ssps, TargetStack(block, scale)
     columns = []
     for i, box in enumerate(ssps.bbox):
         middle, half = stack.displacements(box, beyond)
@@ -280,12 +280,12 @@ def _match_scale(block, patterns, scale, wanted):
         corner = box[:2] + middle - half - block.origin
         use = wanted[ssps.epoch[i]] & stack.not_empty(corner, template.window_shape)
         for some, overlap in stack.alike(
-            np.flatnonzero(use), corner, template, settings.min_overlap
+            np.flatnonzero(use), corner, template, block.min_overlap
         ):
             for targets, coefficient in stack.coefficients(
                 some, corner, template, overlap
             ):
-                which, y, x, value = find_peaks(coefficient, settings.kappa)
+                which, y, x, value = find_peaks(coefficient, block.kappa)
                 share = np.ones(len(which))
                 if overlap is not None:
                     share = overlap.share[

@@ -4,16 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from astro_scc.correlation.zncc import Template
 from astro_scc.decomposition import SSPs
-
-if TYPE_CHECKING:
-    from astro_scc.correlation.correlate import Correlator
 
 #: Pixels of windows transformed at once; more would not fit into the processor's cache.
 BATCH_PIXELS = 150_000
@@ -60,15 +56,17 @@ class PairBlock:
     """
     Some pairs of epochs, with everything needed to correlate them.
 
-    It can be pickled, and is all that `match_block` needs.  ``patterns`` are the
-    SSPs of the reference epochs.  The targets are the planes of ``epochs`` on all
+    It can be pickled, and is all that `match_block` needs.  ``kappa`` and
+    ``min_overlap`` are those of the `Correlator`, ``patterns`` the SSPs of the
+    reference epochs.  The targets are the planes of ``epochs`` on all
     ``scales`` in a window that may extend beyond the images of this ``shape``.  They
     are either ``segments``, SSPs outside of which the planes are zero, or ``planes``,
     their part in the window as it is.  ``valid`` are the pixels of the window that
     are not missing, for each different mask, and ``mask`` numbers those of the targets.
     """
 
-    settings: Correlator
+    kappa: float
+    min_overlap: float
     pairs: np.ndarray
     search_radius: tuple
     patterns: Patterns
@@ -99,7 +97,8 @@ class PairBlock:
         segments = settings.target == "segments"
         ssps = patterns.ssps
         return cls(
-            settings=settings,
+            kappa=settings.kappa,
+            min_overlap=settings.min_overlap,
             pairs=pairs,
             search_radius=search_radius,
             patterns=patterns.select(chosen & np.isin(ssps.epoch, pairs[:, 0])),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -15,9 +15,6 @@ from skimage.feature import peak_local_max
 from skimage.segmentation import watershed
 
 from astro_scc.decomposition.wavelet import scale_size
-
-if TYPE_CHECKING:
-    from astro_scc.decomposition.decompose import Decomposition
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,7 +145,7 @@ class SSPs:
         return cls(**joined)
 
     @classmethod
-    def of_epochs(cls, decompositions: Sequence[Decomposition]) -> SSPs:
+    def of_epochs(cls, decompositions: Sequence[Any]) -> SSPs:
         """
         Join the SSPs of all decompositions, numbered by ``epoch``.
 

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Pixel grids: shifting and resampling of images, and a shared grid for several."""
+"""One beam and one pixel grid for several images: convolution and resampling."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
 from astro_scc.exceptions import warn
-from astro_scc.images.beam import is_per
+from astro_scc.images.beam import (
+    CONTAINS,
+    EQUAL,
+    Beam,
+    as_beam,
+    beam_excess,
+    gaussian_smooth,
+    is_per,
+    smallest_common_beam,
+)
 from astro_scc.images.headers import celestial_wcs
 from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import ImageSeries, Series
@@ -381,3 +390,91 @@ def shared_grid(grids):
     shared = moved_wcs(finest, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
+
+
+def common_beam(cube: Series, beam: Beam | None = None) -> Series:
+    """
+    Return the cube with all epochs convolved to the same beam.
+
+    An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
+    covariance ``C - C_i``; intensities per beam are multiplied by the ratio
+    of the beam areas, so that flux densities are conserved.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+        With ``beams``.
+    beam : beam, optional
+        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
+        ``minor`` and ``pa``.  By default the smallest beam that contains the
+        beams of all epochs.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        Epochs that already have the beam are identical to the bit.  Bad
+        pixels stay bad and do not contribute; good pixels beside them and at
+        the edges keep their level.  ``noise`` is None, and is then measured
+        again, unless no epoch needed convolution.
+
+    Raises
+    ------
+    ValueError
+        If the epochs have no beams, or one of them does not fit into
+        ``beam``.
+    TypeError
+        If ``beam`` is not a beam.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.epochs import Beam, EpochCube
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((2, 32, 32)),
+    ...     ["2000-01-01", "2001-01-01"],
+    ...     pixel_scale=0.1 * u.mas,
+    ...     unit=u.Jy / u.beam,
+    ...     beams=[Beam(s * u.mas, s * u.mas) for s in (0.5, 1)],
+    ... )
+    >>> smooth = common_beam(cube)
+    >>> print(smooth.beams[0])
+    1 x 1 mas at 0.0 deg
+    >>> smooth.data[:, 16, 16].round(6)
+    array([4., 1.])
+    """
+    if cube.beams is None:
+        raise ValueError(
+            "the epochs have no beams, so there is no common one; give them to "
+            "EpochCube as beams=[...], or leave this step out"
+        )
+    target = smallest_common_beam(cube.beams) if beam is None else as_beam(beam)
+    goal = target.covariance.value
+    to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
+    data = cube.data.copy()
+    changed = []
+    for i, own in enumerate(cube.beams):
+        covariance = own.covariance.value
+        if beam_excess(goal, covariance) > 1 + CONTAINS:
+            raise ValueError(
+                f"{cube.labels[i]}: its beam {own} does not fit into {target}; "
+                "choose a larger one, or none for the smallest common beam"
+            )
+        if (
+            max(beam_excess(goal, covariance), beam_excess(covariance, goal))
+            <= 1 + EQUAL
+        ):
+            continue
+        variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
+        # Rounding errors must not leave a negative variance.
+        difference = (axes * np.maximum(variances, 0)) @ axes.T
+        data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
+        if is_per(cube.unit, "beam"):
+            data[i] *= float(target.area / own.area)
+        changed.append(i)
+    return cube.with_step(
+        f"common beam {target} ({len(changed)} of {len(cube)} epochs convolved)",
+        data=data,
+        beams=(target,) * len(cube),
+        noise=None if changed else cube.noise,
+    )

@@ -22,6 +22,7 @@ from astro_scc.features.tables import feature_table
 from astro_scc.images.positions import axis_words, name_by_frame
 from astro_scc.images.serialize import read_object, write_object
 from astro_scc.measurement.axes import projection_of
+from astro_scc.measurement.extensions import velocity_hdus
 from astro_scc.measurement.matched import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.measurement.tables import (
@@ -449,7 +450,6 @@ class SCCResult(Components):
         OSError
             If the file cannot be written.
         """
-        from astro_scc.measurement.products import velocity_hdus
         from astro_scc.visualization.explore import write_explore
 
         tables = self.components, self.features

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -13,9 +13,6 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from astro_scc.quantities import check_choice, named
-
-if TYPE_CHECKING:
-    from astro_scc.simulation.jets import JetSimulation
 
 DISTRIBUTIONS = ("normal", "lognormal", "uniform")
 MOTIONS = ("steady", "random", "unrelated")
@@ -142,7 +139,7 @@ class Stream:
                     f"(x, y), got {value}"
                 )
 
-    def features(self, jet: JetSimulation, rng: np.random.Generator) -> Features:
+    def features(self, jet: Any, rng: np.random.Generator) -> Features:
         """
         Draw the features, and follow the visible ones over the epochs.
 
@@ -329,7 +326,7 @@ class Flow:
             factor = np.exp(self.dispersion * (ndtri(quantile) - self.dispersion / 2))
         return self.speed * np.maximum(factor, SLOWEST)
 
-    def features(self, jet: JetSimulation, rng: np.random.Generator) -> Features:
+    def features(self, jet: Any, rng: np.random.Generator) -> Features:
         """
         Draw the features and follow them over the epochs.
 
