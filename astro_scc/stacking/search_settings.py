@@ -56,6 +56,9 @@ class SearchSettings:
         Smallest motion of a stream's features while they are seen, added in
         quadrature: three features that move one beam, or one that moves
         farther than blends of standing features drift.
+    p_secure : float
+        Share of static jets with a secure feature: up to 0.03, by their kind
+        (``benchmarks/features.py simulated``).
     least_score : float
         Smallest expected number of true matches of an SSP with which a feature begins.
     first_dispersion : float
@@ -142,6 +145,7 @@ class SearchSettings:
     far_motion: float = 1.5
     least_share: float = 0.6
     least_motion: float = 1.75
+    p_secure: float = 0.03
     least_score: float = 0.7
     first_dispersion: float = 0.3
     least_z: float = 1.5

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import combine_pvalues
 
 from astro_scc.stacking.diagram import SHORT, Diagram, Rays
 from astro_scc.stacking.dispersion import (
@@ -52,7 +53,7 @@ class Stream:
     kind : {"moving", "not confirmed", "stationary", "not significant"}
         Not confirmed: ``p_global`` is at most alpha, but something holds it back.
     reason : str
-        Why it is neither moving nor stationary, or ''.
+        Why it is neither moving nor stationary, or what ``p_global`` rests on, or ''.
     angle : float
         Direction of the axis from the first axis of the frame, in radians.
     along, across : ``Population``
@@ -61,7 +62,8 @@ class Stream:
         Excess along its ray in standard deviations of the permutations.
     p_local, p_global : float
         p-values of the permutation test at exactly this speed, see
-        `EpochPermutations`.
+        `EpochPermutations`.  Where ``p_global`` is above alpha, the evidence of the
+        first stream's secure features is added.
     p_distinct : float
         Probability that one stream fewer gives features that separate as
         well; for the first stream its ``p_global``.
@@ -309,6 +311,38 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     return "not confirmed" if passes else "not significant", reason
 
 
+def with_secure(p_global, n_secure, alpha, settings):
+    """
+    Return the p-value of permuted epochs and of secure features together.
+
+    They are combined by Fisher's method (1925, Statistical Methods for Research
+    Workers) where the permutations alone do not reject.
+
+    Parameters
+    ----------
+    p_global : float
+        Of the permutation test.
+    n_secure : int
+        Number of secure features that move with the stream.
+    alpha : float
+    settings : `~astro_scc.stacking.SearchSettings`
+
+    Returns
+    -------
+    p_global : float
+    note : str
+        What it rests on, if that is more than the permutation test.
+    """
+    if n_secure == 0 or p_global <= alpha:
+        return p_global, ""
+    both = float(combine_pvalues([p_global, settings.p_secure]).pvalue)
+    if both > alpha:
+        return p_global, ""
+    some = "a secure feature" if n_secure == 1 else f"{n_secure} secure features"
+    note = f"permuted epochs alone give p_global {p_global:.2g}, but {some} moved"
+    return both, note
+
+
 @dataclass(frozen=True, eq=False)
 class _Axis:
     """
@@ -477,10 +511,14 @@ def _population(features, settings):
 def _stream(axis, along, across, features, alpha, p_distinct=None):
     """Return a stream, tested at its mean speed."""
     p_local, p_global = axis.p_values(features, along.mean)
-    z = float(axis.z(along.mean))
+    z, n_secure = float(axis.z(along.mean)), 0
+    if p_distinct is None and axis.followed and not axis.followed.diffuse:
+        n_secure = sum(f.followed for f in features)
+    p_global, note = with_secure(p_global, n_secure, alpha, axis.settings)
     kind, reason = classify(
         along, z, p_global, features, axis.permutations, alpha, axis.settings
     )
+    reason = "; ".join(filter(None, (note, reason)))
     return Stream(
         kind=kind,
         reason=reason,

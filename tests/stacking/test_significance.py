@@ -14,7 +14,7 @@ from astro_scc.stacking.diagram import Diagram, Rays
 from astro_scc.stacking.dispersion import Population, feature_speeds, random_effects
 from astro_scc.stacking.features import Feature
 from astro_scc.stacking.permutations import EpochPermutations
-from astro_scc.stacking.significance import classify
+from astro_scc.stacking.significance import classify, with_secure
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.
@@ -118,6 +118,24 @@ class TestClassify:
         for (name, _), word in zip(list(changes.items()), words, strict=True):
             assert word in self.kind(**changes)[1]
             changes.pop(name)
+
+
+class TestWithSecureFeatures:
+    def test_both_probabilities_are_combined(self):
+        # Fisher: minus twice the logarithm of the product is a chi-square of four.
+        product = 0.2 * SEARCH.p_secure
+        p_global, note = with_secure(0.2, 2, 0.05, SEARCH)
+        assert p_global == pytest.approx(product * (1 - np.log(product)))
+        assert note == (
+            "permuted epochs alone give p_global 0.2, but 2 secure features moved"
+        )
+        assert with_secure(0.2, 1, 0.05, SEARCH)[1].endswith("a secure feature moved")
+
+    @pytest.mark.parametrize(
+        ("p_global", "n_secure"), [(0.05, 3), (0.2, 0), (0.4, 3), (1.0, 1)]
+    )
+    def test_the_permutations_decide_alone(self, p_global, n_secure):
+        assert with_secure(p_global, n_secure, 0.05, SEARCH) == (p_global, "")
 
 
 class TestOneStream:
