@@ -37,6 +37,7 @@ _FOLDERS = frozenset(
         "report",
         "simulation",
         "stacking",
+        "streams",
         "tracking",
         "visualization",
     }

@@ -40,7 +40,7 @@ from astro_scc.flow import (
 )
 from astro_scc.kinematics import apparent_speed
 from astro_scc.measurement import select_ssps
-from astro_scc.stacking.dispersion import random_effects
+from astro_scc.streams.dispersion import random_effects
 
 SOURCE = {source.name: source for source in SOURCES}
 #: Fewest epochs, error of a position and width of the beam of the survey's features,

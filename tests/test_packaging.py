@@ -69,7 +69,7 @@ def test_version_of_a_tree_that_was_never_built():
                 "import astro_scc.cli",
                 "from astro_scc import EpochCube",
                 "import astro_scc.decomposition, astro_scc.correlation",
-                "import astro_scc.kinematics, astro_scc.simulation, astro_scc.stacking",
+                "import astro_scc.kinematics, astro_scc.simulation, astro_scc.streams",
             )
         ),
     ],

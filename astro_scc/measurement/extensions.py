@@ -8,7 +8,7 @@ from astropy.table import QTable
 
 from astro_scc.measurement.publication import ascii_line
 from astro_scc.measurement.tables import frame_velocities
-from astro_scc.stacking import SearchSettings
+from astro_scc.streams import SearchSettings
 from astro_scc.units import PM_UNIT
 
 MOTION = "direction of the proper motion"

@@ -36,12 +36,13 @@ from astro_scc.measurement.tables import (
     printed,
     ssp_table,
 )
-from astro_scc.stacking import SearchSettings
-from astro_scc.stacking.errors import JitteredVelocity, StreamVelocity
+from astro_scc.stacking.jitter import JitteredVelocity
 from astro_scc.stacking.permutations import PermutedStacks
-from astro_scc.stacking.significance import Search
 from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
+from astro_scc.streams import SearchSettings
+from astro_scc.streams.errors import StreamVelocity
+from astro_scc.streams.search import Search
 from astro_scc.units import PM_UNIT, unit_name
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ import numpy as np
 from astro_scc import kinematics
 from astro_scc.measurement import axes
 from astro_scc.measurement.followed import FollowedFeatures
-from astro_scc.stacking import find_streams
-from astro_scc.stacking.errors import StreamVelocity, velocity_of
-from astro_scc.stacking.search_settings import DEFAULT
-from astro_scc.stacking.significance import Search
 from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams import find_streams
+from astro_scc.streams.errors import StreamVelocity, velocity_of
+from astro_scc.streams.search import Search
+from astro_scc.streams.search_settings import DEFAULT
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,12 @@ from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
 from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
-from astro_scc.stacking.errors import jitter_positions
+from astro_scc.stacking.jitter import jitter_positions
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
-from astro_scc.stacking.search_settings import DEFAULT
 from astro_scc.stacking.stack import stack, velocity_peak_near
 from astro_scc.stacking.velocities import baseline_pairs
+from astro_scc.streams.search_settings import DEFAULT
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2

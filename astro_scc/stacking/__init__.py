@@ -1,7 +1,2 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Stacking of velocity samples into a diagram and a map, and the streams in them."""
-
-from astro_scc.stacking.search_settings import SearchSettings
-from astro_scc.stacking.significance import find_streams
-
-__all__ = ["SearchSettings", "find_streams"]
+"""Velocities of matches, their stack, its peaks and z-score, as in the paper."""

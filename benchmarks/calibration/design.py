@@ -32,7 +32,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.features import find_features
 from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.stacking import SearchSettings, find_streams
+from astro_scc.streams import SearchSettings, find_streams
 
 FIRST_SEED = 4000
 ONE = ("single-20", "features4-20", "epochs8-20")

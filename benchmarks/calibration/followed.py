@@ -23,7 +23,7 @@ from design import matched_jet
 from run import SEEN
 from summary import write
 
-from astro_scc.stacking import SearchSettings, find_streams
+from astro_scc.streams import SearchSettings, find_streams
 
 FIRST_SEED = 10_000
 JETS = ("single-20", "epochs8-20", "features4-20", "features16-20", "two-streams")

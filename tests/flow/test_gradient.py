@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from scipy.stats import kstest
 
 from astro_scc.flow.speeds import BLENDS, fit_gradient
-from astro_scc.stacking import SearchSettings
-from astro_scc.stacking.dispersion import scattered_fit
-from astro_scc.stacking.features import Feature
+from astro_scc.streams import SearchSettings
+from astro_scc.streams.dispersion import scattered_fit
+from astro_scc.streams.features import Feature
 
 YEARS, BEAM = np.arange(8.0), 1 * u.mas
 

@@ -14,7 +14,7 @@ from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.matched import select_ssps, ssp_distances
 from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import simulate_jet
-from astro_scc.stacking.dispersion import feature_speeds, random_effects
+from astro_scc.streams.dispersion import feature_speeds, random_effects
 
 PM = u.mas / u.yr
 

@@ -12,7 +12,7 @@ from astro_scc.measurement.sensitivity import (
     with_choices,
 )
 from astro_scc.simulation import simulate_jet
-from astro_scc.stacking.errors import StreamVelocity
+from astro_scc.streams.errors import StreamVelocity
 
 SCC = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
 

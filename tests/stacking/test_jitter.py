@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.stacking.errors import jitter_positions
+from astro_scc.stacking.jitter import jitter_positions
 from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.velocities import consecutive_pairs
 

@@ -14,12 +14,12 @@ from scipy.stats import chisquare
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.permutations import (
     number_of_permutations,
-    permutations_of_epochs,
     permute_stacks,
     random_permutations,
 )
 from astro_scc.stacking.stack import stack
 from astro_scc.stacking.velocities import VelocityGrid, consecutive_pairs
+from astro_scc.streams.permutations import permutations_of_epochs
 
 
 def rng(seed=0):

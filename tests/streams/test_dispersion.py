@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from astro_scc.stacking import SearchSettings
-from astro_scc.stacking.dispersion import (
+from astro_scc.streams import SearchSettings
+from astro_scc.streams.dispersion import (
     feature_speeds,
     random_effects,
     separate_streams,
 )
-from astro_scc.stacking.errors import alignment_response
-from astro_scc.stacking.features import Feature
-from astro_scc.stacking.significance import Stream
+from astro_scc.streams.errors import alignment_response
+from astro_scc.streams.features import Feature
+from astro_scc.streams.search import Stream
 
 SEARCH = SearchSettings()
 
@@ -164,7 +164,7 @@ class TestSeparateStreams:
 
     def test_the_likelihoods_by_a_loop(self):
         """The ratio of the largest of two components and of one."""
-        from astro_scc.stacking.dispersion import _one, _two
+        from astro_scc.streams.dispersion import _one, _two
 
         rng = np.random.default_rng(4)
         y, e = (

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
+from astro_scc.streams.search_settings import DEFAULT, SearchSettings
 
 #: Number of dispersions that are tried, from zero to four standard deviations.
 TAUS = 80
@@ -30,7 +30,7 @@ class Population:
 
     Examples
     --------
-    >>> from astro_scc.stacking.dispersion import random_effects
+    >>> from astro_scc.streams.dispersion import random_effects
     >>> random_effects([1.0, 1.1, 0.9, 1.0], [0.05] * 4).mean
     1.0
     """
@@ -57,7 +57,7 @@ def random_effects(
     Parameters
     ----------
     values, errors : array_like, shape (n,)
-    settings : `~astro_scc.stacking.SearchSettings`, optional
+    settings : `~astro_scc.streams.SearchSettings`, optional
 
     Returns
     -------
@@ -65,7 +65,7 @@ def random_effects(
 
     Examples
     --------
-    >>> from astro_scc.stacking.dispersion import random_effects
+    >>> from astro_scc.streams.dispersion import random_effects
     >>> stream = random_effects([0.8, 1.0, 1.2, 0.9, 1.1], [0.01] * 5)
     >>> round(stream.mean, 2), round(stream.dispersion, 2)
     (1.0, 0.2)
@@ -118,7 +118,7 @@ def scattered_fit(design, values, errors):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking.dispersion import scattered_fit
+    >>> from astro_scc.streams.dispersion import scattered_fit
     >>> x = np.arange(4.0)
     >>> design = np.stack([np.ones(4), x], axis=1)
     >>> scattered_fit(design, 1 + 2 * x, np.full(4, 0.1))[0].round(6).tolist()
@@ -176,7 +176,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
         Features that move in one direction.
     n_trials : int
     rng : `~numpy.random.Generator`
-    settings : `~astro_scc.stacking.SearchSettings`, optional
+    settings : `~astro_scc.streams.SearchSettings`, optional
 
     Returns
     -------
@@ -188,8 +188,8 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking.features import Feature
-    >>> from astro_scc.stacking.dispersion import separate_streams
+    >>> from astro_scc.streams.features import Feature
+    >>> from astro_scc.streams.dispersion import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [
     ...     Feature.through(epoch, epoch, epoch, np.outer(epoch, [speed, 0]))

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import combine_pvalues
 
-from astro_scc.stacking import SearchSettings, find_streams
-from astro_scc.stacking.diagram import Diagram, Rays
-from astro_scc.stacking.dispersion import Population, feature_speeds, random_effects
-from astro_scc.stacking.features import Feature
-from astro_scc.stacking.permutations import EpochPermutations
-from astro_scc.stacking.significance import classify, with_secure
+from astro_scc.streams import SearchSettings, find_streams
+from astro_scc.streams.diagram import Diagram, Rays
+from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
+from astro_scc.streams.features import Feature
+from astro_scc.streams.permutations import EpochPermutations
+from astro_scc.streams.search import classify, with_secure
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.

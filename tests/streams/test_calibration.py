@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from astro_scc.stacking import find_streams
+from astro_scc.streams import find_streams
 
 N_NULL = 100
 N_MOVING = 12

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.stacking.diagram import Rays
 from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams.diagram import Rays
 
 #: Motions in beams between which shares and widths are the same.
 BINS = np.array([0.0, 0.35, 0.7, 1.2, 1.7, 2.5])

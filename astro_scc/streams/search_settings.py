@@ -123,7 +123,7 @@ class SearchSettings:
 
     Examples
     --------
-    >>> from astro_scc.stacking import SearchSettings
+    >>> from astro_scc.streams import SearchSettings
     >>> SearchSettings().radius
     1.5
     """

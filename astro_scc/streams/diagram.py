@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
-from astro_scc.stacking.search_settings import SearchSettings
+from astro_scc.streams.search_settings import SearchSettings
 
 #: Grid points of the displacement in one blur.
 POINTS = 4
@@ -55,7 +55,7 @@ class Diagram:
         ----------
         samples : ``VelocitySamples``
         rays : `Rays`
-        settings : `~astro_scc.stacking.SearchSettings`
+        settings : `~astro_scc.streams.SearchSettings`
 
         Returns
         -------
@@ -150,7 +150,7 @@ class Rays:
         in years: 2.1 times the shorter quarter of the intervals between epochs.
     intervals : tuple of float
         Shortest and longest interval that is used.
-    settings : `~astro_scc.stacking.SearchSettings`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Examples
     --------
@@ -158,8 +158,8 @@ class Rays:
     A speed of half a beam a year is searched in intervals of up to two years:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import SearchSettings
-    >>> from astro_scc.stacking.diagram import Rays
+    >>> from astro_scc.streams import SearchSettings
+    >>> from astro_scc.streams.diagram import Rays
     >>> rays = Rays.of(np.arange(6.0), 1.5, SearchSettings())
     >>> rays.speed[rays.speed > 0][[0, -1]]
     array([0.2, 1.5])
@@ -188,7 +188,7 @@ class Rays:
         ----------
         years : `~numpy.ndarray`, shape (n_epochs,)
         radius : float
-        settings : `~astro_scc.stacking.SearchSettings`
+        settings : `~astro_scc.streams.SearchSettings`
         fastest : float, optional
             Largest speed.
         intervals : tuple of float, optional

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from astro_scc.stacking.search_settings import DEFAULT, SearchSettings
+from astro_scc.streams.search_settings import DEFAULT, SearchSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Feature:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.stacking.features import Feature
+    >>> from astro_scc.streams.features import Feature
     >>> years = np.array([0.0, 1.0, 2.0])
     >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     >>> Feature.through(np.arange(3), np.arange(3), years, place).speed
@@ -98,7 +98,7 @@ class Feature:
         epoch : `~numpy.ndarray` of int, shape (n,)
         years : `~numpy.ndarray`, shape (n,)
         position : `~numpy.ndarray`, shape (n, 2)
-        settings : `~astro_scc.stacking.SearchSettings`, optional
+        settings : `~astro_scc.streams.SearchSettings`, optional
 
         Returns
         -------
@@ -153,8 +153,8 @@ def find_features(samples, mixture, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.stacking.mixture.Mixture`
-    settings : `~astro_scc.stacking.SearchSettings`
+    mixture : `~astro_scc.streams.mixture.Mixture`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------
@@ -190,8 +190,8 @@ def first_speeds(samples, mixture, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.stacking.mixture.Mixture`
-    settings : `~astro_scc.stacking.SearchSettings`
+    mixture : `~astro_scc.streams.mixture.Mixture`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------
@@ -230,7 +230,7 @@ def standing_features(samples, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    settings : `~astro_scc.stacking.SearchSettings`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------
@@ -260,7 +260,7 @@ def clear_of(features, standing, samples, settings):
     ----------
     features, standing : sequence of `Feature`
     samples : ``VelocitySamples``
-    settings : `~astro_scc.stacking.SearchSettings`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------
@@ -447,7 +447,7 @@ def different(features, samples, settings):
     ----------
     features : sequence of `Feature`
     samples : ``VelocitySamples``
-    settings : `~astro_scc.stacking.SearchSettings`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------

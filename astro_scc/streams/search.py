@@ -19,24 +19,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.stacking.diagram import SHORT, Diagram, Rays
-from astro_scc.stacking.dispersion import (
+from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams.diagram import SHORT, Diagram, Rays
+from astro_scc.streams.dispersion import (
     Population,
     feature_speeds,
     random_effects,
     separate_streams,
 )
-from astro_scc.stacking.features import (
+from astro_scc.streams.features import (
     Feature,
     clear_of,
     different,
     find_features,
     standing_features,
 )
-from astro_scc.stacking.mixture import fit_mixture
-from astro_scc.stacking.permutations import EpochPermutations
-from astro_scc.stacking.search_settings import SearchSettings
-from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams.mixture import fit_mixture
+from astro_scc.streams.permutations import EpochPermutations
+from astro_scc.streams.search_settings import SearchSettings
 
 #: What needs more than so many times the epochs is out of reach.
 MOST_EPOCHS = 10
@@ -70,8 +70,8 @@ class Stream:
 
     Examples
     --------
-    >>> from astro_scc.stacking.dispersion import random_effects
-    >>> from astro_scc.stacking.significance import Stream
+    >>> from astro_scc.streams.dispersion import random_effects
+    >>> from astro_scc.streams.search import Stream
     >>> still = random_effects([0.01, -0.02], [0.02, 0.02])
     >>> Stream("stationary", "", 0.0, still, still).kind
     'stationary'
@@ -111,7 +111,7 @@ class Search:
     One feature that moves half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import find_streams
+    >>> from astro_scc.streams import find_streams
     >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> years = np.arange(8.0)
     >>> ssp, to = (k[~np.eye(8, dtype=bool)] for k in np.indices((8, 8)))
@@ -171,7 +171,7 @@ def find_streams(
         Largest speed, in beams/yr.
     intervals : tuple of float, optional
         Shortest and longest interval between epochs that is used, in years.
-    settings : `~astro_scc.stacking.SearchSettings`, optional
+    settings : `~astro_scc.streams.SearchSettings`, optional
     followed : callable, optional
         Returns features along an angle that were followed from image to image, and
         which SSPs are theirs.
@@ -190,7 +190,7 @@ def find_streams(
     Ten features that move half a beam a year through eight epochs:
 
     >>> import numpy as np
-    >>> from astro_scc.stacking import find_streams
+    >>> from astro_scc.streams import find_streams
     >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> years = np.arange(8.0)
     >>> epoch, feature = (k.ravel() for k in np.indices((8, 10)))
@@ -275,7 +275,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     features : sequence of ``Feature``
     permutations : ``EpochPermutations``
     alpha : float
-    settings : `~astro_scc.stacking.SearchSettings`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------
@@ -324,7 +324,7 @@ def with_secure(p_global, n_secure, alpha, settings):
     n_secure : int
         Number of secure features that move with the stream.
     alpha : float
-    settings : `~astro_scc.stacking.SearchSettings`
+    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------

@@ -7,10 +7,11 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from astro_scc.stacking import SearchSettings
-from astro_scc.stacking.diagram import Diagram, IntervalBins, PairDensity, Rays
-from astro_scc.stacking.permutations import EpochPermutations, number_of_permutations
+from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams import SearchSettings
+from astro_scc.streams.diagram import Diagram, IntervalBins, PairDensity, Rays
+from astro_scc.streams.permutations import EpochPermutations
 
 SEARCH = SearchSettings()
 YEARS = np.array([2000.0, 2000.4, 2001.3, 2001.9, 2003.2])
@@ -350,7 +351,7 @@ class TestEpochPermutations:
 
     def test_memory_is_used_in_parts(self, d, rays, monkeypatch):
         at_once = permute(d, rays)
-        monkeypatch.setattr("astro_scc.stacking.permutations.BYTES", 1)
+        monkeypatch.setattr("astro_scc.streams.permutations.BYTES", 1)
         one_by_one = permute(d, rays)
         np.testing.assert_allclose(one_by_one.z, at_once.z)
         np.testing.assert_allclose(one_by_one.permuted, at_once.permuted, atol=1e-5)

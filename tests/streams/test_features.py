@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from astro_scc.stacking import SearchSettings, find_streams
-from astro_scc.stacking.diagram import Rays
-from astro_scc.stacking.dispersion import feature_speeds, separate_streams
-from astro_scc.stacking.features import (
+from astro_scc.streams import SearchSettings, find_streams
+from astro_scc.streams.diagram import Rays
+from astro_scc.streams.dispersion import feature_speeds, separate_streams
+from astro_scc.streams.features import (
     Feature,
     _on_line,
     clear_of,
     find_features,
     standing_features,
 )
-from astro_scc.stacking.mixture import fit_mixture
+from astro_scc.streams.mixture import fit_mixture
 
 SEARCH = SearchSettings()
 #: Uneven: followers differ from features by the dates.
