@@ -18,6 +18,7 @@ from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
 from astro_scc.streams.dispersion import feature_speeds, random_effects, scattered_fit
+from astro_scc.streams.features import SAME_FEATURE
 from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit
 
@@ -405,7 +406,7 @@ def _groups_of(features, d, ssps, groups):
         for ssp in feature.ssp:
             here = np.flatnonzero(d.epoch == d.epoch[ssp])
             away = np.hypot(*(d.position[here] - d.position[ssp]).T)
-            here = here[away <= DEFAULT.same_feature]
+            here = here[away <= SAME_FEATURE]
             row += [ssps.peak[here[g[here]]].max(initial=0) for g in groups]
     share = np.log(np.maximum(total, np.finfo(float).tiny))
     share -= share.mean(axis=1, keepdims=True)

@@ -41,6 +41,7 @@ from astro_scc.stacking.permutations import PermutedStacks
 from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams import SearchSettings
+from astro_scc.streams.diagram import INTERVAL_STEP
 from astro_scc.streams.errors import StreamVelocity
 from astro_scc.streams.search import Search
 from astro_scc.units import PM_UNIT, unit_name
@@ -336,7 +337,7 @@ class SCCResult(Components):
                 direction, excess = -direction, excess[::-1]
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
-        step = search.interval_step
+        step = INTERVAL_STEP
         # The first bin begins at the shortest interval that was used.
         baseline, years = self.meta["settings"]["baseline"], self.cube.years
         first, second = np.triu_indices(len(years), 1)

@@ -13,7 +13,9 @@ from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import find_streams
 from astro_scc.streams.errors import StreamVelocity, velocity_of
 from astro_scc.streams.search import Search
-from astro_scc.streams.search_settings import DEFAULT
+
+#: Number of directions, over half a turn, that are searched if none is known.
+N_AXES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ def search_matches(
         samples = samples.of_epochs(epochs)
     project = axes.AxisProjection(samples, cube, frame)
     known = not isinstance(frame, kinematics.SkyFrame)
-    n_axes = 1 if known else DEFAULT.n_axes
+    n_axes = 1 if known else N_AXES
     search = find_streams(
         project,
         np.arange(n_axes) * np.pi / n_axes,

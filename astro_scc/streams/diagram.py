@@ -11,6 +11,10 @@ from scipy.sparse import csr_array
 
 from astro_scc.streams.search_settings import SearchSettings
 
+#: Relative width of the bins of the intervals; finer ones change nothing.
+INTERVAL_STEP = 0.08
+#: Relative step of the grid of speeds; a finer one changes nothing.
+SPEED_STEP = 0.05
 #: Grid points of the displacement in one blur.
 POINTS = 4
 #: Intervals that always count, in units of the shorter quarter of those between epochs.
@@ -202,7 +206,7 @@ class Rays:
         ValueError
             If the separations of no two epochs lie within ``intervals``.
         """
-        bins = IntervalBins(years, settings.interval_step, intervals)
+        bins = IntervalBins(years, INTERVAL_STEP, intervals)
         if len(bins.mean) == 0:
             raise ValueError(
                 f"no two epochs are {intervals[0]:g} to {intervals[1]:g} yr apart"
@@ -214,7 +218,7 @@ class Rays:
         fastest = min(radius / used, fastest)
         slowest = min(settings.slowest / longest, 0.25 * fastest)
         return cls(
-            speed=speed_grid(slowest, fastest, settings.speed_step),
+            speed=speed_grid(slowest, fastest, SPEED_STEP),
             bins=bins,
             radius=radius,
             short=SHORT * used,

@@ -9,6 +9,29 @@ import numpy as np
 
 from astro_scc.streams.search_settings import DEFAULT, SearchSettings
 
+#: Motion in beams with which one epoch less than ``least_epochs`` is enough.
+FAR_MOTION = 1.5
+#: Smallest share of the epochs from its first to its last one in which a feature is
+#: seen: at least 0.7 for 95% of those that are followed correctly, while SSPs that lie
+#: on a line by chance miss most epochs.
+LEAST_SHARE = 0.6
+#: Smallest expected number of true matches of an SSP with which a feature begins.
+LEAST_SCORE = 0.7
+#: Relative dispersion about the speed of a stream of the speeds with which its features
+#: begin.
+FIRST_DISPERSION = 0.3
+#: Fewest SSPs of a feature with an acceleration.
+ACCELERATED_EPOCHS = 5
+#: Degrees of freedom that ``position_error`` counts as: a straight line through three
+#: SSPs has one of its own.
+PRIOR_FREEDOM = 3
+#: Features closer than so many beams to the line of a longer one are parts of it.
+SAME_FEATURE = 0.5
+#: Distance in beams within which a standing feature attracts or repels positions.  On
+#: simulated jets, speeds at 2 to 3 beams are 7 +- 2% too small without such positions
+#: (``benchmarks/calibration/followed.py``).
+PULL = 1.6
+
 
 @dataclass(frozen=True, eq=False)
 class Feature:
@@ -110,13 +133,13 @@ class Feature:
         left = position - position.mean(axis=0) - time[:, None] * velocity
 
         def variance(left, n_parameters):
-            prior = settings.prior_freedom
+            prior = PRIOR_FREEDOM
             total = (left**2).sum(axis=0) + prior * settings.position_error**2
             return total / (max(len(years) - n_parameters, 0) + prior)
 
         error = np.sqrt(variance(left, 2) * (response @ response))
         bend = bend_error = np.nan
-        if len(years) >= settings.accelerated_epochs:
+        if len(years) >= ACCELERATED_EPOCHS:
             design = np.stack([np.ones(len(years)), time, time**2 / 2], axis=1)
             inverse = np.linalg.inv(design.T @ design)
             curve = inverse @ design.T @ position[:, 0]
@@ -168,15 +191,15 @@ def find_features(samples, mixture, settings):
     links = _Links(d.select(keep))
     score, speed = first_speeds(d, mixture, settings)
     seeds = np.argsort(-score, kind="stable")
-    seeds = seeds[score[seeds] >= settings.least_score]
+    seeds = seeds[score[seeds] >= LEAST_SCORE]
     found = []
     for chosen in _joined(_chains(seeds, speed, links, d, settings), d, settings):
         first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
         if len(chosen) < settings.least_epochs - 1:
             continue
         feature = _feature(chosen, d, settings)
-        fewest = settings.least_epochs - (feature.motion >= settings.far_motion)
-        if len(chosen) >= max(fewest, settings.least_share * (last - first + 1)):
+        fewest = settings.least_epochs - (feature.motion >= FAR_MOTION)
+        if len(chosen) >= max(fewest, LEAST_SHARE * (last - first + 1)):
             found.append(feature)
     taken = np.zeros(len(d.epoch), dtype=bool)
     taken[[ssp for feature in found for ssp in feature.ssp]] = True
@@ -215,7 +238,7 @@ def first_speeds(samples, mixture, settings):
     ):
         weight = member / s**2
         # Where nothing moves, the fit may end at rest.
-        prior = (settings.first_dispersion * max(abs(v), 1e-9)) ** -2
+        prior = (FIRST_DISPERSION * max(abs(v), 1e-9)) ** -2
         total = per_ssp(weight * dt**2) + prior
         own.append((per_ssp(weight * x * dt) + prior * v) / total)
     which = number.argmax(axis=0)
@@ -276,7 +299,7 @@ def clear_of(features, standing, samples, settings):
     found = []
     for f in features:
         away = np.hypot(*(d.position[f.ssp][:, None] - places).T).min(axis=0)
-        clear = away > settings.pull
+        clear = away > PULL
         if clear.all():
             found.append(f)
         elif clear.sum() < settings.least_epochs:
@@ -467,7 +490,7 @@ def different(features, samples, settings):
             velocity, middle, when = (np.array(part)[:, None] for part in parts)
             line = middle + (years - when)[..., None] * velocity
             off = np.median(np.linalg.norm(place - line, axis=-1), axis=1)
-            if off.min() < settings.same_feature:
+            if off.min() < SAME_FEATURE:
                 continue
         kept.append(feature)
         lines.append(((feature.speed, feature.across), feature.middle, feature.date))

@@ -19,13 +19,18 @@ from astro_scc.stacking.permutations import (
 )
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.diagram import PairDensity, Rays
-from astro_scc.streams.search_settings import DEFAULT, SearchSettings
 
+#: Standard deviations of the permutations are at least this fraction of the largest one
+#: of any axis at the same speed: single matches across the flow are not significant.
+LEAST_STD = 0.3
+#: Up to this number of epochs all permutations are used: the variance of a small sample
+#: would be inaccurate.
+ALL_ORDERS_OF = 6
 #: Bytes of permuted diagrams that are made at once.
 BYTES = 2**22
 
 
-def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
+def permutations_of_epochs(n_epochs, n_trials, rng):
     """
     Draw permutations of the epochs, each as likely as the observed order.
 
@@ -33,7 +38,6 @@ def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
     ----------
     n_epochs, n_trials : int
     rng : `~numpy.random.Generator`
-    settings : `~astro_scc.streams.SearchSettings`, optional
 
     Returns
     -------
@@ -41,7 +45,7 @@ def permutations_of_epochs(n_epochs, n_trials, rng, settings=DEFAULT):
         All except the observed one for up to six epochs, or if these are at
         most ``n_trials``; otherwise random ones.
     """
-    few = n_epochs <= settings.all_orders_of
+    few = n_epochs <= ALL_ORDERS_OF
     if few or math.factorial(min(n_epochs, MOST)) <= n_trials + 1:
         return np.array(list(itertools.permutations(range(n_epochs))))[1:]
     return random_permutations(n_epochs, n_trials, rng)
@@ -82,8 +86,7 @@ class EpochPermutations:
     ...     position=np.zeros((6, 2)), epoch=np.arange(6), scale=np.ones(6),
     ...     years=years)
     >>> rays = Rays.of(years, 1.5, SearchSettings())
-    >>> test = EpochPermutations.of([(d,)], rays, 99, np.random.default_rng(1),
-    ...                             SearchSettings())
+    >>> test = EpochPermutations.of([(d,)], rays, 99, np.random.default_rng(1))
     >>> axis, speed = test.largest()
     >>> axis, abs(speed - 0.5) < 0.1, test.p_values(axis, speed)[1] < 0.05
     (0, True, True)
@@ -98,8 +101,7 @@ class EpochPermutations:
     @classmethod
     def of(
         cls, axes: Sequence[Sequence[VelocitySamples]], rays: Rays, n_trials: int,
-        rng: np.random.Generator, settings: SearchSettings, *, outward: bool = False,
-        one_way: bool = False,
+        rng: np.random.Generator, *, outward: bool = False, one_way: bool = False,
     ) -> EpochPermutations:  # fmt: skip
         """
         Permute the epochs.
@@ -114,7 +116,6 @@ class EpochPermutations:
         n_trials : int
             Number of random permutations; for few epochs all are used.
         rng : `~numpy.random.Generator`
-        settings : `~astro_scc.streams.SearchSettings`
         outward : bool, optional
             Search positive speeds only.
         one_way : bool, optional
@@ -127,7 +128,7 @@ class EpochPermutations:
         `EpochPermutations`
         """
         years, speed = axes[0][0].years, rays.speed
-        orders = permutations_of_epochs(len(years), n_trials, rng, settings)
+        orders = permutations_of_epochs(len(years), n_trials, rng)
         orders = np.concatenate([np.arange(len(years))[None], orders])
         each = []
         for kind in zip(*axes, strict=True):
@@ -136,11 +137,11 @@ class EpochPermutations:
                     *(_ray_sums(a, rays, orders, one_way) for a in kind), strict=True
                 )
                 sums, size = np.stack(sums, axis=1), max((*chance, 1e-294))
-                each.append(_in_deviations(sums, size, settings))
-        z = each[0] if len(each) == 1 else _in_deviations(sum(each), 1.0, settings)
+                each.append(_in_deviations(sums, size))
+        z = each[0] if len(each) == 1 else _in_deviations(sum(each), 1.0)
         # Slow drifts of blends are no motion, and permutations have none.
         span = min(years[-1] - years[0], rays.intervals[1])
-        drift = np.sqrt(np.minimum(np.abs(speed) * span / settings.drift, 1.0))
+        drift = np.sqrt(np.minimum(np.abs(speed) * span / rays.settings.drift, 1.0))
         z = drift * z
         use = speed > (0 if outward else -np.inf)
         z = z[..., use]
@@ -249,9 +250,9 @@ def _ray_sums(samples, rays, orders, one_way):
     return np.concatenate([-sums[:, ::-1], sums], axis=1) if one_way else sums, largest
 
 
-def _in_deviations(sums, size, settings):
+def _in_deviations(sums, size):
     """Return sums in their standard deviations, (n_orders, n_axes, n_v)."""
     std = sums.std(axis=0)
     # The floor keeps rounding errors of identical epochs from counting.
-    floor = settings.least_std * std.max(axis=0) + 1e-6 * size
+    floor = LEAST_STD * std.max(axis=0) + 1e-6 * size
     return sums / np.maximum(std, floor)

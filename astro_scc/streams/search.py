@@ -38,6 +38,21 @@ from astro_scc.streams.mixture import fit_mixture
 from astro_scc.streams.permutations import EpochPermutations
 from astro_scc.streams.search_settings import SearchSettings
 
+#: Share of static jets with a secure feature: up to 0.03, by their kind
+#: (``benchmarks/features.py simulated``).
+P_SECURE = 0.03
+#: Smallest significance of the speed of a stream's feature, in standard deviations of
+#: the permutations.
+LEAST_Z = 1.5
+#: Most steps in which the axis is turned to the direction of the features; on simulated
+#: jets two are enough.
+MAX_TURNS = 4
+#: Smallest distance of a moving speed from rest, in errors: 95% of a normal
+#: distribution, one-sided.
+REST_ERRORS = 1.645
+#: Features that are followed from image to image stand for a flow if they are at least
+#: this share of the chains of matches of other emission.
+FOLLOWED_SHARE = 1 / 3
 #: What needs more than so many times the epochs is out of reach.
 MOST_EPOCHS = 10
 
@@ -214,7 +229,7 @@ def find_streams(
 
     def permuted(axes):
         how = {"outward": outward, "one_way": len(angles) == 1}
-        return EpochPermutations.of(axes, rays, n_trials, test_rng, settings, **how)
+        return EpochPermutations.of(axes, rays, n_trials, test_rng, **how)
 
     # 1. The speed with the largest excess over the permutations, along any ray.
     permutations = permuted(data)
@@ -285,7 +300,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     moved = np.hypot.reduce([f.motion for f in features])
     # Where features diffuse, their mean may have either sign.
     both = len({f.speed > 0 for f in features}) == 2
-    rest = settings.rest_errors * (2 if both else 1)
+    rest = REST_ERRORS * (2 if both else 1)
     if smallest_p > alpha:
         reason = f"too few epochs or trials: no p_global below {smallest_p:.2g}"
     elif p_global > alpha:
@@ -310,7 +325,7 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     return "not confirmed" if passes else "not significant", reason
 
 
-def with_secure(p_global, n_secure, alpha, settings):
+def with_secure(p_global, n_secure, alpha):
     """
     Return the p-value of permuted epochs and of secure features together.
 
@@ -324,7 +339,6 @@ def with_secure(p_global, n_secure, alpha, settings):
     n_secure : int
         Number of secure features that move with the stream.
     alpha : float
-    settings : `~astro_scc.streams.SearchSettings`
 
     Returns
     -------
@@ -335,7 +349,7 @@ def with_secure(p_global, n_secure, alpha, settings):
     if n_secure == 0 or p_global <= alpha:
         return p_global, ""
     # Minus twice the logarithm of the product has a chi-square of 4 degrees of freedom.
-    product = p_global * settings.p_secure
+    product = p_global * P_SECURE
     both = float(product * (1 - np.log(product)))
     if both > alpha:
         return p_global, ""
@@ -406,7 +420,7 @@ class _Axis:
         if own:
             fast = settings.farthest / (self.rays.short / SHORT)
             chains = different([*own, *chains], samples, settings)[len(own) :]
-            if len(own) >= settings.followed_share * len(chains):
+            if len(own) >= FOLLOWED_SHARE * len(chains):
                 chains = [f for f in chains if abs(f.speed) > fast]
         still = standing_features(samples, settings)
         return own + clear_of(chains, still, samples, settings), taken
@@ -417,7 +431,7 @@ class _Axis:
             # They diffuse, and a mean of some would be biased.
             return [f for f in features if f.followed]
         own, test = np.array([f.speed for f in features]), self.permutations
-        least = self.settings.least_z * np.interp(own, test.speed, test.weight)
+        least = LEAST_Z * np.interp(own, test.speed, test.weight)
         return [
             f
             for f, high in zip(features, self.z(own) >= least, strict=True)
@@ -450,7 +464,7 @@ def _along_followed(axis, speed, data, angles):
 def _turn_to_features(axis, speed, project, n_axes):
     """Turn an axis to the direction of its features, whose motion it foreshortens."""
     features, taken = axis.features([speed])
-    for _ in range(axis.settings.max_turns if n_axes > 1 else 0):
+    for _ in range(MAX_TURNS if n_axes > 1 else 0):
         near = [f for f in features if f.speed * speed > 0] or features
         if not near:
             break
@@ -515,7 +529,7 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
     z, n_secure = float(axis.z(along.mean)), 0
     if p_distinct is None and axis.followed and not axis.followed.diffuse:
         n_secure = sum(f.followed for f in features)
-    p_global, note = with_secure(p_global, n_secure, alpha, axis.settings)
+    p_global, note = with_secure(p_global, n_secure, alpha)
     kind, reason = classify(
         along, z, p_global, features, axis.permutations, alpha, axis.settings
     )

@@ -53,20 +53,11 @@ VALUES = {
     "line": (0.2, 0.3, 0.5),
     "position_error": (0.03, 0.06, 0.12),
     "least_epochs": (3, 4, 5),
-    "least_share": (0.4, 0.6, 0.8),
     "least_motion": (1.0, 1.75, 2.5),
-    "least_score": (0.4, 0.7, 1.5),
-    "first_dispersion": (0.2, 0.3, 0.5),
-    "pull": (1.3, 1.6, 2.0),
-    "pulled_error": (0.0, 0.2, 0.4),
     "same_speed": (0.2, 0.35, 0.5),
-    "least_z": (1.0, 1.5, 2.5),
     "apart": (1.25, 1.75, 2.25),
-    "same_feature": (0.3, 0.5, 0.8),
     "error_inflation": (1.0, 1.3, 1.6),
-    "core_bias": (0.0, 0.02, 0.04),
     "lone_dispersion": (0.2, 0.3, 0.4),
-    "least_std": (0.1, 0.3, 0.5),
 }
 
 

@@ -10,7 +10,13 @@ import pytest
 from astro_scc.stacking.permutations import number_of_permutations
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import SearchSettings
-from astro_scc.streams.diagram import Diagram, IntervalBins, PairDensity, Rays
+from astro_scc.streams.diagram import (
+    SPEED_STEP,
+    Diagram,
+    IntervalBins,
+    PairDensity,
+    Rays,
+)
 from astro_scc.streams.permutations import EpochPermutations
 
 SEARCH = SearchSettings()
@@ -189,7 +195,7 @@ class TestRays:
         assert forth.min() == pytest.approx(SEARCH.slowest / (YEARS[-1] - YEARS[0]))
         steps = np.diff(np.log(forth))
         np.testing.assert_allclose(steps, steps[0])
-        assert steps[0] <= SEARCH.speed_step
+        assert steps[0] <= SPEED_STEP
 
     @pytest.mark.parametrize(
         ("years", "limits", "slowest", "fastest"),
@@ -265,7 +271,7 @@ class TestRays:
 
 def permute(d, rays, *, n_trials=119):
     rng = np.random.default_rng(0)
-    return EpochPermutations.of([(d,)], rays, n_trials, rng, SEARCH)
+    return EpochPermutations.of([(d,)], rays, n_trials, rng)
 
 
 class TestEpochPermutations:
@@ -342,7 +348,7 @@ class TestEpochPermutations:
     def test_outward_speeds_only(self, d, rays):
         both = permute(d, rays)
         outward = EpochPermutations.of(
-            [(d,)], rays, 119, np.random.default_rng(0), SEARCH, outward=True
+            [(d,)], rays, 119, np.random.default_rng(0), outward=True
         )
         forth = both.speed > 0
         np.testing.assert_array_equal(outward.speed, both.speed[forth])
@@ -361,9 +367,7 @@ class TestEpochPermutations:
         rays = Rays.of(years, 1.5, SEARCH)
         d = axis_matches(*lines([0.5] * 5, 3.0 * np.arange(5), years), years)
         weak = random_matches(np.random.default_rng(6), years)
-        test = EpochPermutations.of(
-            [(weak,), (d,)], rays, 99, np.random.default_rng(0), SEARCH
-        )
+        test = EpochPermutations.of([(weak,), (d,)], rays, 99, np.random.default_rng(0))
         axis, speed = test.largest()
         assert axis == 1
         # Half a blur in the shortest interval, of one year.
@@ -386,7 +390,7 @@ class TestEpochPermutations:
             (noise, (alone.z + other.z) / np.sqrt(2)),
         ):
             rng = np.random.default_rng(0)
-            test = EpochPermutations.of([(d, second)], rays, 119, rng, SEARCH)
+            test = EpochPermutations.of([(d, second)], rays, 119, rng)
             # Two that are unrelated have a variance of two only on average.
             some = 1e-4 if second is not noise else 0.5 * np.abs(wanted).max()
             np.testing.assert_allclose(test.z, wanted, atol=some)
@@ -406,9 +410,7 @@ class TestEpochPermutations:
             std.append(np.zeros(len(seen)))
             std[-1][seen] = sums[-1][seen] / test.z[0, seen]
         assert np.any(std[0] < 0.3 * std[1])
-        both = EpochPermutations.of(
-            [(few,), (d,)], rays, 119, np.random.default_rng(0), SEARCH
-        )
+        both = EpochPermutations.of([(few,), (d,)], rays, 119, np.random.default_rng(0))
         wanted = np.array(sums) / np.maximum(std, 0.3 * np.max(std, axis=0))
         np.testing.assert_allclose(both.z, wanted, atol=1e-4)
 

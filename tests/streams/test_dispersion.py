@@ -7,6 +7,8 @@ from scipy.stats import norm
 
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.dispersion import (
+    ONE_DISPERSIONS,
+    TWO_DISPERSIONS,
     feature_speeds,
     random_effects,
     separate_streams,
@@ -171,12 +173,12 @@ class TestSeparateStreams:
             np.sort(rng.normal(0, 0.4, (3, 6)), axis=1),
             rng.uniform(0.02, 0.2, (3, 6)),
         )
-        one, mean, tau, linear = _one(y, e, SEARCH.one_dispersions)
-        two, where = _two(y, e, SEARCH.two_dispersions)
+        one, mean, tau, linear = _one(y, e, ONE_DISPERSIONS)
+        two, where = _two(y, e, TWO_DISPERSIONS)
         constant = 6 * 0.5 * np.log(2 * np.pi)
         for k in range(3):
             best = -np.inf
-            for width in SEARCH.one_dispersions:
+            for width in ONE_DISPERSIONS:
                 s = np.hypot(e[k], width)
                 m = np.average(y[k], weights=s**-2.0)
                 value = norm.logpdf(y[k], m, s).sum() + constant
@@ -193,7 +195,7 @@ class TestSeparateStreams:
             assert (mean[k], tau[k], linear[k]) == pytest.approx(found)
             best = -np.inf
             for split in (2, 3, 4):
-                for width in SEARCH.two_dispersions:
+                for width in TWO_DISPERSIONS:
                     s = np.hypot(e[k], width)
                     total = 0
                     for part in (slice(None, split), slice(split, None)):

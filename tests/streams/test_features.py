@@ -11,6 +11,7 @@ from astro_scc.streams import SearchSettings, find_streams
 from astro_scc.streams.diagram import Rays
 from astro_scc.streams.dispersion import feature_speeds, separate_streams
 from astro_scc.streams.features import (
+    PULL,
     Feature,
     _on_line,
     clear_of,
@@ -276,19 +277,21 @@ class TestClearOf:
         np.testing.assert_array_equal(found.ssp, moving.ssp)
         assert found.motion == moving.motion
         # The response is to shifts of the SSPs that count.
-        away = samples.position[moving.ssp, 0] > SEARCH.pull
+        away = samples.position[moving.ssp, 0] > PULL
         assert 4 <= away.sum() < 8
         assert not found.response[~away].any()
         velocity = found.response @ samples.position[found.ssp]
         assert velocity[0] == pytest.approx(found.speed)
 
-    def test_they_count_where_too_few_are_left(self, samples, moving, standing):
-        search = replace(SEARCH, pull=3.0)
-        (found,) = clear_of([moving], [standing], samples, search)
+    def test_they_count_where_too_few_are_left(
+        self, samples, moving, standing, monkeypatch
+    ):
+        monkeypatch.setattr("astro_scc.streams.features.PULL", 3.0)
+        (found,) = clear_of([moving], [standing], samples, SEARCH)
         assert (found.speed, found.error) == (moving.speed, moving.error)
         assert found.pulled
         assert not moving.pulled
-        _, (error, larger) = feature_speeds([moving, found], search)
+        _, (error, larger) = feature_speeds([moving, found], SEARCH)
         assert larger == pytest.approx(np.hypot(error, 0.2 * moving.speed))
 
     def test_they_do_not_keep_two_streams_from_being_found(self):

@@ -15,7 +15,7 @@ from astro_scc.streams.diagram import Diagram, Rays
 from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
 from astro_scc.streams.features import Feature
 from astro_scc.streams.permutations import EpochPermutations
-from astro_scc.streams.search import classify, with_secure
+from astro_scc.streams.search import P_SECURE, classify, with_secure
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.
@@ -123,19 +123,19 @@ class TestClassify:
 
 class TestWithSecureFeatures:
     def test_both_probabilities_are_combined(self):
-        fisher = combine_pvalues([0.2, SEARCH.p_secure]).pvalue
-        p_global, note = with_secure(0.2, 2, 0.05, SEARCH)
+        fisher = combine_pvalues([0.2, P_SECURE]).pvalue
+        p_global, note = with_secure(0.2, 2, 0.05)
         assert p_global == pytest.approx(fisher)
         assert note == (
             "permuted epochs alone give p_global 0.2, but 2 secure features moved"
         )
-        assert with_secure(0.2, 1, 0.05, SEARCH)[1].endswith("a secure feature moved")
+        assert with_secure(0.2, 1, 0.05)[1].endswith("a secure feature moved")
 
     @pytest.mark.parametrize(
         ("p_global", "n_secure"), [(0.05, 3), (0.2, 0), (0.4, 3), (1.0, 1)]
     )
     def test_the_permutations_decide_alone(self, p_global, n_secure):
-        assert with_secure(p_global, n_secure, 0.05, SEARCH) == (p_global, "")
+        assert with_secure(p_global, n_secure, 0.05) == (p_global, "")
 
 
 class TestOneStream:
@@ -174,7 +174,7 @@ class TestOneStream:
         wanted = Diagram.of(one, rays, SEARCH)
         np.testing.assert_array_equal(found.diagram.excess, wanted.excess)
         rng = np.random.default_rng(0).spawn(1)[0]
-        test = EpochPermutations.of([(one,)], rays, 99, rng, SEARCH, one_way=True)
+        test = EpochPermutations.of([(one,)], rays, 99, rng, one_way=True)
         np.testing.assert_array_equal(found.permutations.z, test.z)
         np.testing.assert_array_equal(found.permutations.permuted, test.permuted)
 
