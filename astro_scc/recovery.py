@@ -34,7 +34,7 @@ from astro_scc.quantities import (
 )
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
-from astro_scc.stacking.permutations import number_of_permutations
+from astro_scc.stacking.trials import number_of_permutations
 from astro_scc.units import PM_UNIT
 
 __all__ = ["completeness", "draw_paths", "inject"]

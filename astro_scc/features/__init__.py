@@ -2,6 +2,6 @@
 """Features: found in the images of all epochs, followed, each with its own speed."""
 
 from astro_scc.features.finder import Features, find_features
-from astro_scc.features.track_settings import TrackSettings
+from astro_scc.features.tracks import TrackSettings
 
 __all__ = ["Features", "TrackSettings", "find_features"]

@@ -14,11 +14,14 @@ from astropy.table import QTable
 from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.features import tables
-from astro_scc.features.detecting import finest_patterns, gaussians_of, ssps_of
-from astro_scc.features.detections import Detections
+from astro_scc.features.detections import (
+    Detections,
+    finest_patterns,
+    gaussians_of,
+    ssps_of,
+)
 from astro_scc.features.motion import Motion, fit_motion
-from astro_scc.features.track_settings import TrackSettings
-from astro_scc.features.tracks import Track, find_tracks
+from astro_scc.features.tracks import Track, TrackSettings, find_tracks
 from astro_scc.features.trust import false_probability, is_secure
 from astro_scc.quantities import check_choice
 

@@ -36,9 +36,8 @@ from astro_scc.measurement.tables import (
     printed,
     ssp_table,
 )
-from astro_scc.stacking.jitter import JitteredVelocity
-from astro_scc.stacking.permutations import PermutedStacks
 from astro_scc.stacking.stack import VelocityPeak
+from astro_scc.stacking.trials import JitteredVelocity, PermutedStacks
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import INTERVAL_STEP

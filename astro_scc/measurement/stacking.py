@@ -7,15 +7,21 @@ import numpy as np
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.measurement.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.searching import search_matches
-from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
+from astro_scc.measurement.sensitivity import (
+    search_matches,
+    sensitivity_rows,
+    with_choices,
+)
 from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
-from astro_scc.stacking.jitter import jitter_positions
 from astro_scc.stacking.pair_maps import PairMaps
-from astro_scc.stacking.permutations import number_of_permutations, permute_stacks
 from astro_scc.stacking.stack import stack, velocity_peak_near
+from astro_scc.stacking.trials import (
+    jitter_positions,
+    number_of_permutations,
+    permute_stacks,
+)
 from astro_scc.stacking.velocities import baseline_pairs
 from astro_scc.streams.search_settings import DEFAULT
 

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.stacking.permutations import (
+from astro_scc.stacking.trials import (
     MOST,
     number_of_permutations,
     random_permutations,

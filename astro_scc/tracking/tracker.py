@@ -19,7 +19,7 @@ from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
-from astro_scc.features.detecting import finest_patterns, is_new, ssp_sizes, ssps_of
+from astro_scc.features.detections import finest_patterns, is_new, ssp_sizes, ssps_of
 from astro_scc.features.tracks import Track
 from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import ssp_offsets

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.stacking.jitter import jitter_positions
 from astro_scc.stacking.stack import VelocityPeak
+from astro_scc.stacking.trials import jitter_positions
 from astro_scc.stacking.velocities import consecutive_pairs
 
 PAIRS = consecutive_pairs([0.0, 0.5])

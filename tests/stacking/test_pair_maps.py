@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.stacking.pair_maps import PairMaps
-from astro_scc.stacking.permutations import random_permutations
 from astro_scc.stacking.stack import stack
+from astro_scc.stacking.trials import random_permutations
 from astro_scc.stacking.velocities import (
     VelocityGrid,
     baseline_pairs,

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy.stats import chisquare
 
 from astro_scc.stacking.pair_maps import PairMaps
-from astro_scc.stacking.permutations import (
+from astro_scc.stacking.stack import stack
+from astro_scc.stacking.trials import (
     number_of_permutations,
     permute_stacks,
     random_permutations,
 )
-from astro_scc.stacking.stack import stack
 from astro_scc.stacking.velocities import VelocityGrid, consecutive_pairs
 from astro_scc.streams.permutations import permutations_of_epochs
 
