@@ -344,9 +344,12 @@ def components_of(result, features):
     """
     Return the velocity component to which each feature belongs.
 
-    It is the one whose velocity is nearest in units of the errors, if it is within
-    two both along and across its direction.  The errors are those of the feature and
-    of the component, and the component's dispersion: directions scatter as speeds do.
+    Features whose speeds make a component are its own.  Of others, those suit that may
+    be among the standing patterns of a stationary component, or the chains of matches
+    of one of which not all features were followed.  They belong to the component whose
+    velocity is nearest in units of the errors, if it is within two both along and
+    across its direction.  The errors are those of the feature and of the component,
+    and the component's dispersion: directions scatter as speeds do.
 
     Parameters
     ----------
@@ -356,9 +359,9 @@ def components_of(result, features):
     Returns
     -------
     `~numpy.ndarray` of int, shape (n_features,)
-        Numbers of components, 0 for none: for features where the frame has no axes,
-        and for all that only a component that is not significant would suit.
-        Stationary ones take features slower than three standard errors alone.
+        Numbers of components, 0 for none: where the frame has no axes only own
+        features have one, and only of components that are significant.  Stationary
+        ones take features slower than three standard errors alone.
     """
     streams, velocities = result.search.streams, result.velocities
     velocity, of_axes = frame_velocities(result.frame, features)
@@ -366,16 +369,22 @@ def components_of(result, features):
     away = np.full((len(streams) + 1, len(features)), np.inf)
     away[0] = MEMBER_SIGMA
     pairs = zip(streams, velocities, strict=False)
+    first = {track.detection[0]: k for k, track in enumerate(features.tracks)}
+    members = np.zeros(len(features), dtype=int)
     for k, (stream, own) in enumerate(pairs, start=1):
+        of_tracks = [first[f.detection[0]] for f in stream.features if f.followed]
+        if stream.kind == "moving":
+            members[of_tracks] = k
         cos, sin = np.cos(stream.angle), np.sin(stream.angle)
         turn = np.array([[cos, sin], [-sin, cos]])
         covariance = turn @ (of_axes + np.nan_to_num(own.covariance)) @ turn.T
         variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
         variance += np.nan_to_num(own.dispersion) ** 2
         off = np.abs((velocity - own.value) @ turn.T) / np.sqrt(variance)
-        suits = {"moving": True, "stationary": slow}.get(stream.kind, False)
+        chains = len(of_tracks) < len(stream.features)
+        suits = {"moving": chains, "stationary": slow}.get(stream.kind, False)
         away[k] = np.where(suits, np.nan_to_num(off.max(axis=1), nan=np.inf), np.inf)
-    return away.argmin(axis=0)
+    return np.where(members, members, away.argmin(axis=0))
 
 
 def core_streams(result):

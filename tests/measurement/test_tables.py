@@ -232,24 +232,36 @@ def motion(velocity, place=(3.0, 0.0), error=0.05):
 
 
 class Moving(list):
-    """Features of which only the motions are known."""
+    """Features of which only the motions are known, with two detections each."""
 
     @property
     def motions(self):
         return self
 
+    @property
+    def tracks(self):
+        return [SimpleNamespace(detection=[2 * k, 2 * k + 1]) for k in range(len(self))]
+
+
+def part(track=None):
+    """A chain of matches, or a feature that was followed."""
+    detection = () if track is None else (2 * track, 2 * track + 1)
+    return SimpleNamespace(detection=detection, followed=track is not None)
+
 
 def streams(*each, frame):
-    """A result with components: kind, velocity on the axes and dispersion."""
+    """A result with components: kind, velocity, dispersion and, if given, features."""
     made = [
         (
-            SimpleNamespace(kind=kind, angle=np.arctan2(*velocity[::-1])),
+            SimpleNamespace(
+                kind=kind, angle=np.arctan2(*velocity[::-1]), features=own or [part()]
+            ),
             SimpleNamespace(
                 value=np.array(velocity), covariance=np.diag([0.03, 0.03]) ** 2,
                 dispersion=dispersion,
             ),
         )
-        for kind, velocity, dispersion in each
+        for kind, velocity, dispersion, *own in each
     ]  # fmt: skip
     own, velocities = zip(*made, strict=True)
     search = SimpleNamespace(streams=own)
@@ -295,6 +307,15 @@ def test_the_nearest_component_in_units_of_the_errors():
     result = streams(wide, narrow, frame=SkyFrame())
     slow, fast = motion((2.85, 0.0)), motion((3.02, 0.0))
     assert components_of(result, Moving([slow, fast])).tolist() == [1, 2]
+
+
+def test_features_that_make_a_stream_are_of_it_and_others_are_not():
+    features = [motion((v, 0.0)) for v in (2.9, 2.0, 4.0, 4.0)]
+    slow = "moving", (2.0, 0.0), 0.3, part(0)
+    fast = "moving", (4.0, 0.0), 0.3, part(3), part()
+    result = streams(slow, fast, frame=SkyFrame())
+    # A chain of the second stream may be the third feature.
+    assert components_of(result, Moving(features)).tolist() == [1, 0, 2, 2]
 
 
 # Adjusted p-values ----------------------------------------------------------------
