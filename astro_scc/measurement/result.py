@@ -234,10 +234,10 @@ class SCCResult(Components):
         have its speed from short and from long intervals, from the first and the
         second half of the epochs, from the inner and the outer half of its features,
         and from fine and coarse scales.  Each part is searched again, from the matches
-        on, and NaN where nothing is found.  Where two parts differ by more than two
-        errors, ``significant`` says so, and the error of the component holds half of
-        the difference.  Without significant motion the table is empty, and the
-        ``note`` in its meta says so.
+        on, and NaN where nothing is found.  Where two parts, or a part and the whole,
+        differ by more than two errors, ``significant`` says so, and the error of the
+        component holds half of the difference.  Without significant motion the table
+        is empty, and the ``note`` in its meta says so.
         """
         return sensitivity_table(self.choices, self.cube.speed_unit)
 

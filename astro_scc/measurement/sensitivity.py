@@ -2,6 +2,7 @@
 """The search of matches, and how its main speed depends on parts of the data."""
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import astropy.units as u
@@ -143,8 +144,12 @@ def sensitivity_rows(found, matched, settings, plan, rng):
             some = [m for m in some if np.abs(speeds - m[0]).argmin() == 0]
             nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
             own.append(_row(name, nearest, sense, *main[:2]))
-        one, other = own
-        sigma = abs(one["pm"] - other["pm"]) / np.hypot(one["pm_err"], other["pm_err"])
+        # Both parts may differ from the whole, if they have other features.
+        differences = [
+            abs(a["pm"] - b["pm"]) / np.hypot(a["pm_err"], b["pm_err"])
+            for a, b in combinations((*own, rows[0]), 2)
+        ]
+        sigma = np.max(differences)
         for row in own:
             row["change_sigma"] = sigma
             row["p_value"] = 2 * ndtr(-sigma)
@@ -169,11 +174,11 @@ def with_choices(velocity, angle, rows):
     -------
     ``StreamVelocity``
     """
-    pm = [row["pm"] for row in rows if row["significant"]]
-    if not pm:
+    pairs = [row["pm"] for row in rows if row["significant"]]
+    if not pairs:
         return velocity
-    parts = np.reshape(pm, (-1, 2))
-    half = np.abs(parts[:, 0] - parts[:, 1]).max() / 2
+    spread = [np.ptp([rows[0]["pm"], *pair]) for pair in np.reshape(pairs, (-1, 2))]
+    half = max(spread) / 2
     axis = np.array([np.cos(angle), np.sin(angle)])
     return replace(velocity, choices=half**2 * np.outer(axis, axis))
 
