@@ -267,9 +267,13 @@ def test_figures_that_are_empty_or_not_wanted(result, tmp_path):
 NONE = f"Stream 1 (not significant): {CHANCE}. Stream 2 (not significant): {CHANCE}."
 #: Columns of components, and what the page says of them and does not.
 SAID = [
-    ({"kind": "not significant", "caution": CHANCE}, "No motion found between", "): -"),
+    (
+        {"kind": "not significant", "caution": CHANCE},
+        "which does not show that",
+        "): -",
+    ),
     ({"kind": "not significant", "caution": CHANCE}, NONE, "): -"),
-    ({"kind": "not significant", "caution": "-"}, "No motion found", "): -"),
+    ({"kind": "not significant", "caution": "-"}, "No significant motion", "): -"),
     ({"kind": "stationary"}, "mas/yr: all features are stationary within", "): -"),
     # Small probabilities are not rounded to nothing.
     ({"p_local": 0.000123}, " 0.00012 ", "0.000123"),
@@ -295,7 +299,7 @@ def test_what_the_page_says_of_components(result, words_of, columns, said, unsai
 @pytest.mark.parametrize(
     ("kinds", "begin"),
     [
-        (["not significant"], "No motion found between "),
+        (["not significant"], "No significant motion: the strongest peak between "),
         (["not confirmed", "not significant"], "Motion not confirmed: "),
         (["moving", "not confirmed"], "Motion: "),
         (["moving"] * 12, "Motion: "),
@@ -336,7 +340,8 @@ def test_what_does_not_move_has_a_limit(result, words_of):
     table["pm_limit"][0] = 1.1 * own["pm"].max()
     said = words_of(result, table)
     assert f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper" in said
-    assert f"mean speed of these features ({own['feature'][0]}, " in said
+    named = ", ".join(map(str, own["feature"]))
+    assert f"mean speed of its features ({named})" in said
     table["pm_limit"][0] = 0.9 * own["pm"].max()
     assert "upper limit" not in " ".join(notes(table[:1], result.features))
 
@@ -446,7 +451,7 @@ LINES = [
     ),
     (
         {"kind": "not significant", "caution": "permuted"},
-        {0: "mas/yr: the strongest peak has p_global {p}.",
+        {0: "mas/yr has p_global {p}, which does not show",
          6: "Stream 1 (not significant): permuted"},
     ),
     (
@@ -474,7 +479,7 @@ def test_the_range_of_speeds_that_were_searched(radial, features):
     low, high = (radial.meta[f"{k}_searched"].value for k in ("slowest", "fastest"))
     assert 0 < low < 2 < 20 < high < 40
     (first, *_) = component_lines(radial[1:2], features)
-    assert first.startswith(f"No motion found between {low:.2g} and {high:.2g} mas/yr:")
+    assert f"strongest peak between {low:.2g} and {high:.2g} mas/yr has" in first
     (first, advice, *_) = component_lines(radial[:0], features)
     assert first == "No motion found: no pattern has a match in another epoch."
     assert "a larger --max-speed" in advice

@@ -19,8 +19,8 @@ from astro_scc.units import PM_UNIT
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
 
-#: Redshift of the microwave background, beyond which nothing can be seen.
-LAST_SCATTERING = 1090
+#: Nothing with parts to follow is known beyond half of it: larger ones are mistakes.
+LARGEST_REDSHIFT = 30
 #: What apparent speeds follow from, in the meta of tables.
 SOURCE = "redshift", "cosmology", "distance"
 #: Quantiles that bound the central 68%.
@@ -99,7 +99,7 @@ def cosmology_text(cosmology):
 
 def to_redshift(value):
     """
-    Return a redshift, or an array of redshifts, as plain numbers between 0 and 1090.
+    Return a redshift, or an array of redshifts, as plain numbers between 0 and 30.
 
     It may be given as a number, as text, in per cent, or in the unit ``redshift`` of
     `astropy.cosmology.units`.  A velocity is refused because it has three
@@ -131,8 +131,8 @@ def to_redshift(value):
         raise u.UnitConversionError(wanted) from None
     if not np.all(z > 0):
         raise ValueError("must be above 0; give the distance of a nearby source")
-    if not np.all(z < LAST_SCATTERING):
-        raise ValueError(f"must be below {LAST_SCATTERING}; of a velocity c z give z")
+    if not np.all(z < LARGEST_REDSHIFT):
+        raise ValueError(f"must be below {LARGEST_REDSHIFT}; of a velocity c z give z")
     return z if np.ndim(z) else float(z)
 
 
@@ -163,7 +163,7 @@ def apparent_speed(
         Angle per time, of any shape.
     redshift : float, str or `~astropy.units.Quantity`, optional
         A number, per cent, or in the unit ``redshift`` of
-        `astropy.cosmology.units`, between 0 and 1090.
+        `astropy.cosmology.units`, between 0 and 30.
     cosmology : `~astropy.cosmology.FLRW`, str or dict, optional
         Cosmology for the redshift: an object, the name of a realization of
         `astropy.cosmology` such as ``Planck18``, parameters such as ``H0=71,

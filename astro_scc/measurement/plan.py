@@ -298,7 +298,10 @@ def pairs_of_dates(cube, baseline):
     """
     years = cube.years.to_value(u.yr)
     if len(years) < 2:
-        raise ValueError("velocities need at least two epochs, the cube has one")
+        raise ValueError(
+            "velocities need at least two epochs, the cube has one: give images of "
+            "other dates (a file that is given twice counts once)"
+        )
     if baseline is None:
         pairs = consecutive_pairs(years)
         why = (

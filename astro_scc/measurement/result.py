@@ -422,6 +422,8 @@ class SCCResult(Components):
         Returns
         -------
         `matplotlib.figure.Figure`
+            Notebooks show it; elsewhere use its ``savefig``, as pyplot, which has a
+            state, does not know it.
 
         Raises
         ------

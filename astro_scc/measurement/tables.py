@@ -35,6 +35,8 @@ LIMIT = 1.645
 MEMBER_SIGMA = 2.0
 #: What is at rest is slower than this many standard errors.
 REST_SIGMA = 3.0
+#: Fewer features do not show whether a stream has more than one speed.
+FEW = 3
 #: Columns of a table in a paper, in their order.
 PAPER = (
     "source redshift feature component r_min r_max kind scale n_epochs first last "
@@ -228,6 +230,9 @@ def component_row(result, number):
     cautions = [stream.reason, result.sensitivity_line if number == 1 else ""]
     if not still and row["pm_parallel"] < -abs(row["pm_transverse"]):
         cautions.insert(0, "moves towards the core")
+    if not still and len(stream.features) < FEW:
+        some = "a single feature" if len(stream.features) == 1 else "two features"
+        cautions.append(f"rests on {some}")
     cautions = [text for text in cautions if text]
     return row | {
         "component": number,

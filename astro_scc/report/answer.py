@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What was found, in sentences of the terminal and of the report, and as lines."""
 
+import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
@@ -21,7 +22,7 @@ COMPONENTS = "component kind pm pm_pa beta_app dispersion p_global n_features".s
 FEATURES = (
     "feature component dates n_epochs separation pm pm_pa beta_app p_false".split()
 )
-PROFILE = "bin pm_parallel beta_app p_global p_fdr n_ssp remark".split()
+PROFILE = "bin pm_parallel pm beta_app p_global p_fdr n_ssp remark".split()
 #: Formats of numbers whose errors are not shown.
 FORMATS = dict.fromkeys(("dispersion", "p_global", "p_fdr", "p_false"), ".2g")
 FORMATS |= {"pm_pa": ".0f", "separation": ".3g"}
@@ -36,8 +37,8 @@ def headline(components):
     """
     Return the result of a measurement as a sentence.
 
-    It is *motion*, *motion not confirmed*, or *no motion found* between the slowest
-    and the fastest speed that was searched.
+    It is *motion*, *motion not confirmed*, *no significant motion* between the slowest
+    and the fastest speed that was searched, or *no motion found*.
 
     Parameters
     ----------
@@ -66,14 +67,19 @@ def headline(components):
         why = f"p_global {row['p_global']:.2g}, but {row['caution']}"
         speed = f"{_speed(row)} with " if row["n_features"] else ""
         return f"Motion not confirmed: {speed}{why}."
-    text, unit = "No motion found", rows["pm"].unit
+    searched, unit = "", rows["pm"].unit
     if "fastest_searched" in components.meta:
         ends = (components.meta[f"{k}_searched"] for k in ("slowest", "fastest"))
         low, high = (f"{end.to_value(unit):.2g}" for end in ends)
-        text += f" between {low} and {high} {unit_name(unit)}"
+        searched = f" between {low} and {high} {unit_name(unit)}"
     if len(some := rows[kinds == "not significant"]):
-        return f"{text}: the strongest peak has p_global {some['p_global'][0]:.2g}."
-    return f"{text}: all features are stationary within their errors."
+        return (
+            f"No significant motion: the strongest peak{searched} has p_global "
+            f"{some['p_global'][0]:.2g}, which does not show that nothing moves."
+        )
+    return (
+        f"No motion found{searched}: all features are stationary within their errors."
+    )
 
 
 def _speed(row):
@@ -126,10 +132,11 @@ def notes(components, features):
             lines.append(f"Stream {number} ({row['kind']}): {row['caution']}")
         if len(own) and own["pm"].max() <= limit:
             named = ", ".join(map(str, own["feature"]))
-            named = f" ({named})" if len(own) <= MOST else ""
+            exact = len(own) == row["n_features"] and len(own) <= MOST
+            named = f" ({named})" if exact else ""
             lines.append(
                 f"Stream {number}: {limit.value:.2g} {unit_name(limit.unit)} is the "
-                f"upper limit (95%) of the mean speed of these features{named}"
+                f"upper limit (95%) of the mean speed of its features{named}"
             )
     hidden = np.setdiff1d(components["component"], rows["component"])
     lines += [f"Row {n} of components.ecsv is the core, the reference" for n in hidden]
@@ -299,6 +306,14 @@ def profile_lines(components):
     rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
     rows["remark"] = np.where(rows["kind"] == "moving", "", rows["kind"])
     lines = column_lines(rows, PROFILE)
+    unit, has_row = rows["r_min"].unit, set(rows["bin"])
+    bins = (components.meta.get("bins", ()) * u.mas).to_value(unit)
+    empty = [
+        name for low, high in bins if (name := f"{low:g} to {high:g}") not in has_row
+    ]
+    if empty:
+        where = f"{', '.join(empty)} {unit_name(unit)}"
+        lines.append(f"No velocity could be tested in {where}: no pattern has matches.")
     return [*lines, PROFILE_EXPLANATION, *meta_lines(components.meta)]
 
 

@@ -25,7 +25,7 @@ REFUSED = {
 --redshift -1 | --redshift '-1' must be above 0
 --redshift 1 --distance "1 Mpc" | --distance needs neither redshift
 --redshift "47367 km/s" | give the redshift, 0.158 if it is c z
---redshift 47367 | --redshift '47367' must be below 1090; of a vel
+--redshift 47367 | --redshift '47367' must be below 30; of a velo
 --redshift "600 Mpc" | '600 Mpc' is a length; give it as the distance
 --distance 0.158 | --distance '0.158' has no unit at its end; it must
 --distance "16 7 Mpc" | --distance '16 7 Mpc' must be one distance

@@ -197,8 +197,9 @@ def test_the_overview_counts_sources(tmp_path):
     path = write_overview(table, QTable(), parts, tmp_path, published=known)
     page = path.read_text(encoding="utf-8")
     assert (
-        "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no motion "
-        "(p above alpha), 1 is stationary, 1 has nothing to test and 2 failed." in page
+        "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "
+        "significant motion, 1 is stationary, 1 has nothing to test and 2 failed."
+        in page
     )
     assert "those that move: 2 to 2 mas/yr, median 2." in page
     assert "of the published one: 1 of 1." in page
