@@ -16,7 +16,10 @@ PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
 #: epochs, and none its speed.
 CROWDED, NAMED = 40, 20
 #: Where a number may stand: its alignment, and its shift in points.
-BESIDE = ("left", 4, 0), ("right", -4, 0), ("center", 0, 7), ("center", 0, -7)
+BESIDE = (
+    ("left", 4, 0), ("right", -4, 0), ("left", 4, 7), ("left", 4, -7),
+    ("center", 0, 9), ("center", 0, -9), ("right", -4, 7), ("right", -4, -7),
+)  # fmt: skip
 #: Ejections are shown so long before the first image, in spans of the images.
 EARLIER = 0.3
 
@@ -237,12 +240,16 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
     Write the numbers of features beside places, given with colours.
 
     If the speed in units of c of 1 mas/yr is known, secure features have theirs.  A
-    number that would cover another one is left out.
+    number covers as few positions as possible; if it covers another, it is left out.
     """
     # Numbers need the final place of the axes; nothing need be drawn for that.
     if engine := ax.get_figure().get_layout_engine():
         engine.execute(ax.get_figure())
     frame, taken = ax.get_window_extent(), []
+    drawn = [line.get_xydata() for line in ax.lines]
+    points = (
+        ax.transData.transform(np.concatenate(drawn)) if drawn else np.empty((0, 2))
+    )
     for k in _named(features):
         place, color = ends[k]
         name = f"{features.number[k]}"
@@ -253,14 +260,19 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
             va="center", color=color, annotation_clip=True, zorder=4,
             path_effects=style.outline(1.5),
         )  # fmt: skip
-        for side, *shift in BESIDE:
+        found = []
+        for number, (side, *shift) in enumerate(BESIDE):
             text.set(ha=side, position=shift)
             box = text.get_window_extent()
             inside = frame.x0 < box.x0 and box.x1 < frame.x1
             inside &= frame.y0 < box.y0 and box.y1 < frame.y1
             if inside and not any(box.overlaps(other) for other in taken):
-                taken.append(box)
-                break
+                found.append((box.count_contains(points), number, box))
+        if found:
+            _, number, box = min(found, key=lambda one: one[:2])
+            side, *shift = BESIDE[number]
+            text.set(ha=side, position=shift)
+            taken.append(box)
         else:
             text.remove()
 
