@@ -38,8 +38,8 @@ from astro_scc.streams.mixture import fit_mixture
 from astro_scc.streams.permutations import EpochPermutations
 from astro_scc.streams.search_settings import SearchSettings
 
-#: Share of static jets with a secure feature: up to 0.03, by their kind
-#: (``benchmarks/features.py simulated``).
+#: Share of static jets with a secure feature: 0.01 of all kinds, and 0.04 of those with
+#: ripples (``benchmarks/features.py simulated``).
 P_SECURE = 0.03
 #: Smallest significance of the speed of a stream's feature, in standard deviations of
 #: the permutations.
