@@ -546,13 +546,13 @@ refused("position angle without a unit", "'-90' has no unit at its end; it must 
 refused("a speed of two numbers", "--max-speed '1 5 mas/yr' must be an angle per")(
     _options("--max-speed=1 5 mas/yr")
 )
-refused("redshift beyond any", "--redshift '1e300' must be below 1090")(
+refused("redshift beyond any", "--redshift '1e300' must be below 30")(
     _options("--redshift=1e300")
 )
 refused("redshift as a velocity", "is a velocity.* give the redshift, 0.158 if it is")(
     _options("--redshift=47367 km/s")
 )
-refused("redshift as a velocity without its unit", "must be below 1090; of a velocity")(
+refused("redshift as a velocity without its unit", "must be below 30; of a velocity")(
     _options("--redshift=47367")
 )
 refused("redshift as a distance", "'600 Mpc' is a length; give it as the distance")(
