@@ -38,9 +38,9 @@ from astro_scc.streams.mixture import fit_mixture
 from astro_scc.streams.permutations import EpochPermutations
 from astro_scc.streams.search_settings import SearchSettings
 
-#: Share of static jets with a secure feature: 0.01 of all kinds, and 0.04 of those with
-#: ripples (``benchmarks/features.py simulated``).
-P_SECURE = 0.03
+#: Largest share of static jets of any kind with a secure feature, that of those with
+#: ripples; of all kinds it is 0.01 (``benchmarks/features.py simulated``).
+P_SECURE = 0.04
 #: Smallest significance of the speed of a stream's feature, in standard deviations of
 #: the permutations.
 LEAST_Z = 1.5
