@@ -145,17 +145,22 @@ def sensitivity_rows(found, matched, settings, plan, rng):
             nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
             own.append(_row(name, nearest, sense, *main[:2]))
         # Both parts may differ from the whole, if they have other features.
-        differences = [
-            abs(a["pm"] - b["pm"]) / np.hypot(a["pm_err"], b["pm_err"])
-            for a, b in combinations((*own, rows[0]), 2)
-        ]
-        sigma = np.max(differences)
+        sigma = largest_difference([*own, rows[0]])
         for row in own:
             row["change_sigma"] = sigma
             row["p_value"] = 2 * ndtr(-sigma)
             row["significant"] = bool(sigma > DIFFERENT)
         rows += own
     return rows
+
+
+def largest_difference(rows):
+    """Return the largest difference of two speeds in errors of both, NaN if any is."""
+    off = [
+        abs(a["pm"] - b["pm"]) / np.hypot(a["pm_err"], b["pm_err"])
+        for a, b in combinations(rows, 2)
+    ]
+    return np.max(off)
 
 
 def with_choices(velocity, angle, rows):

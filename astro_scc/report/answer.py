@@ -299,21 +299,20 @@ def profile_lines(components):
     list of str
     """
     rows = printed(components)
+    ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
+    rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
+    tested = set(rows["bin"])
     rows = rows[(rows["kind"] != "not significant") | rows["main"]]
     if len(rows) == 0:
         return ["No velocity could be tested in any bin."]
-    ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
-    rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
     rows["remark"] = np.where(rows["kind"] == "moving", "", rows["kind"])
     lines = column_lines(rows, PROFILE)
-    unit, has_row = rows["r_min"].unit, set(rows["bin"])
-    bins = (components.meta.get("bins", ()) * u.mas).to_value(unit)
-    empty = [
-        name for low, high in bins if (name := f"{low:g} to {high:g}") not in has_row
-    ]
-    if empty:
-        where = f"{', '.join(empty)} {unit_name(unit)}"
-        lines.append(f"No velocity could be tested in {where}: no pattern has matches.")
+    unit, shown = rows["r_min"].unit, set(rows["bin"])
+    for low, high in (components.meta.get("bins", ()) * u.mas).to_value(unit):
+        name = f"{low:g} to {high:g}"
+        if name not in shown:
+            why = "no velocity exceeds its error" if name in tested else "no matches"
+            lines.append(f"{name} {unit_name(unit)}: {why}")
     return [*lines, PROFILE_EXPLANATION, *meta_lines(components.meta)]
 
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
+from astropy.table import QTable, vstack
 from astropy.time import Time
 
 from astro_scc import Beam
 from astro_scc.cli.track import PRODUCTS
 from astro_scc.columns import cell
+from astro_scc.report.answer import profile_lines
 from astro_scc.simulation import JetSimulation, Stream, simulate_jet, write_simulation
 
 SHOWN = [name for name in PRODUCTS if not name.endswith(("png", "pdf"))]
@@ -122,8 +123,15 @@ WEST = ["--position-angle", "270 deg"]
 
 def test_the_whole_stretch(profile, done, here):
     """Its acceleration, and the speeds of its scales."""
-    out, _ = done(*profile, *WEST, "--bins", "0 20 mas", "--scales", "1,2")
+    out, _ = done(*profile, *WEST, "--bins", "0 20 30 mas", "--scales", "1,2")
     assert "acceleration: " in out
+    assert "20 to 30 mas: no matches" in out
+    table = QTable.read(here / "out" / "profile.ecsv")
+    uncertain = table[:1].copy()
+    uncertain["r_min"], uncertain["r_max"] = [20] * u.mas, [30] * u.mas
+    uncertain["kind"], uncertain["main"] = ["not significant"], False
+    lines = profile_lines(vstack([table, uncertain], metadata_conflicts="silent"))
+    assert "20 to 30 mas: no velocity exceeds its error" in lines
     assert "Speeds of the finest and coarser scales: " in out
     found = QTable.read(here / "out" / "profile.ecsv").meta["acceleration"]
     assert found["acceleration"].unit == u.mas / u.yr**2

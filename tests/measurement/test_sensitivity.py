@@ -7,6 +7,7 @@ import pytest
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.measurement.sensitivity import (
+    largest_difference,
     sensitivity_line,
     sensitivity_table,
     with_choices,
@@ -43,6 +44,15 @@ def test_every_part_of_a_steady_flow_has_its_speed(result):
     assert not table["significant"].any()
     assert result.sensitivity_line == ""
     assert table["pm"][0] == np.abs(result.components["pm_parallel"][0])
+
+
+def test_both_parts_may_differ_from_the_whole():
+    whole = row("as measured", 1.05, 0.1, False)
+    fine, coarse = row("fine", 0.75, 0.07, False), row("coarse", 0.81, 0.1, False)
+    off = largest_difference([fine, coarse, whole])
+    assert off == pytest.approx(0.3 / np.hypot(0.07, 0.1))
+    nothing = row("coarse", np.nan, np.nan, False)
+    assert np.isnan(largest_difference([fine, nothing, whole]))
 
 
 def test_halves_that_differ_are_said_and_are_in_the_error():
