@@ -100,7 +100,7 @@ class Features:
 
     @cached_property
     def p_false(self) -> np.ndarray:
-        """Probability of each that it is no feature, or not one."""
+        """Probability of each that it is no feature, or parts of several."""
         each = zip(self.tracks, self.motions, strict=True)
         return np.array([false_probability(self.detections, *one) for one in each])
 

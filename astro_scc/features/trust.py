@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Trust: the probability that a track is no feature, or not one."""
+"""Trust: the probability that a track is no feature, or parts of several."""
 
 import numpy as np
 
@@ -65,7 +65,7 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
 
 def false_probability(detections: Detections, track: Track, motion: Motion) -> float:
     """
-    Return the probability that a track is no feature, or not one.
+    Return the probability that a track is no feature, or parts of several.
 
     Parameters
     ----------

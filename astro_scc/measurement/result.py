@@ -206,9 +206,9 @@ class SCCResult(Components):
         """
         The features, a `~astropy.table.QTable` with a row for each.
 
-        Its ``component`` is that of `components` whose speed the feature is part of, or
-        0.  Standing features, and those beside chains of matches, belong to the one
-        whose velocity they have within two standard errors, the dispersion included.
+        Its ``component`` is that of `components` of which it is a member, or 0.
+        Standing features, and those beside chains of matches, belong to the one whose
+        velocity they have within two standard errors, the dispersion included.
         """
         own = components_of(self, self.tracked_features)
         table = feature_table(self.tracked_features, own)
