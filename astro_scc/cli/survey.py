@@ -352,7 +352,9 @@ def _measure(source, output, part, report, said):
     if masks:
         whole = None in source.regions.values()
         inside = None if whole else np.any(list(masks.values()), axis=0)
-        cache = output / WORK / f"{source.folder}.fits"
+        # One part takes no longer to match again than to be read.
+        several = len(source.parts) > 1
+        cache = output / WORK / f"{source.folder}.fits" if several else None
         scc = StackedCrossCorrelation.from_settings(settings)
         matched = scc.match(cube, region=inside, cache=cache)
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))

@@ -109,9 +109,18 @@ def grid_step(wcs, target, shape):
     to the pixel of ``target`` at the same place on the sky.  The grids differ by it
     only if the shifts of all corners agree with it to a hundredth of a pixel.
     """
+    if is_same(wcs, target):
+        return np.zeros(2), True
     pixels = _probe_pixels(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
     return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < ONE_SHIFT))
+
+
+def is_same(wcs, other):
+    """Return whether two celestial WCS without distortion are equal."""
+    return wcs is other or (
+        wcs.wcs.compare(other.wcs) and not (wcs.has_distortion or other.has_distortion)
+    )
 
 
 def _probe_pixels(shape):
@@ -375,7 +384,8 @@ def shared_grid(grids):
     corners = []
     for (ny, nx), wcs in grids:
         x, y = outline * [[nx - 1], [ny - 1]]
-        corners.append([x, y] if wcs is finest else pixel_to_pixel(wcs, finest, x, y))
+        same = is_same(wcs, finest)
+        corners.append([x, y] if same else pixel_to_pixel(wcs, finest, x, y))
     corners = np.concatenate(corners, axis=1)
     # Rounding errors must not add a row.
     first = np.floor(corners.min(axis=1) + 0.01)

@@ -51,11 +51,15 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     """
     name = cube.meta.get("object")
     try:
-        found = read_components(path)
-    except ValueError:
+        found = read_components(path, source=name and str(name))
+    except ValueError as error:
         if not name:
             raise
-        found = read_components(path, source=str(name))
+        try:
+            # A table of one source may give it another name.
+            found = read_components(path)
+        except ValueError:
+            raise error from None
     years, kept = found.times.jyear[found.epoch], found.feature > 0
     if not kept.any():
         raise ValueError(

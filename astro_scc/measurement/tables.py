@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,11 @@ def versions() -> dict[str, str]:
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
+    return dict(_versions())
+
+
+@cache
+def _versions():
     needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
     found = dict.fromkeys(needed, "unknown")
     for name in found:
