@@ -203,8 +203,9 @@ def _select_source(table, columns, source, path):
     names = [str(table.meta[k]) for k in NAMES if k in table.meta]
     mine = slice(None)
     if "source" in columns:
-        column = [str(name).strip() for name in table[columns["source"]]]
-        names = list(dict.fromkeys(column))
+        column = np.ma.filled(table[columns["source"]].astype(str), "--")
+        column = np.char.strip(column)
+        names = list(dict.fromkeys(column.tolist()))
         if source is None and len(names) > 1:
             raise ValueError(
                 f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "

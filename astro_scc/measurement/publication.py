@@ -89,8 +89,8 @@ def write_publication(
     for name, table in tables.items():
         rows = fixed_width(table)
         if "pm" in table.colnames:
-            texts[f"{name}_aastex.tex"] = latex_text_of(table, name, "aastex")
-            texts[f"{name}_aa.tex"] = latex_text_of(table, name, "aa")
+            for journal, text in latex_texts_of(table, name).items():
+                texts[f"{name}_{journal}.tex"] = text
         about = {"name": name, "caption": _caption(table, name), "data": rows}
         about["facts"] = facts_of(table.meta)
         files.append(about)
@@ -167,27 +167,25 @@ def escaped(text):
     return text.replace("~", r"\textasciitilde{}").replace("^", r"\textasciicircum{}")
 
 
-def latex_text_of(table, name, journal):
+def latex_texts_of(table, name):
     """
-    Return the main columns of a table in LaTeX, for AASTeX or A&A.
+    Return the main columns of a table in LaTeX, for AASTeX and A&A.
 
     Parameters
     ----------
     table : `~astropy.table.QTable`
     name : str
         Its name, for the caption and the label.
-    journal : {"aastex", "aa"}
 
     Returns
     -------
-    str
-        Values and errors are rounded to two digits of the error.
+    dict of str
+        By ``aastex`` and ``aa``; values and errors are rounded to two digits of the
+        error.
     """
     paper = paper_table(table, sign=r"\pm")
     heads = [column_of(column).latex for column in paper.colnames]
     units = [_latex_unit(column, paper[column].unit) for column in paper.colnames]
-    if journal == "aastex":
-        heads, units = ([rf"\colhead{{{k}}}" for k in row] for row in (heads, units))
     cells = zip(*(map(_latex_cell, paper[k]) for k in paper.colnames), strict=True)
     rows = [" & ".join(row) for row in cells]
     about = [
@@ -195,17 +193,22 @@ def latex_text_of(table, name, journal):
         for k in paper.colnames
         if table[k].info.description
     ]
-    return _rendered(
-        f"{journal}.tex",
-        align="l" * len(heads),
-        caption=f"{escaped(_caption(table, name))}.",
-        name=name,
-        long=len(rows) > ONE_PAGE,
-        heads=" & ".join(heads),
-        units=" & ".join(units),
-        rows=" \\\\\n".join(rows),
-        notes=" ".join([*map(escaped, facts_of(table.meta)), *about]),
-    )
+    what = {
+        "align": "l" * len(heads),
+        "caption": f"{escaped(_caption(table, name))}.",
+        "name": name,
+        "long": len(rows) > ONE_PAGE,
+        "rows": " \\\\\n".join(rows),
+        "notes": " ".join([*map(escaped, facts_of(table.meta)), *about]),
+    }
+    texts = {}
+    for journal, head in (("aastex", r"\colhead{{{}}}"), ("aa", "{}")):
+        what |= {
+            key: " & ".join(map(head.format, row))
+            for key, row in (("heads", heads), ("units", units))
+        }
+        texts[journal] = _rendered(f"{journal}.tex", **what)
+    return texts
 
 
 def _latex_cell(text):

@@ -36,6 +36,7 @@ from astro_scc.streams.features import (
 )
 from astro_scc.streams.mixture import fit_mixture
 from astro_scc.streams.permutations import EpochPermutations
+from astro_scc.streams.persistence import persistence
 from astro_scc.streams.search_settings import SearchSettings
 
 #: Largest share of static jets of any kind with a secure feature, that of those with
@@ -53,6 +54,10 @@ REST_ERRORS = 1.645
 #: Features that are followed from image to image stand for a flow if they are at least
 #: this share of the chains of matches of other emission.
 FOLLOWED_SHARE = 1 / 3
+#: Largest probability that patterns keep the speed of a stream by chance, if its features
+#: were not followed from image to image: with a new speed at every epoch 16 of 17 rows
+#: of ``benchmarks/calibration/design.py`` are above, and none of the paper's streams.
+P_KEEPS = 0.01
 #: What needs more than so many times the epochs is out of reach.
 MOST_EPOCHS = 10
 
@@ -274,7 +279,7 @@ def find_streams(
     )
 
 
-def classify(along, z, p_global, features, permutations, alpha, settings):
+def classify(along, z, p_global, features, permutations, alpha, settings, p_keeps=np.nan):
     """
     Return the kind of a stream; if it is not significant, why and what is needed.
 
@@ -291,6 +296,8 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
     permutations : ``EpochPermutations``
     alpha : float
     settings : `~astro_scc.streams.SearchSettings`
+    p_keeps : float
+        See `persistence`; NaN if the features were followed.
 
     Returns
     -------
@@ -316,6 +323,11 @@ def classify(along, z, p_global, features, permutations, alpha, settings):
             f"{settings.least_motion:g}: blends of standing features drift as far; "
             f"followed {np.ceil(10 * settings.least_motion / moved) / 10:.1f} times as "
             "long, they would move enough"
+        )
+    elif p_keeps > P_KEEPS:
+        reason = (
+            "its patterns do not keep this speed from one interval to the next more "
+            f"often than by chance (p {p_keeps:.2g})"
         )
     elif abs(along.mean) <= rest * along.error:
         reason = f"rest is within {rest:g} errors of the speed"
@@ -530,8 +542,12 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
     if p_distinct is None and axis.followed and not axis.followed.diffuse:
         n_secure = sum(f.followed for f in features)
     p_global, note = with_secure(p_global, n_secure, alpha)
+    p_keeps = np.nan
+    if 2 * sum(f.followed for f in features) < len(features):
+        p_keeps = persistence(axis.samples, along.mean, axis.settings)
     kind, reason = classify(
-        along, z, p_global, features, axis.permutations, alpha, axis.settings
+        *(along, z, p_global, features, axis.permutations, alpha, axis.settings),
+        p_keeps,
     )
     reason = "; ".join(filter(None, (note, reason)))
     return Stream(

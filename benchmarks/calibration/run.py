@@ -108,6 +108,7 @@ KINDS |= {
 }
 KINDS["faint"] = jet(dispersion=0.2, noise=0.01)
 KINDS["unrelated"] = lambda seed: sim.simulate_unrelated(rng=seed)
+KINDS["random-velocity"] = lambda seed: sim.simulate_random_velocity(rng=seed)
 
 
 def diffusing(drift, step):
@@ -142,6 +143,8 @@ def layers(spine, sheath):
 
 KINDS["layers"] = layers(0.9, 0.3)
 KINDS["one-layer"] = layers(0.6, 0.6)
+#: Other jets that are simulated as streams, with 30 days between epochs.
+STREAMS = ("unrelated", "random-velocity", "static-walk", "drift-walk")
 FLOW = ("accelerated", "steady", "layers", "one-layer")
 #: Jets whose main speed is compared with that of parts of the data.
 SENSITIVITY = {
@@ -197,7 +200,7 @@ def measure(kind, seed, n_trials):
         return measure_sensitivity(kind, seed, n_trials)
     jet = KINDS[kind](seed)
     cube = jet.cube.to_common_beam() if kind == "vlba" else jet.cube
-    paper = kind in (*PAPER, *OTHER, "unrelated", "static-walk", "drift-walk")
+    paper = kind in (*PAPER, *OTHER, *STREAMS)
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (30 * u.day if paper else 0.2 * u.yr)).to(u.mas / u.yr)
     region = None

@@ -29,6 +29,7 @@ TWO |= {
     for kind, how in OTHER.items()
 }
 SINGLE = ("single", "epochs8", "features4", "features16", "faint", "vlba")
+STILL = ("static", "unrelated", "random")
 BROAD = ("lognormal", "uniform", "drift")
 
 
@@ -221,7 +222,7 @@ def main():
     write(
         "static_table",
         ["jets", "n", "moving row", "p_global at most 0.05"],
-        [static_row(k, have[k]) for k in have if k.startswith(("static", "unrelated"))],
+        [static_row(k, have[k]) for k in have if k.startswith(STILL)],
     )
     write(
         "flow_table",

@@ -17,7 +17,7 @@ from astropy.utils.masked import Masked
 from astro_scc.columns import column_of, columns_of
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement import tables, write_votable
-from astro_scc.measurement.publication import ONE_PAGE, latex_text_of, write_publication
+from astro_scc.measurement.publication import ONE_PAGE, latex_texts_of, write_publication
 
 NAMES = ("components", "features", "positions")
 
@@ -225,7 +225,7 @@ def test_latex_of_both_journals(printed, journal, rows):
     meta = table.meta
     table = vstack([table] * (rows // 2 + 1), metadata_conflicts="silent")[:rows]
     table.meta = meta
-    text = latex_text_of(table, "components", journal)
+    text = latex_texts_of(table, "components")[journal]
     balanced(text)
     long = rows > ONE_PAGE
     wanted = {"aastex": ["deluxetable*"], "aa": ["table*", "tabular"]}[journal]

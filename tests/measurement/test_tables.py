@@ -19,7 +19,7 @@ from astro_scc.columns import columns_of
 from astro_scc.decomposition import SSPs
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.publication import latex_text_of
+from astro_scc.measurement.publication import latex_texts_of
 from astro_scc.measurement.tables import (
     component_table,
     components_of,
@@ -127,7 +127,7 @@ def test_what_a_paper_table_cannot_know():
     plain = paper_table(table)
     assert plain.colnames == ["feature", "r_min", "first", "pm", "t_ej"]
     assert list(plain["pm"]) == ["2.13 (error unknown)", "-"]
-    rows = latex_text_of(table, "tracks", "aastex").splitlines()
+    rows = latex_texts_of(table, "tracks")["aastex"].splitlines()
     assert rows[rows.index(r"\startdata") + 1 : rows.index(r"\enddata")] == [
         r"2001\_s2 & $-3.142$ & 2001-01-01 & $2.13 \pm \ldots$ & $2000.12 \pm 0.10$ \\",
         r"50\% \& more & 20 & 2002-05-01 & \nodata & \nodata",
