@@ -9,6 +9,10 @@ from scipy.special import ndtr
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.search_settings import DEFAULT, SearchSettings
 
+#: Mean number of SSPs of an epoch and a scale: dense flows have more than eight, the
+#: sources of MOJAVE whose features are chains two or three.
+LEAST_SSPS = 5
+
 
 def persistence(
     samples: VelocitySamples, speed: float, settings: SearchSettings = DEFAULT
@@ -18,13 +22,14 @@ def persistence(
 
     Where features have a new speed at every epoch, many of them move at any one speed
     between two epochs, which permuted epochs do not show, but it does not depend on
-    how an SSP came whether it goes on.  Of N SSPs of an epoch and a scale, a come at the
-    speed from the epoch before, b leave at it for the next, and m do both.  The sum
-    over all epochs and scales is compared with that of independent SSPs,
+    how an SSP came whether it goes on.  SSP i has x matches at this speed with earlier
+    epochs and y with later ones.  Their covariance within the N SSPs of an epoch and
+    a scale, summed over all of these, is compared with that of y in random order,
 
-    .. math:: z = \frac{\sum (m - ab / N)}{\sqrt{\sum a b (N - a) (N - b) / N^2 (N - 1)}}
+    .. math:: z = \frac{\sum S_{xy}}{\sqrt{\sum S_{xx} S_{yy} / (N - 1)}}, \quad
+              S_{xy} = \sum_i (x_i - \bar x)(y_i - \bar y)
 
-    (Mantel & Haenszel 1959, J. Natl. Cancer Inst. 22, 719).
+    (Hoeffding 1951, Ann. Math. Stat. 22, 558).
 
     Parameters
     ----------
@@ -37,41 +42,50 @@ def persistence(
     Returns
     -------
     float
-        NaN if no SSP can show it.
+        NaN where fewer than five SSPs share an epoch and a scale, which seldom show it,
+        or half of all come at this speed, which is then common.
 
     Examples
     --------
-    Two features that move, and two SSPs that are matched with nothing of theirs:
+    Two features that move, and four that stand still:
 
     >>> import numpy as np
     >>> from astro_scc.stacking.velocities import VelocitySamples
     >>> from astro_scc.streams.persistence import persistence
-    >>> epoch, feature = (k.ravel() for k in np.indices((6, 4)))
+    >>> epoch, feature = (k.ravel() for k in np.indices((6, 6)))
     >>> same = (feature[:, None] == feature) & (abs(epoch[:, None] - epoch) == 1)
     >>> ssp, to = np.nonzero(same)
     >>> d = VelocitySamples(
     ...     d1=np.where(feature[ssp] < 2, 0.5, 0) * (epoch[to] - epoch[ssp]),
     ...     d2=0.0 * ssp, weight=0.0 * ssp, reference=epoch[ssp], target=epoch[to],
-    ...     ssp=ssp, target_ssp=to, epoch=epoch, scale=np.ones(24), years=np.arange(6.0))
-    >>> round(persistence(d, 0.5), 4)
-    0.0003
+    ...     ssp=ssp, target_ssp=to, epoch=epoch, scale=np.ones(36),
+    ...     years=np.arange(6.0))
+    >>> persistence(d, 0.5) < 1e-3
+    True
     """
-    step = samples.target - samples.reference
     near = np.abs(samples.d1 - speed * samples.interval) <= settings.line
     near &= np.abs(samples.d2) <= settings.across
-    n = len(samples.epoch)
-    matched, comes, leaves = np.zeros((3, n), dtype=bool)
-    matched[samples.ssp] = True
-    for ssp, sense in ((samples.ssp, 1), (samples.target_ssp, -1)):
-        leaves[ssp[near & (ssp >= 0) & (step == sense)]] = True
-        comes[ssp[near & (ssp >= 0) & (step == -sense)]] = True
-    middle = (samples.epoch > 0) & (samples.epoch < len(samples.years) - 1) & matched
-    kind = np.stack([samples.epoch, samples.scale])[:, middle]
+    n, later = len(samples.epoch), samples.interval > 0
+    before, after = np.zeros((2, n))
+    for ssp, ahead in ((samples.ssp, later), (samples.target_ssp, ~later)):
+        for count, which in ((after, ahead), (before, ~ahead)):
+            count += np.bincount(ssp[near & which & (ssp >= 0)], minlength=n)
+    # Those with an earlier and a later epoch.
+    used = np.isin(np.arange(n), samples.ssp)
+    ends = np.unique(samples.epoch[used])[[0, -1]] if used.any() else (0, 0)
+    used &= (samples.epoch > ends[0]) & (samples.epoch < ends[1])
+    kind = np.stack([samples.epoch, samples.scale])[:, used]
     group = np.unique(kind, axis=1, return_inverse=True)[1].ravel()
-    of = (matched, comes, leaves, comes & leaves)
-    number, a, b, both = (np.bincount(group, some[middle]) for some in of)
-    variance = a * b * (number - a) * (number - b)
-    variance /= np.maximum(number**2 * (number - 1), 1)
+    number = np.bincount(group)
+
+    def moment(one, other):
+        mean = np.bincount(group, one) / number
+        return np.bincount(group, (one - mean[group]) * other)
+
+    x, y = before[used], after[used]
+    if len(x) < LEAST_SSPS * len(number) or np.count_nonzero(x) >= len(x) / 2:
+        return np.nan
+    variance = moment(x, x) * moment(y, y) / np.maximum(number - 1, 1)
     if not variance.sum() > 0:
         return np.nan
-    return float(ndtr(-(both - a * b / number).sum() / np.sqrt(variance.sum())))
+    return float(ndtr(-moment(x, y).sum() / np.sqrt(variance.sum())))

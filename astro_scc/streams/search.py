@@ -54,9 +54,9 @@ REST_ERRORS = 1.645
 #: Features that are followed from image to image stand for a flow if they are at least
 #: this share of the chains of matches of other emission.
 FOLLOWED_SHARE = 1 / 3
-#: Largest probability that patterns keep the speed of a stream by chance, if its features
-#: were not followed from image to image: with a new speed at every epoch 16 of 17 rows
-#: of ``benchmarks/calibration/design.py`` are above, and none of the paper's streams.
+#: Largest probability that patterns keep the speed of a stream by chance, if most of
+#: its features are chains.  It was chosen on jets of `simulate_random_velocity` and
+#: `simulate_two_fluid` with the seeds 1 to 25.
 P_KEEPS = 0.01
 #: What needs more than so many times the epochs is out of reach.
 MOST_EPOCHS = 10
@@ -279,7 +279,9 @@ def find_streams(
     )
 
 
-def classify(along, z, p_global, features, permutations, alpha, settings, p_keeps=np.nan):
+def classify(
+    along, z, p_global, features, permutations, alpha, settings, *, p_keeps=np.nan
+):
     """
     Return the kind of a stream; if it is not significant, why and what is needed.
 
@@ -545,10 +547,8 @@ def _stream(axis, along, across, features, alpha, p_distinct=None):
     p_keeps = np.nan
     if 2 * sum(f.followed for f in features) < len(features):
         p_keeps = persistence(axis.samples, along.mean, axis.settings)
-    kind, reason = classify(
-        *(along, z, p_global, features, axis.permutations, alpha, axis.settings),
-        p_keeps,
-    )
+    of = along, z, p_global, features, axis.permutations, alpha, axis.settings
+    kind, reason = classify(*of, p_keeps=p_keeps)
     reason = "; ".join(filter(None, (note, reason)))
     return Stream(
         kind=kind,

@@ -17,7 +17,11 @@ from astropy.utils.masked import Masked
 from astro_scc.columns import column_of, columns_of
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement import tables, write_votable
-from astro_scc.measurement.publication import ONE_PAGE, latex_texts_of, write_publication
+from astro_scc.measurement.publication import (
+    ONE_PAGE,
+    latex_texts_of,
+    write_publication,
+)
 
 NAMES = ("components", "features", "positions")
 

@@ -1,0 +1,62 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Whether patterns keep their speed, where they do and where they do not."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.simulation import simulate_random_velocity
+from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams.persistence import persistence
+
+N_EPOCHS, N_SSPS = 8, 20
+
+
+def links(speeds):
+    """Matches of each SSP with the next epoch, where it moves at its speed."""
+    epoch = np.repeat(np.arange(N_EPOCHS), N_SSPS)
+    ssp = np.arange(len(epoch) - N_SSPS)
+    return VelocitySamples(
+        d1=np.ravel(speeds), d2=0.0 * ssp, weight=1 + 0.0 * ssp, reference=epoch[ssp],
+        target=epoch[ssp] + 1, ssp=ssp, target_ssp=ssp + N_SSPS, epoch=epoch,
+        scale=np.ones(len(epoch)), years=np.arange(1.0 * N_EPOCHS),
+    )  # fmt: skip
+
+
+def test_new_speeds_give_any_probability():
+    rng = np.random.default_rng(1)
+    found = [
+        persistence(links(rng.uniform(-1, 1, (N_EPOCHS - 1, N_SSPS))), 0.5)
+        for _ in range(300)
+    ]
+    assert kstest(found, "uniform").pvalue > 1e-3
+
+
+def test_kept_speeds_give_a_small_one():
+    speeds = np.tile(np.linspace(-1, 1, N_SSPS), (N_EPOCHS - 1, 1))
+    assert persistence(links(speeds), 0.5) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda d: d.select(np.zeros(len(d), dtype=bool)), id="no match"),
+        pytest.param(lambda d: d.select(d.ssp % N_SSPS < 3), id="few SSPs"),
+        pytest.param(lambda d: d.select(d.d1 > 0), id="most come at it"),
+    ],
+)
+def test_what_cannot_show_it(change):
+    speeds = np.tile(np.linspace(-1, 1, N_SSPS), (N_EPOCHS - 1, 1))
+    assert np.isnan(persistence(change(links(speeds)), 0.5))
+
+
+def test_a_jet_of_random_velocities_has_no_common_speed():
+    scc = StackedCrossCorrelation(
+        scales=[1, 2], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg
+    )
+    result = scc(simulate_random_velocity(rng=3).cube, n_trials=99, rng=1)
+    (row,) = result.components[result.components["p_global"] <= 0.05]
+    assert row["kind"] == "not confirmed"
+    assert "its patterns do not keep this speed" in row["caution"]
