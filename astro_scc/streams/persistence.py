@@ -65,11 +65,11 @@ def persistence(
     """
     near = np.abs(samples.d1 - speed * samples.interval) <= settings.line
     near &= np.abs(samples.d2) <= settings.across
+    # An SSP of a region is matched with images, whose SSPs may be outside.
     n, later = len(samples.epoch), samples.interval > 0
-    before, after = np.zeros((2, n))
-    for ssp, ahead in ((samples.ssp, later), (samples.target_ssp, ~later)):
-        for count, which in ((after, ahead), (before, ~ahead)):
-            count += np.bincount(ssp[near & which & (ssp >= 0)], minlength=n)
+    before, after = (
+        np.bincount(samples.ssp[near & which], minlength=n) for which in (~later, later)
+    )
     # Those with an earlier and a later epoch.
     used = np.isin(np.arange(n), samples.ssp)
     ends = np.unique(samples.epoch[used])[[0, -1]] if used.any() else (0, 0)

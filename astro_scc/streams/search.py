@@ -54,10 +54,6 @@ REST_ERRORS = 1.645
 #: Features that are followed from image to image stand for a flow if they are at least
 #: this share of the chains of matches of other emission.
 FOLLOWED_SHARE = 1 / 3
-#: Largest probability that patterns keep the speed of a stream by chance, if most of
-#: its features are chains.  It was chosen on jets of `simulate_random_velocity` and
-#: `simulate_two_fluid` with the seeds 1 to 25.
-P_KEEPS = 0.01
 #: What needs more than so many times the epochs is out of reach.
 MOST_EPOCHS = 10
 
@@ -326,7 +322,7 @@ def classify(
             f"followed {np.ceil(10 * settings.least_motion / moved) / 10:.1f} times as "
             "long, they would move enough"
         )
-    elif p_keeps > P_KEEPS:
+    elif p_keeps > alpha:
         reason = (
             "its patterns do not keep this speed from one interval to the next more "
             f"often than by chance (p {p_keeps:.2g})"
