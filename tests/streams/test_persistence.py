@@ -15,13 +15,16 @@ N_EPOCHS, N_SSPS = 8, 20
 
 
 def links(speeds):
-    """Matches of each SSP with the next epoch, where it moves at its speed."""
+    """Matches of each SSP with the next epoch, where it moves at its speed, and back."""
     epoch = np.repeat(np.arange(N_EPOCHS), N_SSPS)
-    ssp = np.arange(len(epoch) - N_SSPS)
+    first = np.arange(len(epoch) - N_SSPS)
+    ssp, to = np.stack([[first, first + N_SSPS], [first + N_SSPS, first]], axis=1)
+    ssp, to = ssp.ravel(), to.ravel()
     return VelocitySamples(
-        d1=np.ravel(speeds), d2=0.0 * ssp, weight=1 + 0.0 * ssp, reference=epoch[ssp],
-        target=epoch[ssp] + 1, ssp=ssp, target_ssp=ssp + N_SSPS, epoch=epoch,
-        scale=np.ones(len(epoch)), years=np.arange(1.0 * N_EPOCHS),
+        d1=np.ravel(speeds)[np.minimum(ssp, to)] * np.sign(to - ssp), d2=0.0 * ssp,
+        weight=1 + 0.0 * ssp, reference=epoch[ssp], target=epoch[to], ssp=ssp,
+        target_ssp=to, epoch=epoch, scale=np.ones(len(epoch)),
+        years=np.arange(1.0 * N_EPOCHS),
     )  # fmt: skip
 
 
@@ -44,7 +47,7 @@ def test_kept_speeds_give_a_small_one():
     [
         pytest.param(lambda d: d.select(np.zeros(len(d), dtype=bool)), id="no match"),
         pytest.param(lambda d: d.select(d.ssp % N_SSPS < 3), id="few SSPs"),
-        pytest.param(lambda d: d.select(d.d1 > 0), id="most come at it"),
+        pytest.param(lambda d: d.select(d.d1 * d.interval > 0), id="most come at it"),
     ],
 )
 def test_what_cannot_show_it(change):
