@@ -15,7 +15,7 @@ N_EPOCHS, N_SSPS = 8, 20
 
 
 def links(speeds):
-    """Matches of each SSP with the next epoch, where it moves at its speed, and back."""
+    """Matches of each SSP with the next epoch and back, where it moves at its speed."""
     epoch = np.repeat(np.arange(N_EPOCHS), N_SSPS)
     first = np.arange(len(epoch) - N_SSPS)
     ssp, to = np.stack([[first, first + N_SSPS], [first + N_SSPS, first]], axis=1)
