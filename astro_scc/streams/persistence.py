@@ -63,18 +63,19 @@ def persistence(
     >>> persistence(d, 0.5) < 1e-3
     True
     """
+    epoch, scale = np.asarray(samples.epoch), np.asarray(samples.scale)
     near = np.abs(samples.d1 - speed * samples.interval) <= settings.line
     near &= np.abs(samples.d2) <= settings.across
     # An SSP of a region is matched with images, whose SSPs may be outside.
-    n, later = len(samples.epoch), samples.interval > 0
+    n, later = len(epoch), samples.interval > 0
     before, after = (
         np.bincount(samples.ssp[near & which], minlength=n) for which in (~later, later)
     )
     # Those with an earlier and a later epoch.
     used = np.isin(np.arange(n), samples.ssp)
-    ends = np.unique(samples.epoch[used])[[0, -1]] if used.any() else (0, 0)
-    used &= (samples.epoch > ends[0]) & (samples.epoch < ends[1])
-    kind = np.stack([samples.epoch, samples.scale])[:, used]
+    ends = np.unique(epoch[used])[[0, -1]] if used.any() else (0, 0)
+    used &= (epoch > ends[0]) & (epoch < ends[1])
+    kind = np.stack([epoch, scale])[:, used]
     group = np.unique(kind, axis=1, return_inverse=True)[1].ravel()
     number = np.bincount(group)
 
