@@ -162,7 +162,7 @@ def cell(row, name, sign="±", form=None):
     Examples
     --------
     >>> import astropy.units as u
-    >>> from astropy.table import QTable, Table
+    >>> from astropy.table import QTable
     >>> from astro_scc.columns import cell
     >>> table = QTable({"pm": [2.1279], "pm_err": [0.072]}, units=[u.mas / u.yr] * 2)
     >>> cell(table[0], "pm"), cell(table[0], "pm", form=".1f")

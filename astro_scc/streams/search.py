@@ -295,7 +295,7 @@ def classify(
     alpha : float
     settings : `~astro_scc.streams.SearchSettings`
     p_keeps : float
-        See `persistence`; NaN if the features were followed.
+        See `persistence`; NaN if most of the features were followed.
 
     Returns
     -------
