@@ -292,7 +292,7 @@ def celestial_wcs(header, fobj=None):
 
 def _repaired(header):
     """Return the cards of a header that WCS reads, corrected to the standard."""
-    clean = fits.Header()
+    cards = {}
     for card in header.cards:
         try:
             keyword, value = card.keyword, card.value
@@ -302,7 +302,8 @@ def _repaired(header):
         if not re.match(r"(HISTORY|COMMENT|)$|DATE|MJD|TIMESYS", keyword):
             value = _standard(keyword, value)
             with suppress(fits.VerifyError, ValueError):
-                clean[keyword] = value
+                cards[keyword] = fits.Card(keyword, value)
+    clean = fits.Header(cards.values())
     if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
         clean["EQUINOX"] = epoch
     return clean

@@ -170,7 +170,11 @@ class ImageSeries:
         meta = changes.pop("meta", self.meta)
         meta = {**meta, "history": [*meta.get("history", ()), line]}
         each = {k: tuple(v) for k, v in changes.items() if isinstance(v, list)}
-        return self._changed(**changes | each, meta=meta)
+        made = self._changed(**changes | each, meta=meta)
+        if not changes:
+            # What has been measured in the same images holds.
+            vars(made).update(vars(self) | vars(made))
+        return made
 
     def __len__(self) -> int:
         return self.data.shape[0]

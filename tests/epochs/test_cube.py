@@ -253,6 +253,14 @@ def test_steps_leave_a_line_and_the_first_cube_as_it_was():
     assert (third.meta["object"], len(third.meta["history"])) == ("x", 3)
 
 
+def test_what_was_measured_holds_only_for_the_same_images():
+    cube = make_cube()
+    noise = cube.measured_noise
+    assert cube.with_step("nothing").measured_noise is noise
+    louder = cube.with_step("louder", data=2 * cube.data).measured_noise
+    assert np.allclose(louder, 2 * noise)
+
+
 @settings(max_examples=30)
 @given(st.floats(-180, 180), st.booleans(), st.floats(-50, 50), st.floats(-50, 50))
 def test_offsets_and_pixels_are_inverse(angle, flipped, x, y):
