@@ -64,12 +64,11 @@ def persistence(
     True
     """
     epoch, scale = np.asarray(samples.epoch), np.asarray(samples.scale)
-    near = np.abs(samples.d1 - speed * samples.interval) <= settings.line
-    near &= np.abs(samples.d2) <= settings.across
-    # An SSP of a region is matched with images, whose SSPs may be outside.
-    n, later = len(epoch), samples.interval > 0
+    off = samples.d1 - speed * samples.interval
+    links = _links(samples.select(np.hypot(off, samples.d2) <= settings.across))
+    n = len(epoch)
     before, after = (
-        np.bincount(samples.ssp[near & which], minlength=n) for which in (~later, later)
+        np.bincount(links[0, links[2] == way], minlength=n) for way in (-1, 1)
     )
     # Those with an earlier and a later epoch.
     used = np.isin(np.arange(n), samples.ssp)
@@ -90,3 +89,13 @@ def persistence(
     if not variance.sum() > 0:
         return np.nan
     return float(ndtr(-moment(x, y).sum() / np.sqrt(variance.sum())))
+
+
+def _links(d):
+    """Return SSP, what it is linked with, and 1 if that is later, -1 if earlier."""
+    way = np.sign(d.interval).astype(int)
+    # A match on no SSP is a link with the image.
+    lone = d.target_ssp < 0
+    links = np.stack([d.ssp, np.where(lone, -1 - d.target, d.target_ssp), way])
+    turned = links[[1, 0, 2], :][:, ~lone] * [[1], [1], [-1]]
+    return np.unique(np.concatenate([links, turned], axis=1), axis=1)

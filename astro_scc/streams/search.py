@@ -295,7 +295,7 @@ def classify(
     alpha : float
     settings : `~astro_scc.streams.SearchSettings`
     p_keeps : float
-        See `persistence`; NaN if most of the features were followed.
+        See `persistence`; NaN if features diffuse.
 
     Returns
     -------
@@ -536,12 +536,12 @@ def _population(features, settings):
 def _stream(axis, along, across, features, alpha, p_distinct=None):
     """Return a stream, tested at its mean speed."""
     p_local, p_global = axis.p_values(features, along.mean)
-    z, n_secure = float(axis.z(along.mean)), 0
-    if p_distinct is None and axis.followed and not axis.followed.diffuse:
+    z, n_secure, p_keeps = float(axis.z(along.mean)), 0, np.nan
+    diffuse = axis.followed is not None and axis.followed.diffuse
+    if p_distinct is None and axis.followed and not diffuse:
         n_secure = sum(f.followed for f in features)
     p_global, note = with_secure(p_global, n_secure, alpha)
-    p_keeps = np.nan
-    if 2 * sum(f.followed for f in features) < len(features):
+    if not diffuse:
         p_keeps = persistence(axis.samples, along.mean, axis.settings)
     of = along, z, p_global, features, axis.permutations, alpha, axis.settings
     kind, reason = classify(*of, p_keeps=p_keeps)

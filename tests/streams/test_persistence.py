@@ -31,7 +31,7 @@ def links(speeds):
 def test_new_speeds_give_any_probability():
     rng = np.random.default_rng(1)
     found = [
-        persistence(links(rng.uniform(-1, 1, (N_EPOCHS - 1, N_SSPS))), 0.5)
+        persistence(links(rng.uniform(-1.5, 1.5, (N_EPOCHS - 1, N_SSPS))), 0.5)
         for _ in range(300)
     ]
     assert kstest(found, "uniform").pvalue > 1e-3
@@ -40,6 +40,13 @@ def test_new_speeds_give_any_probability():
 def test_kept_speeds_give_a_small_one():
     speeds = np.tile(np.linspace(-1, 1, N_SSPS), (N_EPOCHS - 1, 1))
     assert persistence(links(speeds), 0.5) < 1e-6
+
+
+def test_one_end_of_a_link_is_enough():
+    speeds = np.random.default_rng(2).uniform(-1.5, 1.5, (N_EPOCHS - 1, N_SSPS))
+    d = links(speeds)
+    fewer = d.select((d.interval > 0) | (d.reference == N_EPOCHS - 1))
+    assert persistence(fewer, 0.5) == persistence(d, 0.5)
 
 
 @pytest.mark.parametrize(
