@@ -22,14 +22,18 @@ def persistence(
 
     Where features have a new speed at every epoch, many of them move at any one speed
     between two epochs, which permuted epochs do not show, but it does not depend on
-    how an SSP came whether it goes on.  SSP i has x matches at this speed with earlier
-    epochs and y with later ones.  Their covariance within the N SSPs of an epoch and
-    a scale, summed over all of these, is compared with that of y in random order,
+    how an SSP came whether it goes on.  SSP i has x links at this speed with earlier
+    epochs and y with later ones, each a match of one of the two SSPs, at most twice
+    ``blur`` from the line.  Their covariance within the N SSPs of an epoch and a scale,
+    summed over all of these, is compared with that of y in random order,
 
-    .. math:: z = \frac{\sum S_{xy}}{\sqrt{\sum S_{xx} S_{yy} / (N - 1)}}, \quad
+    .. math:: z = \sum S_{xy} \left(\frac{n + 1}{2}
+                  \sum \frac{S_{xx} S_{yy}}{N - 1}\right)^{-1/2}, \quad
               S_{xy} = \sum_i (x_i - \bar x)(y_i - \bar y)
 
-    (Hoeffding 1951, Ann. Math. Stat. 22, 558).
+    (Hoeffding 1951, Ann. Math. Stat. 22, 558).  The same feature has SSPs on several of
+    the n scales, whose covariances have a correlation of about 0.5: without a common
+    speed, z has a standard deviation of 1.0 to 1.1 over all speeds.
 
     Parameters
     ----------
@@ -65,7 +69,8 @@ def persistence(
     """
     epoch, scale = np.asarray(samples.epoch), np.asarray(samples.scale)
     off = samples.d1 - speed * samples.interval
-    links = _links(samples.select(np.hypot(off, samples.d2) <= settings.across))
+    near = (np.abs(off) <= 2 * settings.blur) & (np.abs(samples.d2) <= settings.across)
+    links = _links(samples.select(near))
     n = len(epoch)
     before, after = (
         np.bincount(links[0, links[2] == way], minlength=n) for way in (-1, 1)
@@ -85,10 +90,9 @@ def persistence(
     x, y = before[used], after[used]
     if len(x) < LEAST_SSPS * len(number) or np.count_nonzero(x) >= len(x) / 2:
         return np.nan
-    variance = moment(x, x) * moment(y, y) / np.maximum(number - 1, 1)
-    if not variance.sum() > 0:
-        return np.nan
-    return float(ndtr(-moment(x, y).sum() / np.sqrt(variance.sum())))
+    variance = np.sum(moment(x, x) * moment(y, y) / np.maximum(number - 1, 1))
+    variance *= (len(np.unique(kind[1])) + 1) / 2
+    return float(ndtr(-moment(x, y).sum() / np.sqrt(variance))) if variance else np.nan
 
 
 def _links(d):

@@ -4,9 +4,10 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import kstest, norm
 
 from astro_scc import StackedCrossCorrelation
+from astro_scc.measurement.axes import AxisProjection, matched_displacements
 from astro_scc.simulation import simulate_random_velocity
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.persistence import persistence
@@ -60,6 +61,21 @@ def test_one_end_of_a_link_is_enough():
 def test_what_cannot_show_it(change):
     speeds = np.tile(np.linspace(-1, 1, N_SSPS), (N_EPOCHS - 1, 1))
     assert np.isnan(persistence(change(links(speeds)), 0.5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scales", [(1,), (2,), (1, 2, 3)])
+def test_scatter_at_all_speeds_without_a_common_one(scales):
+    found = []
+    for seed in range(6):
+        scc = StackedCrossCorrelation(scales=scales, position_angle=270 * u.deg)
+        matched = scc.match(simulate_random_velocity(rng=seed).cube)
+        samples, frame = matched_displacements(matched, scc)
+        d = AxisProjection(samples, matched.cube, frame)(0.0)
+        found += [persistence(d, speed) for speed in range(5, 45, 2)]
+    z = norm.isf(np.array(found)[np.isfinite(found)])
+    assert 0.9 < z.std() < 1.2
+    assert abs(z.mean()) < 0.3
 
 
 def test_a_jet_of_random_velocities_has_no_common_speed():
