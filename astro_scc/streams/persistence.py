@@ -33,7 +33,7 @@ def persistence(
 
     (Hoeffding 1951, Ann. Math. Stat. 22, 558).  The same feature has SSPs on several of
     the n scales, whose covariances have a correlation of about 0.5: without a common
-    speed, z has a standard deviation of 1.0 to 1.1 over all speeds.
+    speed, z has a mean of 0.2 and a standard deviation of 1.0 to 1.1 over all speeds.
 
     Parameters
     ----------
