@@ -27,6 +27,8 @@ IMAGES, PLAN = "images", "survey.toml"
 HEAD = "# Images from"
 #: Names of images in a folder of one source.
 PATTERNS = ("*.fits", "*.fit", "*.fits.gz", "*.fits.fz")
+#: Table in the folder of every measurement.
+COMPONENTS = "components.ecsv"
 #: Names of the columns of redshifts, in small letters.
 NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
@@ -171,7 +173,8 @@ def _images_in(folder):
     """Return the patterns of the images in each folder of a folder, by its name."""
     found = {}
     for own in sorted(path for path in folder.iterdir() if path.is_dir()):
-        if own.name.startswith("."):
+        # A measurement beside its images is no source.
+        if own.name.startswith(".") or (own / COMPONENTS).is_file():
             continue
         here = Path(glob.escape(str(own.absolute())))
         if kinds := [k for k in PATTERNS if next(own.glob(k), None)]:

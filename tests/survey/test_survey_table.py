@@ -2,6 +2,7 @@
 """A survey of the sources of a table of components."""
 
 import io
+import shutil
 
 import astropy.units as u
 import numpy as np
@@ -114,6 +115,9 @@ def test_folders_of_images(tmp_path, capsys):
         cube = simulate_two_fluid(n_epochs=4, rng=1).cube
         write_epochs(cube.crop((slice(70, 186), slice(20, 170))), folder / name)
     (folder / "notes").mkdir()
+    # A measurement beside its images is no source.
+    measured = shutil.copytree(folder / "two", folder / "two-measured")
+    (measured / "components.ecsv").touch()
     argv = ["survey", str(folder), "-o", str(out), "--quiet"]
     assert main(argv) == 0
     table = QTable.read(out / "survey.ecsv")
