@@ -7,7 +7,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from astro_scc.features.diffusion import measure_diffusion
-from astro_scc.features.motion import SIGNIFICANT, Motion, fit_motion
+from astro_scc.features.motion import (
+    SIGNIFICANT,
+    Motion,
+    fit_motion,
+    motion_in_intervals,
+)
 from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement.axes import frame_positions, turned
@@ -23,6 +28,8 @@ FADING = 0.7
 #: The core is the detection of each epoch that is nearest to the origin, and as near as
 #: this, in beams.  It does not move, but what leaves it blends with it.
 CORE = 0.5
+#: All intervals between dates, in years.
+EVERY = 0.0, np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +37,14 @@ class _Followed:
     """
     A feature that was followed.
 
-    Its motion, with the error of a random walk, its detections, the nearest SSP of
-    each of those that have one, and all SSPs of its emission.
+    Its motion, with the error of a random walk, and how each position changes it if
+    not as in a straight line; its detections, the nearest SSP of each of those that
+    have one, and all SSPs of its emission.
     """
 
     motion: Motion
     error: np.ndarray
+    response: np.ndarray | None
     detection: np.ndarray
     ssp: np.ndarray
     emission: np.ndarray
@@ -57,6 +66,8 @@ class FollowedFeatures:
     epochs : slice, optional
         The range of epochs to which the projection is limited; the features are those
         of all epochs, and their motion is that of their positions within the range.
+    intervals : (float, float), optional
+        Shortest and longest interval, in years, between positions that give a speed.
 
     Attributes
     ----------
@@ -65,8 +76,8 @@ class FollowedFeatures:
         by one of them, so it is part of the errors, and all of them count.
     """
 
-    def __init__(self, matched, project, radius, epochs=None):
-        self.project, self.diffuse = project, False
+    def __init__(self, matched, project, radius, epochs=None, intervals=EVERY):
+        self.project, self.diffuse, self.intervals = project, False, intervals
         self.first, last, _ = (epochs or slice(None)).indices(len(matched.cube))
         features = matched.features
         self.detections = d = features.detections
@@ -118,14 +129,19 @@ class FollowedFeatures:
             # It belongs to the part of the image in which it is half of the time.
             if 2 * use[own].sum() < len(own):
                 continue
-            moving = motion
+            moving, response = motion, None
             if len(own) < len(track.detection):
                 parts = (v[own] for v in (d.time, d.place, d.place_error))
                 moving = fit_motion(*parts, d.fwhm)
+            if self.intervals != EVERY:
+                where = d.time[own], d.place[own], d.fwhm
+                moving, response = motion_in_intervals(moving, *where, self.intervals)
+                if not response.any():
+                    continue
             error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))
             detection, ssps = self._near[:, np.isin(self._near[0], own)]
             nearest = ssps[np.unique(detection, return_index=True)[1]]
-            yield _Followed(moving, error, own, nearest, ssps)
+            yield _Followed(moving, error, response, own, nearest, ssps)
 
     def _positions(self, angle):
         """Return the positions of detections along an axis and across it, in beams."""
@@ -201,6 +217,7 @@ class FollowedFeatures:
                     across=float(across),
                     across_error=float(across_error),
                     motion=float(abs(speed) * motion.span),
+                    response=line.response if one.response is None else one.response,
                     detection=own,
                 )
             )

@@ -67,6 +67,7 @@ def search_matches(
     ``Found``
     """
     cube, max_speed = matched.cube, plan.max_speed
+    intervals = plan.intervals if intervals is None else intervals
     samples, frame = axes.matched_displacements(matched, settings)
     if epochs is not None:
         samples = samples.of_epochs(epochs)
@@ -82,8 +83,8 @@ def search_matches(
         rng=rng,
         outward=settings.outward and known,
         fastest=np.inf if max_speed is None else max_speed / project.beam(0.0)[0],
-        intervals=plan.intervals if intervals is None else intervals,
-        followed=FollowedFeatures(matched, project, plan.radius, epochs),
+        intervals=intervals,
+        followed=FollowedFeatures(matched, project, plan.radius, epochs, intervals),
     )
     misaligned = axes.alignment_errors(cube, settings.alignment_error)
     velocities = tuple(
@@ -123,12 +124,11 @@ def sensitivity_rows(found, matched, settings, plan, rng):
     if not streams or streams[0].kind != "moving":
         return []
     stream, velocity = streams[0], found.velocities[0]
-    axis = np.array([np.cos(stream.angle), np.sin(stream.angle)])
+    axis = _direction(velocity)
     main = _measured(stream, velocity, axis)
-    sense = np.sign(main[0])
     pairs = zip(streams, found.velocities, strict=True)
     speeds = np.array([axis @ v.value for s, v in pairs if s.kind == "moving"])
-    rows = [_row("as measured", main, sense)]
+    rows = [_row("as measured", main)]
     for pair in _pairs_of_parts(found, matched, stream):
         own = []
         for name, part, how in pair:
@@ -143,7 +143,7 @@ def sensitivity_rows(found, matched, settings, plan, rng):
             # What is nearer to another stream is not meant.
             some = [m for m in some if np.abs(speeds - m[0]).argmin() == 0]
             nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
-            own.append(_row(name, nearest, sense, *main[:2]))
+            own.append(_row(name, nearest, *main[:2]))
         # Both parts may differ from the whole, if they have other features.
         sigma = largest_difference([*own, rows[0]])
         for row in own:
@@ -163,15 +163,13 @@ def largest_difference(rows):
     return np.max(off)
 
 
-def with_choices(velocity, angle, rows):
+def with_choices(velocity, rows):
     """
     Return the velocity of a stream whose error holds the differences of choices.
 
     Parameters
     ----------
     velocity : ``StreamVelocity``
-    angle : float
-        Direction of the stream from the first axis of the frame, in radians.
     rows : list of dict
         See `sensitivity_rows`.
 
@@ -184,7 +182,7 @@ def with_choices(velocity, angle, rows):
         return velocity
     spread = [np.ptp([rows[0]["pm"], *pair]) for pair in np.reshape(pairs, (-1, 2))]
     half = max(spread) / 2
-    axis = np.array([np.cos(angle), np.sin(angle)])
+    axis = _direction(velocity)
     return replace(velocity, choices=half**2 * np.outer(axis, axis))
 
 
@@ -231,20 +229,25 @@ def sensitivity_line(table):
     return "differs with the data: " + ", ".join(parts) if parts else ""
 
 
+def _direction(velocity):
+    """Return the unit vector of a velocity that is not zero."""
+    return velocity.value / np.hypot(*velocity.value)
+
+
 def _measured(stream, velocity, axis):
     """Return the speed along an axis, its error, and the number of features."""
     error = np.sqrt(axis @ velocity.covariance @ axis)
     return float(axis @ velocity.value), float(error), len(stream.features)
 
 
-def _row(choice, measured, sense, main=None, main_err=0.0):
+def _row(choice, measured, main=None, main_err=0.0):
     """Return a row of the table."""
     speed, error, number = measured or (np.nan, np.nan, 0)
-    change = 0.0 if main is None else sense * (speed - main)
+    change = 0.0 if main is None else speed - main
     return {
         "choice": choice,
         "n_features": number,
-        "pm": sense * speed,
+        "pm": speed,
         "pm_err": error,
         "change": change,
         "change_err": np.sqrt(max(error**2 - main_err**2, (error / 2) ** 2)),

@@ -80,7 +80,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     search, velocities, samples = found.search, found.velocities, found.samples
     frame = found.frame
     if choices:
-        first = with_choices(velocities[0], search.streams[0].angle, choices)
+        first = with_choices(velocities[0], choices)
         velocities = (first, *velocities[1:])
     angle = flow_direction(matched, frame)
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)

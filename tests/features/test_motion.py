@@ -6,7 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astro_scc.features.motion import PRIOR_FREEDOM, SCATTER, WANDER, Motion, fit_motion
+from astro_scc.features.motion import (
+    PRIOR_FREEDOM,
+    SCATTER,
+    WANDER,
+    Motion,
+    fit_motion,
+    motion_in_intervals,
+)
 
 TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
 ERROR = np.full((8, 2), 0.01)
@@ -156,3 +163,32 @@ def test_the_core_may_be_missed_by_one_beam():
     aside = motion(place=4 * np.array([4.3, 2.6]), place_err=np.zeros(2))
     assert np.isnan(aside.ejection(0.0, 0.9)[0])
     assert np.isfinite(aside.ejection(0.0, 2.0)[0])
+
+
+def test_velocities_of_some_intervals():
+    rng = np.random.default_rng(3)
+    place = on_line(TIME, (3.0, -1.0), (0.4, -0.2)) + rng.normal(0, 0.05, (8, 2))
+    fit = fit_motion(TIME, place, ERROR, 1.0)
+    for low, high in ((0.0, 2.0), (2.0, np.inf), (0.0, np.inf)):
+        part, response = motion_in_intervals(fit, TIME, place, 1.0, (low, high))
+        # The slope through the origin of the differences of pairs.
+        i, j = np.nonzero(np.triu(np.ones((8, 8)), 1) * fit.used * fit.used[:, None])
+        dt, dr = TIME[j] - TIME[i], place[j] - place[i]
+        keep = (dt >= low) & (dt <= high)
+        wanted = dt[keep] @ dr[keep] / (dt[keep] @ dt[keep])
+        np.testing.assert_allclose(part.velocity, wanted)
+        np.testing.assert_allclose(response @ place, wanted)
+        # A constant shift of the positions changes nothing.
+        assert response.sum() == pytest.approx(0, abs=1e-12)
+        # A straight line through all positions is the best estimate of all.
+        assert (part.velocity_err >= fit.velocity_err * (1 - 1e-9)).all()
+    assert part.velocity_err == pytest.approx(fit.velocity_err, rel=1e-3)
+    slope = np.polyfit(TIME[fit.used], place[fit.used], 1)[0]
+    np.testing.assert_allclose(part.velocity, slope)
+
+
+def test_no_velocity_of_intervals_that_no_two_dates_have():
+    fit = fit_motion(TIME, on_line(TIME, (3, 0), (0.4, 0)), ERROR, 1.0)
+    part, response = motion_in_intervals(fit, TIME, np.ones((8, 2)), 1.0, (9, 10))
+    assert np.isnan(part.velocity).all()
+    assert not response.any()

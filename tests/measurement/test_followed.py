@@ -75,6 +75,21 @@ def test_pairs_of_detections_are_samples_of_the_velocities(matched):
     assert len(fine.pairs(0.0)) == 0
 
 
+def test_intervals_of_their_positions_give_their_speeds(matched):
+    found, _ = followed(matched)
+    short, _ = followed(matched, intervals=(0.0, 0.5))
+    long, _ = followed(matched, intervals=(0.5, np.inf))
+    whole, *parts = (one(0.0)[0] for one in (found, short, long))
+    assert len(parts[0]) == len(parts[1]) == len(whole)
+    for one, two, three in zip(whole, *parts, strict=True):
+        assert one.speed != two.speed != three.speed != one.speed
+        near = pytest.approx(one.speed, abs=4 * np.hypot(two.error, three.error))
+        assert two.speed == near
+        assert three.speed == near
+    none, _ = followed(matched, intervals=(1e3, np.inf))
+    assert none(0.0)[0] == []
+
+
 def test_features_count_that_no_ssp_shows(matched):
     """Gaussian models see fainter emission than wavelets do."""
     found, project = followed(matched)
