@@ -25,7 +25,7 @@ from astro_scc.report.tables import feature_rows
 from astro_scc.simulation import simulate_static
 from astro_scc.units import PM_UNIT
 
-CHANCE = "permuted epochs give as strong a peak (p_global above alpha)"
+CHANCE = "permuted epochs give as strong a peak (p_global 0.62)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
 MAIN = ("separation", "tracks", "diagram", "speeds")
 MORE = ("velocity_map", "significance", "members", "epochs", "intervals", "sensitivity")

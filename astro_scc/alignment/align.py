@@ -256,7 +256,9 @@ def _by_core(cube, *, jet_pa=None, max_shift=None):
 
 def _by_table(cube, *, table=None):
     if table is None:
-        raise ValueError("align method 'table' needs table=, a path or a Table")
+        raise ValueError(
+            "align 'table' needs table=, a path or a Table; with --align name the file"
+        )
     offsets, errors = offsets_from_table(table, cube.times, cube.labels)
     return _from_sky(cube, offsets.value, errors.value, "positions of a table")
 

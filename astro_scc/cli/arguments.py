@@ -172,7 +172,7 @@ def inspect(parser):
       astro-scc inspect 3c273/*.fits
       astro-scc inspect 3c273/*.fits --speed "0.9 mas/yr"
     """
-    add(parser, "epochs", "speed")
+    add(parser, "epochs", "beam", "speed")
 
 
 def measure(parser):

@@ -16,7 +16,7 @@ from astro_scc.columns import table_lines
 from astro_scc.components.tables import kind_of
 from astro_scc.epochs import inspect_epochs, plan_intervals
 from astro_scc.exceptions import AstroSccWarning
-from astro_scc.images.beam import different_beam
+from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
 from astro_scc.quantities import named, one_quantity
@@ -35,7 +35,8 @@ def inspect(args, reporter):
     if (speed := args.speed) is not None:
         speed = named("--speed", one_quantity, speed, "an angle per time", "2 mas/yr")
     files = find_files(args.epochs, missing_ok=True)
-    cube, refusal = _cube(files)
+    beam = None if args.beam is None else named("--beam", parse_beam, args.beam)
+    cube, refusal = _cube(files, beam)
     names, facts, problems = _facts(files, cube, refusal)
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube)
     unit = facts["noise"].unit
@@ -56,7 +57,7 @@ def inspect(args, reporter):
 
 def _facts(files, cube, refusal):
     """Return the names of the epochs, facts of `inspect_epochs`, and the problems."""
-    if len(files) == 1 and kind_of(files[0]) == "cube":
+    if {kind_of(file) for file in files} in ({"cube"}, {"components"}):
         if cube is None:
             raise ValueError(refusal)
         return cube.labels, _facts_of_cube(cube), []
@@ -70,12 +71,12 @@ def _facts(files, cube, refusal):
     return [Path(file).name for file in facts["file"]], facts, problems
 
 
-def _cube(files):
+def _cube(files, beam):
     """Return the files as a cube and None, or None and the reason why they are not."""
     # Warnings are listed among the problems.
     with warnings.catch_warnings(action="ignore", category=AstroSccWarning):
         try:
-            return EpochCube.read(files), None
+            return EpochCube.read(files, beams=beam), None
         except (ValueError, OSError, MemoryError) as error:
             return None, str(error)
 

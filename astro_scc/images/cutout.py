@@ -125,8 +125,8 @@ def _combine(cube, items, name, places):
                 OverflowError: "has a size or place without end",
             }.get(type(error), f"cannot be drawn on the image ({first_line(error)})")
             raise ValueError(
-                f"{name}: a {type(item).__name__} {reason}; "
-                "use circles, ellipses, rectangles or polygons"
+                f"{name}: a {type(item).__name__} {reason}; use circles, ellipses, "
+                "rectangles or polygons, on the part of the sky that the images show"
             ) from None
         if places and isinstance(item, SkyRegion):
             _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)

@@ -309,7 +309,7 @@ def classify(
     if smallest_p > alpha:
         reason = f"too few epochs or trials: no p_global below {smallest_p:.2g}"
     elif p_global > alpha:
-        reason = "permuted epochs give as strong a peak (p_global above alpha)"
+        reason = f"permuted epochs give as strong a peak (p_global {p_global:.2g})"
         more = (np.quantile(permutations.maxima, 1 - alpha) / max(z, 1e-9)) ** 2
         if 1 < more <= MOST_EPOCHS:
             reason += f"; if it is real, {more:.1f} times as many epochs should show it"

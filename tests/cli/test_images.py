@@ -138,6 +138,13 @@ def test_inspect(jet, done, here):
     assert [path.name for path in here.iterdir()] == ["cube.fits"]
 
 
+def test_inspect_restores_components(models, done):
+    """Lists of components alone are restored, with the beam that is given."""
+    out, _ = done("inspect", *models, "--beam", "0.8 mas")
+    assert "0.8 x 0.8 mas at 0 deg" in out
+    assert "No problems." in out
+
+
 @pytest.mark.slow
 def test_inspect_explains_speeds(jet, done):
     # Six epochs 30 days apart, a beam of 1 mas.

@@ -196,6 +196,7 @@ def test_regions_on_the_sphere():
         (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
         (b"image\ncircle(21.5,21.5,0.1)\n", "r.reg: holds no pixel"),
         (b"image\npoint(21,21)\n", "r.reg: a PointPixelRegion has no inside"),
+        (b"icrs\ncircle(4:33:11,5:21:15,0.5\")\n", "r.reg: .* that the images show"),
         ("no.reg", "No such file .*no.reg"),
         (circle(-30, 20, 4), "region: holds no pixel"),
         (np.zeros(SHAPE, dtype=bool), "no pixel"),

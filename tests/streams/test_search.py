@@ -80,13 +80,13 @@ class TestClassify:
             ),
             (
                 {"p_global": 0.06},
-                "permuted epochs give as strong a peak (p_global above alpha); if it "
-                "is real, 4.0 times as many epochs should show it",
+                "permuted epochs give as strong a peak (p_global 0.06); if it is real, "
+                "4.0 times as many epochs should show it",
             ),
             *(
                 (
                     {"p_global": 0.06, "z": z},
-                    "permuted epochs give as strong a peak (p_global above alpha)",
+                    "permuted epochs give as strong a peak (p_global 0.06)",
                 )
                 for z in (-1.0, 0.0, 1.2, 4.0)
             ),
@@ -236,7 +236,7 @@ class TestNotSignificant:
         assert kinds(found) == ["not significant"]
         stream = found.streams[0]
         assert stream.reason.startswith(
-            "permuted epochs give as strong a peak (p_global above alpha)"
+            f"permuted epochs give as strong a peak (p_global {stream.p_global:.2g})"
         )
         assert stream.p_global > 0.05
 
