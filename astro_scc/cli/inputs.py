@@ -191,7 +191,7 @@ def prepare(cube, settings, *, note=_ignore, features=False):
     chosen : list of str
         The choices and their reasons.
     """
-    wanted, differ = settings.common_beam, different_beam(cube) is not None
+    wanted, differ = settings.common_beam, different_beam(cube.beams) is not None
     beams = None if cube.beams is None else differ
     if (text := NOTES.get((wanted, beams))) is not None:
         note(text)

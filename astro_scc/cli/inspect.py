@@ -116,7 +116,7 @@ def _alignment(cube, of_core):
 def _choices(cube):
     """Return what a measurement without options takes, as lines."""
     _, _, chosen = prepare(cube, Settings())
-    if different_beam(cube) is not None:
+    if different_beam(cube.beams) is not None:
         chosen.insert(0, "--common-beam: the beams differ")
     head = "\nWithout options, astro-scc measure takes:"
     return [head, *(f"  {choice}" for choice in chosen)]

@@ -14,6 +14,7 @@ from astro_scc.epochs import ndcubes
 from astro_scc.epochs.inspection import UNCHECKED, problems, separation
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, validation
+from astro_scc.images.beam import different_beam
 from astro_scc.images.cutout import box, crop_line
 from astro_scc.images.grid import ONE_SHIFT, grid_step, pixel_area, regrid, shared_grid
 from astro_scc.images.headers import get, read_header, some
@@ -163,9 +164,13 @@ def _completed(planes, times, beams):
     every, remarks = [], {}
     for plane, time, beam in zip(planes, times, beams, strict=True):
         plane.time = _observed(plane, time)
+        own = plane.beam
         if beam is not None:
             plane.beam, plane.beam_problem = beam, ""
-        for note in plane.notes:
+        notes = plane.notes
+        if beam is not None and own is not None and different_beam((beam, own)):
+            notes.append(f"the beam that is given, {beam}, replaces that of the header")
+        for note in notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
         if plane.uncertainty is not None:
             with validation.naming(plane.name):

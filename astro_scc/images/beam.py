@@ -158,15 +158,15 @@ def parse_beam(text):
         ) from None
 
 
-def different_beam(cube):
+def different_beam(beams):
     """
-    Return the index of the first epoch whose beam differs from that of epoch 0.
+    Return the index of the first beam that differs from the first one.
 
     Return None if all widths agree within 1% in every direction, or there are no beams.
     """
-    if cube.beams is None:
+    if beams is None:
         return None
-    covariances = np.array([beam.covariance.value for beam in cube.beams])
+    covariances = np.array([beam.covariance.value for beam in beams])
     ratios = np.linalg.eigvals(np.linalg.inv(covariances[0]) @ covariances).real
     differs = np.any(np.abs(np.sqrt(ratios) - 1) > SAME_WIDTH, axis=1)
     return int(np.argmax(differs)) if differs.any() else None
@@ -174,7 +174,7 @@ def different_beam(cube):
 
 def require_common_beam(cube):
     """Raise a ValueError if the beams of the epochs differ by more than 1%."""
-    index = different_beam(cube)
+    index = different_beam(cube.beams)
     if index is not None:
         raise ValueError(
             f"the beams differ, {cube.beams[0]} in {cube.labels[0]} and "

@@ -13,6 +13,7 @@ from astropy.utils.masked import Masked
 
 from astro_scc.columns import describe, round_to_errors
 from astro_scc.epochs import read_components
+from astro_scc.exceptions import warn
 from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
@@ -60,6 +61,11 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
             found = read_components(path)
         except ValueError:
             raise error from None
+        if other := found.meta.get("object"):
+            warn(
+                f"{path}: its source is {other}, that of the images {name}; its "
+                "features are compared nevertheless"
+            )
     years, kept = found.times.jyear[found.epoch], found.feature > 0
     if not kept.any():
         raise ValueError(

@@ -414,7 +414,8 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
         assert (cube.labels, cube.beams) == (("1.fits", "0.fits"), (ROUND, ROUND))
     other = make_fits("2.fits", DATE_OBS="2003-01-01")
     given_ = {"times": ["2004-01-01", None], "beams": ROUND}
-    cube = EpochCube.read([paths[0], other], **given_)
+    with pytest.warns(EpochWarning, match="^2.fits: the beam .* given, 1 x 1 mas at"):
+        cube = EpochCube.read([paths[0], other], **given_)
     assert cube.labels == ("2.fits", "0.fits")
     with pytest.raises(ValueError, match="2 images need 2 times, got 1"):
         EpochCube.read(paths, times="2001-01-01")

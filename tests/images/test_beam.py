@@ -64,7 +64,7 @@ def with_beams(*beams):
     ],
 )
 def test_beams_are_the_same_within_one_per_cent_in_any_direction(beams, expected):
-    assert different_beam(with_beams(*beams)) == expected
+    assert different_beam(with_beams(*beams).beams) == expected
 
 
 def test_beams_that_differ_are_refused_until_that_is_stated(tmp_path):
