@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +28,7 @@ ONE_DISPERSIONS = (
     0.7, 0.8, 1.0,
 )  # fmt: skip
 #: Those that are tried for each of two streams.
-TWO_DISPERSIONS = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25)
+TWO_DISPERSIONS = (0.05, 0.12, 0.25)
 #: Number of dispersions that are tried, from zero to four standard deviations.
 TAUS = 80
 
@@ -180,7 +181,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     Test whether the speeds of features are those of two streams rather than one.
 
     The statistic is the ratio of the largest likelihood of a mixture of two
-    log-normal distributions, with a common dispersion of at most 25%, to that
+    log-normal distributions, each with a dispersion of at most 25%, to that
     of one normal or log-normal distribution of any dispersion.  Its
     distribution for one stream is simulated by drawing as many features, with
     the same errors, from the one stream that fits (parametric bootstrap;
@@ -269,21 +270,28 @@ def _two(y, e, dispersions):
     """Return the largest log-likelihood of two streams, and where they split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
-    for tau in dispersions:
-        w = 1 / (e**2 + tau**2)
-        total, part = np.cumsum(w, axis=1), np.cumsum(w * y, axis=1)
-        slow = part[:, :-1] / total[:, :-1]
-        fast = (part[:, -1:] - part[:, :-1]) / (total[:, -1:] - total[:, :-1])
-        constant = 0.5 * np.log(w).sum(axis=1)
-        for split, *means in zip(range(1, n), slow.T, fast.T, strict=True):
-            shares = split / n, 1 - split / n
-            a, b = (
-                np.log(share) - 0.5 * w * (y - mean[:, None]) ** 2
-                for share, mean in zip(shares, means, strict=True)
+    weights = [1 / (e**2 + tau**2) for tau in dispersions]
+    for split in range(1, n):
+        slow, fast = (
+            [
+                np.log(share) + 0.5 * (np.log(w) - w * (y - _mean(y, w, part)) ** 2)
+                for w in weights
+            ]
+            for part, share in (
+                (slice(split), split / n),
+                (slice(split, n), 1 - split / n),
             )
+        )
+        for a, b in product(slow, fast):
             # log(e^a + e^b); numpy's own function is ten times slower.
             value = np.maximum(a, b) + np.log(1 + np.exp(-np.abs(a - b)))
-            value = value.sum(axis=1) + constant
+            value = value.sum(axis=1)
             better = value > best
             best[better], where[better] = value[better], split
     return best, where
+
+
+def _mean(y, w, part):
+    """Return the weighted mean of a part of each row."""
+    y, w = y[:, part], w[:, part]
+    return (w * y).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)

@@ -1,11 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Streams of features: their mean and dispersion, and whether they are one or two."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from astro_scc.streams import SearchSettings
+from astro_scc.streams.classification import Stream
 from astro_scc.streams.dispersion import (
     ONE_DISPERSIONS,
     TWO_DISPERSIONS,
@@ -15,7 +18,6 @@ from astro_scc.streams.dispersion import (
 )
 from astro_scc.streams.errors import alignment_response
 from astro_scc.streams.features import Feature
-from astro_scc.streams.search import Stream
 
 SEARCH = SearchSettings()
 
@@ -194,11 +196,12 @@ class TestSeparateStreams:
             assert one[k] == pytest.approx(best)
             assert (mean[k], tau[k], linear[k]) == pytest.approx(found)
             best = -np.inf
-            for split in (2, 3, 4):
-                for width in TWO_DISPERSIONS:
-                    s = np.hypot(e[k], width)
+            for split in range(1, 6):
+                parts = slice(None, split), slice(split, None)
+                for widths in product(TWO_DISPERSIONS, repeat=2):
                     total = 0
-                    for part in (slice(None, split), slice(split, None)):
+                    for part, width in zip(parts, widths, strict=True):
+                        s = np.hypot(e[k], width)
                         m = np.average(y[k, part], weights=s[part] ** -2.0)
                         share = len(y[k, part]) / 6
                         total = total + share * norm.pdf(y[k], m, s)

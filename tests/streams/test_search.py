@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import combine_pvalues
 
+import astro_scc.streams.search as module
 from astro_scc.streams import SearchSettings, find_streams
+from astro_scc.streams.classification import P_SECURE, classify, with_secure
 from astro_scc.streams.diagram import Diagram, Rays
 from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
 from astro_scc.streams.features import Feature
 from astro_scc.streams.permutations import EpochPermutations
-from astro_scc.streams.search import P_SECURE, classify, with_secure
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.
@@ -205,11 +206,19 @@ class TestTwoStreams:
         assert found[0].along.mean == pytest.approx(first, rel=0.1)
         assert len(found[0].features) >= len(found[1].features)
 
+    def test_only_the_first_has_to_keep_its_speed(self, monkeypatch, two):
+        first = search(two).streams[0].along.mean
+        for speeds, kinds_ in (
+            ((first,), ["moving", "moving"]),
+            ((), ["not confirmed", "not confirmed"]),
+        ):
+            monkeypatch.setattr(
+                module, "persistence", lambda d, v, s, keep=speeds: float(v not in keep)
+            )
+            assert kinds(search(two))[:2] == kinds_
+
     def test_speeds_whose_mean_is_none_of_theirs(self, monkeypatch, two):
         """Where they cannot be told apart those near the largest z are the stream."""
-        import sys
-
-        module = sys.modules[find_streams.__module__]
         monkeypatch.setattr(
             module,
             "separate_streams",
