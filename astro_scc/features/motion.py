@@ -31,7 +31,8 @@ class Motion:
     Attributes
     ----------
     date : float
-        Mean date in years, to which position and velocity refer.
+        Date in years to which position and velocity refer: the mean, or, of a parabola,
+        that at which it has its mean velocity.
     place, place_err, velocity, velocity_err : `~numpy.ndarray`, shape (2,)
         With their standard errors, in mas and mas/yr.
     acceleration, acceleration_err : `~numpy.ndarray`, shape (2,)
@@ -195,7 +196,7 @@ def fit_motion(
     dt = time - time.mean()
     wander = WANDER * beam / span
     line = _robust(dt, place, scatter, 1)
-    fit, bend = line, np.full((2, 2), np.nan)
+    fit, bend, middle = line, np.full((2, 2), np.nan), 0.0
     if len(time) >= ACCELERATED_EPOCHS:
         curve = _robust(dt, place, scatter, 2)
         # White noise makes errors of slope and bend in this ratio.
@@ -203,12 +204,17 @@ def fit_motion(
         significance = np.linalg.norm(curve.coefficients[2] / bend_err)
         if significance >= ACCELERATED and line.cost - curve.cost > np.log(len(time)):
             fit, bend = curve, np.stack([curve.coefficients[2], bend_err])
-    # The mean velocity over the dates is that of the line.
+            # At this date the parabola has the velocity of the line through it.
+            w = curve.weight / scatter**2
+            off = w * (dt - np.average(dt, weights=w))
+            middle = (off @ dt**2) / (2 * off @ dt)
+    powers = middle ** np.arange(3) / (1, 1, 2)
+    n = len(fit.coefficients)
     return Motion(
-        date=float(time.mean()),
-        place=fit.coefficients[0],
-        place_err=fit.errors[0],
-        velocity=line.coefficients[1],
+        date=float(time.mean() + middle),
+        place=powers[:n] @ fit.coefficients,
+        place_err=np.hypot(fit.errors[0], middle * fit.errors[1]),
+        velocity=powers[: n - 1] @ fit.coefficients[1:],
         velocity_err=np.hypot(line.errors[1], wander),
         acceleration=bend[0],
         acceleration_err=bend[1],
