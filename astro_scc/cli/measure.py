@@ -15,9 +15,10 @@ from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
 from astro_scc.measurement import write_epoch_regions, write_products
 from astro_scc.measurement.products import product_folder
+from astro_scc.measurement.published import with_published
 from astro_scc.measurement.tables import versions
 from astro_scc.report import write_report
-from astro_scc.report.answer import component_lines
+from astro_scc.report.answer import component_lines, published_lines
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
@@ -58,8 +59,13 @@ def measure(args, reporter):
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, epochs.cube, folder)
+    features = result.features
+    if epochs.published is not None:
+        own = result.tracked_features
+        features = with_published(features, own, epochs.published)
     reporter.say(
-        *component_lines(components, result.features),
+        *component_lines(components, features),
+        *published_lines(features),
         *flow_lines(result),
         *epochs.found,
         f"\nTables and maps: {output}"

@@ -130,8 +130,9 @@ def _restore(task):
 def _components(args, reporter):
     """Return the components of each source with a beam, and how to restore images."""
     how = images.images_of(args)
-    options = {"source": args.source, "origin": args.origin, "beams": how["beam"]}
-    found = read_sources(args.survey, **options)
+    options, found = {"origin": args.origin, "beams": how["beam"]}, {}
+    for name in args.source.split(",") if args.source else (None,):
+        found |= read_sources(args.survey, source=name, **options)
     if not all(own.beams for own in found.values()):
         how["beam"] = beam = _typical_beam(found.values())
         found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}

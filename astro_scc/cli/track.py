@@ -15,7 +15,7 @@ from astro_scc.measurement.products import product_folder, write_files, write_ta
 from astro_scc.measurement.publication import write_publication
 from astro_scc.measurement.published import with_published
 from astro_scc.measurement.tables import versions
-from astro_scc.report.answer import feature_lines, speed_lines
+from astro_scc.report.answer import feature_lines, published_lines, speed_lines
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import plot_separation, plot_tracks
 
@@ -44,6 +44,7 @@ def track(args, reporter):
             write_files(style.figure_files(figures, pdf=args.pdf), folder)
     reporter.say(
         *feature_lines(table, most=len(table)),
+        *published_lines(table),
         *speed_lines(epochs.settings.in_c),
         *epochs.found,
         f"\nTables{'' if args.no_figures else ' and figures'}: {output}",

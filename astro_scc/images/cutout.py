@@ -118,6 +118,9 @@ def _combine(cube, items, name, places):
         try:
             # Images are small enough for spherical regions to be flat in them.
             pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
+            bounds = pixel.bounding_box
+            if bounds.get_overlap_slices(shape)[0] is None:
+                continue
             mask = pixel.to_mask(mode="center")
         except (NotImplementedError, OverflowError, ValueError) as error:
             reason = {

@@ -155,12 +155,12 @@ def sensitivity_rows(found, matched, settings, plan, rng):
 
 
 def largest_difference(rows):
-    """Return the largest difference of two speeds in errors of both, NaN if any is."""
+    """Return the largest difference of two speeds in errors of both, NaN of one."""
     off = [
         abs(a["pm"] - b["pm"]) / np.hypot(a["pm_err"], b["pm_err"])
         for a, b in combinations(rows, 2)
     ]
-    return np.max(off)
+    return np.fmax.reduce(off)
 
 
 def with_choices(velocity, rows):
@@ -180,8 +180,9 @@ def with_choices(velocity, rows):
     pairs = [row["pm"] for row in rows if row["significant"]]
     if not pairs:
         return velocity
-    spread = [np.ptp([rows[0]["pm"], *pair]) for pair in np.reshape(pairs, (-1, 2))]
-    half = max(spread) / 2
+    off = np.abs(np.reshape(pairs, (-1, 2)) - rows[0]["pm"])
+    apart = np.abs(np.diff(np.reshape(pairs, (-1, 2)), axis=1))
+    half = np.nanmax([*off.ravel(), *apart.ravel()]) / 2
     axis = _direction(velocity)
     return replace(velocity, choices=half**2 * np.outer(axis, axis))
 
@@ -220,13 +221,19 @@ def sensitivity_line(table):
     Returns
     -------
     str
-        Empty if it depends on nothing that was tried.
+        Empty if it depends on nothing that was tried, and most parts show it.
     """
+    lines, found = [], np.isfinite(table["pm"])
     parts = [
         f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
-        for row in table[table["significant"]]
+        for row in table[table["significant"] & found]
     ]
-    return "differs with the data: " + ", ".join(parts) if parts else ""
+    if parts:
+        lines.append("differs with the data: " + ", ".join(parts))
+    missing, n = np.sum(~found), len(table) - 1
+    if missing > max(n / 2, 0):
+        lines.append(f"not found in {missing} of {n} parts of the data")
+    return "; ".join(lines)
 
 
 def _direction(velocity):

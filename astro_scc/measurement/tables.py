@@ -238,6 +238,8 @@ def component_row(result, number):
         cautions.insert(0, "moves towards the core")
     if not still and len(stream.features) < FEW:
         some = "a single feature" if len(stream.features) == 1 else "two features"
+        if not any(f.followed for f in stream.features):
+            some += " of matches alone, not seen in image after image"
         cautions.append(f"rests on {some}")
     cautions = [text for text in cautions if text]
     return row | {

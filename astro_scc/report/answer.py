@@ -16,7 +16,11 @@ EXPLANATION = (
     "p_global: probability that epochs in permuted order would give an equally strong",
     "peak at any velocity",
 )
-NOTHING = "Other scales, a larger --max-speed or more epochs may show one."
+NOTHING = "Other scales, a larger region or --max-speed, or more epochs may show one."
+#: Speeds agree within so many errors of both.
+AGREE = 2
+#: Features that would have to be seen so many times as long are out of reach.
+MOST_SPANS = 10
 #: Columns of components, features and profiles.
 COMPONENTS = "component kind pm pm_pa beta_app dispersion p_global n_features".split()
 FEATURES = (
@@ -239,6 +243,41 @@ def feature_lines(features, most=MOST):
     ]
 
 
+def published_lines(features):
+    """
+    Return how the speeds of secure features agree with published ones, as lines.
+
+    Parameters
+    ----------
+    features : `~astropy.table.QTable`
+        See ``astro_scc.measurement.published.with_published``.
+
+    Returns
+    -------
+    list of str
+        One, or none without published features.
+    """
+    if "published" not in features.colnames:
+        return []
+    secure = np.asarray(features["secure"], dtype=bool)
+    own = features[secure & ~features["published"].mask]
+    if len(own) == 0:
+        return [f"0 of {secure.sum()} secure features are published ones."]
+    pm, unit = own["published_pm"].unmasked, unit_name(own["pm"].unit)
+    error = np.hypot(own["pm_err"], own["published_pm_err"].unmasked)
+    differs = np.abs(own["pm"] - pm) > AGREE * error
+    text = (
+        f"{len(own)} of {secure.sum()} secure features are published ones, of which "
+        f"{np.sum(~differs)} have the published speed within {AGREE} errors"
+    )
+    others = [
+        f"{row['feature']} ({cell(row, 'pm', '+-')}, published "
+        f"{cell(row, 'published_pm', '+-')} {unit})"
+        for row in own[differs]
+    ]
+    return [f"{text}; not {', '.join(others)}." if others else f"{text}."]
+
+
 def _followed(features):
     """Return features with their dates as text, in a unit that is easy to read."""
     shown, separation = features.copy(), features["separation"]
@@ -267,13 +306,14 @@ def _lacking(features):
         errors / SIGNIFICANT,
     )
     best = np.argmax(np.minimum.reduce(shares))
+    short = np.argmin(shares, axis=0)[best] == 1 and shares[1][best] > 1 / MOST_SPANS
     row = features[best]
     number, false = row["feature"], row["p_false"]
     text = (
         f"The nearest to that is feature {number}: p_false {false:.2g}, motion "
         f"{motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
     )
-    if 0 < motion[best] < LEAST_MOTION:
+    if short and motion[best] < LEAST_MOTION:
         time = row["pm"].unit.bases[1]
         span = (row["last"] - row["first"]).to_value(time)
         needed = f"{span * LEAST_MOTION / motion[best]:.2g} {time}"

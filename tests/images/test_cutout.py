@@ -195,6 +195,8 @@ def test_regions_on_the_sphere():
         (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
         (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
         (b"image\ncircle(21.5,21.5,0.1)\n", "r.reg: holds no pixel"),
+        # Its mask would need 30 TiB.
+        (b"image\ncircle(-3000000,0,2900000)\n", "r.reg: holds no pixel"),
         (b"image\npoint(21,21)\n", "r.reg: a PointPixelRegion has no inside"),
         (b"icrs\ncircle(4:33:11,5:21:15,0.5\")\n", "r.reg: .* that the images show"),
         ("no.reg", "No such file .*no.reg"),

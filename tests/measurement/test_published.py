@@ -11,6 +11,7 @@ from astro_scc.epochs import ComponentList
 from astro_scc.exceptions import EpochWarning
 from astro_scc.features import find_features
 from astro_scc.measurement.published import published_positions, with_published
+from astro_scc.report.answer import published_lines
 from astro_scc.simulation import simulate_jet
 
 
@@ -47,6 +48,25 @@ def test_the_same_features_have_their_numbers_and_speeds(features, tmp_path):
     # They survive in the file.
     table.write(tmp_path / "out.ecsv")
     assert QTable.read(tmp_path / "out.ecsv")["published"].mask.sum() == 1
+
+
+def test_how_many_agree_is_said(features, tmp_path):
+    table = with_published(
+        features.table, features, written(features, tmp_path / "t.ecsv")
+    )
+    n, m = np.sum(table["secure"]), np.sum(table["secure"] & ~table["published"].mask)
+    assert m > 1
+    (line,) = published_lines(table)
+    assert line == (
+        f"{m} of {n} secure features are published ones, of which {m} have the "
+        "published speed within 2 errors."
+    )
+    first = np.flatnonzero(table["secure"])[0]
+    table["published_pm"][first] *= 3
+    assert f"; not {table['feature'][first]} (" in published_lines(table)[0]
+    table["published"].mask = True
+    assert published_lines(table) == [f"0 of {n} secure features are published ones."]
+    assert published_lines(features.table) == []
 
 
 def test_too_far_or_too_few_are_others(features, tmp_path):

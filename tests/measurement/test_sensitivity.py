@@ -24,6 +24,9 @@ def result():
     return SCC(jet.cube, n_trials=99, rng=1)
 
 
+NOTHING = np.nan, np.nan
+
+
 def row(choice, pm, err, significant):
     numbers = dict.fromkeys(("change", "change_err", "change_sigma"), 0.0)
     numbers |= {"pm": pm, "pm_err": err, "p_value": 1.0, "n_features": 3}
@@ -52,7 +55,21 @@ def test_both_parts_may_differ_from_the_whole():
     off = largest_difference([fine, coarse, whole])
     assert off == pytest.approx(0.3 / np.hypot(0.07, 0.1))
     nothing = row("coarse", np.nan, np.nan, False)
-    assert np.isnan(largest_difference([fine, nothing, whole]))
+    assert largest_difference([fine, nothing, whole]) == pytest.approx(off)
+    assert np.isnan(largest_difference([nothing, nothing, whole]))
+
+
+def test_parts_without_the_speed_are_said():
+    rows = [row("as measured", 0.9, 0.1, False)]
+    rows += [row("inner half", 0.1, 0.04, True), row("outer half", *NOTHING, True)]
+    own = StreamVelocity(np.array([0.9, 0.0]), *np.zeros((2, 2, 2)), 0.0, 0.0)
+    assert np.sqrt(with_choices(own, rows).covariance[0, 0]) == pytest.approx(0.4)
+    assert sensitivity_line(sensitivity_table(rows)) == (
+        "differs with the data: 0.100 +- 0.040 mas / yr (inner half)"
+    )
+    rows += [row("fine scales", *NOTHING, False), row("coarse scales", *NOTHING, False)]
+    line = sensitivity_line(sensitivity_table(rows))
+    assert line.endswith("(inner half); not found in 3 of 4 parts of the data")
 
 
 def test_halves_that_differ_are_said_and_are_in_the_error():

@@ -56,10 +56,10 @@ def test_all_sources_are_restored_and_measured(table, tmp_path, monkeypatch):
     # The same command goes on; with another beam, it begins again.
     assert main(["survey", str(table), "-o", str(out), *OPTIONS]) == 0
     assert [path.stat().st_mtime_ns for path in first] == before
-    other = [*OPTIONS, "--pixel", "0.25 mas", "--source", "0003+380"]
+    other = [*OPTIONS, "--pixel", "0.25 mas", "--source", "0003+380,0010+405"]
     assert main(["survey", str(table), "-o", str(out), *other]) == 0
     assert [path.stat().st_mtime_ns for path in first] != before
-    assert set(QTable.read(out / "survey.ecsv")["source"]) == {"0003+380"}
+    assert set(QTable.read(out / "survey.ecsv")["source"]) == {"0003+380", "0010+405"}
     # The file can be changed, for a redshift, and given to the command.
     plan = out / "survey.toml"
     plan.write_text(plan.read_text() + "redshift = 0.229\n")
