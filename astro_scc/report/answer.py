@@ -255,11 +255,11 @@ def published_lines(features):
     Returns
     -------
     list of str
-        One, or none without published features.
+        One, or none without published or secure features.
     """
-    if "published" not in features.colnames:
-        return []
     secure = np.asarray(features["secure"], dtype=bool)
+    if "published" not in features.colnames or not secure.any():
+        return []
     own = features[secure & ~features["published"].mask]
     if len(own) == 0:
         return [f"0 of {secure.sum()} secure features are published ones."]
