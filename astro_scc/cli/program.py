@@ -153,8 +153,6 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options):
         options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(allow_abbrev=False, **options)
-        for name in (None, "store"):
-            self.register("action", name, Once)
         # "-112deg" must be a value, not an option, as "-112" already is to argparse.
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
@@ -168,15 +166,6 @@ class Parser(argparse.ArgumentParser):
     def error(self, message):
         """Print the error as one line and exit with status 2."""
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
-
-
-class Once(argparse.Action):
-    """Store a value, and refuse a second one."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        if option_string and getattr(namespace, self.dest) is not self.default:
-            parser.error(f"argument {option_string}: is given twice")
-        setattr(namespace, self.dest, values)
 
 
 class Ended(KeyboardInterrupt):

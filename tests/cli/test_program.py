@@ -87,10 +87,6 @@ def test_angles_below_zero_are_no_options(angle):
         ("", "astro-scc: error: the following arguments are required: COMMAND"),
         ("fly", "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
         ("restore a.ecsv", "astro-scc restore: error: the following arguments"),
-        (
-            "restore a.mod -o b --pixel 1mas --pixel 2mas",
-            "astro-scc restore: error: argument --pixel: is given twice",
-        ),
         ("--foo inspect", "astro-scc: error: unrecognized arguments: --foo"),
         ("measure --bins 3", "astro-scc measure: error: unrecognized arguments"),
         ("track x --max-speed 1", "astro-scc track: error: unrecognized arguments"),
