@@ -214,7 +214,7 @@ def test_what_is_said_of_the_calibration_is_what_it_found():
     assert "at most one in twenty should have a ``moving`` row" in text
     static = {row["jets"]: row for row in calibrated("static")}
     assert limits(static.pop("random-velocity")["moving row"])[1] < 0.3
-    assert "one jet in seven has a row" in text
+    assert "one jet in eight has a row" in text
     for row in static.values():
         assert limits(row["moving row"])[0] <= 0.05, row
     assert "right to two per cent on average" in text
