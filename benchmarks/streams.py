@@ -10,7 +10,7 @@ Count how many rows of ``components.ecsv`` are right on the sources of a survey.
 ``dispersion`` prints how much the speeds of the features of one jet differ.  ``survey``
 measures the images of ``features.py survey`` by ``astro-scc measure`` without options,
 and compares the first row that moves with the mean of the survey's features.
-``default`` does so with the tables that ``astro-scc survey TABLE -o FOLDER`` has
+``default`` does so with the tables that ``astro-scc survey TABLE -o FOLDER --seed 1`` has
 written, and compares the features too.
 """
 
