@@ -10,8 +10,8 @@ Count how many rows of ``components.ecsv`` are right on the sources of a survey.
 ``dispersion`` prints how much the speeds of the features of one jet differ.  ``survey``
 measures the images of ``features.py survey`` by ``astro-scc measure`` without options,
 and compares the first row that moves with the mean of the survey's features.
-``default`` does so with the tables that ``astro-scc survey TABLE -o FOLDER --seed 1`` has
-written, and compares the features too.
+``default`` does so with the tables of ``astro-scc survey TABLE -o FOLDER --seed 1``,
+and compares the features too.
 """
 
 import argparse
