@@ -155,7 +155,7 @@ def sensitivity_rows(found, matched, settings, plan, rng):
 
 
 def largest_difference(rows):
-    """Return the largest difference of two speeds in errors of both, NaN of one."""
+    """Return the largest known difference of two speeds in errors of both, or NaN."""
     off = [
         abs(a["pm"] - b["pm"]) / np.hypot(a["pm_err"], b["pm_err"])
         for a, b in combinations(rows, 2)
@@ -180,9 +180,9 @@ def with_choices(velocity, rows):
     pairs = [row["pm"] for row in rows if row["significant"]]
     if not pairs:
         return velocity
-    off = np.abs(np.reshape(pairs, (-1, 2)) - rows[0]["pm"])
-    apart = np.abs(np.diff(np.reshape(pairs, (-1, 2)), axis=1))
-    half = np.nanmax([*off.ravel(), *apart.ravel()]) / 2
+    # The whole is known, and at least one of two parts.
+    of_each = np.insert(np.reshape(pairs, (-1, 2)), 0, rows[0]["pm"], axis=1)
+    half = np.max(np.nanmax(of_each, axis=1) - np.nanmin(of_each, axis=1)) / 2
     axis = _direction(velocity)
     return replace(velocity, choices=half**2 * np.outer(axis, axis))
 
@@ -230,8 +230,9 @@ def sensitivity_line(table):
     ]
     if parts:
         lines.append("differs with the data: " + ", ".join(parts))
-    missing, n = np.sum(~found), len(table) - 1
-    if missing > max(n / 2, 0):
+    # The first row is the whole.
+    missing, n = np.sum(~found), len(table[1:])
+    if 2 * missing > n:
         lines.append(f"not found in {missing} of {n} parts of the data")
     return "; ".join(lines)
 

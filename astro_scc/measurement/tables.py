@@ -237,9 +237,11 @@ def component_row(result, number):
     if not still and row["pm_parallel"] < -abs(row["pm_transverse"]):
         cautions.insert(0, "moves towards the core")
     if not still and len(stream.features) < FEW:
-        some = "a single feature" if len(stream.features) == 1 else "two features"
+        one = len(stream.features) == 1
+        some = "a single feature" if one else "two features"
         if not any(f.followed for f in stream.features):
-            some += " of matches alone, not seen in image after image"
+            was = "was" if one else "were"
+            some += f", which {was} matched but not followed from image to image"
         cautions.append(f"rests on {some}")
     cautions = [text for text in cautions if text]
     return row | {

@@ -390,7 +390,7 @@ def _stream(axis, along, across, features, alpha, p_distinct=None, beside=False)
     """
     Return a stream, tested at its mean speed.
 
-    Beside one that moves, the second is not one of velocities without persistence.
+    A second one, ``beside`` a stream that moves, need not keep its speed.
     """
     p_local, p_global = axis.p_values(features, along.mean)
     z, n_secure, p_keeps = float(axis.z(along.mean)), 0, np.nan
