@@ -45,6 +45,7 @@ from astro_scc.cli import main as astro_scc
 from astro_scc.features import find_features
 from astro_scc.features.tracks import find_tracks
 from astro_scc.features.trust import is_secure, properties
+from astro_scc.streams.search_settings import DEFAULT
 
 TABLE = "data/mojave_xviii/apjac230ft4_mrt.txt"
 KNOWN = (
@@ -287,10 +288,11 @@ def simulated(n_jets, n_jobs):
         rows = []
         for kind in STATIC:
             found = list(pool.map(partial(secure_of, f"static-{kind}"), seeds))
-            rows.append([kind, n_jets, f"{np.mean(np.array(found) > 0):.2f}"])
-        write_table(
-            "features_static", ["jets", "number", "with a secure feature"], rows
-        )
+            shares = np.mean(np.array(found) > 0, axis=0)
+            rows.append([kind, n_jets, *(f"{share:.3f}" for share in shares)])
+        header = ["jets", "number", "with a secure feature",
+                  f"that moves {DEFAULT.least_motion} beams"]  # fmt: skip
+        write_table("features_static", header, rows)
         rows = []
         for kind in (*MOVING, "10 mJy"):
             each = np.array(list(pool.map(partial(compared, kind), seeds)))
@@ -321,10 +323,12 @@ def simulated_jet(kind, seed):
 
 
 def secure_of(kind, seed):
-    """Return the number of secure features of a static jet."""
+    """Return the number of secure features of a static jet, and of far ones."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return int(find_features(simulated_jet(kind, seed)[1]).secure.sum())
+        found = find_features(simulated_jet(kind, seed)[1])
+    far = found.secure & (found.moved >= DEFAULT.least_motion)
+    return found.secure.sum(), far.sum()
 
 
 def compared(kind, seed):

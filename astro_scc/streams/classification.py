@@ -10,9 +10,13 @@ import numpy as np
 from astro_scc.streams.dispersion import Population
 from astro_scc.streams.features import Feature
 
-#: Largest share of static jets of any kind with a secure feature, that of those with
-#: ripples; of all kinds it is 0.01 (``benchmarks/features.py simulated``).
-P_SECURE = 0.04
+#: Largest share of static jets of any kind with a secure feature that moves by
+#: ``least_motion`` or more (``benchmarks/features.py simulated``).
+P_SECURE = 0.01
+#: Fewest epochs of a feature that alone stands for a stream and was not followed from
+#: image to image, as of the robust features of surveys (Lister et al. 2021, ApJ 923,
+#: 30).
+LONE_EPOCHS = 5
 #: Smallest distance of a moving speed from rest, in errors: 95% of a normal
 #: distribution, one-sided.
 REST_ERRORS = 1.645
@@ -68,8 +72,9 @@ class Stream:
 
 
 def classify(
-    along, z, p_global, features, permutations, alpha, settings, *, p_keeps=np.nan
-):
+    along, z, p_global, features, permutations, alpha, settings, *, p_keeps=np.nan,
+    beside=False,
+):  # fmt: skip
     """
     Return the kind of a stream; if it is not significant, why and what is needed.
 
@@ -88,6 +93,8 @@ def classify(
     settings : `~astro_scc.streams.SearchSettings`
     p_keeps : float
         See `persistence`; NaN if features diffuse.
+    beside : bool
+        Whether the stream is beside one that moves.
 
     Returns
     -------
@@ -95,6 +102,8 @@ def classify(
     """
     smallest_p = permutations.smallest_p
     moved = np.hypot.reduce([f.motion for f in features])
+    followed = any(f.followed for f in features)
+    lone = len(features) == 1 and not followed and not beside
     # Where features diffuse, their mean may have either sign.
     both = len({f.speed > 0 for f in features}) == 2
     rest = REST_ERRORS * (2 if both else 1)
@@ -107,12 +116,18 @@ def classify(
             reason += f"; if it is real, {more:.1f} times as many epochs should show it"
     elif not features:
         reason = "no single feature is seen to move at this speed"
-    elif moved < settings.least_motion and not any(f.followed for f in features):
+    elif moved < settings.least_motion and not followed:
         reason = (
             f"its features move {moved:.1f} beams (root of the sum of squares), not "
             f"{settings.least_motion:g}: blends of standing features drift as far; "
             f"followed {np.ceil(10 * settings.least_motion / moved) / 10:.1f} times as "
             "long, they would move enough"
+        )
+    elif lone and len(features[0]) < LONE_EPOCHS:
+        reason = (
+            f"it rests on a single feature in {len(features[0])} epochs, which was "
+            "matched but not followed from image to image; one more feature, or "
+            f"{LONE_EPOCHS} epochs of it, would confirm it"
         )
     elif p_keeps > alpha:
         reason = (
@@ -139,7 +154,7 @@ def with_secure(p_global, n_secure, alpha):
     p_global : float
         Of the permutation test.
     n_secure : int
-        Number of secure features that move with the stream.
+        Number of secure features that move with the stream, and far enough.
     alpha : float
 
     Returns

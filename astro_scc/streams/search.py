@@ -355,7 +355,9 @@ def _feature_groups(axis, features, speed, alpha, n_trials, rng):
         [f for f, fast in zip(moving, is_fast, strict=True) if fast == which]
         for which in (False, True)
     ]
-    if p_two <= alpha and _are_apart(*parts, settings):
+    # One feature that was followed is of no other stream, only of another speed.
+    alone = any(len(part) == 1 and part[0].followed for part in parts)
+    if p_two <= alpha and not alone and _are_apart(*parts, settings):
 
         def rank(part):
             return len(part), axis.z(_population(part, settings)[0].mean)
@@ -396,12 +398,13 @@ def _stream(axis, along, across, features, alpha, p_distinct=None, beside=False)
     z, n_secure, p_keeps = float(axis.z(along.mean)), 0, np.nan
     diffuse = axis.followed is not None and axis.followed.diffuse
     if p_distinct is None and axis.followed and not diffuse:
-        n_secure = sum(f.followed for f in features)
+        far = axis.settings.least_motion
+        n_secure = sum(f.followed and f.motion >= far for f in features)
     p_global, note = with_secure(p_global, n_secure, alpha)
     if not diffuse and not beside:
         p_keeps = persistence(axis.samples, along.mean, axis.settings)
     of = along, z, p_global, features, axis.permutations, alpha, axis.settings
-    kind, reason = classify(*of, p_keeps=p_keeps)
+    kind, reason = classify(*of, p_keeps=p_keeps, beside=beside)
     reason = "; ".join(filter(None, (note, reason)))
     return Stream(
         kind=kind,
