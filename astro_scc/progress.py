@@ -6,8 +6,6 @@ import threading
 import time
 from contextlib import contextmanager
 
-__all__ = ["progress"]
-
 #: Seconds between two lines of progress where there is no terminal.
 EVERY = 30
 

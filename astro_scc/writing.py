@@ -11,15 +11,6 @@ import time
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-__all__ = [
-    "hold",
-    "is_held",
-    "make_folder",
-    "partial_folder",
-    "remove_left",
-    "replace_when_complete",
-]
-
 #: Seconds for which a folder must be held to count as held, and number of trials.
 PATIENCE, TRIES = 1.0, 50
 
