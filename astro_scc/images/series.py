@@ -397,25 +397,18 @@ def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
     if mask is not None:
         valid &= ~np.asarray(mask, dtype=bool)
     kept = image[valid]
-    del valid
     n_zero = kept.size - np.count_nonzero(kept)
     if n_zero and n_zero / kept.size > BLANKED:
         kept = kept[kept != 0]
     if kept.size == 0:
         return 0.0
-    # Images may be large, so the medians sort in place.
+    # Images may be large, so this median sorts in place.
     for _ in range(MAX_ITERATIONS):
         middle = np.median(kept, overwrite_input=True)
-        deviation = _deviation(kept, middle)
-        sigma = MAD_TO_SIGMA * float(np.median(deviation, overwrite_input=True))
-        del deviation
-        inside = _deviation(kept, middle) <= CLIP * sigma
+        deviation = np.abs(kept - middle)
+        sigma = MAD_TO_SIGMA * float(np.median(deviation))
+        inside = deviation <= CLIP * sigma
         if sigma == 0 or inside.all():
             break
         kept = kept[inside]
     return sigma if sigma > 0 else float(np.std(kept))
-
-
-def _deviation(values, middle):
-    apart = values - middle
-    return np.abs(apart, out=apart)
