@@ -465,15 +465,13 @@ def common_beam(cube: Series, beam: Beam | None = None) -> Series:
     changed = []
     for i, own in enumerate(cube.beams):
         covariance = own.covariance.value
-        if beam_excess(goal, covariance) > 1 + CONTAINS:
+        excess = beam_excess(goal, covariance)
+        if excess > 1 + CONTAINS:
             raise ValueError(
                 f"{cube.labels[i]}: its beam {own} does not fit into {target}; "
                 "choose a larger one, or none for the smallest common beam"
             )
-        if (
-            max(beam_excess(goal, covariance), beam_excess(covariance, goal))
-            <= 1 + EQUAL
-        ):
+        if max(excess, beam_excess(covariance, goal)) <= 1 + EQUAL:
             continue
         variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
         # Rounding errors must not leave a negative variance.
