@@ -118,8 +118,7 @@ def _combine(cube, items, name, places):
         try:
             # Images are small enough for spherical regions to be flat in them.
             pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
-            bounds = pixel.bounding_box
-            if bounds.get_overlap_slices(shape)[0] is None:
+            if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
                 continue
             mask = pixel.to_mask(mode="center")
         except (NotImplementedError, OverflowError, ValueError) as error:
@@ -133,10 +132,9 @@ def _combine(cube, items, name, places):
             ) from None
         if places and isinstance(item, SkyRegion):
             _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
-        # Masks ignore "include"; a region outside the image has no slices.
+        # Masks ignore "include".
         target, source = mask.get_overlap_slices(shape)
-        if target is not None:
-            inside[include][target] |= mask.data[source] > 0
+        inside[include][target] |= mask.data[source] > 0
     return inside[True] & ~inside[False]
 
 
