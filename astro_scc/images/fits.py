@@ -209,13 +209,12 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
             "exportfits"
         )
     check_ordinary(path)
-    options = {"window": window, "pixels": pixels}
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
-                return _plane(hdus, hdu, path, **options)
+                return _plane(hdus, hdu, path, window=window, pixels=pixels)
         except (headers.ContentError, _NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
