@@ -11,6 +11,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import ascii
+from scipy.spatial import cKDTree
 
 from astro_scc.cli import images
 from astro_scc.cli.survey_sources import folder_names, read_survey
@@ -154,15 +155,12 @@ def _typical_beam(lists):
     """Return a circular beam that separates half of the components of an epoch."""
     nearest = []
     for own in lists:
-        east, north = own.east.to_value(u.mas), own.north.to_value(u.mas)
-        for epoch in range(len(own.times)):
-            k = np.flatnonzero(own.epoch == epoch)
-            if len(k) > 1:
-                apart = np.hypot(
-                    *(np.subtract.outer(a[k], a[k]) for a in (east, north))
-                )
-                np.fill_diagonal(apart, np.inf)
-                nearest += apart.min(axis=1).tolist()
+        places = np.stack([own.east.value, own.north.value], axis=1)
+        for epoch in range(own.n_epochs):
+            here = places[own.epoch == epoch]
+            if len(here) > 1:
+                # The nearest of all is the component itself.
+                nearest += cKDTree(here).query(here, k=2)[0][:, 1].tolist()
     size = np.median(nearest) if nearest else 0.0
     if not size > 0:
         raise ValueError("no epoch of the table has two components apart; give --beam")
