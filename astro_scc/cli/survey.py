@@ -121,10 +121,10 @@ def _summary(table):
         rows.append({"status": status} | counts)
     yield from table_lines(rows)
     measured = table[table["status"] == "measured"]
-    for kind in ("moving",) if len(measured) else ():
-        p_fdr = measured["p_fdr"][measured["kind"] == kind]
+    if len(measured):
+        p_fdr = measured["p_fdr"][measured["kind"] == "moving"]
         small = sum(p <= 0.05 for p in p_fdr)
-        yield f"{kind}: {len(p_fdr)}, {small} of them with p_fdr <= 0.05"
+        yield f"moving: {len(p_fdr)}, {small} of them with p_fdr <= 0.05"
     how = (
         cosmology_text(meta["cosmology"]) if "cosmology" in meta else "distances"
         for meta in table.meta["speeds_in_c"].values()
