@@ -113,11 +113,11 @@ def in_order(function, pieces, n_workers, *, context=None):
         elif isinstance(workers, int):
             with _processes(workers, context) as pool:
                 for _, future in _in_pool(pool, function, enumerate(pieces)):
-                    yield _result(future)
+                    yield _result(future.result)
                 pool.end()
         else:
-            for _, future in _on_cluster(workers, function, pieces):
-                yield _result(future)
+            for _, get in _on_cluster(workers, function, pieces):
+                yield _result(get)
 
 
 def as_done(function, pieces, n_workers, *, context=None):
@@ -136,8 +136,8 @@ def as_done(function, pieces, n_workers, *, context=None):
             yield from _as_done(function, enumerate(pieces), workers, context)
         else:
             done = _on_cluster(workers, function, pieces, ordered=False)
-            for (index, _), future in done:
-                yield index, _outcome(_result, future)
+            for (index, _), get in done:
+                yield index, _outcome(_result, get)
 
 
 def _outcome(function, *args):
@@ -147,10 +147,10 @@ def _outcome(function, *args):
         return error
 
 
-def _result(future):
-    """Return the result of a future, or raise a uniform error for lost workers."""
+def _result(get):
+    """Get the result of a future, or raise a uniform error for lost workers."""
     try:
-        return future.result()
+        return get()
     except BrokenExecutor:
         raise ChildProcessError(DIED) from None
     except CancelledError:
@@ -199,7 +199,7 @@ def _as_done(function, items, n_workers, context):
                 if isinstance(future.exception(), BrokenExecutor):
                     lost.append(item)
                 else:
-                    yield item[0], _outcome(_result, future)
+                    yield item[0], _outcome(_result, future.result)
         for index, piece in lost:
             # Alone, so that it cannot harm other pieces.
             with _processes(1, context) as pool:
@@ -258,7 +258,7 @@ class _Pool:
         """Return the result of a call."""
         future = self.submit(function, piece)
         self.wait([future])
-        return _result(future)
+        return _result(future.result)
 
     def wait(self, futures):
         """Wait until one of the futures is done."""
@@ -424,7 +424,7 @@ def _dask():
 
 def _on_cluster(client, function, pieces, *, ordered=True):
     """
-    Yield numbered pieces and their futures, once a cluster has done them.
+    Yield numbered pieces, once a cluster has done them, and how to get their results.
 
     Another worker repeats a piece whose worker dies.
     """
@@ -433,7 +433,8 @@ def _on_cluster(client, function, pieces, *, ordered=True):
 
     def done():
         item, future = _next_done(waiting, wait_for, ordered)
-        return item, _gathered(client, future)
+        # A worker may take a result with it when it ends.
+        return item, partial(_while_workers, client, future.result)
 
     try:
         for item in enumerate(pieces):
@@ -462,7 +463,7 @@ def _check_import(client, function):
     _wait_on_cluster(client, [future])
     HAD_WORKERS.add(client)
     try:
-        _result(_gathered(client, future))
+        _result(partial(_while_workers, client, future.result))
     except ImportError as error:
         raise OSError(
             f"workers of the scheduler cannot import {name} ({error}); install there "
@@ -505,16 +506,6 @@ def _wait_on_cluster(client, futures):
             wait(futures, timeout=timeout, return_when="FIRST_COMPLETED")
 
     _while_workers(client, wait_for)
-
-
-def _gathered(client, future):
-    """Return a future with the result, which a worker may take with it when it ends."""
-    own = Future()
-    try:
-        own.set_result(_while_workers(client, future.result))
-    except Exception as error:
-        own.set_exception(error)
-    return own
 
 
 def _while_workers(client, ask):

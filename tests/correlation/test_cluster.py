@@ -172,13 +172,13 @@ def test_work_that_is_not_done():
     future.cancel()
     future.set_running_or_notify_cancel()
     with pytest.raises(OSError, match="was lost; start it and this again"):
-        _result(future)
+        _result(future.result)
     # As the scheduler says after four workers died of one piece.
     future = Future()
     worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
     future.set_exception(distributed.KilledWorker("piece", worker, 3))
     with pytest.raises(ChildProcessError, match="several workers died of one piece"):
-        _result(future)
+        _result(future.result)
 
 
 def test_without_dask(monkeypatch):
