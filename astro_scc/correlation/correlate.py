@@ -279,21 +279,15 @@ def _match_scale(block, patterns, scale, wanted):
             continue
         corner = box[:2] + middle - half - block.origin
         use = wanted[ssps.epoch[i]] & stack.not_empty(corner, template.window_shape)
-        for some, overlap in stack.alike(
-            np.flatnonzero(use), corner, template, block.min_overlap
-        ):
-            for targets, coefficient in stack.coefficients(
-                some, corner, template, overlap
-            ):
-                which, y, x, value = find_peaks(coefficient, block.kappa)
-                share = np.ones(len(which))
-                if overlap is not None:
-                    share = overlap.share[
-                        np.rint(y).astype(int), np.rint(x).astype(int)
-                    ]
-                index = np.full(len(which), i)
-                dy, dx = y + (middle[0] - half[0]), x + (middle[1] - half[1])
-                columns.append((index, targets[which], dy, dx, value, share))
+        found = stack.coefficients(np.flatnonzero(use), corner, template)
+        for targets, coefficient, overlap in found:
+            which, y, x, value = find_peaks(coefficient, block.kappa)
+            share = np.ones(len(which))
+            if overlap is not None:
+                share = overlap.share[np.rint(y).astype(int), np.rint(x).astype(int)]
+            index = np.full(len(which), i)
+            dy, dx = y + (middle[0] - half[0]), x + (middle[1] - half[1])
+            columns.append((index, targets[which], dy, dx, value, share))
     if not columns:
         return []
     i, target, dy, dx, value, share = map(np.concatenate, zip(*columns, strict=True))

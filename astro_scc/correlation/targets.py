@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """A block of pairs of epochs: its patterns, and the target planes around them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,24 +169,25 @@ class TargetStack:
         owners = self.owner[self._touching(corner, corner + shape)]
         return np.bincount(owners, minlength=len(self.values)) > 0
 
-    def alike(self, targets, corner, template, min_overlap):
-        """Yield groups of targets that miss the same pixels, with their `Overlap`."""
+    def coefficients(self, targets, corner, template):
+        """
+        Yield targets in batches, with their coefficients and `Overlap`.
+
+        Those of a batch miss the same pixels; without an overlap they miss none.
+        """
         (y, x), (h, w), (ny, nx) = corner, template.fft_shape, template.window_shape
         valid, number = self.block.valid, self.block.mask[targets]
         whole = valid[:, y : y + ny, x : x + nx].all(axis=(1, 2))[number]
-        for k in np.unique(number[~whole]):
-            overlap = template.overlap(valid[k, y : y + h, x : x + w], min_overlap)
-            yield targets[number == k], overlap
-        yield targets[whole], None
-
-    def coefficients(self, targets, corner, template, overlap):
-        """Yield the targets in batches, with their coefficients."""
-        (y, x), (h, w) = corner, template.fft_shape
         batch = max(BATCH_PIXELS // (h * w), 1)
-        for start in range(0, len(targets), batch):
-            some = targets[start : start + batch]
-            windows = self.values[some, y : y + h, x : x + w].astype(float)
-            yield some, template.of_windows(windows, overlap)
+        for k in (*np.unique(number[~whole]), None):
+            alike, overlap = targets[whole], None
+            if k is not None:
+                alike, pixels = targets[number == k], valid[k, y : y + h, x : x + w]
+                overlap = template.overlap(pixels, self.block.min_overlap)
+            for start in range(0, len(alike), batch):
+                some = alike[start : start + batch]
+                windows = self.values[some, y : y + h, x : x + w].astype(float)
+                yield some, template.of_windows(windows, overlap), overlap
 
     def snr(self, target, y, x):
         """Return the largest value in 3 x 3 pixels around positions, over the noise."""
