@@ -173,8 +173,8 @@ class Template:
 
 
 def correlate_windows(
-    values: ArrayLike, footprint: ArrayLike, windows: ArrayLike,
-    search_radius: tuple[int, int], *, valid: ArrayLike | None = None,
+    values: np.ndarray, footprint: np.ndarray, windows: np.ndarray,
+    search_radius: tuple[int, int], *, valid: np.ndarray | None = None,
     min_overlap: float = 0.8,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """
@@ -186,15 +186,15 @@ def correlate_windows(
 
     Parameters
     ----------
-    values : array_like, shape (h, w)
+    values : `~numpy.ndarray`, shape (h, w)
         Bounding box of the pattern.
-    footprint : array_like of bool, shape (h, w)
+    footprint : `~numpy.ndarray` of bool, shape (h, w)
         The pattern's own pixels.
-    windows : array_like, shape (..., h + 2 ry, w + 2 rx)
+    windows : `~numpy.ndarray`, shape (..., h + 2 ry, w + 2 rx)
         Parts of the target images centred on the box.
     search_radius : tuple of int
         Largest displacement ``(ry, rx)``.
-    valid : array_like of bool, shape of ``windows``, optional
+    valid : `~numpy.ndarray` of bool, shape of ``windows``, optional
         False marks missing pixels; pixels that are not finite are missing as
         well.  Both means are then over the valid pixels.
     min_overlap : float, optional
@@ -208,12 +208,6 @@ def correlate_windows(
     overlap : `~numpy.ndarray`, same shape
         Fraction of the pattern's pixels that fall on valid ones.
 
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit together, the footprint is empty, or the
-        search radius is not two numbers of pixels.
-
     Examples
     --------
     >>> import numpy as np
@@ -225,22 +219,10 @@ def correlate_windows(
     >>> np.argwhere(coefficient > 0.999) - 7
     array([[0, 2]])
     """
-    values = np.asarray(values, dtype=float)
-    footprint = np.asarray(footprint, dtype=bool)
-    windows = np.asarray(windows, dtype=float)
-    if values.shape != footprint.shape or not footprint.any():
-        raise ValueError("the footprint must have the pattern's shape and some pixels")
-    search_radius = tuple(int(r) for r in search_radius)
-    if len(search_radius) != 2 or min(search_radius) < 0:
-        raise ValueError(f"search radius must be two numbers, got {search_radius}")
     template = Template(values, footprint, search_radius)
-    if windows.shape[-2:] != template.window_shape:
-        raise ValueError(
-            f"windows must have shape {template.window_shape}, got {windows.shape[-2:]}"
-        )
     exists = np.isfinite(windows)
     if valid is not None:
-        exists &= np.asarray(valid, dtype=bool)
+        exists &= valid
     windows = np.where(exists, windows, 0.0)
     # A large offset would swamp the local variances with rounding errors.
     number = np.maximum(exists.sum(axis=(-2, -1), keepdims=True), 1)

@@ -130,24 +130,6 @@ def test_flat_windows_and_patterns_give_zero(value):
         assert (coefficient == 0).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"footprint": np.ones((3, 4), bool)}, "pattern's shape and some pixels"),
-        ({"footprint": np.zeros((4, 4))}, "pattern's shape and some pixels"),
-        ({"windows": np.zeros((8, 9))}, r"windows must have shape \(8, 8\)"),
-        ({"search_radius": (2,)}, "search radius must be two numbers"),
-        ({"search_radius": (2, -1)}, "search radius must be two numbers"),
-        ({"search_radius": (1, 2, 3)}, "search radius must be two numbers"),
-    ],
-)
-def test_what_is_refused(change, message):
-    arguments = {"values": np.eye(4), "footprint": np.ones((4, 4), dtype=bool)}
-    arguments |= {"windows": np.zeros((8, 8)), "search_radius": (2, 2)}
-    with pytest.raises(ValueError, match=message):
-        correlate_windows(**{**arguments, **change})
-
-
 def slow_peaks(maps, threshold):
     """Pixels that no neighbour exceeds, nor any later one equals."""
     found = []
