@@ -293,11 +293,6 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
     `~astro_scc.epochs.Beam`
         One of ``beams`` itself if it contains all others.
 
-    Raises
-    ------
-    ValueError
-        If ``beams`` is empty.
-
     Examples
     --------
     >>> import astropy.units as u
@@ -306,8 +301,6 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
     >>> print(smallest_common_beam(beams))
     1.14 x 0.696 mas at 30.0 deg
     """
-    if len(beams) == 0:
-        raise ValueError("a common beam needs at least one beam")
     covariances = np.array([beam.covariance.value for beam in beams])
     largest = int(np.argmax(np.linalg.det(covariances)))
     if np.all(beam_excess(covariances[largest], covariances) <= 1 + EQUAL):

@@ -262,7 +262,6 @@ CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
          r"2000-02-01: its beam 1 x 0.6 mas at .* fit"),
         (lambda: common_beam(CUBE, 3.0), "a beam has major, minor and pa, got float"),
         (lambda: common_beam(CUBE.with_step("", beams=None)), "have no beams"),
-        (lambda: smallest_common_beam([]), "at least one beam"),
     ],
 )  # fmt: skip
 def test_what_is_no_beam_or_no_common_one(call, words):
