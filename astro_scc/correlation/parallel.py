@@ -13,7 +13,7 @@ import traceback
 import warnings
 from collections import deque
 from concurrent.futures import BrokenExecutor, CancelledError, Future
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.reduction import ForkingPickler
@@ -111,7 +111,7 @@ def in_order(function, pieces, n_workers, *, context=None):
         if workers == 1:
             yield from map(function, pieces)
         elif isinstance(workers, int):
-            with _processes(workers, context) as pool:
+            with closing(_Pool(workers, context)) as pool:
                 for _, future in _in_pool(pool, function, enumerate(pieces)):
                     yield _result(future.result)
                 pool.end()
@@ -191,7 +191,7 @@ def _as_done(function, items, n_workers, context):
 
     while True:
         lost = []
-        with _processes(n_workers, context) as pool:
+        with closing(_Pool(n_workers, context)) as pool:
             # If processes cannot start at all, no piece is tried.
             pool.call(eval, "None")
             done = _in_pool(pool, function, until_broken(), ordered=False)
@@ -202,20 +202,10 @@ def _as_done(function, items, n_workers, context):
                     yield item[0], _outcome(_result, future.result)
         for index, piece in lost:
             # Alone, so that it cannot harm other pieces.
-            with _processes(1, context) as pool:
+            with closing(_Pool(1, context)) as pool:
                 yield index, _outcome(pool.call, function, piece)
         if not lost:
             return
-
-
-@contextmanager
-def _processes(n_workers, context):
-    """Open a pool of processes that end with it, even at work."""
-    pool = _Pool(n_workers, context)
-    try:
-        yield pool
-    finally:
-        pool.kill()
 
 
 class _Worker:
@@ -297,7 +287,7 @@ class _Pool:
     def _break(self):
         futures = [w.future for w in self._workers] + [f for f, _ in self._tasks]
         self._tasks.clear()
-        self.kill()
+        self.close()
         for future in futures:
             if future is not None:
                 future.set_exception(BrokenExecutor())
@@ -312,8 +302,8 @@ class _Pool:
         if any(worker.process.exitcode for worker in self._workers):
             raise ChildProcessError(DIED)
 
-    def kill(self):
-        """Kill the processes."""
+    def close(self):
+        """Kill the processes, even at work."""
         for worker in self._workers:
             worker.process.kill()
         while self._workers:
