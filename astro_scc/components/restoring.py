@@ -285,8 +285,8 @@ def _pixels(centre, reach, n):
 
 
 def correlated_noise(
-    shape: tuple[int, int], *, rms: float | u.Quantity, beam: Beam | None = None,
-    pixel_scale: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+    shape: tuple[int, int], *, rms: float | u.Quantity, beam: Beam,
+    pixel_scale: u.Quantity, rng: np.random.Generator | int | None = None,
 ) -> np.ndarray:  # fmt: skip
     """
     Return Gaussian noise that is correlated by a beam.
@@ -302,11 +302,9 @@ def correlated_noise(
         Shape (ny, nx) of the image.
     rms : float or `~astropy.units.Quantity`
         Root mean square of the noise.
-    beam : `~astro_scc.epochs.Beam`, optional
-        Without it the noise is white.
-    pixel_scale : `~astropy.units.Quantity`, optional
-        Side of a pixel; needed with a beam.  East is towards smaller x and
-        north towards larger y.
+    beam : `~astro_scc.epochs.Beam`
+    pixel_scale : `~astropy.units.Quantity`
+        Side of a pixel.  East is towards smaller x and north towards larger y.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
 
@@ -318,8 +316,7 @@ def correlated_noise(
     Raises
     ------
     ValueError
-        If ``rms`` is negative or not finite, or a beam is given without a
-        positive ``pixel_scale``.
+        If ``pixel_scale`` is not positive.
 
     Examples
     --------
@@ -332,15 +329,6 @@ def correlated_noise(
     >>> noise.shape, noise.unit
     ((64, 128), Unit("mJy / beam"))
     """
-    rng = np.random.default_rng(rng)
-    level = u.Quantity(rms)
-    if not (level.isscalar and np.isfinite(level) and level.value >= 0):
-        raise ValueError(f"rms must be one finite, non-negative number, got {rms}")
-    if beam is None:
-        return rms * rng.standard_normal(shape)
-    if pixel_scale is None:
-        raise ValueError("noise with a beam needs pixel_scale, the side of a pixel")
-
     covariance = in_pixels(beam, pixel_scale)
     padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
     padded = tuple(fft.next_fast_len(n + padding, real=True) for n in shape)
@@ -352,6 +340,6 @@ def correlated_noise(
     if padded[1] % 2 == 0:
         weight[-1] = 1.0
     gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
-    white = rng.standard_normal(padded)
+    white = np.random.default_rng(rng).standard_normal(padded)
     noise = fft.irfft2(fft.rfft2(white) * transfer, s=padded)
     return rms * (noise[: shape[0], : shape[1]] / gain)

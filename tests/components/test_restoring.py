@@ -224,10 +224,7 @@ def test_correlation_is_that_of_white_noise_seen_with_the_beam():
     assert abs(np.mean(noise[:, 0] * noise[:, -1])) < 0.06
 
 
-def test_white_noise_units_and_no_noise():
-    noise = correlated_noise((200, 200), rms=3.0, rng=1)
-    assert noise.std() == pytest.approx(3.0, rel=0.02)
-    assert abs(np.mean(noise[:, 1:] * noise[:, :-1])) < 0.1
+def test_units_and_no_noise():
     options = {"rms": 2 * u.mJy, "beam": ROUND, "rng": 3}
     one = correlated_noise((8, 9), pixel_scale=PIXEL, **options)
     arcsec = correlated_noise((8, 9), pixel_scale=1e-4 * u.arcsec, **options)
@@ -235,18 +232,10 @@ def test_white_noise_units_and_no_noise():
     assert not correlated_noise((8, 9), rms=0, beam=ROUND, pixel_scale=PIXEL).any()
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        *(({"rms": rms}, "rms must be") for rms in (-1.0, np.nan, np.inf, [1.0, 2.0])),
-        ({"beam": BEAM}, "needs pixel_scale"),
-        *(({"beam": BEAM, "pixel_scale": size * u.mas}, "must be finite and above 0")
-          for size in (0, -1, np.nan)),
-    ],
-)  # fmt: skip
-def test_bad_noise(options, words):
-    with pytest.raises(ValueError, match=words):
-        correlated_noise((8, 9), **{"rms": 1, **options})
+@pytest.mark.parametrize("size", [0, -1, np.nan])
+def test_noise_on_pixels_without_a_size(size):
+    with pytest.raises(ValueError, match="must be finite and above 0"):
+        correlated_noise((8, 9), rms=1, beam=BEAM, pixel_scale=size * u.mas)
 
 
 @settings(max_examples=30)
