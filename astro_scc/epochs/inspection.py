@@ -127,7 +127,7 @@ def _inspect(path, hdu):
     row["peak"] = float(values[y, x])
     del values
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
-    row["noise"] = measure_noise(plane.data, mask=plane.mask)
+    row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
     plane.data = plane.mask = plane.uncertainty = plane.header = None
     return row, plane

@@ -244,8 +244,7 @@ class ImageSeries:
     @cached_property
     def measured_noise(self) -> u.Quantity:
         """Noise of each epoch as measured in its image."""
-        pairs = zip(self.data, self.mask, strict=True)
-        return u.Quantity([measure_noise(d, mask=m) for d, m in pairs], self.unit)
+        return u.Quantity(list(map(measure_noise, self.data, self.mask)), self.unit)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -358,7 +357,7 @@ class ImageSeries:
         return self.pixel_to_offset(x, y)
 
 
-def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
+def measure_noise(image: np.ndarray, mask: np.ndarray) -> float:
     """
     Return the root mean square of the noise of an image, away from the source.
 
@@ -374,8 +373,8 @@ def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
 
     Parameters
     ----------
-    image : array_like, shape (ny, nx)
-    mask : array_like of bool, shape (ny, nx), optional
+    image : `~numpy.ndarray`, shape (ny, nx)
+    mask : `~numpy.ndarray` of bool, shape (ny, nx)
         True marks bad pixels.
 
     Returns
@@ -389,14 +388,11 @@ def measure_noise(image: ArrayLike, *, mask: ArrayLike | None = None) -> float:
     >>> from astro_scc.images.series import measure_noise
     >>> image = np.random.default_rng(0).normal(scale=2.0, size=(128, 128))
     >>> image[50:70, 50:70] += 1000
-    >>> round(measure_noise(image), 1)
+    >>> round(measure_noise(image, np.zeros(image.shape, bool)), 1)
     2.0
     """
     image = np.asarray(image, dtype=float)
-    valid = np.isfinite(image)
-    if mask is not None:
-        valid &= ~np.asarray(mask, dtype=bool)
-    kept = image[valid]
+    kept = image[np.isfinite(image) & ~mask]
     n_zero = kept.size - np.count_nonzero(kept)
     if n_zero and n_zero / kept.size > BLANKED:
         kept = kept[kept != 0]
