@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Axes of frames, against their definitions."""
+"""Axes of frames and ridge lines, against their definitions and known jets."""
 
 import astropy.units as u
 import numpy as np
@@ -8,12 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+from astro_scc.components.restoring import add_gaussians
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.kinematics import (
     ExpansionFrame,
     PositionAngleFrame,
     RadialFrame,
+    RidgeLine,
     SkyFrame,
+    find_ridge_line,
+    fit_position_angle,
 )
+from astro_scc.kinematics.frames import frame_displacements
+from astro_scc.kinematics.ridge_line import STEP, _slice_point, _smoothed
 
 OFFSET = st.floats(-50, 50)
 CENTRE, RADIUS = [3.0, -2.0] * u.arcsec, 20 * u.arcsec
@@ -88,3 +95,283 @@ def test_one_rate_is_one_velocity(angle, r, rate):
 def test_no_frame(frame, values, message):
     with pytest.raises(ValueError, match=message):
         frame(*values)
+
+
+# -- ridge lines ------------------------------------------------------------------
+
+
+BEND = 10.0
+WEST = 270 * u.deg
+
+
+def on_circle(t, n=0.0):
+    """Places at an angle along a circle, first west then north, n inside of it."""
+    r = BEND - np.asarray(n)
+    return -r * np.sin(t), BEND - r * np.cos(t)
+
+
+CIRCLE = RidgeLine(*(v * u.mas for v in on_circle(np.linspace(0, np.pi / 2, 60))))
+
+
+@settings(max_examples=50)
+@given(t=st.floats(0.05, 1.5), n=st.floats(-4, 4))
+def test_distances_offsets_and_axes_of_a_circle(t, n):
+    # West to north turns to larger position angles, towards the centre.
+    east, north = on_circle(t, n)
+    s, offset = CIRCLE.coordinates(east * u.mas, north * u.mas)
+    assert abs(s.value - BEND * t) < 0.01
+    assert abs(offset.value - n) < 0.01
+    matrix = CIRCLE.matrix(east, north)
+    assert_allclose(matrix @ [-np.cos(t), np.sin(t)], [1, 0], atol=2e-2)
+    assert_allclose(matrix @ matrix.T, np.eye(2), atol=1e-12)
+
+
+@settings(max_examples=30)
+@given(pa=st.floats(0, 359), x=st.floats(-20, 20), y=st.floats(-20, 20))
+def test_straight_line_is_the_frame_of_its_position_angle(pa, x, y):
+    p, s = np.radians(pa), np.arange(6.0) * u.mas
+    line, frame = (
+        RidgeLine(s * np.sin(p), s * np.cos(p)),
+        PositionAngleFrame(pa * u.deg),
+    )
+    assert_allclose(line.matrix(x, y), frame.matrix(), atol=1e-9)
+    position, motion = np.array([[x, y]]), np.array([[0.3, -0.7]])
+    pair = [frame_displacements(own, position, motion) for own in (line, frame)]
+    assert_allclose(*pair, atol=1e-8)
+
+
+def test_goes_on_straight_beyond_its_ends_and_comes_back_from_a_table():
+    line = RidgeLine([0, -5, -10] * u.mas, [0, 0, 0] * u.mas)
+    s, n = line.coordinates([3, -14] * u.mas, [1, 2] * u.mas)
+    assert_allclose(s.value, [-3, 14])
+    # To the west, larger position angles are north.
+    assert_allclose(n.value, [1, 2])
+    assert_allclose(u.Quantity(line.at([-3, 14] * u.mas)).value, [[3, -14], [0, 0]])
+    assert line.position_angle(12 * u.mas).value == pytest.approx(270)
+    again = RidgeLine.from_table(CIRCLE.to_table())
+    assert_array_equal(again.east, CIRCLE.east)
+    assert again.length == CIRCLE.length
+    assert "60 points" in repr(CIRCLE)
+    table = CIRCLE.to_table()
+    table.remove_column("north")
+    with pytest.raises(ValueError, match="north is missing"):
+        RidgeLine.from_table(table)
+
+
+def cube_of(data, *, beam=1.0, reference=(20, 20), noise=1e-3, turn=0.0):
+    cube = EpochCube.from_arrays(
+        data, [f"20{i:02d}-01-01" for i in range(len(data))], pixel_scale=0.1 * u.mas,
+        unit=u.Jy / u.beam, beams=Beam(beam * u.mas, beam * u.mas),
+        noise=noise * u.Jy / u.beam, reference_pixel=reference,
+    )  # fmt: skip
+    c, s = np.cos(turn), np.sin(turn)
+    cube.wcs.wcs.pc = [[c, -s], [s, c]]
+    return cube
+
+
+def along(x, y, peak=0.1, sigma=4.2, n=1, size=(120, 120), rms=0.0, **options):
+    """Images of a thin jet through places in mas."""
+    cube = cube_of(np.zeros((n, *size)), **options)
+    px, py = cube.offset_to_pixel(x * u.mas, y * u.mas)
+    covariance = np.broadcast_to(sigma**2 * np.eye(2), (len(px), 2, 2))
+    rng = np.random.default_rng(1)
+    for image in cube.data:
+        add_gaussians(image, px, py, np.broadcast_to(peak, px.shape), covariance)
+        image += rng.normal(0, rms, image.shape)
+    return cube
+
+
+def bent_images(n=1, noise=0.002, turn=0.0):
+    """A smooth jet along the circle, on pixels that may be turned."""
+    t = np.linspace(0, 1.0, 120)
+    options = {"size": (140, 140), "reference": (25, 25), "noise": noise, "rms": noise}
+    return along(*on_circle(t), 0.1 * np.exp(-t), 4.5, n, turn=turn, **options)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_ridge_line_of_an_image(turn):
+    line = find_ridge_line(bent_images(turn=turn), position_angle=WEST, threshold=10)
+    s = np.linspace(1, 9, 30) * u.mas
+    east, north = line.at(s)
+    away = np.hypot(east.value, north.value - BEND) - BEND
+    assert np.abs(away).max() < 0.1
+    assert np.all(line.error.value < 0.05)
+    angle = line.position_angle(s).value
+    assert_allclose(angle, 270 + np.degrees(s.value / BEND), atol=6)
+
+
+def test_position_angle_and_end_of_a_line():
+    angle, error = fit_position_angle(bent_images(n=3))
+    # The chord weighted by brightness of an arc from 270 to 327 deg.
+    assert 285 < angle.value < 300
+    assert 0 < error.value < 1
+    cube = bent_images()
+    assert fit_position_angle(cube)[1].value == np.inf
+    options = {"half_width": 1 * u.mas, "smoothing": 0.5 * u.mas, "r_max": 5 * u.mas}
+    origin = [0, 0] * u.mas
+    line = find_ridge_line(cube, position_angle=WEST, origin=origin, **options)
+    assert 4 < line.length.value < 5.5
+
+
+LOUD, BENT = bent_images(noise=5.0), bent_images()
+
+
+@pytest.mark.parametrize(
+    ("function", "cube", "options", "words"),
+    [
+        (fit_position_angle, LOUD, {"threshold": 10}, "give a position angle"),
+        (fit_position_angle, LOUD, {"origin": 3 * u.mas}, r"origin = 3.0 mas must be"),
+        (find_ridge_line, LOUD, {"position_angle": WEST, "threshold": 10},
+         "less than three beams"),
+        (find_ridge_line, BENT, {"half_width": 0 * u.mas}, "half_width = 0.0 mas must"),
+        *((find_ridge_line, BENT, {name: np.nan * u.mas}, f"{name} = nan mas must")
+          for name in ("half_width", "smoothing", "r_max")),
+        (find_ridge_line, BENT, {"position_angle": np.nan * u.deg}, "pa = nan deg"),
+        *((RidgeLine, [1.0, 2.0] * u.mas, {"north": north * u.mas}, words)
+          for north, words in (([1.0], "two points"), ([1.0, 2.0, 3.0], "two points"),
+                               ([2.0, np.nan], "finite"))),
+        (RidgeLine, [1.0, 1.0] * u.mas, {"north": [2.0, 2.0] * u.mas}, "differ"),
+    ],
+)  # fmt: skip
+def test_lines_that_cannot_be(function, cube, options, words):
+    with pytest.raises(ValueError, match=words):
+        function(cube, **options)
+
+
+@pytest.mark.parametrize("size", [1.0, 0.02])
+def test_smoothing_is_a_parabola_at_each_point(size):
+    # Large errors are more than the scatter, small ones less.
+    rng = np.random.default_rng(1)
+    points = np.cumsum(rng.uniform(0.1, 0.4, (14, 2)), axis=0)
+    error = size * rng.uniform(0.05, 0.2, 14)
+    width = 0.8
+    s = np.append(0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    smooth, spread = _smoothed(points, error, width, 0.1)
+    windows = np.exp(-((s - s[:, None]) ** 2) / (2 * width**2))
+    gains = np.empty((14, 14))
+    for k in range(14):
+        # polyfit squares its weights.
+        fit = {"x": s - s[k], "deg": 2, "w": np.sqrt(windows[k]) / error}
+        assert_allclose(smooth[k], np.polyfit(y=points, **fit)[-1], atol=1e-9)
+        gains[k] = np.polyfit(y=np.eye(14), **fit)[-1]
+    rest = ((points - smooth) ** 2).sum(axis=1) / 2
+    own = [
+        max(e**2, np.average(rest, weights=w))
+        for e, w in zip(error, windows, strict=True)
+    ]
+    assert_allclose(spread, np.sqrt(gains**2 @ own / STEP), rtol=1e-9)
+
+
+def test_position_angle_is_that_of_a_loop_over_pixels():
+    rng = np.random.default_rng(2)
+    data = rng.normal(0, 1e-3, (3, 12, 15)) + 0.01 * rng.random((12, 15))
+    data[0, 3, 4] = np.nan
+    cube = cube_of(data, beam=0.35, reference=(7, 3))
+    start = np.array([0.1, -0.05])
+    mean, noise = np.nanmean(data, axis=0), 1e-3 / np.sqrt(3)
+    away = np.stack([o.value for o in cube.offsets()], axis=-1) - start
+    sums = np.zeros((3, 2))
+    for place, value in np.ndenumerate(mean):
+        if value > 8 * noise and np.hypot(*away[place]) > 0.35:
+            for epoch in range(3):
+                sums[epoch] += np.nan_to_num(data[epoch][place]) * away[place]
+    angle, error = fit_position_angle(cube, origin=start * u.mas, threshold=8)
+    total = sums.sum(axis=0)
+    assert angle.value == pytest.approx(np.degrees(np.arctan2(*total)) % 360)
+    # The jackknife, of the direction without one epoch.
+    angles = [np.degrees(np.arctan2(*(total - one))) % 360 for one in sums]
+    assert error.value == pytest.approx(np.sqrt(2 * np.var(angles)))
+
+
+def test_a_slice_has_the_middle_of_what_is_above_half():
+    # A profile across that is lopsided, and a second ridge beside it.
+    y = np.arange(81)[:, None] * 0.1
+    one = np.exp(-((y - 4) ** 2) / np.where(y < 4, 0.5, 2))
+    image = np.repeat(one + 0.95 * np.exp(-((y - 7) ** 2) / 0.1), 30, axis=1)
+    cube = cube_of(image[None], reference=(0, 0))
+    guess, half, ahead = np.array([-1.5, 4.3]), 3.5, np.array([-1.0, 0.0])
+    middle, top = _slice_point(cube, image, guess, ahead, half)
+    n = np.linspace(4.3 - half, 4.3 + half, 61)
+    values = np.interp(n, y[:, 0], image[:, 0])
+    own = (values >= 0.5 * values.max()) & (n < 6.3)
+    expected = [-1.5, np.average(n[own], weights=values[own])]
+    assert_allclose([*middle, top], [*expected, values.max()], atol=1e-9)
+    outside = np.array([500.0, 500.0])
+    assert _slice_point(cube, image, outside, ahead, half) is None
+    assert _slice_point(cube, -image, guess, ahead, half) is None
+    # Points of the slice are pixels: a plateau, a gap, the maximum, a plateau.
+    for gap, own in ((29, slice(30, None)), (31, slice(0, 31))):
+        values = np.full(61, 0.8)
+        values[30], values[gap] = 1.0, 0.1
+        image = np.repeat(values[:, None], 9, axis=1)
+        cube = cube_of(image[None], reference=(0, 0))
+        middle, _ = _slice_point(cube, image, np.array([-0.4, 3]), ahead, 3 - 1e-9)
+        expected = np.average(0.1 * np.arange(61)[own], weights=values[own])
+        assert middle[1] == pytest.approx(expected)
+
+
+def test_a_jet_longer_than_the_image_is_wide_and_one_that_comes_back():
+    t = np.linspace(0, 1.6 * np.pi, 400)
+    cube = along(-4.8 * np.sin(t), 4.8 * (1 - np.cos(t)), reference=(60, 10))
+    line = find_ridge_line(cube, position_angle=WEST)
+    assert line.length.value == pytest.approx(4.8 * t[-1], abs=1.5)
+    assert line.length.value > 12 * np.sqrt(2)
+    # A loop that ends across its beginning.
+    t, down = np.linspace(-np.pi / 2, np.pi, 300), np.linspace(2.5, 1, 30)
+    out = np.linspace(0, 6, 150)
+    east = -np.concatenate([out, 6 + 2.5 * np.cos(t), 3.5 + 0 * down])
+    north = np.concatenate([0 * out, 2.5 + 2.5 * np.sin(t), down])
+    cube = along(east, north, reference=(25, 30))
+    line = find_ridge_line(cube, position_angle=WEST, half_width=0.8 * u.mas)
+    # Half of the way from where it is met, 3.5, to a beam before it comes there again.
+    end = 6 + 2.5 * 1.5 * np.pi + 1.5
+    assert line.length.value == pytest.approx(0.5 * (3.5 + end), abs=1.0)
+
+
+def test_errors_of_a_line_are_those_of_its_slices():
+    # A straight jet of even brightness: every slice has the same error, but
+    # for the core's, and nothing scatters.
+    cube = along(-np.linspace(0, 9, 300), np.zeros(300), n=4, noise=2e-3)
+    line = find_ridge_line(cube, position_angle=WEST)
+    inner = (line.distances > 2 * u.mas) & (line.distances < 7 * u.mas)
+    assert np.ptp(line.error[inner]) < 0.2 * line.error[inner].mean()
+    snr = np.nanmax(cube.data) / (2e-3 / np.sqrt(4))
+    every = np.full(len(line.east), 1 / (np.sqrt(2) * snr))
+    every[0] *= 1e-2
+    points = np.stack([line.east.value, line.north.value], axis=1)
+    _, expected = _smoothed(points, every, 2.0, STEP)
+    assert_allclose(line.error[inner].value, expected[inner], rtol=0.1)
+    assert line.error[0] < 0.1 * line.error[inner].mean()
+    assert line.meta["width"].to_value(u.mas) == pytest.approx(1.0)
+    assert line.meta["smoothing"].to_value(u.mas) == pytest.approx(2.0)
+
+
+def test_defaults_are_in_beams():
+    t = np.linspace(0, 1.2, 300)
+    cube = along(-7 * np.sin(t), 7 * (1 - np.cos(t)), beam=0.8, reference=(30, 20))
+    given_ = {"half_width": 1.2 * u.mas, "smoothing": 1.6 * u.mas, "threshold": 5}
+    lines = [
+        find_ridge_line(cube, position_angle=WEST, **changes).north.value
+        for changes in ({}, given_, {**given_, "half_width": 0.4 * u.mas},
+                        {**given_, "smoothing": 0.8 * u.mas})
+    ]  # fmt: skip
+    assert_allclose(lines[0], lines[1], atol=1e-12)
+    for other in lines[2:]:
+        n = min(len(other), len(lines[0]))
+        assert np.abs(other[:n] - lines[0][:n]).max() > 1e-3
+
+
+def test_the_direction_is_that_of_the_same_pixels():
+    # Something faint aside turns the mean direction, unless it is too faint.
+    cube = along(-np.linspace(0, 7, 300), np.zeros(300), reference=(30, 60))
+    cube.data[:, 80:110, 40:60] += 0.15
+    angles = []
+    for threshold in (5, 200):
+        options = {"origin": [-0.2, 0.1] * u.mas, "threshold": threshold}
+        angle, _ = fit_position_angle(cube, **options)
+        line = find_ridge_line(cube, **options)
+        again = find_ridge_line(cube, position_angle=angle, **options)
+        assert_array_equal(line.north, again.north)
+        assert line.at(0 * u.mas)[0].value == pytest.approx(-0.2, abs=0.01)
+        angles.append(angle.value)
+    assert np.ptp(angles) > 1
