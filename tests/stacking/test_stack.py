@@ -1,26 +1,37 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The stack against the paper's equations, written out as sums."""
+"""The stack, exact and fast, against the paper's sums, and permutations."""
 
+import math
 from dataclasses import replace
+from itertools import permutations
 from math import exp
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chisquare
 
+from astro_scc.stacking.pair_maps import PairMaps, _Stretch
 from astro_scc.stacking.stack import (
     gaussian_sum,
     number_of_ssps,
     sample_velocities,
     stack,
 )
+from astro_scc.stacking.trials import (
+    number_of_permutations,
+    permute_stacks,
+    random_permutations,
+)
 from astro_scc.stacking.velocities import (
     VelocityGrid,
     baseline_pairs,
     consecutive_pairs,
 )
+from astro_scc.streams.permutations import permutations_of_epochs
 
-GRID = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
+COARSE = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
 
 
 def literal(d, pairs, grid, order):
@@ -55,9 +66,9 @@ def test_is_the_papers_equation(random_displacements, seed, every_pair, shuffled
     else:
         pairs = consecutive_pairs(years)
     order = rng.permutation(4) if shuffled else np.arange(4)
-    found = stack(d, pairs, GRID, order=order if shuffled else None)
+    found = stack(d, pairs, COARSE, order=order if shuffled else None)
     # Gaussians further than five sigma from the grid are left out.
-    np.testing.assert_allclose(found, literal(d, pairs, GRID, order), atol=1e-5)
+    np.testing.assert_allclose(found, literal(d, pairs, COARSE, order), atol=1e-5)
 
 
 def test_number_of_ssps_of_many_orders(random_displacements):
@@ -73,9 +84,9 @@ def test_without_matches_or_ssps_it_is_zero(random_displacements):
     none = random_displacements(np.random.default_rng(4)).select(slice(0, 0))
     pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
     assert len(none) == 0
-    np.testing.assert_array_equal(stack(none, pairs, GRID), 0.0)
+    np.testing.assert_array_equal(stack(none, pairs, COARSE), 0.0)
     nothing = replace(none, n_ssps=np.zeros(4, dtype=int))
-    np.testing.assert_array_equal(stack(nothing, pairs, GRID), 0.0)
+    np.testing.assert_array_equal(stack(nothing, pairs, COARSE), 0.0)
 
 
 def test_velocities_are_displacements_over_intervals(random_displacements):
@@ -109,3 +120,241 @@ def test_gaussian_sum_in_blocks_is_the_same(monkeypatch):
     monkeypatch.setitem(gaussian_sum.__globals__, "BLOCK", 7)
     np.testing.assert_allclose(gaussian_sum(*columns, *axes), whole)
     assert gaussian_sum(*np.empty((5, 0)), *axes).shape == (9, 12)
+
+
+# -- the fast stacks of many orders -----------------------------------------------
+
+
+GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
+
+
+def all_stacks(maps, pairs, grid, orders, **kwargs):
+    return np.concatenate(list(maps.stacks(pairs, grid, orders, **kwargs)))
+
+
+def check(maps, pairs, grid, orders, shift=(0.0, 0.0)):
+    found = all_stacks(maps, pairs, grid, orders, shift=shift)
+    assert found.shape == (len(orders), *grid.shape)
+    d = maps.samples
+    moved = replace(d, d1=d.d1 + shift[0], d2=d.d2 + shift[1])
+    for one, order in zip(found, orders, strict=True):
+        exact = stack(moved, pairs, grid, order=order)
+        np.testing.assert_allclose(one, exact, atol=1e-3 * exact.max())
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, every_pair):
+    rng = np.random.default_rng(seed)
+    d = random_displacements(rng, 5, 120, s1=(0.2, 0.8), s2=(0.4, 1.5))
+    years = np.cumsum(rng.uniform(0.2, 1.5, 5))
+    if every_pair:
+        pairs = baseline_pairs(years, 0.0, 9.0)
+    else:
+        pairs = consecutive_pairs(years)
+    maps = PairMaps.of(d, GRID.v_max, pairs.interval.max())
+    check(maps, pairs, GRID, random_permutations(5, 4, rng))
+    shift = rng.uniform(-0.5, 0.5, 2)
+    check(maps, pairs, GRID, random_permutations(5, 4, rng), shift=shift)
+
+
+def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
+    rng = np.random.default_rng(0)
+    d = random_displacements(rng, 6, 200)
+    pairs = consecutive_pairs(0.7 * np.arange(6))
+    maps = PairMaps.of(d, GRID.v_max, 0.7)
+    # Few orders add the maps first and stretch once; many stretch each map first.
+    for n_orders in (2, 40):
+        check(maps, pairs, GRID, random_permutations(6, n_orders, rng))
+
+
+def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeypatch):
+    rng = np.random.default_rng(8)
+    d = random_displacements(rng, 6, 200)
+    pairs = consecutive_pairs(np.cumsum(rng.uniform(0.4, 0.7, 6)))
+    orders = random_permutations(6, 12, rng)
+    maps = PairMaps.of(d, GRID.v_max, 0.7)
+    whole = all_stacks(maps, pairs, GRID, orders)
+    for n_maps in (0, 1, 7):
+        limit = n_maps * maps.map_bytes
+        monkeypatch.setattr(f"{PairMaps.__module__}.MAP_BYTES", limit)
+        again = all_stacks(replace(maps), pairs, GRID, orders)
+        np.testing.assert_allclose(again, whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3)])
+def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
+    """A spline between intervals: hundreds of pairs of dates, 1e-3 as ever."""
+    rng = np.random.default_rng(9)
+    d = random_displacements(rng, 14, 900, reach=5.0, s1=(0.4, 0.8), s2=(0.5, 1.0))
+    pairs = baseline_pairs(np.cumsum(rng.uniform(0.1, 0.3, 14)), 0.0, 1.2)
+    stretch = _Stretch(PairMaps.of(d, GRID.v_max, 1.2), pairs, GRID, (0.0, 0.0))
+    assert len(stretch.share) < 0.7 * len(pairs)
+    np.testing.assert_allclose(stretch.share.sum(axis=0), pairs.weight, rtol=1e-5)
+    check(
+        PairMaps.of(d, GRID.v_max, pairs.interval.max()),
+        pairs,
+        GRID,
+        random_permutations(14, 4, rng),
+        shift=shift,
+    )
+
+
+def test_without_matches(random_displacements):
+    rng = np.random.default_rng(4)
+    none = random_displacements(rng, 3, 10).select(slice(0, 0))
+    pairs = consecutive_pairs([0.0, 1.0, 3.0])
+    maps = PairMaps.of(none, GRID.v_max, 2.0)
+    found = all_stacks(maps, pairs, GRID, random_permutations(3, 5, rng))
+    assert found.shape == (5, *GRID.shape)
+    np.testing.assert_array_equal(found, 0.0)
+
+
+@pytest.mark.parametrize("farthest", [0.5, 50.0])
+def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(
+    random_displacements, farthest
+):
+    d = random_displacements(np.random.default_rng(7), reach=farthest)
+    maps = PairMaps.of(d, (4.0, 3.0), 0.5)
+    assert len(maps.axis1) >= 15
+    assert maps.axis1[-1] <= min(4.0 * 0.5, farthest) + 5 * d.s1.max()
+    check(maps, consecutive_pairs(0.5 * np.arange(4.0)), GRID, [[0, 1, 2, 3]])
+
+
+# -- permutations of the epochs ---------------------------------------------------
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+@pytest.mark.parametrize(
+    ("n", "trials"), [(1, 2), (2, 2), (3, 5), (4, 2), (5, 40), (6, 99), (7, 5039)]
+)
+def test_few_epochs_are_gone_through_in_every_order(n, trials):
+    orders = permutations_of_epochs(n, trials, rng())
+    assert orders.shape == (math.factorial(n) - 1, n)
+    every = {tuple(order) for order in orders.tolist()}
+    assert every == set(permutations(range(n))) - {tuple(range(n))}
+
+
+@pytest.mark.parametrize(
+    ("n", "number"), [(1, 1), (2, 1), (3, 3), (4, 12), (5, 60), (8, 20160)]
+)
+def test_an_order_and_its_reversal_are_one(n, number):
+    assert number_of_permutations(n) == number
+    if n < 6:
+        every = {min(order, order[::-1]) for order in permutations(range(n))}
+        assert len(every) == number
+
+
+@given(st.integers(1, 30), st.integers(2, 40), st.integers(0, 2**32 - 1))
+def test_every_order_is_one_of_the_epochs(n, n_trials, seed):
+    orders = permutations_of_epochs(n, n_trials, rng(seed))
+    every = math.factorial(n) - 1
+    assert len(orders) == (every if n <= 6 else min(n_trials, every))
+    np.testing.assert_array_equal(
+        np.sort(orders, axis=1), np.tile(np.arange(n), (len(orders), 1))
+    )
+    np.testing.assert_array_equal(
+        orders, permutations_of_epochs(n, n_trials, rng(seed))
+    )
+
+
+YEARS = [0.0, 0.4, 1.2, 1.5, 2.6]
+
+
+@pytest.fixture(scope="module")
+def maps(random_displacements):
+    d = random_displacements(np.random.default_rng(0), 5, 300)
+    return PairMaps.of(d, GRID.v_max, 1.1)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return consecutive_pairs(YEARS)
+
+
+def run(maps, pairs, n_trials=30, seed=1, **kwargs):
+    rng = np.random.default_rng(seed)
+    return permute_stacks(maps, pairs, GRID, n_trials, rng=rng, **kwargs)
+
+
+def test_orders_are_permutations_and_all_of_them_occur_equally_often():
+    orders = random_permutations(4, 6000, np.random.default_rng(0))
+    assert orders.shape == (6000, 4)
+    np.testing.assert_array_equal(np.sort(orders, axis=1), [[0, 1, 2, 3]] * 6000)
+    kinds, counts = np.unique(orders, axis=0, return_counts=True)
+    assert len(kinds) == 24
+    assert [0, 1, 2, 3] in kinds.tolist()
+    assert chisquare(counts).pvalue > 1e-3
+
+
+def test_mean_and_std_are_those_of_the_stacks_of_the_orders(maps, pairs):
+    found = run(maps, pairs)
+    orders = random_permutations(5, 30, np.random.default_rng(1))
+    d = maps.samples
+    stacks = np.array([stack(d, pairs, GRID, order=order) for order in orders])
+    tolerance = 1e-3 * stacks.max()
+    np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
+    np.testing.assert_allclose(found.std, stacks.std(axis=0, ddof=1), atol=tolerance)
+    observed = stack(d, pairs, GRID)
+    z = (observed - stacks.mean(axis=0)) / stacks.std(axis=0, ddof=1)
+    np.testing.assert_allclose(found.z_score(observed), z, atol=0.02)
+
+
+def test_a_shift_is_added_in_four_directions_in_turn(maps, pairs):
+    found = run(maps, pairs, shift=(0.3, 0.2))
+    orders = random_permutations(5, 30, np.random.default_rng(1))
+    d = maps.samples
+    moved = [
+        replace(d, d1=d.d1 + 0.3),
+        replace(d, d1=d.d1 - 0.3),
+        replace(d, d2=d.d2 + 0.2),
+        replace(d, d2=d.d2 - 0.2),
+    ]
+    stacks = np.array(
+        [stack(moved[i % 4], pairs, GRID, order=o) for i, o in enumerate(orders)]
+    )
+    tolerance = 1e-3 * stacks.max()
+    np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
+    np.testing.assert_allclose(found.std, stacks.std(axis=0, ddof=1), atol=tolerance)
+    assert np.abs(found.mean - run(maps, pairs).mean).max() > 10 * tolerance
+
+
+def test_progress_counts_the_trials(maps, pairs):
+    done = []
+    run(maps, pairs, progress=done.append)
+    assert done == [1] * 30
+    done.clear()
+    run(maps, pairs, progress=done.append, shift=(0.3, 0.2))
+    assert sum(done) == 30
+
+
+def test_small_standard_deviations_are_floored(maps, pairs):
+    """Where hardly a trial has a match, a tiny coefficient is no discovery."""
+    found = run(maps, pairs)
+    std = found.std.copy()
+    std[0, 0] = 1e-9
+    found = replace(found, std=std)
+    z = found.z_score(found.mean + std.max())
+    assert z[0, 0] == pytest.approx(100.0)
+    assert z.max() == pytest.approx(100.0)
+
+
+def test_without_any_correlation_the_z_score_is_zero(maps, pairs):
+    d = maps.samples
+    none = replace(d, weight=np.zeros(len(d)))
+    found = run(PairMaps.of(none, GRID.v_max, 1.1), pairs)
+    np.testing.assert_array_equal(found.std, 0.0)
+    np.testing.assert_array_equal(found.z_score(np.ones(GRID.shape)), 0.0)
+
+
+@pytest.mark.parametrize("n_trials", [-1, 0, 1])
+def test_needs_at_least_two_trials(maps, pairs, n_trials):
+    with pytest.raises(ValueError, match=f"at least 2 trials, got {n_trials}"):
+        run(maps, pairs, n_trials=n_trials)
+
+
+def test_of_many_epochs_there_are_orders_without_end():
+    assert number_of_permutations(1000) == number_of_permutations(20) > 1e18
