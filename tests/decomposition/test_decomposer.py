@@ -1,12 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Patterns of planes and of images, and what is refused."""
+
 import csv
 
 import numpy as np
 import pytest
 from astropy.io import fits
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
 
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
+from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
 from astro_scc.decomposition.wavelet import wavelet_planes
 
 
@@ -109,8 +115,15 @@ IMAGE = np.zeros((16, 16))
         ({"scales": (1.5,), "kernel": "b3"}, {}, "kernel 'b1' only"),
         ({"kernel": "db2"}, {}, "unknown wavelet kernel"),
         ({"noise": "mad"}, {}, "must be one of plane, local, propagated"),
-        ({"detection": 2}, {}, "0 < segmentation <= detection"),
-        ({"segmentation": 0}, {}, "0 < segmentation <= detection"),
+        *(
+            (values, {}, "0 < segmentation <= detection")
+            for values in (
+                {"detection": 2},
+                {"detection": np.nan},
+                {"segmentation": 0},
+                {"segmentation": np.nan},
+            )
+        ),
         ({}, {"image": np.full((16, 16), np.nan)}, "no valid pixel"),
         ({}, {"mask": np.zeros((4, 4), bool)}, r"mask has shape \(4, 4\)"),
         ({}, {"image": np.zeros((2, 16, 16))}, "two dimensions, this has 3"),
@@ -137,3 +150,227 @@ def test_as_many_patterns_as_the_authors_program(shared_data, name):
     region = (ssps.x >= 60) & (ssps.x <= 160)
     ours = [np.sum(region & (ssps.scale == j)) for j in (1, 2, 3)]
     np.testing.assert_allclose(ours, theirs, rtol=0.15)
+
+
+# -- segmentation -----------------------------------------------------------------
+
+
+NY, NX = 48, 64
+
+
+def gaussians(positions, sigma=3.0, heights=None, shape=(NY, NX)):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    heights = [1.0] * len(positions) if heights is None else heights
+    return sum(
+        height * np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * sigma**2))
+        for height, (py, px) in zip(heights, positions, strict=True)
+    )
+
+
+def labels_of(ssps, shape=(NY, NX)):
+    labels = np.zeros(shape, dtype=int)
+    for index in range(len(ssps)):
+        assert (labels.flat[ssps.pixels_of(index)] == 0).all()
+        labels.flat[ssps.pixels_of(index)] = index + 1
+    return labels
+
+
+@given(
+    st.floats(-1, 1),
+    st.floats(0.05, 1),
+    st.floats(0.05, 1),
+    st.floats(-0.9, 0.9),
+    st.floats(-0.49, 0.49),
+    st.floats(-0.49, 0.49),
+    st.sampled_from([1e-9, 1.0, 1e9]),
+)
+def test_quadratic_peak_is_exact_for_quadratics(level, a, b, skew, y0, x0, scale):
+    y, x = np.mgrid[-1:2, -1:2]
+    cross = skew * np.sqrt(a * b)
+    dy, dx = y - y0, x - x0
+    values = scale * (level - a * dx**2 - b * dy**2 - 2 * cross * dx * dy)
+    found_y, found_x, height = quadratic_peak(values)
+    assert found_y == pytest.approx(y0, abs=1e-9)
+    assert found_x == pytest.approx(x0, abs=1e-9)
+    assert height == pytest.approx(max(scale * level, values[1, 1]), abs=1e-9 * scale)
+
+
+def test_quadratic_peak_stays_within_the_pixel():
+    ridge = np.array([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]])
+    corner = np.array([[0.99, 0, 0], [0, 1, 0], [0, 0, 0.99]])
+    plateau = np.ones((3, 3))
+    unknown = np.array([[0, 0, 0], [0, 1, np.nan], [0, 0, 0]])
+    values = np.stack([ridge, corner, plateau, unknown])
+    dy, dx, height = quadratic_peak(values)
+    assert np.isfinite([dy, dx, height]).all()
+    assert (np.abs([dy, dx]) <= 0.5).all()
+    assert (height >= 1).all()
+    np.testing.assert_array_equal([dy[2:], dx[2:]], 0)
+
+
+@settings(max_examples=40)
+@given(
+    st.floats(12, NY - 13),
+    st.floats(12, NX - 13),
+    st.floats(1.5, 4),
+    st.sampled_from([1e-9, 1.0, 1e9]),
+)
+def test_positions_are_sub_pixel(py, px, sigma, scale):
+    plane = scale * gaussians([(py, px)], sigma)
+    ssps = find_ssps(plane, 1, 0.01 * scale)
+    assert len(ssps) == 1
+    assert ssps.y[0] == pytest.approx(py, abs=0.06)
+    assert ssps.x[0] == pytest.approx(px, abs=0.06)
+    assert ssps.y_centroid[0] == pytest.approx(py, abs=0.05)
+    assert ssps.x_centroid[0] == pytest.approx(px, abs=0.05)
+    assert ssps.peak[0] == plane.max()
+    assert ssps.snr[0] == pytest.approx(plane.max() / (0.01 * scale))
+
+
+def test_catalogue_of_one_pattern():
+    plane = gaussians([(20, 30)])
+    ssps = find_ssps(plane, 1.5, 0.01)
+    inside = plane > 0.03
+    rows, columns = np.nonzero(inside)
+    assert ssps.scale.tolist() == [1.5]
+    assert ssps.flux[0] == pytest.approx(plane[inside].sum())
+    assert ssps.n_pixels.tolist() == [inside.sum()]
+    assert ssps.bbox[0].tolist() == [
+        rows.min(),
+        columns.min(),
+        rows.max() + 1,
+        columns.max() + 1,
+    ]
+    np.testing.assert_array_equal(ssps.pixels_of(0), np.flatnonzero(inside))
+    assert ssps.epoch.tolist() == [0]
+
+
+def test_overlapping_patterns_are_separated():
+    plane = gaussians([(24, 25), (24, 36)], heights=[1.0, 0.7])
+    ssps = find_ssps(plane, 1, 0.01)
+    assert len(ssps) == 2
+    np.testing.assert_allclose(ssps.x, [25, 36], atol=0.6)
+    np.testing.assert_allclose(ssps.y, 24, atol=0.05)
+    labels = labels_of(ssps)
+    np.testing.assert_array_equal(labels > 0, plane > 0.03)
+    # The border runs through the saddle between them.
+    saddle = 25 + np.argmin(plane[24, 25:37])
+    assert labels[24, saddle - 2] == 1
+    assert labels[24, saddle + 2] == 2
+
+
+def test_maxima_nearer_than_a_scale_are_one():
+    plane = gaussians([(24, 25), (24, 33)], sigma=2.5)
+    assert len(find_ssps(plane, 2, 0.01)) == 2
+    assert len(find_ssps(plane, 4, 0.01)) == 1
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(0, 2**32 - 1), st.floats(0, 0.2), st.sampled_from([1, 1.5, 2]),
+)  # fmt: skip
+def test_segments_are_what_is_connected_to_the_seeds(seed, share, scale):
+    """Together exactly the significant pixels joined to a maximum by an edge."""
+    rng = np.random.default_rng(seed)
+    plane = ndimage.gaussian_filter(rng.normal(size=(NY, NX)), rng.uniform(1, 3))
+    plane /= plane.std()
+    mask = rng.random(plane.shape) < share
+    noise = rng.uniform(0.3, 0.6)
+    ssps = find_ssps(plane, scale, noise, mask=mask)
+    labels = labels_of(ssps)
+    significant = (plane > 3 * noise) & ~mask
+    islands, _ = ndimage.label(significant)
+    seeded = np.unique(islands[labels > 0])
+    np.testing.assert_array_equal(labels > 0, np.isin(islands, seeded[seeded > 0]))
+    assert not (labels[mask] > 0).any()
+    for index in range(len(ssps)):
+        own = labels == index + 1
+        assert ndimage.label(own)[1] == 1
+        at = np.unravel_index(np.argmax(np.where(own, plane, -1)), plane.shape)
+        assert plane[at] >= 4 * noise
+        assert ssps.snr[index] >= 4
+        # No catalogued maximum within a scale of another.
+    if len(ssps) > 1:
+        distance = np.maximum(
+            np.abs(np.subtract.outer(ssps.y, ssps.y)),
+            np.abs(np.subtract.outer(ssps.x, ssps.x)),
+        )
+        np.fill_diagonal(distance, np.inf)
+        assert distance.min() > round(2**scale) - 1
+
+
+def test_thresholds_in_sigma():
+    plane = gaussians([(12, 16), (32, 46)], heights=[1.0, 0.45])
+    assert len(find_ssps(plane, 1, 0.1)) == 2
+    assert len(find_ssps(plane, 1, 0.1, detection=5)) == 1
+    assert len(find_ssps(plane, 1, 0.1, detection=10.1)) == 0
+    n_pixels = [
+        find_ssps(plane, 1, 0.1, segmentation=s).n_pixels.sum() for s in (1, 2, 4)
+    ]
+    assert n_pixels == [(plane > s * 0.1).sum() for s in (1, 2, 4)]
+
+
+def test_noise_map():
+    """The same pattern is significant where the noise is low."""
+    plane = gaussians([(24, 16), (24, 48)])
+    noise = np.full(plane.shape, 0.01)
+    noise[:, 32:] = 0.5
+    ssps = find_ssps(plane, 1, noise)
+    np.testing.assert_allclose(ssps.x, [16], atol=0.01)
+    noise[:, 32:] = 0.1
+    ssps = find_ssps(plane, 1, noise)
+    assert len(ssps) == 2
+    np.testing.assert_allclose(np.sort(ssps.snr), [10, 100])
+    assert ssps.n_pixels.sum() == (plane > 3 * noise).sum()
+
+
+def test_pattern_over_a_hole_is_kept():
+    """A bad pixel at its very maximum costs a pattern one pixel."""
+    plane = gaussians([(24.1, 30.2)])
+    mask = np.zeros(plane.shape, dtype=bool)
+    mask[24, 30] = True
+    holed = np.where(mask, np.nan, plane)
+    ssps = find_ssps(holed, 1, 0.01, mask=mask)
+    assert len(ssps) == 1
+    assert (ssps.y[0], ssps.x[0]) == (24, 31)
+    assert ssps.x_centroid[0] == pytest.approx(30.2, abs=0.02)
+    labels = labels_of(ssps)
+    assert labels[24, 30] == 0
+    assert (labels > 0).sum() == (plane > 0.03).sum() - 1
+
+
+@pytest.mark.parametrize("where", ["image", "margin"])
+def test_no_maximum_at_the_edge_of_what_exists(where):
+    """It may well be higher beyond."""
+    plane = gaussians([(24, 1.6), (24, 40)])
+    mask = np.zeros(plane.shape, dtype=bool)
+    if where == "image":
+        plane, mask = plane[:, 2:], mask[:, 2:]
+    else:
+        mask[:, :2] = True
+        mask[:3] = True
+    ssps = find_ssps(np.where(mask, 0, plane), 1, 0.01, mask=mask)
+    np.testing.assert_allclose(ssps.x, [38 if where == "image" else 40], atol=0.01)
+
+
+def test_empty_catalogue():
+    ssps = SSPs.empty()
+    assert len(ssps) == 0
+    assert ssps.n_pixels.shape == (0,)
+    assert repr(ssps) == "<SSPs: none>"
+    assert len(SSPs.concatenate([])) == 0
+    assert len(SSPs.concatenate([ssps, ssps])) == 0
+    assert len(SSPs.of_epochs([])) == 0
+
+
+def test_concatenate():
+    first = find_ssps(gaussians([(12, 16), (32, 46)]), 1, 0.01)
+    second = find_ssps(gaussians([(20, 20)]), 2, 0.01)
+    joined = SSPs.concatenate([first, SSPs.empty(), second])
+    assert repr(joined) == "<SSPs: 2 on scale 1, 1 on scale 2>"
+    assert joined.n_pixels.tolist() == [*first.n_pixels, *second.n_pixels]
+    np.testing.assert_array_equal(joined.pixels_of(1), first.pixels_of(1))
+    np.testing.assert_array_equal(joined.pixels_of(2), second.pixels_of(0))
+    np.testing.assert_array_equal(joined.x, [*first.x, *second.x])
+    assert joined.bbox.shape == (3, 4)
+    assert joined.pixels.dtype.kind == joined.starts.dtype.kind == "i"
