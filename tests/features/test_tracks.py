@@ -1,14 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracks of detections whose features are known, and what holds for all tracks."""
+"""Tracks of known features, those that may be, and the choice among them."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
-from astro_scc.features import TrackSettings
+from astro_scc.features import TrackSettings, assignment
+from astro_scc.features.assignment import TOLERANCE, Assignment
+from astro_scc.features.hypotheses import log_t, position_scatter, steady_hypotheses
 from astro_scc.features.tracks import find_tracks
 
 #: Turns and mirrors of the sky.
@@ -132,3 +136,189 @@ def test_the_speed_of_what_is_ambiguous_is_not_the_same(series):
     same = [track.same_speed for track in find_tracks(d)]
     assert find_tracks(clear)[0].same_speed == pytest.approx(1)
     assert np.mean(same) < 1
+
+
+# -- tracks that steady motion allows ---------------------------------------------
+
+
+SETTINGS = TrackSettings()
+
+
+def reversed_in_time(d):
+    """The same detections, last one first."""
+    last = len(d.years) - 1
+    each = ("place", "place_error", "flux", "size")
+    turned = {name: getattr(d, name)[::-1] for name in each}
+    return replace(
+        d, epoch=(last - d.epoch)[::-1], years=-d.years[::-1], number=None, **turned
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_time_may_run_backwards(series, seed):
+    d = random_series(series, seed)
+    paths, score = steady_hypotheses(d, SETTINGS)
+    turned, other = steady_hypotheses(reversed_in_time(d), SETTINGS)
+    back = {tuple(len(d) - 1 - k for k in path[::-1]): s
+            for path, s in zip(turned, other, strict=True)}  # fmt: skip
+    assert dict(zip(paths, score, strict=True)) == pytest.approx(back)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([1e-3, 7.0, 1000.0, 1e6]))
+def test_units_of_length_and_the_first_date_are_free(series, seed, factor):
+    d = random_series(series, seed)
+    d = replace(d, size=np.linspace(0, 1, len(d)))
+    paths, score = steady_hypotheses(d, SETTINGS)
+    larger = replace(
+        d, place=factor * d.place, place_error=factor * d.place_error,
+        size=factor * d.size, beam=factor**2 * d.beam,
+    )  # fmt: skip
+    for other in (larger, replace(d, years=d.years + 64), replace(d, flux=3 * d.flux)):
+        again, same = steady_hypotheses(other, SETTINGS)
+        found = dict(zip(again, same, strict=True))
+        assert dict(zip(paths, score, strict=True)) == pytest.approx(found)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_each_path_goes_forward_and_has_one_detection_per_epoch(series, seed):
+    d = random_series(series, seed)
+    paths, score = steady_hypotheses(d, SETTINGS)
+    assert len(paths) == len(set(paths)) == len(score)
+    for path in paths:
+        step = np.diff(d.epoch[list(path)])
+        assert len(path) >= SETTINGS.least_epochs
+        assert step.min() >= 1
+        assert step.max() <= SETTINGS.most_missed + 1
+
+
+@pytest.mark.parametrize("most_missed", [1, 3])
+@pytest.mark.parametrize("longer", [0, 1])
+def test_gaps_up_to_a_length_are_bridged(series, most_missed, longer):
+    n = most_missed + longer
+    seen = [*range(5), *range(5 + n, 10 + n)]
+    rows = [(t, 0.2 * t, 0.0) for t in seen]
+    # Another feature far away is seen at all epochs.
+    rows += [(t, 50.0, 50.0) for t in range(10 + n)]
+    d = series(rows)
+    own = np.flatnonzero(d.place[:, 1] == 0)
+    paths, _ = steady_hypotheses(d, replace(SETTINGS, most_missed=most_missed))
+    assert (tuple(own.tolist()) in paths) == (longer == 0)
+    assert tuple(own[:5].tolist()) in paths or longer == 0
+
+
+@pytest.mark.parametrize(("off", "linked"), [(0.0, True), (0.15, True), (1.5, False)])
+def test_what_is_beyond_the_gate_is_not_linked(series, off, linked):
+    d = series([(t, 0.2 * t, off if t == 9 else 0.0) for t in range(10)])
+    paths, _ = steady_hypotheses(d, SETTINGS)
+    assert (tuple(range(10)) in paths) == linked
+    assert tuple(range(9)) in paths
+
+
+def test_too_few_epochs_have_none(series):
+    for n in range(SETTINGS.least_epochs):
+        rows = [(t, 0.2 * t, 5.0 * k) for t in range(n) for k in range(2)]
+        paths, score = steady_hypotheses(series(rows), SETTINGS)
+        assert paths == []
+        assert len(score) == 0
+    rows = [(t, 40.0 * (-1) ** t, 40.0 * t) for t in range(6)]
+    assert steady_hypotheses(series(rows), SETTINGS)[0] == []
+
+
+def test_scatter_adds_its_parts(series):
+    d = replace(series([(0, 3.0, 4.0)], error=0.3), size=np.array([2.0]))
+    o = SETTINGS
+    parts = o.scatter, 2 * o.size_scatter, 5 * o.far_scatter, 0.3
+    assert position_scatter(d, o) == pytest.approx([np.linalg.norm(parts)])
+
+
+@pytest.mark.parametrize("n_axes", [1, 2])
+def test_students_density(n_axes):
+    off = np.array([0.3, -2.0])[:n_axes]
+    true = stats.multivariate_t(shape=0.7 * np.eye(n_axes), df=4).logpdf(off)
+    assert log_t(off @ off, 0.7, 4.0, n_axes) == pytest.approx(true)
+
+
+# -- tracks that share no detection, against trying every choice ------------------
+
+
+def best_total(paths, score):
+    """Largest sum of scores of disjoint paths, by trying every choice."""
+    if not paths:
+        return 0.0
+    free = [k for k in range(1, len(paths)) if not set(paths[k]) & set(paths[0])]
+    own = score[0] + best_total([paths[k] for k in free], [score[k] for k in free])
+    return max(own, best_total(paths[1:], score[1:]))
+
+
+def is_packing(paths, chosen):
+    """Whether chosen paths are different and share no detection."""
+    used = [k for track in chosen for k in paths[track]]
+    return len(used) == len(set(used)) and len(chosen) == len(set(chosen.tolist()))
+
+
+def hard(n_detections=60, n_tracks=1200):
+    """Short tracks that all compete; prices alone do not settle them."""
+    rng = np.random.default_rng(0)
+    choices = (rng.choice(n_detections, 3, replace=False) for _ in range(n_tracks))
+    paths = sorted({tuple(np.sort(path).tolist()) for path in choices})
+    return paths, rng.uniform(1, 1.2, len(paths))
+
+
+problems = st.lists(
+    st.tuples(
+        st.sets(st.integers(0, 7), min_size=1, max_size=4), st.floats(0.01, 10.0)
+    ),
+    min_size=1, max_size=12,
+)  # fmt: skip
+
+
+@settings(max_examples=80, deadline=None)
+@given(problems, st.integers(0, 99))
+def test_it_is_the_best_choice_and_others_are_valid(problem, seed):
+    paths = [tuple(sorted(path)) for path, _ in problem]
+    score = np.array([value for _, value in problem])
+    found = Assignment(paths, 8)
+    chosen, proven = found.best(score)
+    best = best_total(paths, score.tolist())
+    assert proven
+    assert is_packing(paths, chosen)
+    assert score[chosen].sum() >= (1 - 2 * TOLERANCE) * best
+    assert score[chosen].sum() <= best + 1e-9
+    # Disturbed scores may be negative; such tracks are not used.
+    other = score + np.random.default_rng(seed).normal(0, 3, len(score))
+    good = found.good(other)
+    assert is_packing(paths, good)
+    assert (other[good] > 0).all()
+    assert other[good].sum() <= best_total(paths, other.tolist()) + 1e-9
+
+
+def test_prices_alone_do_not_solve_all_pairs(monkeypatch):
+    # Of all pairs of five only two are disjoint, but prices cannot exclude 2.5.
+    calls = []
+    solve = assignment.milp
+    monkeypatch.setattr(
+        assignment, "milp", lambda *a, **k: calls.append(1) or solve(*a, **k)
+    )
+    paths = list(combinations(range(5), 2))
+    chosen, proven = Assignment(paths, 5).best(np.ones(10))
+    assert calls
+    assert proven
+    assert len(chosen) == 2
+    assert is_packing(paths, chosen)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [{"LONGEST": 1e-4}, {"MOST_TRACKS": 40}, {"MOST_TRACKS": 100, "LONGEST": 1e-4}],
+)
+def test_without_time_or_all_tracks_nothing_is_proven(monkeypatch, limits):
+    for name, value in limits.items():
+        monkeypatch.setattr(assignment, name, value)
+    paths, score = hard()
+    chosen, proven = Assignment(paths, 60).best(score)
+    assert is_packing(paths, chosen)
+    assert len(chosen) > 0
+    assert not proven
