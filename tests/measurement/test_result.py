@@ -58,8 +58,8 @@ def test_components_are_the_streams_in_their_order(sky_result):
         assert row["z_score"] == result.z_score[peak.row, peak.column]
 
 
-def test_the_error_of_the_alignment_is_a_part_of_the_error(sky_result, stacked):
-    bad = stacked(alignment_error=0.3 * u.mas)
+def test_the_error_of_the_alignment_is_a_part_of_the_error(sky_result, jet_stacked):
+    bad = jet_stacked(alignment_error=0.3 * u.mas)
     one, other = sky_result.components[0], bad.components[0]
     assert one["pm_err_alignment"] == 0
     assert other["pm"] == one["pm"]
@@ -335,34 +335,22 @@ def refused(path, match):
 
 
 def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
-    refused(tmp_path / "none.fits", "No such file")
     other = tmp_path / "other.fits"
-    other.write_text("nothing")
-    refused(other, "other.fits: is no complete astro_scc result file")
-    sky_result.cube.write(other, overwrite=True)
+    sky_result.cube.write(other)
     refused(other, "other.fits: is no complete astro_scc result.*not written as one")
     sky_result.matched.write(other, overwrite=True)
     refused(other, "not written as one")
     whole = path.read_bytes()
-    other.write_bytes(whole[: len(whole) // 2])
-    refused(other, "other.fits: is no complete astro_scc result file")
     spot = len(whole) // 2
     other.write_bytes(whole[:spot] + bytes([whole[spot] ^ 1]) + whole[spot + 1 :])
     refused(other, "hecksum")
     with pytest.raises(ValueError, match=r"is a whole result; give .*SCCResult"):
         EpochCube.read(path)
-
-
-def test_results_of_other_versions_are_refused(path, sky_result, tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(serialize, "LAYOUT", 99)
-        sky_result.write(tmp_path / "new.fits")
-    refused(tmp_path / "new.fits", "new.fits: of layout 99; read it with the version")
     with fits.open(path) as hdus:
         text = hdus["META"].data.tobytes().replace(b"jitters:", b"tremors:")
         hdus["META"].data = np.frombuffer(text, np.uint8)
-        hdus.writeto(tmp_path / "old.fits", checksum=True)
-    refused(tmp_path / "old.fits", "its SCCResult is of another version of astro_scc")
+        hdus.writeto(other, checksum=True, overwrite=True)
+    refused(other, "its SCCResult is of another version of astro_scc")
 
 
 class Axes:
