@@ -9,33 +9,19 @@ import pytest
 REFUSED = {
     "measure JET -o out": """
 --max-speed "2 mas" | --max-speed '2 mas' must be an angle per time
---scales big | --scales 'big'
 --scales "0.01 mas" | scale 0.01 mas is 0.1 px
 --scales 9 | too small for wavelet scale 9 (512 px): leave out the
---scales 99 | --scales '99' must be of the series 0, 0.5, 1, 1.5, ...
---position-angle 65 | '65' has no unit at its end; it must be radial
---baseline "1 yr" | --baseline '1 yr' must be a shortest and a longest
 --baseline "5 6 yr" | no two epochs are 5 to 6 yr apart
---kappa 1.2 | --kappa '1.2' must be between 0 and 1
 --max-speed "1e9 mas/yr" | error: --max-speed moves 8.21e+07 mas in the
---min-error-beams 9 | --min-error-beams '9' must be a part
---n-trials 1 | --n-trials '1' must be 2 to
 --seed -3 | --seed '-3' must be 0 to
 --workers 0 | --workers must be at least 1
---redshift -1 | --redshift '-1' must be above 0
 --redshift 1 --distance "1 Mpc" | --distance needs neither redshift
---redshift "47367 km/s" | give the redshift, 0.158 if it is c z
 --redshift 47367 | --redshift '47367' must be below 30; of a velo
---redshift "600 Mpc" | '600 Mpc' is a length; give it as the distance
---distance 0.158 | --distance '0.158' has no unit at its end; it must
---distance "16 7 Mpc" | --distance '16 7 Mpc' must be one distance
 --position-angle -112 | '-112' has no unit at its end; it must be rad
 --max-speed -2mas/yr | '-2mas/yr' must be finite and above 0
 --baseline -1yr,1yr | --baseline '-1yr,1yr' must be a shortest and
 --cosmology Planck18 | --cosmology needs a redshift
 --redshift 1 --cosmology Big | --cosmology 'Big' is no cosmol
---distance "1 mas" | --distance '1 mas' must be a length
---before soon | --before 'soon' is no date
 --before 1990-01-01 | no epoch is left between --after and --before
 --before 2000-01-15 | velocities need at least two epochs
 --align coer | --align 'coer' is none of
@@ -44,7 +30,6 @@ REFUSED = {
 --config no.toml | no.toml: No such file or directory
 --config odd.toml | odd.toml: unknown key 'max_sped', did you mean
 --config unit.toml | unit.toml: max_speed = '2 mas' must be
---config alpha.toml | alpha.toml: alpha = 1.5 must be between 0
 -o file | file: is a file
 -o full | full: exists and is not empty
 -o full --resume | full: exists and is not of a run with --resume; choose another
@@ -59,8 +44,6 @@ note.fits JET -o out | note.fits: cannot be read as FITS
     "profile JET -o out": """
 | --bins is missing
 --bins "2 1 mas" | must be increasing distances
---bins "1 2 s" | must be increasing distances
---bins "1 mas" | 2 distance
 --bins "1 2 mas" --workers 0 | --workers must be at least 1
 """,
     "profile -o out": """
@@ -94,18 +77,13 @@ static x --seed one | --seed 'one' must be a whole number
 static . | .: exists and is not empty
 """,
     'restore MODELS -o out --beam "1 mas" --pixel "0.1 mas"': """
---beam "1.0 0.5" | --beam '1.0 0.5' is no beam: has no unit at its end; give major
 --beam "1 mas 2 mas 0 deg" | 2 mas 0 deg' is no beam: a beam is finite with major
---beam "1 mas 0.5 mas" | --beam '1 mas 0.5 mas' is no beam: has no position angle
 --beam "1 mas 1 mas 1 Jy" | --beam '1 mas 1 mas 1 Jy' is no beam:
---beam "1 1 1 1 mas" | has too many numbers
 --pixel 0.1 | --pixel '0.1' has no unit at its end; it must be one
 --pixel "0.1 yr" | --pixel '0.1 yr' must be one number with a unit
---pixel "0 mas" | --pixel '0 mas' must be finite and above 0
 --noise "1 mas" | --noise '1 mas' must be one number with a unit
 --seed x | --seed 'x' must be a whole number
 --after 2011-01-01 | no component is left
---after later | --after 'later' is no date
 --origin core | no core component (feature 0)
 --source M87 | no source 'M87'; it does not say of which source it is
 """,
@@ -128,7 +106,6 @@ FILES = {
     "odd.reg": "image\ncircle(9999,9999,3)\n",
     "odd.toml": "max_sped = '2 mas/yr'\n",
     "unit.toml": "max_speed = '2 mas'\n",
-    "alpha.toml": "alpha = 1.5\n",
     "file": "mine",
     "full/mine.txt": "mine",
     "note.fits": "no image",
