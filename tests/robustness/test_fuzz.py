@@ -102,17 +102,3 @@ def test_a_region_without_end(fuzz, inputs, tmp_path):
     path.write_text("image\ncircle(6,4,1e400)\n")
     with pytest.raises(ValueError, match="r.reg: a CirclePixelRegion has a size or pl"):
         cube.region_mask(path)
-
-
-@pytest.mark.parametrize("column", ["position_angle", "major_fwhm", "axial_ratio"])
-@pytest.mark.parametrize("number", ["inf", "-inf", "1e999"])
-def test_infinite_numbers_of_components(fuzz, tmp_path, column, number):
-    lines = fuzz.COMPONENTS.decode().splitlines()
-    head = lines.index(next(line for line in lines if line.startswith("epoch ")))
-    cells = lines[head + 2].split()
-    cells[lines[head].split().index(column)] = number
-    lines[head + 2] = " ".join(cells)
-    path = tmp_path / "c.ecsv"
-    path.write_text("\n".join(lines))
-    with pytest.raises(ValueError, match=f"c.ecsv, row 2: {column} is infinite"):
-        read_components(path)
