@@ -337,14 +337,6 @@ def test_without_a_seed_one_is_drawn_and_recorded(cube):
     same_tables(again.components, first.components)
 
 
-def test_what_was_done_is_recorded(result):
-    meta = result.components.meta
-    assert meta["n_trials"] == 20
-    assert meta["settings"] == make_scc().to_dict()
-    assert set(meta["versions"]) >= {"astro_scc", "numpy", "astropy"}
-    assert isinstance(meta["jet_position_angle"], u.Quantity)
-
-
 def test_one_call_gives_the_table(cube, result):
     region = np.ones(cube.shape[1:], bool)
     table = measure_velocities(

@@ -214,8 +214,6 @@ REFUSED = [
     (lambda scc, m: fit_shell(scc, {"a": m}, {}), "give no groups"),
     (lambda scc, m: fit_shell(scc, {"a": m, "b": none_of(m)}), "or more, b has 0"),
     (lambda scc, m: fit_shell(scc, {"a": m, "b": later(m)}), "of the same dates"),
-    (lambda *_: simulate_shell(n_epochs=1), "at least 2"),
-    (lambda *_: simulate_shell(size=100), "larger than 100 pixels"),
 ]
 
 
