@@ -11,7 +11,6 @@ import types
 from concurrent.futures import Future
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 
 from astro_scc.correlation import Correlator, all_pairs
@@ -23,6 +22,7 @@ from astro_scc.correlation.parallel import (
     workers_of,
 )
 from astro_scc.decomposition import Decomposer
+from astro_scc.simulation import simulate_two_fluid
 
 
 @pytest.fixture(scope="module")
@@ -44,20 +44,8 @@ def cluster():
 
 @pytest.fixture(scope="module")
 def epochs():
-    rng = np.random.default_rng(5)
-    y, x = np.mgrid[:64, :80]
-    places = rng.uniform(8, 56, (6, 2))
-    decompose = Decomposer(scales=[1, 2])
-    return [
-        decompose(
-            sum(
-                np.exp(-((x - a - 10 - 2 * k) ** 2 + (y - b) ** 2) / 12)
-                for a, b in places
-            )
-            + rng.normal(scale=0.01, size=x.shape)
-        )
-        for k in range(5)
-    ]
+    images = simulate_two_fluid(n_epochs=5, rng=5).cube.data
+    return [Decomposer(scales=[1, 2])(image) for image in images]
 
 
 @pytest.mark.slow

@@ -16,28 +16,32 @@ from astro_scc.tracking import FeatureTracker
 PM = u.mas / u.yr
 
 
+def decomposed(years, spots, reference, width, *, seed, detection, beams=True):
+    """Images of spots (x, y, peak) at dates, of a width in pixels, and their SSPs."""
+    y, x = np.mgrid[:96, :160]
+    images = np.random.default_rng(seed).normal(0, 2e-3, (len(years), 96, 160))
+    for image, own in zip(images, spots, strict=True):
+        for x0, y0, peak in own:
+            image += peak * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2))
+    fwhm = np.sqrt(8 * np.log(2)) * 0.1 * width * u.mas
+    cube = EpochCube.from_arrays(
+        images, Time(2000.0 + years, format="jyear"), pixel_scale=0.1 * u.mas,
+        unit=u.Jy / u.beam, reference_pixel=reference,
+        beams=Beam(fwhm, fwhm) if beams else None,
+    )  # fmt: skip
+    return cube, [Decomposer(scales=[1, 2], detection=detection)(d) for d in cube.data]
+
+
 @cache
 def jet(n_epochs=12, beams=True):
     """Two features that leave the core to the west and north-west, and one at rest."""
     years = 0.5 * np.arange(n_epochs)
-    y, x = np.mgrid[:96, :160]
-    images = np.zeros((n_epochs, 96, 160))
-    # Pixels of 0.1 mas; west is to larger x, the core at (20, 20).
-    features = [(3.0, 0.0, 1.0), (1.5, 1.5, 0.7), (0.0, 0.0, 0.9)]
-    start = [(32.0, 20.0), (30.0, 30.0), (80.0, 60.0)]
-    for k, t in enumerate(years):
-        for (vx, vy, peak), (x0, y0) in zip(features, start, strict=True):
-            at = x0 + 2 * vx * t, y0 + 2 * vy * t
-            images[k] += peak * np.exp(
-                -((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 2.5**2)
-            )
-    images += np.random.default_rng(1).normal(0, 2e-3, images.shape)
-    cube = EpochCube.from_arrays(
-        images, Time(2000.0 + years, format="jyear"), pixel_scale=0.1 * u.mas,
-        unit=u.Jy / u.beam, reference_pixel=(20, 20),
-        beams=Beam(0.59 * u.mas, 0.59 * u.mas) if beams else None,
-    )  # fmt: skip
-    return cube, [Decomposer(scales=[1, 2], detection=10)(d) for d in cube.data]
+    # West is to larger x, the core at (20, 20); speeds in pixels a half year.
+    spots = [
+        [(32 + 3 * k, 20, 1.0), (30 + 1.5 * k, 30 + 1.5 * k, 0.7), (80, 60, 0.9)]
+        for k in 2 * years
+    ]
+    return decomposed(years, spots, (20, 20), 2.5, seed=1, detection=10, beams=beams)
 
 
 @pytest.fixture(scope="module")
@@ -71,20 +75,11 @@ def test_every_feature_is_one_row_whatever_its_scales(features):
 def core_jet(dark=()):
     """A core, one feature that fades, and flashes that are seen at one date each."""
     years = np.array([0, 0.7, 1.0, 1.5, 2.2, 2.4, 3.0, 4.3, 5.2, 7.4])
-    y, x = np.mgrid[:96, :160]
-    images = np.random.default_rng(2).normal(0, 2e-3, (10, 96, 160))
+    spots = []
     for k, t in enumerate(years):
         at = [(20, 48, 0 if k in dark else 30.0), (34 + 6 * t, 48, 0.2 * 0.8**t)]
-        if k in (3, 6, 8):
-            at.append((70 + 3 * k, 50 + k, 0.05))
-        for x0, y0, peak in at:
-            images[k] += peak * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 24.5)
-    cube = EpochCube.from_arrays(
-        images, Time(2000.0 + years, format="jyear"), pixel_scale=0.1 * u.mas,
-        unit=u.Jy / u.beam, reference_pixel=(20, 48),
-        beams=Beam(0.82 * u.mas, 0.82 * u.mas),
-    )  # fmt: skip
-    return cube, [Decomposer(scales=[1, 2], detection=5)(d) for d in cube.data]
+        spots.append([*at, (70 + 3 * k, 50 + k, 0.05)] if k in (3, 6, 8) else at)
+    return decomposed(years, spots, (20, 48), 3.5, seed=2, detection=5)
 
 
 @pytest.mark.parametrize("dark", [(), (3, 4, 5)])
