@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube
@@ -27,17 +28,13 @@ from astro_scc.measurement.axes import (
 )
 from astro_scc.simulation import simulate_two_fluid
 
-DAYS = np.array([0, 73, 292])
 BEAM = Beam(1.0 * u.mas, 0.4 * u.mas, 25 * u.deg)
 
 
 def cube_of(beams=BEAM):
     """Three epochs without anything in them, with the core in the middle."""
-    dates = np.datetime64("2010-01-01T00:00:00") + 86400 * DAYS.astype("timedelta64[s]")
-    return EpochCube.from_arrays(
-        np.zeros((3, 81, 81)), [str(d) for d in dates], pixel_scale=0.1 * u.mas,
-        beams=beams,
-    )  # fmt: skip
+    data, times = np.zeros((3, 81, 81)), Time("2010-01-01") + [0, 73, 292] * u.day
+    return EpochCube.from_arrays(data, times, pixel_scale=0.1 * u.mas, beams=beams)
 
 
 def ssps_of(cube, east, north, epoch, scale=1.0):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,15 +36,8 @@ BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None):
     """Epochs without anything in them."""
-    dates = np.datetime64("2010-01-01T00:00:00") + np.array(
-        [int(86400 * d) for d in days], dtype="timedelta64[s]"
-    )
-    return EpochCube.from_arrays(
-        np.zeros((len(days), *shape)),
-        [str(d) for d in dates],
-        pixel_scale=PIXEL,
-        beams=beams,
-    )
+    data, times = np.zeros((len(days), *shape)), Time("2010-01-01") + days * u.day
+    return EpochCube.from_arrays(data, times, pixel_scale=PIXEL, beams=beams)
 
 
 @given(st.integers(1, 16), st.floats(0.84, 1.19))

@@ -46,7 +46,7 @@ def test_a_stream_and_what_stands_still(sky_result):
     assert list(table["caution"]) == ["-", "-"]
 
 
-def test_without_a_baseline_the_map_has_intervals_that_suit_the_speed(jet_stacked, matched):
+def test_without_a_baseline_the_map_has_intervals_that_suit_the_speed(jet_stacked):
     """Those in which it moves 0.2 to 1 beam, here one interval: 0.6 beam."""
     found = jet_stacked(270 * u.deg)
     moved = found.pairs.interval * found.components["pm"][0].value
