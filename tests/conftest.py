@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Marks of the tests, FITS images, and one small jet for all that measure."""
+"""Marks of the tests, FITS images, pages, and a small jet for all that measure."""
 
+from html.parser import HTMLParser
 from pathlib import Path
 
 import astropy.units as u
@@ -70,6 +71,46 @@ def jet_results(jet_stacked):
     """Results of the same matches by the kind of their axes."""
     angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
     return {name: jet_stacked(angle) for name, angle in angles.items()}
+
+
+VOID = {"meta", "img", "br", "link", "hr"}
+
+
+class Page(HTMLParser):
+    """The elements and the text of a page; fails if a tag is not closed."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.source = page if isinstance(page, str) else page.read_text("utf-8")
+        self.open, self.tags, self.text = [], [], []
+        self.feed(self.source)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.text.append(data)
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+@pytest.fixture(scope="session")
+def read_page():
+    """Read a page or its text, of which every tag is to be closed."""
+    return Page
 
 
 MAS = 1 / 3.6e6

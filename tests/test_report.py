@@ -5,7 +5,6 @@ import base64
 import os
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import astropy.units as u
 import numpy as np
@@ -29,38 +28,6 @@ CHANCE = "permuted epochs give as strong a peak (p_global 0.62)"
 HOSTILE = "<script>alert('1')</script> & \"more\""
 MAIN = ("separation", "tracks", "diagram", "speeds")
 MORE = ("velocity_map", "significance", "members", "epochs", "intervals", "sensitivity")
-VOID = {"meta", "img", "br", "link", "hr"}
-
-
-class Page(HTMLParser):
-    """The elements and the text of a page; fails if a tag is not closed."""
-
-    def __init__(self, path):
-        super().__init__()
-        self.source = path.read_text(encoding="utf-8")
-        self.open, self.tags, self.text = [], [], []
-        self.feed(self.source)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if "style" not in self.open:
-            self.text.append(data)
-
-    def all(self, tag):
-        return [attrs for name, attrs in self.tags if name == tag]
-
-    @property
-    def words(self):
-        return " ".join(" ".join(self.text).split())
 
 
 @pytest.fixture(scope="module")
@@ -111,19 +78,19 @@ def folder(result, components, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(folder):
-    return Page(folder / "report.html")
+def page(folder, read_page):
+    return read_page(folder / "report.html")
 
 
 @pytest.fixture
-def words_of(tmp_path, monkeypatch):
+def words_of(tmp_path, monkeypatch, read_page):
     """Write a report without the time that figures take; its text."""
     figures = {"velocity_map.png": b"PNG"}
     monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, **_k: figures)
 
     def write(result, components=None, **more):
         how = {"components": components, "title": "M87"} | more
-        return Page(write_report(result, tmp_path, **how)).words
+        return read_page(write_report(result, tmp_path, **how)).words
 
     return write
 
@@ -252,10 +219,10 @@ def test_the_same_files_each_time_and_as_pdf(result, components, tmp_path):
     assert written == 2 * [set(MAIN)]
 
 
-def test_figures_that_are_empty_or_not_wanted(result, tmp_path):
+def test_figures_that_are_empty_or_not_wanted(result, tmp_path, read_page):
     empty = replace(result, maxima=(), velocities=(), jitters=())
     path = write_report(empty, tmp_path, rerun="astro-scc measure again")
-    words = Page(path).words
+    words = read_page(path).words
     assert "No motion found: no pattern has a match in another epoch." in words
     assert "p_global is" not in words
     assert {path.stem for path in tmp_path.glob("*.png")} <= set(MAIN)
@@ -373,13 +340,14 @@ def test_the_core_is_no_component_of_the_jet(result, words_of):
     assert "2 stationary" in words_of(result, table)
 
 
-def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of):
+def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of, read_page):
     command = {"explore": "astro-scc explore out"}
     said = "features, epochs and velocities: astro-scc explore out"
     assert said in words_of(result, **command)
     (tmp_path / "explore.html").write_text("here")
     assert said not in words_of(result, **command)
-    assert {"href": "explore.html"} in Page(tmp_path / "report.html").all("a")
+    page = read_page(tmp_path / "report.html")
+    assert {"href": "explore.html"} in page.all("a")
 
 
 def test_what_cannot_be_written(result, tmp_path, words_of, monkeypatch):

@@ -16,19 +16,8 @@ def cube(jet_cube):
 
 
 @pytest.fixture(scope="session")
-def matched(jet_matched):
-    return jet_matched
-
-
-@pytest.fixture(scope="session")
-def results(jet_results):
-    """Results of the same matches by the kind of their axes."""
-    return jet_results
-
-
-@pytest.fixture(scope="session")
-def result(results):
-    return results["jet"]
+def result(jet_results):
+    return jet_results["jet"]
 
 
 @pytest.fixture(scope="session")
@@ -38,14 +27,14 @@ def empty(result):
 
 
 @pytest.fixture(scope="session")
-def bare(matched):
+def bare(cube):
     """A result without SSPs, matches and components, of images of no beam."""
     scc = StackedCrossCorrelation(
         scales=[1, 2], max_speed=20 * u.mas / u.yr, detection=99, segmentation=98
     )
     rng = np.random.default_rng(1)
-    data = 1e-3 * rng.standard_normal((len(matched.cube), 48, 64))
-    dull = replace(matched.cube, data=data, mask=None, beams=None)
+    data = 1e-3 * rng.standard_normal((len(cube), 48, 64))
+    dull = replace(cube, data=data, mask=None, beams=None)
     with pytest.MonkeyPatch.context() as patch:
         # Refused where it is measured; files of matches may be of nothing.
         patch.setattr("astro_scc.scc.require_ssps", lambda *args, **kwargs: None)

@@ -174,8 +174,8 @@ def test_features_are_those_of_the_tables(page, result):
 
 
 @pytest.mark.parametrize("name", ["sky", "radial"])
-def test_features_lie_around_their_component(name, results):
-    result = results[name]
+def test_features_lie_around_their_component(name, jet_results):
+    result = jet_results[name]
     page = explore.Page(*parts(result), result.cube)
     columns, own = page.features.data, np.asarray(result.features["component"]) == 1
     axes = {"sky": ("pm_ra_cosdec", "pm_dec")}

@@ -16,11 +16,11 @@ ON_FIGURES = ["paper", "members", "epochs"]
 
 
 @pytest.mark.parametrize("kind", FIGURES)
-def test_figures_are_drawn_and_change_no_global_state(kind, results):
+def test_figures_are_drawn_and_change_no_global_state(kind, jet_results):
     from matplotlib import _pylab_helpers
 
     before = dict(matplotlib.rcParams)
-    figure = results["radial"].plot(kind)
+    figure = jet_results["radial"].plot(kind)
     assert figure.get_figwidth() <= 6
     assert figure.get_figheight() <= 9.6
     figure.savefig(BytesIO(), format="rgba", dpi=30)

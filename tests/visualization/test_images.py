@@ -292,11 +292,11 @@ def in_frame(result, *ctype):
 
 
 @pytest.fixture(scope="module")
-def of_the_sun(results):
-    return in_frame(results["sky"], "HPLN-TAN", "HPLT-TAN")
+def of_the_sun(jet_results):
+    return in_frame(jet_results["sky"], "HPLN-TAN", "HPLT-TAN")
 
 
-def test_the_sun_has_west_to_the_right(of_the_sun, results):
+def test_the_sun_has_west_to_the_right(of_the_sun, jet_results):
     ax = of_the_sun.cube.plot(0).axes[0]
     labels = ax.get_xlabel(), ax.get_ylabel()
     assert labels == ("Offset to solar west (mas)", "Offset to solar north (mas)")
@@ -305,7 +305,7 @@ def test_the_sun_has_west_to_the_right(of_the_sun, results):
         figure = of_the_sun.plot(kind)
         assert figure.get_supxlabel() == "Offset to solar west (mas)"
         assert not figure.axes[0].xaxis_inverted()
-    ax, sky = (result.plot().axes[0] for result in (of_the_sun, results["sky"]))
+    ax, sky = (result.plot().axes[0] for result in (of_the_sun, jet_results["sky"]))
     assert ax.get_xlabel() == "Proper motion to solar west (mas/yr)"
     assert (ax.xaxis_inverted(), sky.xaxis_inverted()) == (False, True)
     # The arrow points where the features go.
@@ -316,20 +316,20 @@ def test_the_sun_has_west_to_the_right(of_the_sun, results):
     assert "from north to solar west" in label
 
 
-def test_other_frames_are_named(results):
-    galactic = in_frame(results["sky"], "GLON-SIN", "GLAT-SIN")
+def test_other_frames_are_named(jet_results):
+    galactic = in_frame(jet_results["sky"], "GLON-SIN", "GLAT-SIN")
     ax = galactic.cube.plot(0).axes[0]
     labels = ax.get_xlabel(), ax.get_ylabel()
     assert labels == ("Offset to galactic east (mas)", "Offset to galactic north (mas)")
     assert ax.xaxis_inverted()
     label = galactic.plot().axes[0].get_xlabel()
     assert label == "Proper motion to galactic east (mas/yr)"
-    mars = in_frame(results["sky"], "MALN-TAN", "MALT-TAN").cube
+    mars = in_frame(jet_results["sky"], "MALN-TAN", "MALT-TAN").cube
     assert axis_words(mars) == ("larger longitude", "larger latitude", True)
 
 
-def test_columns_and_maps_are_named_by_the_frame(of_the_sun, results):
-    theirs, ours = of_the_sun.components, results["sky"].components
+def test_columns_and_maps_are_named_by_the_frame(of_the_sun, jet_results):
+    theirs, ours = of_the_sun.components, jet_results["sky"].components
     assert sky_columns(theirs) == ("pm_lon_coslat", "pm_lat")
     for name in ("", "_err"):
         assert np.array_equal(theirs[f"pm_lat{name}"], ours[f"pm_dec{name}"])

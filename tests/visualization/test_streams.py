@@ -40,8 +40,8 @@ def second_axis(figure):
 
 
 @pytest.mark.parametrize("frame", LABELS)
-def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, results):
-    result = results[frame]
+def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, jet_results):
+    result = jet_results[frame]
     ax = result.plot().axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == tuple(
         f"{name} (mas/yr)" for name in LABELS[frame]
@@ -83,16 +83,16 @@ def test_units_of_the_axes_and_speeds_in_c(unit, factor, result):
     np.testing.assert_allclose(axis.get_xlim(), limits)
 
 
-def test_the_arrow_points_along_the_jet(results):
+def test_the_arrow_points_along_the_jet(jet_results):
     def direction(result):
         (arrow,) = parts(result.plot().axes[0], "jet")
         return np.subtract(arrow.xy, arrow.get_position())
 
-    assert direction(replace(results["sky"], position_angle=90 * u.deg))[0] < -0.1
-    x, y = direction(replace(results["sky"], position_angle=-45 * u.deg))
+    assert direction(replace(jet_results["sky"], position_angle=90 * u.deg))[0] < -0.1
+    x, y = direction(replace(jet_results["sky"], position_angle=-45 * u.deg))
     assert x == pytest.approx(y)
     assert x > 0
-    assert direction(results["jet"])[0] > 0.1
+    assert direction(jet_results["jet"])[0] > 0.1
 
 
 def test_kinds_that_are_not_significant_and_errors_that_are_unknown(result):
@@ -122,8 +122,8 @@ def test_the_slice_is_the_middle_row_of_the_map(result):
 
 
 @pytest.mark.parametrize("angle", [0, 33, 90, 200])
-def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(angle, results):
-    sky = results["sky"]
+def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(angle, jet_results):
+    sky = jet_results["sky"]
     theta = np.radians(angle)
     along = sky.grid.v1 * np.sin(theta) + sky.grid.v2[:, None] * np.cos(theta)
     across = sky.grid.v1 * np.cos(theta) - sky.grid.v2[:, None] * np.sin(theta)
@@ -147,8 +147,8 @@ def arrows_of(figure):
     return next(c for c in figure.axes[0].collections if hasattr(c, "U"))
 
 
-def test_members_are_arrows_from_ssps_to_their_next_match(results):
-    for result in results.values():
+def test_members_are_arrows_from_ssps_to_their_next_match(jet_results):
+    for result in jet_results.values():
         figure = result.plot("members", max_panels=2)
         n_panels = sum(bool(ax.images) for ax in figure.axes)
         assert n_panels == len(result.components)
@@ -166,9 +166,9 @@ def test_members_are_arrows_from_ssps_to_their_next_match(results):
         assert np.all(arrows.U < 0)
 
 
-def test_arrows_are_the_same_on_all_axes(results):
+def test_arrows_are_the_same_on_all_axes(jet_results):
     motions = {}
-    for name, result in results.items():
+    for name, result in jet_results.items():
         everything, d = replace(result), result.displacements
         columns = {"match": np.arange(len(d)), "ssp": d.ssp, "epoch": d.reference}
         table = QTable({**columns, "target_epoch": d.target})
@@ -219,9 +219,9 @@ def drawn(result):
     ("name", "label"),
     [("jet", "along the jet (mas)"), ("sky", "towards PA 2"), ("radial", "outward (")],
 )
-def test_the_ray_is_on_the_red_ridge(name, label, results):
+def test_the_ray_is_on_the_red_ridge(name, label, jet_results):
     # Features that move to the west: down the jet, and towards PA 270 deg.
-    figure = results[name].plot("diagram")
+    figure = jet_results[name].plot("diagram")
     ax = figure.axes[0]
     assert ax.get_ylabel().startswith(f"Displacement {label}")
     assert ax.get_xlabel() == "Interval between epochs (yr)"
@@ -230,7 +230,7 @@ def test_the_ray_is_on_the_red_ridge(name, label, results):
     # The beam is 1 mas.
     np.testing.assert_allclose(beams.get_ylim(), ax.get_ylim(), rtol=0.01)
     ray = parts(figure, "ray")[0]
-    speed = results[name].components["pm"][0].to_value(PM_UNIT)
+    speed = jet_results[name].components["pm"][0].to_value(PM_UNIT)
     assert ray.get_slope() == pytest.approx(speed, rel=0.02)
     (mesh,) = parts(figure, "excess")
     assert mesh.norm.vmin == -mesh.norm.vmax < 0
@@ -241,7 +241,7 @@ def test_the_ray_is_on_the_red_ridge(name, label, results):
     assert moved.any()
     peaks = middle[values.argmax(axis=0)][moved]
     np.testing.assert_allclose(peaks, speed * interval[moved], atol=0.2)
-    slope = parts(results[name].plot("diagram", unit="uas"), "ray")[0].get_slope()
+    slope = parts(jet_results[name].plot("diagram", unit="uas"), "ray")[0].get_slope()
     assert slope == pytest.approx(1000 * ray.get_slope())
 
 
