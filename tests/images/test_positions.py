@@ -18,7 +18,6 @@ from astro_scc.images.positions import (
     name_by_frame,
     position_errors,
     sky_columns,
-    ssp_offsets,
 )
 
 
@@ -31,18 +30,6 @@ def in_frame(*ctype):
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = ctype
     return SimpleNamespace(wcs=wcs)
-
-
-def test_offsets_of_patterns_are_those_of_their_pixels():
-    places = {
-        "x": [1.0, 4],
-        "y": [5.0, 3],
-        "x_centroid": [2.5, 3],
-        "y_centroid": [3, 3],
-    }
-    ssps = SimpleNamespace(**{name: np.array(v) for name, v in places.items()})
-    assert_allclose(ssp_offsets(ssps, make_cube()), [[0.1, -0.2], [0.2, 0]], atol=1e-9)
-    assert_allclose(ssp_offsets(ssps, make_cube(), centroid=True)[0], [-0.05, -0.1])
 
 
 def test_the_resolution_is_that_of_the_beam_or_of_the_scale():

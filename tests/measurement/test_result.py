@@ -270,32 +270,19 @@ def path(sky_result, tmp_path_factory):
     return path
 
 
-FRAMES = (
-    SkyFrame(),
-    PositionAngleFrame(270 * u.deg),
-    RadialFrame(),
-    RidgeLine([0, -5, -12] * u.mas, [0, 0.1, 0.3] * u.mas),
-)
-
-
-@pytest.mark.parametrize("frame", FRAMES, ids=repr)
-def test_everything_comes_back_to_the_bit(frame, sky_result, tmp_path):
-    result = replace(sky_result, frame=frame)
-    result.write(tmp_path / "jet.fits")
-    again = SCCResult.read(tmp_path / "jet.fits")
+def test_everything_comes_back_to_the_bit(path, sky_result, tmp_path):
+    again = SCCResult.read(path)
     again.write(tmp_path / "again.fits")
     # The check sums hold the time of writing.
-    of = tmp_path / "jet.fits", tmp_path / "again.fits"
     how = {"ignore_keywords": ["CHECKSUM"], "ignore_comments": ["*"]}
-    assert fits.FITSDiff(*map(str, of), **how).identical
-    if isinstance(frame, SkyFrame):
-        for kind, table in tables(again).items():
-            assert text_of(table) == text_of(tables(result)[kind])
-        one, other = (r.diagram().data.tobytes() for r in (result, again))
-        assert one == other
-        assert repr(result) == repr(again)
+    assert fits.FITSDiff(str(path), str(tmp_path / "again.fits"), **how).identical
+    for kind, table in tables(again).items():
+        assert text_of(table) == text_of(tables(sky_result)[kind])
+    one, other = (r.diagram().data.tobytes() for r in (sky_result, again))
+    assert one == other
+    assert repr(sky_result) == repr(again)
     # Decompositions can be computed again.
-    planes = (r.matched.decompositions[0].planes for r in (result, again))
+    planes = (r.matched.decompositions[0].planes for r in (sky_result, again))
     np.testing.assert_array_equal(*planes)
 
 
@@ -359,3 +346,19 @@ def test_arrays_of_all_kinds(array, tmp_path):
     (again,) = serialize.read_object(tmp_path / "a.fits", creator="test")["a"]
     assert again.dtype == array.dtype.newbyteorder("=")
     np.testing.assert_array_equal(again, array)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        PositionAngleFrame(270 * u.deg),
+        RadialFrame([1, 2] * u.mas),
+        RidgeLine([0, -5, -12] * u.mas, [0, 0.1, 0.3] * u.mas),
+    ],
+    ids=repr,
+)
+def test_frames_come_back(frame, tmp_path):
+    serialize.write_object({"frame": frame}, tmp_path / "a.fits", creator="test")
+    again = serialize.read_object(tmp_path / "a.fits", creator="test")["frame"]
+    assert repr(again) == repr(frame)
+    np.testing.assert_array_equal(again.matrix(3.0, 4.0), frame.matrix(3.0, 4.0))
