@@ -68,13 +68,8 @@ def measure(cube, *, n_trials=20, rng=1, region=None, n_workers=1, **settings):
 
 def in_pixels(table):
     """Motions in pixels between epochs, (x, y), x to the west."""
-    return np.stack(
-        [
-            -(table["pm_ra_cosdec"] / PIXEL).to_value(u.one),
-            (table["pm_dec"] / PIXEL).to_value(u.one),
-        ],
-        axis=1,
-    )
+    columns = [(table[k] / PIXEL).to_value(u.one) for k in ("pm_ra_cosdec", "pm_dec")]
+    return np.stack(columns, axis=1) * [-1, 1]
 
 
 def maxima(result):
@@ -139,10 +134,7 @@ def test_settings_are_kept_in_the_units_of_the_package():
     ("call", "words"),
     [
         (lambda scc, cube: scc(cube, n_trials=1), "n_trials = 1 must be 2"),
-        (
-            lambda scc, cube: scc(cube, n_trials="many"),
-            "'many' must be a whole",
-        ),
+        (lambda scc, cube: scc(cube, n_trials="many"), "'many' must be a whole"),
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least two epochs"),
     ],

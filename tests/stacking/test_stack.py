@@ -61,10 +61,7 @@ def test_is_the_papers_equation(random_displacements, seed, every_pair, shuffled
     rng = np.random.default_rng(seed)
     d = random_displacements(rng, n_epochs=4, n=25)
     years = np.cumsum(rng.uniform(0.3, 1.5, 4))
-    if every_pair:
-        pairs = baseline_pairs(years, 0.0, 9.0)
-    else:
-        pairs = consecutive_pairs(years)
+    pairs = baseline_pairs(years, 0.0, 9.0) if every_pair else consecutive_pairs(years)
     order = rng.permutation(4) if shuffled else np.arange(4)
     found = stack(d, pairs, COARSE, order=order if shuffled else None)
     # Gaussians further than five sigma from the grid are left out.
@@ -148,10 +145,7 @@ def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, ever
     rng = np.random.default_rng(seed)
     d = random_displacements(rng, 5, 120, s1=(0.2, 0.8), s2=(0.4, 1.5))
     years = np.cumsum(rng.uniform(0.2, 1.5, 5))
-    if every_pair:
-        pairs = baseline_pairs(years, 0.0, 9.0)
-    else:
-        pairs = consecutive_pairs(years)
+    pairs = baseline_pairs(years, 0.0, 9.0) if every_pair else consecutive_pairs(years)
     maps = PairMaps.of(d, GRID.v_max, pairs.interval.max())
     check(maps, pairs, GRID, random_permutations(5, 4, rng))
     shift = rng.uniform(-0.5, 0.5, 2)
