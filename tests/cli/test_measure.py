@@ -61,14 +61,8 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
     table = QTable.read(measured / "components.ecsv")
     for name in expected.colnames:
         np.testing.assert_array_equal(table[name], expected[name], err_msg=name)
-    again = [
-        "measure",
-        "--config",
-        measured / "config.toml",
-        "--no-report",
-        "-o",
-        "out",
-    ]
+    config = measured / "config.toml"
+    again = ["measure", "--config", config, "--no-report", "-o", "out"]
     out, err = done(*again, "--workers", "2", "--ds9-regions")
     assert err == ""
     assert "Tables and maps: out" in out
@@ -139,12 +133,7 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     ("sizes", "options", "note", "common"),
     [
         ([1, 1.2, 1, 1, 1], [], "the beams differ: convolving to a common one", True),
-        (
-            [1, 1.2, 1, 1, 1],
-            ["--no-common-beam"],
-            "the beams differ and are left",
-            False,
-        ),
+        ([1, 1.2, 1, 1, 1], ["--no-common-beam"], "the beams differ and are", False),
         ([None] * 5, [], "the epochs have no beams and are left as they are", False),
     ],
 )

@@ -199,18 +199,15 @@ def test_messages_name_options_as_they_are_typed(capsys, said, typed):
 
 
 QUICK = "--scales 2 --max-speed 36mas/yr --n-trials 20".split()
+STEPS = "Decomposing Correlating Searching"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options", "labels"),
     [
-        ("measure", [*QUICK, "--no-report"], "Decomposing Correlating Searching"),
-        (
-            "profile",
-            [*QUICK, "--bins", "2 16 mas"],
-            "Decomposing Correlating Searching",
-        ),
+        ("measure", [*QUICK, "--no-report"], STEPS),
+        ("profile", [*QUICK, "--bins", "2 16 mas"], STEPS),
         ("track", ["--no-figures"], "Fitting"),
     ],
 )

@@ -106,16 +106,7 @@ def profile(tmp_path_factory):
     small = {"shape": (64, 200), "extent": (20.0, 180.0), "axis": 32.0}
     path = tmp_path_factory.mktemp("epochs") / "cube.fits"
     JetSimulation([flow], n_epochs=6, **small).run(rng=2).cube.write(path)
-    return [
-        "profile",
-        path,
-        "-o",
-        "out",
-        "--max-speed",
-        "20 mas/yr",
-        "--n-trials",
-        "25",
-    ]
+    return ["profile", path, "-o", "out", "--max-speed", "20mas/yr", "--n-trials", "25"]
 
 
 WEST = ["--position-angle", "270 deg"]
