@@ -256,11 +256,7 @@ def sky_offsets(wcs, x, y):
     ("frame", "first", "turn"),
     [
         (SkyFrame(), lambda place: np.pi / 2 + 0 * place[0], -1),
-        (
-            PositionAngleFrame(40 * u.deg),
-            lambda place: np.radians(40) + 0 * place[0],
-            1,
-        ),
+        (PositionAngleFrame(40 * u.deg), lambda p: np.radians(40) + 0 * p[0], 1),
         (RadialFrame(), lambda place: np.arctan2(*place), 1),
     ],
 )

@@ -195,13 +195,9 @@ def test_ucds_are_of_the_vocabulary():
 
 
 def test_every_column_is_described(sky_result):
-    every = sky_result.components, sky_result.features, sky_result.feature_positions
-    for table in (
-        *every,
-        sky_result.ssps,
-        sky_result.sensitivity,
-        sky_result.members(1),
-    ):
+    names = "components features feature_positions ssps sensitivity".split()
+    every = [getattr(sky_result, name) for name in names]
+    for table in (*every, sky_result.members(1)):
         assert [n for n in table.colnames if not table[n].info.description] == []
 
 

@@ -14,6 +14,7 @@ from astro_scc.cli import main
 from astro_scc.epochs import write_epochs
 from astro_scc.simulation import simulate_two_fluid
 
+BOTH = ("0003+380", "0010+405")
 BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
 OPTIONS = [*BEAM, "--noise", "0.5 mJy/beam", "--seed", "1", "--no-report", "--quiet"]
 
@@ -23,7 +24,7 @@ def table(request, shared_data, tmp_path):
     """The head of the journal's own table, and rows of two sources, in both forms."""
     text = (shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt").read_text()
     head, _, rows = text.rpartition("-" * 80 + "\n")
-    kept = [r for r in rows.splitlines() if r.startswith(("0003+380", "0010+405"))]
+    kept = [r for r in rows.splitlines() if r.startswith(BOTH)]
     # A source that cannot be measured does not stop the others.
     kept.append("9999+999  1   2006 Mar  9     7.2  3.98 121.8  0.72 1.       Y ")
     rows = "\n".join([*kept, ""])
@@ -45,11 +46,7 @@ def test_all_sources_are_restored_and_measured(table, tmp_path, monkeypatch):
     assert main(["survey", str(table), "-o", str(out), *OPTIONS]) == 0
     survey = QTable.read(out / "survey.ecsv")
     status = dict(zip(survey["source"], survey["status"], strict=True))
-    assert status == {
-        "0003+380": "measured",
-        "0010+405": "measured",
-        "9999+999": "failed",
-    }
+    assert status == dict.fromkeys(BOTH, "measured") | {"9999+999": "failed"}
     first = sorted((out / "images" / "0003+380").glob("*.fits"))
     assert len(first) == 10
     before = [path.stat().st_mtime_ns for path in first]
@@ -59,7 +56,7 @@ def test_all_sources_are_restored_and_measured(table, tmp_path, monkeypatch):
     other = [*OPTIONS, "--pixel", "0.25 mas", "--source", "0003+380,0010+405"]
     assert main(["survey", str(table), "-o", str(out), *other]) == 0
     assert [path.stat().st_mtime_ns for path in first] != before
-    assert set(QTable.read(out / "survey.ecsv")["source"]) == {"0003+380", "0010+405"}
+    assert set(QTable.read(out / "survey.ecsv")["source"]) == set(BOTH)
     # The file can be changed, for a redshift, and given to the command.
     plan = out / "survey.toml"
     plan.write_text(plan.read_text() + "redshift = 0.229\n")
