@@ -41,12 +41,8 @@ def make_cube(n=3, **kwargs):
 def celestial(**changes):
     wcs = WCS(naxis=2)
     values = {"ctype": ["RA---SIN", "DEC--SIN"], "cdelt": [-1e-7, 1e-7]}
-    for name, value in {
-        **values,
-        "crpix": (4, 5),
-        "crval": (10, 20),
-        **changes,
-    }.items():
+    values |= {"crpix": (4, 5), "crval": (10, 20), **changes}
+    for name, value in values.items():
         setattr(wcs.wcs, name, value)
     return wcs
 
