@@ -44,6 +44,7 @@ note.fits JET -o out | note.fits: cannot be read as FITS
     "profile JET -o out": """
 | --bins is missing
 --bins "2 1 mas" | must be increasing distances
+--bins "1 mas" | 2 distance
 --bins "1 2 mas" --workers 0 | --workers must be at least 1
 """,
     "profile -o out": """
