@@ -234,11 +234,7 @@ def test_figures_that_are_empty_or_not_wanted(result, tmp_path, read_page):
 NONE = f"Stream 1 (not significant): {CHANCE}. Stream 2 (not significant): {CHANCE}."
 #: Columns of components, and what the page says of them and does not.
 SAID = [
-    (
-        {"kind": "not significant", "caution": CHANCE},
-        "which does not show that",
-        "): -",
-    ),
+    ({"kind": "not significant", "caution": CHANCE}, "which does not show", "): -"),
     ({"kind": "not significant", "caution": CHANCE}, NONE, "): -"),
     ({"kind": "not significant", "caution": "-"}, "No significant motion", "): -"),
     ({"kind": "stationary"}, "mas/yr: all features are stationary within", "): -"),
@@ -248,11 +244,7 @@ SAID = [
     ({"gamma_min": 1.2346}, "gamma_min", "1.2346"),
     ({"gamma_min": 1.2346}, " 1.235 ", "1.2346"),
     ({"caution": "<b>good</b>"}, "<b>good</b>", "): -"),
-    (
-        {"p_smallest": 1 / 11},
-        "p_global cannot be below 0.091: with so few no motion",
-        "/N",
-    ),
+    ({"p_smallest": 1 / 11}, "p_global cannot be below 0.091: with so few no", "/N"),
 ]
 
 

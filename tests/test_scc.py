@@ -48,11 +48,8 @@ def dates(steps):
 
 def make_cube(data, steps=None, **kwargs):
     options = {"beams": Beam(0.6 * u.mas, 0.6 * u.mas), "pixel_scale": 0.1 * u.mas}
-    return EpochCube.from_arrays(
-        data,
-        dates(np.arange(len(data)) if steps is None else steps),
-        **{**options, **kwargs},
-    )
+    times = dates(range(len(data)) if steps is None else steps)
+    return EpochCube.from_arrays(data, times, **{**options, **kwargs})
 
 
 def make_scc(**settings):
@@ -60,10 +57,8 @@ def make_scc(**settings):
     return StackedCrossCorrelation(**{**options, **settings})
 
 
-def measure(cube, *, n_trials=20, rng=1, region=None, n_workers=1, **settings):
-    return make_scc(**settings)(
-        cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
-    )
+def measure(cube, *, n_trials=20, **settings):
+    return make_scc(**settings)(cube, n_trials=n_trials, rng=1)
 
 
 def in_pixels(table):

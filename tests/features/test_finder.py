@@ -170,19 +170,11 @@ def test_a_region_restricts_detections(jet, features):
 # -- nothing to find -----------------------------------------------------------------
 
 
-def negative():
-    return cube_of(-simulate_jet(n_epochs=5, rng=1).cube.data)
-
-
-def noise():
-    return cube_of(np.random.default_rng(1).normal(0, 1e-3, (5, 40, 60)))
-
-
 EMPTY = {
     "one epoch": lambda: simulate_jet(n_epochs=1, rng=1).cube,
     "three epochs": lambda: simulate_jet(n_epochs=3, rng=1).cube,
-    "noise": noise,
-    "negative": negative,
+    "noise": lambda: cube_of(np.random.default_rng(1).normal(0, 1e-3, (5, 40, 60))),
+    "negative": lambda: cube_of(-simulate_jet(n_epochs=5, rng=1).cube.data),
     "zero": lambda: cube_of(np.zeros((5, 40, 60))),
     "constant": lambda: cube_of(np.ones((5, 40, 60))),
 }

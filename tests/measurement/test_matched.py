@@ -37,10 +37,8 @@ SCALES = (1, 2, 3, 4)
 def cube_of(images, **facts):
     """Epochs 0.2 yr apart, with pixels of 0.1 mas."""
     dates = Time(2000 + 0.2 * np.arange(len(images)), format="jyear")
-    return EpochCube.from_arrays(
-        np.array(images), dates,
-        pixel_scale=0.1 * u.mas, **facts,
-    )  # fmt: skip
+    facts |= {"pixel_scale": 0.1 * u.mas}
+    return EpochCube.from_arrays(np.array(images), dates, **facts)
 
 
 def power_law(slope, shape, rng):

@@ -250,29 +250,19 @@ def test_one_ssp_that_all_matches_share(clump):
     assert errors(found)[1] == pytest.approx(expected, rel=0.08)
 
 
-def chains(n, n_epochs):
+def chains(clump, n, n_epochs):
     """SSPs that are matched from epoch to epoch, all at one velocity."""
     feature, epoch = np.mgrid[:n, : n_epochs - 1].reshape(2, -1)
-    from astro_scc.stacking.velocities import VelocitySamples
-
-    one = np.ones(feature.size)
-    return VelocitySamples(
-        d1=0.5 * one,
-        d2=-0.25 * one,
-        s1=0.2 * one,
-        s2=0.2 * one,
-        weight=one,
-        reference=epoch,
-        target=epoch + 1,
-        ssp=epoch * n + feature,
-        target_ssp=(epoch + 1) * n + feature,
+    return replace(
+        clump(feature.size), reference=epoch, target=epoch + 1,
+        ssp=epoch * n + feature, target_ssp=(epoch + 1) * n + feature,
         n_ssps=np.full(n_epochs, n),
-    )
+    )  # fmt: skip
 
 
-def test_shifts_of_chains_cancel():
+def test_shifts_of_chains_cancel(clump):
     """What an SSP adds to the one displacement it takes from the next."""
-    d = chains(20, 9)
+    d = chains(clump, 20, 9)
     pairs = consecutive_pairs(HALF_YEAR * np.arange(9))
     chained = jitter(d, pairs=pairs)
     apart = jitter(replace(d, target_ssp=np.full(len(d), -1)), pairs=pairs)
