@@ -68,6 +68,18 @@ def test_errors_of_positions(variance):
     assert abs(np.mean(pulls)) < 0.25
 
 
+def test_no_scale():
+    image = sky(*THREE) + 1e-3 * beam_noise(np.random.default_rng(3))
+    one = fit_gaussians(image, BEAM, 1e-3)
+    small = fit_gaussians(1e-9 * image, BEAM, 1e-12)
+    for name in ("y", "x", "size", "y_err", "x_err"):
+        np.testing.assert_allclose(
+            getattr(small, name), getattr(one, name), rtol=1e-6, atol=1e-9
+        )
+    np.testing.assert_allclose(small.peak, 1e-9 * one.peak)
+    np.testing.assert_allclose(small.flux, 1e-9 * one.flux)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e6, -1e6])
 def test_missing_pixels_do_not_spread(bad):
     image = sky(*TWO)
