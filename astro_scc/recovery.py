@@ -16,6 +16,7 @@ from astropy.table import QTable
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from astro_scc import quantities as q
 from astro_scc.columns import build_table
 from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import EpochCube
@@ -25,13 +26,6 @@ from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.measurement.stacking import seeded
 from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
-from astro_scc.quantities import (
-    check_integer,
-    check_number,
-    finite_quantities,
-    named,
-    one_quantity,
-)
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking.trials import number_of_permutations
@@ -356,8 +350,8 @@ def completeness(
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     plan = scc.plan(cube)
     if fwhm is not None:
-        how = one_quantity, fwhm, "an angle", "1 mas"
-        width = named("fwhm", *how).to_value(u.mas)
+        how = q.one_quantity, fwhm, "an angle", "1 mas"
+        width = q.named("fwhm", *how).to_value(u.mas)
     elif cube.beams is not None:
         width = plan.fwhm
     else:
@@ -365,8 +359,8 @@ def completeness(
     if tolerance is None:
         tolerance = TOLERANCE * width / np.median(plan.pairs.interval)
     else:
-        how = one_quantity, tolerance, "a proper motion", "2 mas/yr"
-        tolerance = named("tolerance", *how).to_value(PM_UNIT)
+        how = q.one_quantity, tolerance, "a proper motion", "2 mas/yr"
+        tolerance = q.named("tolerance", *how).to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
     limit = plan.speed_limit(cube).to_value(PM_UNIT)
     speeds = _positive("speeds", speeds, PM_UNIT)
@@ -378,8 +372,8 @@ def completeness(
         )
     noise = float(np.median(cube.noise_rms().value))
     peaks = _peaks(fluxes, cube.unit, noise).tolist()
-    named("n_injections", check_integer, n_injections, 1)
-    named("n_features", check_number, n_features, 0, np.inf, "must be above 0")
+    q.named("n_injections", q.check_integer, n_injections, 1)
+    q.named("n_features", q.check_number, n_features, 0, np.inf, "must be above 0")
     if not 0 <= scatter < np.inf:
         raise ValueError(f"scatter must be zero or positive, got {scatter}")
     rng, seed = seeded(rng)
@@ -457,8 +451,8 @@ def _direction(position_angle, axis):
         )
     if radial:
         return given, 1.0
-    how = one_quantity, given, "an angle", "65 deg", False
-    angle = named("position_angle", *how).to(u.deg)
+    how = q.one_quantity, given, "an angle", "65 deg", False
+    angle = q.named("position_angle", *how).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
 
 
@@ -482,12 +476,12 @@ def _positive(name, value, unit):
     wanted = f"must be one or more positive numbers in a unit like {unit}"
 
     def check(value):
-        found = np.atleast_1d(finite_quantities(value, unit, wanted).to_value(unit))
+        found = np.atleast_1d(q.finite_quantities(value, unit, wanted).to_value(unit))
         if not np.all(found > 0):
             raise ValueError(wanted)
         return found
 
-    return named(name, check, value)
+    return q.named(name, check, value)
 
 
 def _counted(outcomes):
@@ -518,7 +512,7 @@ def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
     Each cell has ``number`` generators of its own, so the outcome is the same for any
     number of threads.  Warnings about what the data support are not repeated.
     """
-    named("n_workers", check_integer, n_workers, 1)
+    q.named("n_workers", q.check_integer, n_workers, 1)
     jobs = [
         (cell, own)
         for cell, root in zip(cells, rng.spawn(len(cells)), strict=True)

@@ -9,12 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.decomposition.noise import (
-    local_noise,
-    plane_noise,
-    propagated_noise,
-    shared_variance,
-)
+from astro_scc.decomposition import noise as estimates
 from astro_scc.decomposition.segmentation import SSPs, check_thresholds, find_ssps
 from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
 from astro_scc.quantities import NOISES, check_choice, named
@@ -236,7 +231,7 @@ class Decomposer:
         each = [self._planes(*of) for of in zip(images, masks, strict=True)]
         planes, masks, _ = zip(*each, strict=True)
         found = [
-            shared_variance(pair, scale, masks=masks)
+            estimates.shared_variance(pair, scale, masks=masks)
             for *pair, scale in zip(*planes, self.scales, strict=True)
         ]
         share, chance = np.array(found).T
@@ -258,12 +253,12 @@ class Decomposer:
         if self.noise == "propagated":
             if rms is None or not 0 < rms < np.inf:
                 raise ValueError(f"'propagated' needs the rms of the image, got {rms}")
-            return propagated_noise(
+            return estimates.propagated_noise(
                 rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
             )
-        estimate = plane_noise if self.noise == "plane" else local_noise
+        kinds = {"plane": estimates.plane_noise, "local": estimates.local_noise}
         factors = self.noise_factors or (1.0,) * len(self.scales)
         return [
-            factor * estimate(plane, scale, mask=missing)
+            factor * kinds[self.noise](plane, scale, mask=missing)
             for plane, scale, factor in zip(planes, self.scales, factors, strict=True)
         ]

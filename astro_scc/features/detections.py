@@ -13,12 +13,7 @@ from numpy.typing import ArrayLike
 from astro_scc.correlation.parallel import in_order
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.features.gaussians import fit_gaussians
-from astro_scc.images.positions import (
-    SCALES_PER_FWHM,
-    beam_fwhm,
-    position_errors,
-    ssp_offsets,
-)
+from astro_scc.images import positions
 from astro_scc.progress import progress
 
 #: Distance from the origin within which the core lies if the epochs are not aligned,
@@ -295,16 +290,16 @@ def ssps_of(cube, ssps, own, fwhm=None):
     if cube.beams is None:
         if fwhm is None:
             finest = ssp_sizes(ssps).min(initial=np.inf) if len(ssps) else 1.0
-            fwhm = SCALES_PER_FWHM * finest * cube.pixel_scale.value
+            fwhm = positions.SCALES_PER_FWHM * finest * cube.pixel_scale.value
         beam = np.eye(2) * fwhm**2 / (8 * np.log(2))
     else:
         beam = _mean_beam(cube)
-    place = np.stack(ssp_offsets(ssps, cube), axis=1)
-    widths = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    place = np.stack(positions.ssp_offsets(ssps, cube), axis=1)
+    widths = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     return Detections(
         epoch=ssps.epoch[own],
         place=place[own],
-        place_error=position_errors(ssps.snr, widths, 0.0)[own],
+        place_error=positions.position_errors(ssps.snr, widths, 0.0)[own],
         flux=ssps.flux[own],
         size=np.zeros(len(own)),
         years=_years(cube),

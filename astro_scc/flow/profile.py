@@ -13,18 +13,13 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc import measurement
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
 from astro_scc.flow.models import fit_profile
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
-from astro_scc.measurement import (
-    MatchedEpochs,
-    SCCResult,
-    false_discovery_rate,
-    select_ssps,
-)
 from astro_scc.measurement.products import write_files, write_tables
 from astro_scc.measurement.tables import Components, component_table, stack_tables
 from astro_scc.scc import StackedCrossCorrelation
@@ -80,7 +75,7 @@ class Profile(Components):
     """
 
     bins: u.Quantity
-    results: tuple[SCCResult | None, ...]
+    results: tuple[measurement.SCCResult | None, ...]
     along: str = "radius"
 
     def __len__(self) -> int:
@@ -107,7 +102,7 @@ class Profile(Components):
         tables = [
             component_table([]) if r is None else r.components for r in self.results
         ]
-        adjusted = false_discovery_rate(tables)
+        adjusted = measurement.false_discovery_rate(tables)
         placed = list(map(_in_bin, adjusted, self.bins))
         meta = dict(next((table.meta for table in tables if table.meta), {}))
         if tested := adjusted[0].meta.get("false_discovery"):
@@ -142,7 +137,7 @@ def _main(table):
 
 
 def measure_profile(
-    scc: StackedCrossCorrelation, matched: MatchedEpochs | EpochCube,
+    scc: StackedCrossCorrelation, matched: measurement.MatchedEpochs | EpochCube,
     edges: u.Quantity | str, *, window: u.Quantity | str | None = None,
     ridge: RidgeLine | None = None, n_trials: int = 1000,
     rng: np.random.Generator | int | None = None, progress_bar: bool = False,
@@ -199,7 +194,8 @@ def measure_profile(
     seed = int(rng) if isinstance(rng, int | np.integer) else None
     results = [None] * len(bins)
     for k, own in enumerate(np.random.default_rng(rng).spawn(len(bins))):
-        part = select_ssps(matched, r_min=bins[k, 0], r_max=bins[k, 1], ridge=ridge)
+        limits = {"r_min": bins[k, 0], "r_max": bins[k, 1]}
+        part = measurement.select_ssps(matched, **limits, ridge=ridge)
         if part.select.any():
             results[k] = scc.stack(
                 part, n_trials=n_trials, rng=own, progress_bar=progress_bar

@@ -20,12 +20,7 @@ from astro_scc.images.positions import beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.settings import MeasurementSettings, require
-from astro_scc.stacking.velocities import (
-    DatePairs,
-    VelocityGrid,
-    baseline_pairs,
-    consecutive_pairs,
-)
+from astro_scc.stacking import velocities
 from astro_scc.streams.diagram import Rays
 from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT
@@ -107,7 +102,7 @@ class SearchPlan:
     """
 
     scales: tuple[float, ...]
-    pairs: DatePairs
+    pairs: velocities.DatePairs
     intervals: tuple[float, float]
     radius: float
     fwhm: float
@@ -303,14 +298,14 @@ def pairs_of_dates(cube, baseline):
             "other dates (a file that is given twice counts once)"
         )
     if baseline is None:
-        pairs = consecutive_pairs(years)
+        pairs = velocities.consecutive_pairs(years)
         why = (
             f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
             "velocities need different dates"
         )
     else:
         shortest, longest = baseline.to_value(u.yr)
-        pairs = baseline_pairs(years, shortest, longest)
+        pairs = velocities.baseline_pairs(years, shortest, longest)
         why = (
             f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
             f"separations go from {np.diff(years).min():.3g} to "
@@ -373,7 +368,7 @@ def map_grid(displacements, pairs, limit):
     rate = 1 / pairs.interval.max()
     errors = displacements.s1, displacements.s2
     steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
-    return VelocityGrid.covering(limit, steps)
+    return velocities.VelocityGrid.covering(limit, steps)
 
 
 def flow_direction(matched, frame=None):

@@ -21,21 +21,11 @@ from astro_scc.features import Features
 from astro_scc.features.tables import feature_table
 from astro_scc.images.positions import axis_words, name_by_frame
 from astro_scc.images.serialize import read_object, write_object
+from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.extensions import velocity_hdus
 from astro_scc.measurement.matched import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
-from astro_scc.measurement.tables import (
-    Components,
-    component_row,
-    component_table,
-    components_of,
-    core_streams,
-    member_table,
-    paper_table,
-    printed,
-    ssp_table,
-)
 from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.trials import JitteredVelocity, PermutedStacks
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
@@ -53,7 +43,7 @@ RESULT = "astro_scc result"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SCCResult(Components):
+class SCCResult(tables.Components):
     """
     The stacked cross-correlation of a cube and its velocity components.
 
@@ -157,7 +147,7 @@ class SCCResult(Components):
         write_object(self, path, creator=RESULT, overwrite=overwrite)
 
     def __repr__(self):
-        table = printed(self.components)
+        table = tables.printed(self.components)
         unit = unit_name(table["pm"].unit)
         speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
         found = ", ".join(speeds) or "no stream"
@@ -167,7 +157,7 @@ class SCCResult(Components):
         return f"SCCResult {self.cube.meta.get('object', '')}".strip() + ": "
 
     def _repr_html_(self):
-        table = printed(self.components)
+        table = tables.printed(self.components)
         kinds = table["kind"].tolist()
         found = ", ".join(
             f"{kinds.count(kind)} {kind}"
@@ -183,7 +173,7 @@ class SCCResult(Components):
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
         if not kinds:
             return text
-        shown = paper_table(table)
+        shown = tables.paper_table(table)
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
@@ -194,7 +184,8 @@ class SCCResult(Components):
     @cached_property
     def ssps(self) -> QTable:
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
-        return ssp_table(self.matched.ssps, self.cube, select=self.matched.select)
+        matched = self.matched
+        return tables.ssp_table(matched.ssps, self.cube, select=matched.select)
 
     @property
     def tracked_features(self) -> Features:
@@ -210,7 +201,7 @@ class SCCResult(Components):
         Standing features, and those beside chains of matches, belong to the one whose
         velocity they have within two standard errors, the dispersion included.
         """
-        own = components_of(self, self.tracked_features)
+        own = tables.components_of(self, self.tracked_features)
         table = feature_table(self.tracked_features, own)
         table.meta["core"] = self.core
         return table
@@ -218,7 +209,7 @@ class SCCResult(Components):
     @cached_property
     def core(self) -> list[int]:
         """The rows of `components` that are the core, the reference of positions."""
-        return core_streams(self)
+        return tables.core_streams(self)
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -258,9 +249,8 @@ class SCCResult(Components):
         versions, the ``slowest_searched`` and ``fastest_searched`` speed along the
         streams, and the numbers of the rows that are the ``core``.
         """
-        rows = [
-            component_row(self, number) for number in range(1, len(self.maxima) + 1)
-        ]
+        numbers = range(1, len(self.maxima) + 1)
+        rows = [tables.component_row(self, number) for number in numbers]
         meta, unit = self.meta | self.cube.facts, self.cube.speed_unit
         if rows:
             speed = np.abs(self.search.permutations.speed)
@@ -268,7 +258,8 @@ class SCCResult(Components):
             meta["slowest_searched"] = (speed.min() * PM_UNIT).to(unit)
             meta["fastest_searched"] = (speed.max() * PM_UNIT).to(unit)
             meta["core"] = self.core
-        return name_by_frame(component_table(rows, meta=meta, unit=unit), self.cube)
+        table = tables.component_table(rows, meta=meta, unit=unit)
+        return name_by_frame(table, self.cube)
 
     def velocity_map(self, which: str = "coefficient") -> NDData:
         """
@@ -392,7 +383,7 @@ class SCCResult(Components):
         ValueError
             If there is no such component.
         """
-        return member_table(self, number)
+        return tables.member_table(self, number)
 
     def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
         """

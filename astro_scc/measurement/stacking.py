@@ -5,23 +5,15 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.measurement import sensitivity
 from astro_scc.measurement.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.sensitivity import (
-    search_matches,
-    sensitivity_rows,
-    with_choices,
-)
 from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
+from astro_scc.stacking import trials
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.stack import stack, velocity_peak_near
-from astro_scc.stacking.trials import (
-    jitter_positions,
-    number_of_permutations,
-    permute_stacks,
-)
 from astro_scc.stacking.velocities import baseline_pairs
 from astro_scc.streams.search_settings import DEFAULT
 
@@ -75,12 +67,12 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     pairs, max_speed, fwhm = plan.pairs, plan.max_speed, plan.fwhm
     with progress(None, "Searching", show=progress_bar):
         of = matched, settings, plan
-        found = search_matches(*of, n_trials=n_trials, rng=search_rng)
-    choices = sensitivity_rows(found, *of, choice_rng)
+        found = sensitivity.search_matches(*of, n_trials=n_trials, rng=search_rng)
+    choices = sensitivity.sensitivity_rows(found, *of, choice_rng)
     search, velocities, samples = found.search, found.velocities, found.samples
     frame = found.frame
     if choices:
-        first = with_choices(velocities[0], choices)
+        first = sensitivity.with_choices(velocities[0], choices)
         velocities = (first, *velocities[1:])
     angle = flow_direction(matched, frame)
     _warn_of_limits(search.permutations.smallest_p, len(cube), n_trials, alpha)
@@ -101,12 +93,12 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     shift = (SMALL_SHIFT * fwhm,) * 2 if small else None
     with progress(few, "Permuting", show=progress_bar) as done:
         how = {"rng": paper_rng, "shift": shift, "progress": done}
-        permuted = permute_stacks(maps, pairs, grid, few, **how)
+        permuted = trials.permute_stacks(maps, pairs, grid, few, **how)
     scc = stack(samples, pairs, grid)
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
     peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
     jitters = tuple(
-        jitter_positions(samples, pairs, peak, box, few, rng=own)
+        trials.jitter_positions(samples, pairs, peak, box, few, rng=own)
         for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
     )
     return SCCResult(
@@ -153,7 +145,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Warn if no p-value can be as small as the level."""
     if smallest <= level:
         return
-    if 1 / number_of_permutations(n_epochs) <= level:
+    if 1 / trials.number_of_permutations(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
             f"so no stream can reach level {level:g}: give n_trials of "

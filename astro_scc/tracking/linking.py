@@ -15,29 +15,14 @@ from scipy.sparse.csgraph import (
 
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.tracking.likelihood import (
-    MERGE_COST,
-    Candidates,
-    brightness,
-    chance_density,
-    coarse_to_fine,
-    correlation_term,
-    equal_pairs,
-    lowest,
-    merged_flux,
-    moves_alike,
-    neighbours,
-    rank_in_group,
-    similarity,
-    steady_motion,
-)
+from astro_scc.tracking import likelihood
 
 #: Rounds in which candidates are evaluated, given the links of the previous round.
 ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Links(Candidates):
+class Links(likelihood.Candidates):
     """
     The candidates that are links: pairs of SSPs that are one feature.
 
@@ -79,7 +64,7 @@ class Links(Candidates):
 
 
 def link(
-    candidates: Candidates, ssps: SSPs, *, parent: ArrayLike | None = None,
+    candidates: likelihood.Candidates, ssps: SSPs, *, parent: ArrayLike | None = None,
     tolerance: float = 2.0,
 ) -> Links:  # fmt: skip
     """
@@ -130,16 +115,16 @@ def link(
     >>> links.source.tolist(), links.target.tolist()
     ([0, 1], [1, 2])
     """
-    step, density = ssps.epoch, chance_density(ssps)
-    alone = similarity(candidates, ssps)
+    step, density = ssps.epoch, likelihood.chance_density(ssps)
+    alone = likelihood.similarity(candidates, ssps)
     kind, gain = np.full(len(candidates), "", "U5"), np.zeros(len(candidates))
     coarse = width = None
     for scale in sorted(np.unique(ssps.scale), reverse=True):
         own = np.flatnonzero(ssps.scale[candidates.source] == scale)
         part = candidates.select(own)
-        worth = alone[own] + merged_flux(part, ssps, tolerance)
+        worth = alone[own] + likelihood.merged_flux(part, ssps, tolerance)
         if coarse is not None and parent is not None:
-            worth += coarse_to_fine(part, coarse, parent, width, density)
+            worth += likelihood.coarse_to_fine(part, coarse, parent, width, density)
         chosen, gains = _link_scale(part, worth, step, density, tolerance)
         kind[own] = _merges_and_splits(part, chosen, gains, ssps, tolerance)
         gain[own] = gains
@@ -152,7 +137,7 @@ def link(
 
 def _link_scale(part, worth, step, density, tolerance):
     """Return which candidates of a scale are chosen, and the gains of all."""
-    transitions = equal_pairs(part.target, part.source)
+    transitions = likelihood.equal_pairs(part.target, part.source)
     use, chosen = np.ones(len(part), bool), np.zeros(len(part), bool)
     for _ in range(ROUNDS):
         between = _steady_motion(part, chosen, transitions, step, density, tolerance)
@@ -178,12 +163,12 @@ def _steady_motion(part, chosen, transitions, step, density, tolerance):
         (-1, transitions[::-1], part.source),
     ):
         sums = np.column_stack([interval**2, motion * interval[:, None]])
-        links, rank = own[order[::way]], rank_in_group(track[order[::way]])
+        links, rank = own[order[::way]], likelihood.rank_in_group(track[order[::way]])
         # Running sums within each track.
         total, first = np.cumsum(sums[links], axis=0), np.arange(len(links)) - rank
         sums[links] = total - (total[first] - sums[links[first]])
         between.append(
-            steady_motion(
+            likelihood.steady_motion(
                 motion[other], interval[other],
                 sums[one, 1:] / sums[one, :1], sums[one, 0], density[end[other]],
                 tolerance,
@@ -237,9 +222,9 @@ def _best_paths(source, target, worth, transitions, between, step, use):
     order = np.lexsort((after, step[source[after]]))
     order = order[use[before[order]]]
     before, after, between = before[order], after[order], between[order]
-    first = np.flatnonzero(rank_in_group(step[source[after]]) == 0)
+    first = np.flatnonzero(likelihood.rank_in_group(step[source[after]]) == 0)
     for own in np.split(np.arange(len(order)), first[1:]):
-        head = np.flatnonzero(rank_in_group(after[own]) == 0)
+        head = np.flatnonzero(likelihood.rank_in_group(after[own]) == 0)
         gain = np.maximum.reduceat(best[before[own]] + between[own], head)
         best[after[own[head]]] += np.maximum(gain, 0.0)
     ending = np.zeros(len(step))
@@ -272,13 +257,13 @@ def _merges_and_splits(part, chosen, gain, ssps, tolerance):
         host = sitting[shared]
         own = np.flatnonzero((host >= 0) & ~np.isin(free, free[kind != ""]))
         own = own[part.gap[own] == part.gap[host[own]]]
-        alike = moves_alike(motion[own] - motion[host[own]], tolerance)
-        own = own[alike & neighbours(free[own], free[host[own]], ssps)]
+        alike = likelihood.moves_alike(motion[own] - motion[host[own]], tolerance)
+        own = own[alike & likelihood.neighbours(free[own], free[host[own]], ssps)]
         beside, other = flux[free[host[own]]], flux[shared[own]]
-        value = brightness(np.log((flux[free[own]] + beside) / other))
-        value -= brightness(np.log(beside / other))
-        value += np.minimum(correlation_term(part.coefficient[own]), 0.0)
-        value -= MERGE_COST
+        value = likelihood.brightness(np.log((flux[free[own]] + beside) / other))
+        value -= likelihood.brightness(np.log(beside / other))
+        value += np.minimum(likelihood.correlation_term(part.coefficient[own]), 0.0)
+        value -= likelihood.MERGE_COST
         # Two more SSPs can share each; the first place is always preferred.
         seats = np.concatenate([shared[own], len(ssps) + shared[own]])
         values = np.concatenate([value, value - 1e-9])
@@ -336,7 +321,7 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     weight = np.asarray(weight, dtype=float)
     chosen = np.zeros(len(row), bool)
     # If a pair is given twice, the larger weight counts.
-    own = lowest(-weight, row, column)
+    own = likelihood.lowest(-weight, row, column)
     own = own[weight[own] > 0]
     if len(own) == 0:
         return chosen

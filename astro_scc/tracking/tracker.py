@@ -28,12 +28,7 @@ from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.progress import progress
 from astro_scc.settings import BEAMS, require
-from astro_scc.tracking.likelihood import (
-    coarser_ssps,
-    core_ssps,
-    find_candidates,
-    lowest,
-)
+from astro_scc.tracking import likelihood
 from astro_scc.tracking.linking import Links, chains, link
 from astro_scc.units import PM_UNIT
 
@@ -250,19 +245,19 @@ class FeatureTracker:
         matches = self._match(cube, decompositions, limits, fwhm, **how)
         target = target_ssps(matches, ssps)
         target = np.where((target >= 0) & select[target], target, -1)
-        core = core_ssps(ssps, cube)
+        core = likelihood.core_ssps(ssps, cube)
 
         def inside(found):
             # Features do not jump into the core or out of it.
             same = core[found.source] == core[found.target]
             return same & self._inside(found, ssps, cube, limits, fwhm)
 
-        candidates = find_candidates(
+        candidates = likelihood.find_candidates(
             matches, target, ssps, cube.years.to_value(u.yr), max_gap=self.max_gap,
             inside=inside,
         )  # fmt: skip
         return link(
-            candidates, ssps, parent=coarser_ssps(ssps, cube.shape[2]),
+            candidates, ssps, parent=likelihood.coarser_ssps(ssps, cube.shape[2]),
             tolerance=self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas),
         )  # fmt: skip
 
@@ -383,7 +378,7 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
         There are no disturbed assignments, so ``agreement`` and ``same_speed`` are 1;
         no track is ``proven``, as the rounds of `link` need not find the best links.
     """
-    core = core_ssps(ssps, cube)
+    core = likelihood.core_ssps(ssps, cube)
     jet = ~core if select is None else np.asarray(select) & ~core
     size, keep = ssp_sizes(ssps), np.zeros(len(ssps), bool)
     tracks = []
@@ -398,7 +393,7 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
     # Detections are in the order of the epochs.
     tracks = sorted((number[track] for track in tracks), key=lambda own: own[0])
     cores = np.flatnonzero(core)
-    cores = cores[lowest(size[cores], ssps.epoch[cores])]
+    cores = cores[likelihood.lowest(size[cores], ssps.epoch[cores])]
     fwhm = mean_fwhm(cube, np.unique(ssps.scale))
     return Features(
         cube=cube,

@@ -7,16 +7,10 @@ Those of a measurement and of images are drawn by `SCCResult.plot
 <astro_scc.epochs.EpochCube.plot>`.
 """
 
+from astro_scc.visualization import tracks, velocity
 from astro_scc.visualization.epochs import plot_epochs, plot_intervals
 from astro_scc.visualization.profiles import plot_profile
 from astro_scc.visualization.speeds import plot_feature_speeds, plot_sensitivity
-from astro_scc.visualization.tracks import plot_members, plot_separation, plot_tracks
-from astro_scc.visualization.velocity import (
-    plot_diagram,
-    plot_map_and_significance,
-    plot_significance,
-    plot_velocity_map,
-)
 
 __all__ = ["plot_profile"]
 
@@ -33,14 +27,14 @@ def _of_features(plot):
 
 #: Functions of a result and of options, by the kind of figure, its name in a report.
 FIGURES = {
-    "velocity_map": plot_velocity_map,
-    "significance": plot_significance,
-    "paper": plot_map_and_significance,
-    "diagram": plot_diagram,
-    "members": plot_members,
+    "velocity_map": velocity.plot_velocity_map,
+    "significance": velocity.plot_significance,
+    "paper": velocity.plot_map_and_significance,
+    "diagram": velocity.plot_diagram,
+    "members": tracks.plot_members,
     "speeds": plot_feature_speeds,
-    "tracks": _of_features(plot_tracks),
-    "separation": _of_features(plot_separation),
+    "tracks": _of_features(tracks.plot_tracks),
+    "separation": _of_features(tracks.plot_separation),
     "epochs": lambda result, **how: plot_epochs(result.cube, result.ssps, **how),
     "intervals": lambda result, **how: plot_intervals(result.cube, result.pairs, **how),
     "sensitivity": lambda result, **how: plot_sensitivity(result.sensitivity, **how),
