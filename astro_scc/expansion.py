@@ -307,7 +307,7 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
     n = len(widest)
     number = np.maximum(np.bincount(kind, minlength=n), 1)
     for _ in range(STEPS):
-        rest = samples.v - _model(samples, place)
+        rest = samples.v - place[samples.group][:, None] * (samples.x - place[-2:])
         square = (rest**2).sum(axis=1) * square_interval
         width, f = scatter[kind], share[kind]
         near = f * np.exp(-0.5 * square / width**2) / (2 * np.pi * width**2)
@@ -317,15 +317,11 @@ def _climb(samples, place, scatter, share, area, widest, fixed):
         scatter = np.clip(np.sqrt(mean), *np.multiply.outer(SCATTER, widest))
         share = np.clip(total / number, *SHARE)
         weight = p * square_interval / scatter[kind] ** 2
-        step, inverse = _step(samples, place, weight, fixed)
+        step, inverse = _step(samples, place, rest, weight, fixed)
         place = place + step
         if np.all(np.abs(step) <= SMALL * np.sqrt(np.abs(np.diag(inverse)))):
             break
     return place, scatter, share, inverse, p
-
-
-def _model(samples, place):
-    return place[samples.group][:, None] * (samples.x - place[-2:])
 
 
 def _design(samples, place, fixed):
@@ -337,7 +333,7 @@ def _design(samples, place, fixed):
     return design
 
 
-def _step(samples, place, weight, fixed):
+def _step(samples, place, rest, weight, fixed):
     """Return a step of weighted least squares, and the inverse of the normal matrix."""
     design = _design(samples, place, fixed)
     weighted = weight[:, None, None] * design
@@ -347,7 +343,6 @@ def _step(samples, place, weight, fixed):
     unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1)), 0)
     unit = np.outer(unit, unit)
     inverse = unit * np.linalg.pinv(normal * unit, hermitian=True)
-    rest = samples.v - _model(samples, place)
     return inverse @ np.einsum("iaj,ia->j", weighted, rest), inverse
 
 

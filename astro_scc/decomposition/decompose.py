@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition import noise as estimates
-from astro_scc.decomposition.segmentation import SSPs, check_thresholds, find_ssps
+from astro_scc.decomposition.segmentation import SSPs, find_ssps
 from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
 from astro_scc.quantities import NOISES, check_choice, named
 
@@ -153,7 +153,11 @@ class Decomposer:
         scales = tuple(sorted({float(scale) for scale in self.scales}))
         if not scales:
             raise ValueError("at least one wavelet scale is needed")
-        check_thresholds(self.detection, self.segmentation)
+        if not 0 < self.segmentation <= self.detection:
+            raise ValueError(
+                "thresholds must satisfy 0 < segmentation <= detection, "
+                f"got segmentation {self.segmentation} and detection {self.detection}"
+            )
         for scale in scales:
             scale_kernel(scale, self.kernel)
         named("noise", check_choice, self.noise, *NOISES)
@@ -199,12 +203,9 @@ class Decomposer:
         noise = self._noise(planes, missing, rms, beam_covariance)
         noise = tuple(np.maximum(sigma, floor) for sigma in noise)
         thresholds = {"detection": self.detection, "segmentation": self.segmentation}
-        ssps = SSPs.concatenate(
-            [
-                find_ssps(plane, scale, sigma, mask=missing, **thresholds)
-                for plane, scale, sigma in zip(planes, self.scales, noise, strict=True)
-            ]
-        )
+        each = zip(planes, self.scales, noise, strict=True)
+        found = [find_ssps(*one, mask=missing, **thresholds) for one in each]
+        ssps = SSPs.concatenate(found)
         planes = planes.astype(np.float32)
         return Decomposition(self.scales, planes, noise, ssps, missing)
 

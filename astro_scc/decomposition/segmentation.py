@@ -206,15 +206,6 @@ def quadratic_peak(values):
     return dy, dx, np.maximum(height, v[..., 1, 1])
 
 
-def check_thresholds(detection, segmentation):
-    """Raise a ValueError if the thresholds can give no SSPs."""
-    if not 0 < segmentation <= detection:
-        raise ValueError(
-            "thresholds must satisfy 0 < segmentation <= detection, "
-            f"got segmentation {segmentation} and detection {detection}"
-        )
-
-
 def find_ssps(
     plane: np.ndarray, scale: float, noise: float | np.ndarray, *,
     mask: ArrayLike | None = None, detection: float = 4.0, segmentation: float = 3.0,
@@ -247,11 +238,6 @@ def find_ssps(
     `SSPs`
         Without rows if nothing is significant.
 
-    Raises
-    ------
-    ValueError
-        If a threshold is not positive or ``segmentation > detection``.
-
     Examples
     --------
     >>> import numpy as np
@@ -262,7 +248,6 @@ def find_ssps(
     >>> len(ssps), float(ssps.x_centroid[0].round(1))
     (1, 20.3)
     """
-    check_thresholds(detection, segmentation)
     plane = np.asarray(plane, dtype=float)
     noise = np.broadcast_to(np.asarray(noise, dtype=float), plane.shape)
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)

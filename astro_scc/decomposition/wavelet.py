@@ -157,8 +157,7 @@ def wavelet_planes(
     Raises
     ------
     ValueError
-        If there are no scales, or if `scale_size` or ``atrous_transform`` raises
-        one.
+        If `scale_size` or ``atrous_transform`` raises one.
 
     Examples
     --------
@@ -168,8 +167,6 @@ def wavelet_planes(
     (3, 32, 32)
     """
     places = [scale_kernel(scale, kernel) for scale in scales]
-    if not places:
-        raise ValueError("at least one wavelet scale is needed")
     transforms = {}
     for name in {name for name, _ in places}:
         n_levels = 1 + max(level for key, level in places if key == name)

@@ -103,8 +103,7 @@ class Assignment:
         step, in_vain = 1.0, 0
         for k in range(iterations + 1):
             value = score - self.uses @ price
-            take = value > 0
-            bound = price.sum() + value[take].sum()
+            bound = price.sum() + value[value > 0].sum()
             if bound < lowest - 1e-9:
                 lowest, best_price, in_vain = bound, price, 0
             else:
@@ -112,12 +111,11 @@ class Assignment:
             if in_vain >= 8:
                 step, in_vain, price = 0.6 * step, 0, best_price
                 value = score - self.uses @ price
-                take = value > 0
             if k % BETWEEN == 0 or k == iterations:
                 other = self._greedy(value, score)
                 if score[other].sum() > total:
                     chosen, total = other, score[other].sum()
-            slope = 1.0 - self._times_used(np.flatnonzero(take))
+            slope = 1.0 - self._times_used(np.flatnonzero(value > 0))
             slope[(price <= 0) & (slope > 0)] = 0
             length = slope @ slope
             if length == 0 or lowest - total <= 1e-6 * total:

@@ -195,12 +195,8 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
     # From (y, x) in pixels to offsets on the two axes.
     matrix = cube.pixel_matrix.value[:, ::-1]
     inverse, noise = np.linalg.inv(matrix), cube.noise_rms().value
-    work = (
-        (image, mask, inverse @ beam.covariance.value @ inverse.T, rms)
-        for image, mask, beam, rms in zip(
-            cube.data, cube.mask, cube.beams, noise, strict=True
-        )
-    )
+    covariances = (inverse @ b.covariance.value @ inverse.T for b in cube.beams)
+    work = zip(cube.data, cube.mask, covariances, noise, strict=True)
     models = []
     with progress(len(cube), "Fitting", show=progress_bar) as done:
         for model in in_order(_fit, work, n_workers):

@@ -57,12 +57,8 @@ class Diffusion:
     @property
     def is_walk(self) -> bool:
         """Whether the features diffuse."""
-        return (
-            self.n_features >= FEWEST
-            and self.step >= STEP
-            and self.change >= CHANGE
-            and self.isotropy >= ISOTROPY
-        )
+        enough = self.n_features >= FEWEST and self.step >= STEP
+        return enough and self.change >= CHANGE and self.isotropy >= ISOTROPY
 
 
 def measure_diffusion(features: Features) -> Diffusion:

@@ -71,15 +71,10 @@ class Features:
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
         """Straight line or parabola of each feature."""
-        d = self.detections
+        d, each = self.detections, [track.detection for track in self.tracks]
         return tuple(
-            fit_motion(
-                d.time[track.detection],
-                d.place[track.detection],
-                d.place_error[track.detection],
-                d.fwhm,
-            )
-            for track in self.tracks
+            fit_motion(d.time[own], d.place[own], d.place_error[own], d.fwhm)
+            for own in each
         )
 
     @property

@@ -15,6 +15,8 @@ _FWHM = np.sqrt(8 * np.log(2))
 # Columns of the parameters of components: convolved peak, position, and variance
 # before the convolution, which unlike a width has a gradient at zero.
 _PEAK, _Y, _X, _VARIANCE = range(4)
+#: All samples of an image.
+EVERYWHERE = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +59,6 @@ class Gaussians:
 
     def __len__(self) -> int:
         return len(self.y)
-
-    @classmethod
-    def empty(cls) -> Gaussians:
-        """Return a model without components."""
-        return cls(*(np.empty(0) for _ in fields(cls)))
 
 
 def fit_gaussians(
@@ -136,12 +133,10 @@ def fit_gaussians(
     if beam.shape != (2, 2) or not (np.linalg.eigvalsh(beam) > 0).all():
         raise ValueError("the covariance of the beam must be positive definite, 2 x 2")
     data = _Data.of(image, beam, noise, mask, threshold, relative_error)
-    if data is None:
-        return Gaussians.empty()
-    p = _grown(data, threshold, max_components)
+    p = [] if data is None else _grown(data, threshold, max_components)
     if len(p) == 0:
-        return Gaussians.empty()
-    p = _least_squares(p, data, data.everywhere, 0.0)
+        return Gaussians(*(np.empty(0) for _ in fields(Gaussians)))
+    p = _least_squares(p, data, EVERYWHERE, 0.0)
     p = _pruned(p, data)
     y_err, x_err = _position_errors(p, data)
     order = np.argsort(-p[:, _PEAK], kind="stable")
@@ -217,10 +212,6 @@ class _Data:
             beam=beam,
             independent=step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam))),
         )
-
-    @property
-    def everywhere(self):
-        return np.ones(len(self.y), dtype=bool)
 
     @property
     def penalty(self):
@@ -365,7 +356,7 @@ def _grown(data, threshold, max_components):
         new, where = _refitted(np.vstack([p, first]), data, at)
         if data.chi2(p, where) - data.chi2(new, where) > data.penalty:
             p, tried = new, 0
-            left = data.value - data.model(p, data.everywhere)
+            left = data.value - data.model(p, EVERYWHERE)
             residual = left * data.weight
         else:
             tried += 1

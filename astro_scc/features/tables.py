@@ -10,15 +10,15 @@ from astro_scc.images.positions import name_by_frame
 from astro_scc.units import in_speed_unit
 
 
-def feature_table(features, component=None):
+def feature_table(features, component=0):
     """
     Return the features of a cube as a table.
 
     Parameters
     ----------
     features : `~astro_scc.features.Features`
-    component : array_like of int, shape (n,), optional
-        Stream that each belongs to.
+    component : int or array_like of int, shape (n,), optional
+        Stream that each belongs to, 0 for none.
 
     Returns
     -------
@@ -27,11 +27,7 @@ def feature_table(features, component=None):
         that are not measured are NaN: accelerations unless a parabola is better
         than a line, and dates of ejection unless the motion is radial.
     """
-    if component is None:
-        component = np.zeros(len(features), dtype=int)
-    rows = [
-        _row(features, k) | {"component": component[k]} for k in range(len(features))
-    ]
+    rows = [_row(features, k) for k in range(len(features))]
     cube, unit = features.cube, features.cube.speed_unit
     years = np.array([row["date"] for row in rows], dtype=float)
     date = Time(years, format="jyear", scale="utc")
@@ -39,6 +35,7 @@ def feature_table(features, component=None):
     own = {
         name: _dates(cube, [row[name] for row in rows]) for name in ("first", "last")
     }
+    own["component"] = np.full(len(features), component)
     own["flux"] = np.array([row["flux"] for row in rows], float) * flux_unit(cube)
     table = build_table("features", rows, date=date, **own)
     if unit.bases[1] != u.yr:

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -110,12 +109,9 @@ class Track:
     ----------
     detection : `~numpy.ndarray` of int, shape (n,)
         In the order of the epochs.
-    agreement : `~numpy.ndarray`, shape (n - 1,)
-        Share of the disturbed assignments in which each detection is followed by
-        the next one.
     same_speed : float
-        Share of them with a track of these detections, at the same dates, that has
-        the same velocity.
+        Share of the disturbed assignments with a track of these detections, at the
+        same dates, that has the same velocity.
     proven : bool
         Whether the assignment was solved to the end.
 
@@ -123,12 +119,11 @@ class Track:
     --------
     >>> import numpy as np
     >>> from astro_scc.features.tracks import Track
-    >>> len(Track(np.array([0, 2, 3, 5]), np.ones(3), 1.0, True))
+    >>> len(Track(np.array([0, 2, 3, 5]), 1.0, True))
     4
     """
 
     detection: np.ndarray
-    agreement: np.ndarray
     same_speed: float
     proven: bool
 
@@ -183,9 +178,8 @@ def find_tracks(
         if not new:
             break
         for track in new:
-            own = left[track.detection]
-            free[own] = False
-            found.append(Track(own, track.agreement, track.same_speed, track.proven))
+            found.append(replace(track, detection=left[track.detection]))
+            free[found[-1].detection] = False
 
     def order(track):
         first = track.detection[0]
@@ -205,48 +199,34 @@ def _agreed(d, settings, seed):
     one = np.concatenate([path[:-1] for path in paths])
     other = np.concatenate([path[1:] for path in paths])
     owner = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
-    key = one * len(d) + other
-    links, which = np.unique(key, return_inverse=True)
+    links, which = np.unique(one * len(d) + other, return_inverse=True)
     for trial in range(settings.solutions):
         normal = _normal(d, *np.divmod(links, len(d)), seed, trial)
         noise = settings.disturbance * normal[which]
         disturbed = score + np.bincount(owner, noise, len(paths))
         solutions.append(assignment.good(disturbed))
-    share = _link_shares(solutions, owner, key)
-    follows = {
-        divmod(int(key), len(d)): value
-        for key, value in share.items()
-        if value > settings.agreed
-    }
+    share = np.zeros(len(links))
+    for chosen in solutions:
+        used = np.bincount(which[np.isin(owner, chosen)], minlength=len(links))
+        share += used / len(solutions)
+    before, after = np.divmod(links[share > settings.agreed], len(d))
+    follows = dict(zip(before.tolist(), after.tolist(), strict=True))
     tracks = []
     for chain in _chains(follows):
         if len(chain) < settings.least_epochs:
             continue
-        agreement = np.array([follows[link] for link in pairwise(chain)])
         detection = np.array(chain)
         same = _same_speed(d, detection, paths, solutions)
-        tracks.append(Track(detection, agreement, same, proven))
+        tracks.append(Track(detection, same, proven))
     return tracks
-
-
-def _link_shares(solutions, owner, key):
-    """Return the share of the assignments that each link is part of."""
-    share = {}
-    first = np.searchsorted(owner, np.arange(owner[-1] + 2))
-    for chosen in solutions:
-        for track in chosen.tolist():
-            for link in key[first[track] : first[track + 1]].tolist():
-                share[link] = share.get(link, 0.0) + 1 / len(solutions)
-    return share
 
 
 def _chains(follows):
     """Yield chains of detections that follow each other."""
-    after = dict(follows.keys())
-    for start in sorted(after.keys() - set(after.values())):
+    for start in sorted(follows.keys() - set(follows.values())):
         chain = [start]
-        while chain[-1] in after:
-            chain.append(after[chain[-1]])
+        while chain[-1] in follows:
+            chain.append(follows[chain[-1]])
         yield chain
 
 

@@ -25,6 +25,7 @@ from astro_scc.measurement.tables import Components, component_table, stack_tabl
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking.stack import stack
+from astro_scc.visualization import profiles, style
 
 
 def bins_of(edges, *, window=None):
@@ -257,8 +258,6 @@ def write_profile(
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
-    from astro_scc.visualization import style
-
     settings = {"configuration": configuration, "text": text}
     of = {"profile": components}, directory, components.meta
     _, paths = write_tables(*of, **settings)
@@ -269,18 +268,16 @@ def write_profile(
 
 def _figures(profile, components):
     """Return functions that draw the figures of a profile by their names."""
-    from astro_scc.visualization import plot_profile
-    from astro_scc.visualization.profiles import plot_position_angles, plot_scale_maps
-
     results = [result for result in profile.results if result is not None]
     first, (maps, grid) = results[0], _scale_maps(results)
+    angles = _angles_of_scales(results)
     shown = {"line": _line_of(first, profile.bins.max()), "fits": _fits(profile.main)}
     shown |= {"cube": first.cube, "beta_per_pm": beta_per_pm(components)}
     axes = {"axis_names": tuple(first.frame.axis_names), "unit": first.cube.speed_unit}
     return {
-        "profile": partial(plot_profile, components, **shown),
-        "velocity_maps": partial(plot_scale_maps, maps, grid, **axes),
-        "position_angles": partial(plot_position_angles, _angles_of_scales(results)),
+        "profile": partial(profiles.plot_profile, components, **shown),
+        "velocity_maps": partial(profiles.plot_scale_maps, maps, grid, **axes),
+        "position_angles": partial(profiles.plot_position_angles, angles),
     }
 
 

@@ -70,8 +70,7 @@ def _features_hdu(result):
     features["date"] = np.asarray(features["date"].isot, dtype="U23")
     velocity, _ = frame_velocities(result.frame, result.tracked_features)
     row = np.searchsorted(result.tracked_features.number, features["feature"])
-    of_rows = velocity[row] * PM_UNIT
-    features["pm_axis1"], features["pm_axis2"] = of_rows.T
+    features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
     return fits.table_to_hdu(features, name="FEATURES")
 
 

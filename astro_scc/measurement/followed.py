@@ -6,13 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import KDTree
 
+from astro_scc.features import motion as motions
 from astro_scc.features.diffusion import measure_diffusion
-from astro_scc.features.motion import (
-    SIGNIFICANT,
-    Motion,
-    fit_motion,
-    motion_in_intervals,
-)
 from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement.axes import frame_positions, turned
@@ -42,7 +37,7 @@ class _Followed:
     have one, and all SSPs of its emission.
     """
 
-    motion: Motion
+    motion: motions.Motion
     error: np.ndarray
     response: np.ndarray | None
     detection: np.ndarray
@@ -121,7 +116,7 @@ class FollowedFeatures:
         for track, motion, secure in zip(
             features.tracks, features.motions, features.secure, strict=True
         ):
-            moves = secure and motion.speed >= SIGNIFICANT * motion.speed_err
+            moves = secure and motion.speed >= motions.SIGNIFICANT * motion.speed_err
             epoch = d.epoch[track.detection]
             own = track.detection[(epoch >= self.first) & (epoch < last)]
             if len(own) < LEAST_EPOCHS or not (moves or self.diffuse):
@@ -132,10 +127,10 @@ class FollowedFeatures:
             moving, response = motion, None
             if len(own) < len(track.detection):
                 parts = (v[own] for v in (d.time, d.place, d.place_error))
-                moving = fit_motion(*parts, d.fwhm)
+                moving = motions.fit_motion(*parts, d.fwhm)
             if self.intervals != EVERY:
-                where = d.time[own], d.place[own], d.fwhm
-                moving, response = motion_in_intervals(moving, *where, self.intervals)
+                where = d.time[own], d.place[own], d.fwhm, self.intervals
+                moving, response = motions.motion_in_intervals(moving, *where)
                 if not response.any():
                     continue
             error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))

@@ -8,7 +8,6 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import wrap
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -87,15 +86,14 @@ def write_publication(
         for name, table in tables.items()
     }
     for name, table in tables.items():
-        rows = fixed_width(table)
         if "pm" in table.colnames:
             for journal, text in latex_texts_of(table, name).items():
                 texts[f"{name}_{journal}.tex"] = text
-        about = {"name": name, "caption": _caption(table, name), "data": rows}
-        about["facts"] = facts_of(table.meta)
+        about = {"name": name, "caption": _caption(table, name)}
+        about |= {"data": fixed_width(table), "facts": facts_of(table.meta)}
         files.append(about)
         texts[f"{name}_mrt.txt"] = _rendered("mrt.txt", **about)
-        texts[f"{name}.dat"] = "".join(f"{row}\n" for row in rows.rows)
+        texts[f"{name}.dat"] = "".join(f"{row}\n" for row in about["data"]["rows"])
     about = wrap(" ".join(files[0]["facts"]), 80, initial_indent="    ")
     texts["ReadMe"] = _rendered("ReadMe.txt", files=files, description=about)
     for name, text in texts.items():
@@ -237,16 +235,9 @@ def _latex_unit(name, unit):
 # -- CDS and MRT -------------------------------------------------------------------
 
 
-class FixedWidth(NamedTuple):
-    """Rows of equal width, and the description of their bytes."""
-
-    rows: list[str]
-    description: list[str]
-
-
 def fixed_width(table):
     """
-    Return a table in columns of fixed width, and their byte-by-byte description.
+    Return the rows of a table in columns of fixed width, and the description of these.
 
     Standard errors are labelled ``e_`` and the name of their column, as archives do,
     and what is not known is blank.  Floating-point numbers have as many digits after
@@ -269,7 +260,8 @@ def fixed_width(table):
             indents = {"initial_indent": head, "subsequent_indent": " " * len(head)}
             described += wrap(blank + about, 80, **indents)
             begin = end + 2
-    return FixedWidth([" ".join(row) for row in zip(*columns, strict=True)], described)
+    rows = [" ".join(row) for row in zip(*columns, strict=True)]
+    return {"rows": rows, "description": described}
 
 
 def _cells(column):

@@ -111,10 +111,8 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
     for number in np.unique(published["published"]).tolist():
         own = published[published["published"] == number]
         if len(own) >= LEAST:
-            place = np.stack(
-                [own[k].to_value(u.mas) for k in ("ra_offset", "dec_offset")]
-            )
-            paths[number] = own["date"].jyear, place
+            place = [own[k].to_value(u.mas) for k in ("ra_offset", "dec_offset")]
+            paths[number] = own["date"].jyear, np.stack(place)
     rows = []
     for track in features.tracks:
         time, place = d.time[track.detection], d.place[track.detection].T

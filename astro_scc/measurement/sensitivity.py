@@ -126,8 +126,7 @@ def sensitivity_rows(found, matched, settings, plan, rng):
     stream, velocity = streams[0], found.velocities[0]
     axis = _direction(velocity)
     main = _measured(stream, velocity, axis)
-    pairs = zip(streams, found.velocities, strict=True)
-    speeds = np.array([axis @ v.value for s, v in pairs if s.kind == "moving"])
+    speeds = np.array([axis @ own.value for _, own in _moving(found)])
     rows = [_row("as measured", main)]
     for pair in _pairs_of_parts(found, matched, stream):
         own = []
@@ -135,11 +134,7 @@ def sensitivity_rows(found, matched, settings, plan, rng):
             again = search_matches(
                 part, settings, plan, n_trials=TRIALS, rng=rng, **how
             )
-            some = [
-                _measured(*one, axis)
-                for one in zip(again.search.streams, again.velocities, strict=True)
-                if one[0].kind == "moving"
-            ]
+            some = [_measured(*one, axis) for one in _moving(again)]
             # What is nearer to another stream is not meant.
             some = [m for m in some if np.abs(speeds - m[0]).argmin() == 0]
             nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
@@ -237,6 +232,12 @@ def sensitivity_line(table):
     return "; ".join(lines)
 
 
+def _moving(found):
+    """Return the streams that move, each with its velocity."""
+    pairs = zip(found.search.streams, found.velocities, strict=True)
+    return [pair for pair in pairs if pair[0].kind == "moving"]
+
+
 def _direction(velocity):
     """Return the unit vector of a velocity that is not zero."""
     return velocity.value / np.hypot(*velocity.value)
@@ -277,13 +278,10 @@ def _pairs_of_parts(found, matched, stream):
     )
     middle, dates = len(cube) // 2, cube.times.strftime("%Y-%m-%d")
     if middle >= FEWEST_EPOCHS:
+        before, after = slice(middle), slice(middle, None)
         yield (
-            (f"epochs before {dates[middle]}", matched, {"epochs": slice(middle)}),
-            (
-                f"epochs from {dates[middle]} on",
-                matched,
-                {"epochs": slice(middle, None)},
-            ),
+            (f"epochs before {dates[middle]}", matched, {"epochs": before}),
+            (f"epochs from {dates[middle]} on", matched, {"epochs": after}),
         )
     r = ssp_distances(matched)
     place = [r[f.ssp].mean().to_value(u.mas) for f in stream.features if len(f.ssp)]

@@ -235,12 +235,8 @@ def feature_lines(features, most=MOST):
     longest = np.argsort(-secure["n_epochs"], kind="stable")[:most]
     if len(longest) < len(secure):
         said += f"; the {most} that were seen in most epochs"
-    return [
-        "",
-        f"{said}:",
-        *column_lines(_followed(secure[np.sort(longest)]), FEATURES),
-        "",
-    ]
+    lines = column_lines(_followed(secure[np.sort(longest)]), FEATURES)
+    return ["", f"{said}:", *lines, ""]
 
 
 def published_lines(features):
@@ -300,11 +296,8 @@ def _lacking(features):
         return ["No detections of four epochs or more are in steady motion."]
     motion = features["motion"].value
     errors = (features["pm"] / features["pm_err"]).value
-    shares = (
-        MOST_FALSE / features["p_false"],
-        motion / LEAST_MOTION,
-        errors / SIGNIFICANT,
-    )
+    true = MOST_FALSE / features["p_false"]
+    shares = true, motion / LEAST_MOTION, errors / SIGNIFICANT
     best = np.argmax(np.minimum.reduce(shares))
     short = np.argmin(shares, axis=0)[best] == 1 and shares[1][best] > 1 / MOST_SPANS
     row = features[best]

@@ -19,6 +19,7 @@ from astro_scc.measurement.tables import printed
 from astro_scc.report import answer, tables
 from astro_scc.stacking.trials import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
+from astro_scc.visualization import speeds, style
 from astro_scc.writing import make_folder
 
 #: Products of a measurement beside report and figures, in the order of the page.
@@ -104,6 +105,7 @@ def write_report(
     # Of all rows that the figures mark they need the places.
     jet = components[np.isin(components["component"], shown["component"])]
     files = draw_figures(result, jet, **how)
+    features = table_in_c_as(printed(result.features), components)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
         result=result,
@@ -112,9 +114,7 @@ def write_report(
         headline=answer.headline(components),
         tables=tables.component_tables(shown),
         zip=zip,
-        features=tables.feature_rows(
-            table_in_c_as(printed(result.features), components)
-        ),
+        features=tables.feature_rows(features),
         notes=answer.notes(components, result.features),
         settings=meta.pop("settings", {}) | meta,
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
@@ -179,8 +179,6 @@ def write_overview(table, features, parts, folder, *, published):
     `~pathlib.Path`
         Path of the page.
     """
-    from astro_scc.visualization import speeds, style
-
     folder, files = Path(folder), {}
     found = speeds.population(features)
     if found["moving"].any():
@@ -213,8 +211,6 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
 
     Only the four that the page shows at once are drawn, unless ``every`` is True.
     """
-    from astro_scc.visualization import style
-
     per_pm, rows = {"beta_per_pm": beta_per_pm(components)}, {"components": components}
     options = {"diagram": rows}
     if len(result.features):

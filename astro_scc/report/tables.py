@@ -14,6 +14,7 @@ from astro_scc.flow.speeds import LEAST, MOST_BINS
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.quantities import with_error
 from astro_scc.units import offset_unit, unit_name
+from astro_scc.visualization.speeds import LARGE_ERROR, population
 
 #: Columns of components that come first, in their order: what is quoted, the rest.
 QUOTED = "component kind pm beta_app pm_pa dispersion p_global n_features n_ssp n_pairs"
@@ -66,11 +67,8 @@ def component_tables(components):
     # The notes say these in words.
     listed = {"caution", "pm_limit", *first, *others}
     listed |= {f"{name}_err" for name in listed}
-    others += [
-        name
-        for name in components.colnames
-        if name not in listed and components[name].ndim == 1
-    ]
+    rest = (name for name in components.colnames if name not in listed)
+    others += [name for name in rest if components[name].ndim == 1]
     return [
         [
             (heading, _in_words(meaning), texts)
@@ -150,17 +148,11 @@ def overview(table, features, parts, folder, published):
     of_part = defaultdict(list)
     for k, names in enumerate(features[list(PART)] if len(features) else ()):
         of_part[tuple(names)].append(k)
-    rows = [
-        _part_cells(
-            part,
-            first[part.source, part.region, part.scale_group],
-            features[of_part[part.source, part.region, part.scale_group]],
-            unit,
-            published[part.source],
-            folder,
-        )
-        for part in parts
-    ]
+    rows = []
+    for part in parts:
+        names = part.source, part.region, part.scale_group
+        own = first[names], features[of_part[names]]
+        rows.append(_part_cells(part, *own, unit, published[part.source], folder))
     moving = [cells for cells in rows if cells["kind"] == "moving"]
     speeds = [cells["speed"] for cells in moving if "speed" in cells]
     if speeds:
@@ -212,8 +204,6 @@ def _part_cells(part, row, features, unit, published, folder):
         cells[name] = cell(row, name, form=".2g")
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""
-    from astro_scc.visualization.speeds import population
-
     cells["profile"] = _small_profile(features, unit)
     if len(features):
         fastest = features["pm"][population(features)["moving"]].to_value(unit)
@@ -234,8 +224,6 @@ def _span(first, last):
 
 def _small_profile(features, unit):
     """Return the radial speeds of features against separations as parts of an SVG."""
-    from astro_scc.visualization.speeds import LARGE_ERROR
-
     if len(features) == 0:
         return None
     error = features["pm_radial_err"].value

@@ -349,10 +349,8 @@ class JetSimulation:
             if self.ripple:
                 image += self._ripple(image.max(), ripple_rng)
             if noise:
-                options = {"beam": beam, "pixel_scale": self.pixel_scale}
-                image += correlated_noise(
-                    self.shape, rms=noise, rng=noise_rng, **options
-                )
+                how = {"beam": beam, "pixel_scale": self.pixel_scale, "rng": noise_rng}
+                image += correlated_noise(self.shape, rms=noise, **how)
         return images
 
     def _ripple(self, peak, rng):

@@ -238,9 +238,8 @@ def fit_gaussian(values, x, y):
 
 
 def find_velocity_peaks(
-    scc: np.ndarray, grid: VelocityGrid, box: tuple[float, float], *,
-    threshold: float = 0.0,
-) -> list[VelocityPeak]:  # fmt: skip
+    scc: np.ndarray, grid: VelocityGrid, box: tuple[float, float]
+) -> list[VelocityPeak]:
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
 
@@ -256,8 +255,6 @@ def find_velocity_peaks(
     box : tuple of float
         Sides of the box along the two axes; in the paper, the beam divided by
         the interval.
-    threshold : float, optional
-        Smallest coefficient of a maximum.
 
     Returns
     -------
@@ -274,8 +271,7 @@ def find_velocity_peaks(
     >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]
     [1.1]
     """
-    smallest = max(threshold, np.finfo(float).tiny)
-    _, y, x, _ = find_peaks(scc[None], smallest)
+    _, y, x, _ = find_peaks(scc[None], np.finfo(float).tiny)
     points = [_grid_point(scc, *place) for place in zip(y, x, strict=True)]
     step1, step2 = grid.step
     found = []

@@ -79,14 +79,7 @@ def permute_stacks(pair_maps, pairs, grid, n_trials, *, rng, shift=None, progres
     Returns
     -------
     `PermutedStacks`
-
-    Raises
-    ------
-    ValueError
-        If ``n_trials`` is below 2.
     """
-    if n_trials < 2:
-        raise ValueError(f"permutations need at least 2 trials, got {n_trials}")
     orders = random_permutations(pairs.n_dates, n_trials, rng)
     # A copy, so that the maps that it caches are freed with it.
     pair_maps = replace(pair_maps)

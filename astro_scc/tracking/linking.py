@@ -36,8 +36,6 @@ class Links(likelihood.Candidates):
     kind : `~numpy.ndarray` of str, shape (n,)
         "link"; "merge" if the target has another source; "split" if the source
         has another target.
-    gain : `~numpy.ndarray`, shape (n,)
-        Log-likelihood that the link adds to the tracks that it joins.
 
     Examples
     --------
@@ -56,7 +54,6 @@ class Links(likelihood.Candidates):
     """
 
     kind: np.ndarray
-    gain: np.ndarray
 
     def __repr__(self):
         counts = [f"{np.sum(self.kind == k)} {k}s" for k in ("link", "merge", "split")]
@@ -117,7 +114,7 @@ def link(
     """
     step, density = ssps.epoch, likelihood.chance_density(ssps)
     alone = likelihood.similarity(candidates, ssps)
-    kind, gain = np.full(len(candidates), "", "U5"), np.zeros(len(candidates))
+    kind = np.full(len(candidates), "", "U5")
     coarse = width = None
     for scale in sorted(np.unique(ssps.scale), reverse=True):
         own = np.flatnonzero(ssps.scale[candidates.source] == scale)
@@ -125,18 +122,16 @@ def link(
         worth = alone[own] + likelihood.merged_flux(part, ssps, tolerance)
         if coarse is not None and parent is not None:
             worth += likelihood.coarse_to_fine(part, coarse, parent, width, density)
-        chosen, gains = _link_scale(part, worth, step, density, tolerance)
-        kind[own] = _merges_and_splits(part, chosen, gains, ssps, tolerance)
-        gain[own] = gains
+        chosen = _link_scale(part, worth, step, density, tolerance)
+        kind[own] = _merges_and_splits(part, chosen, ssps, tolerance)
         coarse, width = part.select(chosen), scale_size(scale)
     order = np.lexsort((candidates.target, candidates.source))
     order = order[kind[order] != ""]
-    links = candidates.select(order)
-    return Links(**vars(links), kind=kind[order], gain=gain[order])
+    return Links(**vars(candidates.select(order)), kind=kind[order])
 
 
 def _link_scale(part, worth, step, density, tolerance):
-    """Return which candidates of a scale are chosen, and the gains of all."""
+    """Return which candidates of a scale are chosen."""
     transitions = likelihood.equal_pairs(part.target, part.source)
     use, chosen = np.ones(len(part), bool), np.zeros(len(part), bool)
     for _ in range(ROUNDS):
@@ -146,7 +141,7 @@ def _link_scale(part, worth, step, density, tolerance):
         if np.array_equal(now, chosen):
             break
         use = chosen = now
-    return chosen, gain
+    return chosen
 
 
 def _steady_motion(part, chosen, transitions, step, density, tolerance):
@@ -232,7 +227,7 @@ def _best_paths(source, target, worth, transitions, between, step, use):
     return best, ending
 
 
-def _merges_and_splits(part, chosen, gain, ssps, tolerance):
+def _merges_and_splits(part, chosen, ssps, tolerance):
     """
     Link SSPs without a partner to the partner of a neighbour.
 
@@ -241,9 +236,8 @@ def _merges_and_splits(part, chosen, gain, ssps, tolerance):
     three SSPs can share one.  The candidate must have the displacement of the
     neighbour's link, and the sum of fluxes must explain the flux on the other
     side better than the neighbour alone.  The gain is that of the brightness,
-    plus the term of the candidate's correlation if negative, minus one; it
-    replaces the one in ``gain``.  `assign` chooses, merges first.  Returned is the
-    kind of each candidate, "" if it is no link.
+    plus the term of the candidate's correlation if negative, minus one.  `assign`
+    chooses, merges first.  Returned is the kind of each candidate, "" if it is no link.
     """
     kind = np.where(chosen, "link", "").astype("U5")
     motion, flux = part.motion, ssps.flux
@@ -270,7 +264,6 @@ def _merges_and_splits(part, chosen, gain, ssps, tolerance):
         taken = assign(np.tile(free[own], 2), seats, values)
         taken = taken[: len(own)] | taken[len(own) :]
         kind[own[taken]] = name
-        gain[own[taken]] = value[taken]
     return kind
 
 

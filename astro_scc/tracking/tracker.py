@@ -322,15 +322,13 @@ class FeatureTracker:
         (low, high), spare = limits.T, MARGIN * self.tolerance * fwhm
         time = candidates.interval[:, None]
         if self._frame is None:
-            inside = np.hypot(*sky.T) <= high[0] * candidates.interval + spare
-        else:
-            position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
-            moved = frame_displacements(self._frame, position, sky)
-            # A radial frame has no axes at its origin, and any will do there.
-            moved = np.where(np.isfinite(moved), moved, sky)
-            inside = (moved >= low * time - spare) & (moved <= high * time + spare)
-            inside = inside.all(axis=1)
-        return inside
+            return np.hypot(*sky.T) <= high[0] * candidates.interval + spare
+        position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
+        moved = frame_displacements(self._frame, position, sky)
+        # A radial frame has no axes at its origin, and any will do there.
+        moved = np.where(np.isfinite(moved), moved, sky)
+        inside = (moved >= low * time - spare) & (moved <= high * time + spare)
+        return inside.all(axis=1)
 
     def _checked(self, cube, decompositions, select):
         """Return the SSPs of all epochs, and which of them are linked."""
@@ -375,8 +373,8 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
     Returns
     -------
     `~astro_scc.features.Features`
-        There are no disturbed assignments, so ``agreement`` and ``same_speed`` are 1;
-        no track is ``proven``, as the rounds of `link` need not find the best links.
+        There are no disturbed assignments, so ``same_speed`` is 1; no track is
+        ``proven``, as the rounds of `link` need not find the best links.
     """
     core = likelihood.core_ssps(ssps, cube)
     jet = ~core if select is None else np.asarray(select) & ~core
@@ -399,7 +397,7 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
         cube=cube,
         detections=ssps_of(cube, ssps, own, fwhm),
         core=ssps_of(cube, ssps, cores, fwhm),
-        tracks=tuple(Track(own, np.ones(len(own) - 1), 1.0, False) for own in tracks),
+        tracks=tuple(Track(own, 1.0, False) for own in tracks),
     )
 
 

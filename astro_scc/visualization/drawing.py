@@ -4,6 +4,7 @@
 import astropy.units as u
 import numpy as np
 
+from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.positions import axis_words, ssp_offsets
 from astro_scc.units import offset_unit, unit_name
@@ -369,7 +370,7 @@ def ssp_points(cube, ssps):
     if ssps is None:
         return None
     used = np.ones(len(ssps), bool)
-    if is_catalogue(ssps):
+    if isinstance(ssps, SSPs):
         place = np.stack(ssp_offsets(ssps, cube))
         epoch, scale, snr = ssps.epoch, ssps.scale, ssps.snr
     else:
@@ -382,11 +383,6 @@ def ssp_points(cube, ssps):
     return points | {"used": used, "weight": weight}
 
 
-def is_catalogue(ssps):
-    """Return whether SSPs are a catalogue, which knows their pixels, not a table."""
-    return hasattr(ssps, "pixels_of")
-
-
 def draw_ssps(ax, view, ssps, epoch, size=1.0):
     """Draw the SSPs of an epoch, with labels for all scales of the cube."""
     if ssps is None:
@@ -397,7 +393,7 @@ def draw_ssps(ax, view, ssps, epoch, size=1.0):
     for rank, (scale, color) in enumerate(colors.items()):
         here = (points["epoch"] == epoch) & (points["scale"] == scale)
         label = _scale_label(view, scale, rank == 0, rank == len(colors) - 1)
-        if is_catalogue(ssps):
+        if isinstance(ssps, SSPs):
             line = {"color": color, "linewidth": 0.7 + 0.4 * rank, "label": label}
             _draw_outlines(ax, view, ssps, np.flatnonzero(here), **line)
             continue

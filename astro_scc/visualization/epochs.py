@@ -61,7 +61,13 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     drawn = drawing.draw_image(ax, view, image, index)
     drawing.draw_ssps(ax, view, ssps, index)
     _label_masked(ax, view, image.mask)
-    _name_axes(ax, view, index)
+    handles, _ = ax.get_legend_handles_labels()
+    ax.set_title(drawing.epoch_names(cube.times)[index], pad=22.0 if handles else None)
+    ax.set(xlabel=view.labels[0], ylabel=view.labels[1])
+    if handles:
+        # The date is above the line with the legend.
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+        ax.legend(markerscale=0.8, **place, **LEGEND)
     if colorbar:
         view.add_colorbar(drawn, cax=style.beside(ax))
     return figure
@@ -163,21 +169,6 @@ def plot_intervals(cube, pairs=None, *, ax=None):
     ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
     ax.set(xlabel="Date of observation", ylabel=f"Time between epochs ({unit})")
     return figure
-
-
-# -- parts of the figure of one epoch ----------------------------------------------
-
-
-def _name_axes(ax, view, index):
-    """Label the axes, and write the date above a line with the legend."""
-    across, up = view.labels
-    handles, _ = ax.get_legend_handles_labels()
-    date = drawing.epoch_names(view.cube.times)[index]
-    ax.set_title(date, pad=22.0 if handles else None)
-    ax.set(xlabel=across, ylabel=up)
-    if handles:
-        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
-        ax.legend(markerscale=0.8, **place, **LEGEND)
 
 
 def _label_masked(ax, view, mask):

@@ -280,8 +280,7 @@ class Page:
 
     def _choose(self, text):
         """Return a button for each stream, and the text on what is selected."""
-        everything = models.Button(label="all features")
-        buttons = {everything: []}
+        buttons = {models.Button(label="all features"): []}
         for row, kind, own in zip(self.components, self.kinds, self.rows, strict=True):
             label = f"{row['component']}: {velocity.speed_text(row, kind)}"
             buttons[models.Button(label=label, disabled=not own)] = own
@@ -316,10 +315,7 @@ class Page:
         dots = self._dots(plot, "pm_axis1", "pm_axis2", 8, self.features)
         for glyph in (dots.glyph, dots.selection_glyph):
             glyph.update(line_color="white", line_width=0.8)
-        columns = {
-            "rows": self.rows,
-            "dash": [DASHES[kind] for kind in self.kinds],
-        }
+        columns = {"rows": self.rows, "dash": [DASHES[kind] for kind in self.kinds]}
         columns["number"] = [str(n) for n in self.components["component"]]
         for field, width, name in zip(("v1", "v2"), "wh", names, strict=True):
             columns[field] = self.components[name].to_value(self.pm_unit)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Half the width of the strip of the jet above the profile, in beams.
 STRIP = 3.0
+#: Bins of a histogram of position angles.
+ANGLE_BINS = 24
 
 
 def plot_profile(
@@ -161,9 +163,7 @@ def _draw_strip(ax, cube, line, far):
     ax.set_ylabel("Across\n(mas)")
 
 
-def plot_scale_maps(
-    maps, grid, *, axis_names=("parallel", "transverse"), unit=PM_UNIT, figure=None
-):
+def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), unit=PM_UNIT):
     """
     Draw the stacks of several groups of scales side by side.
 
@@ -176,16 +176,10 @@ def plot_scale_maps(
     axis_names : (str, str), optional
     unit : `~astropy.units.Unit`, optional
         Unit of the axes.
-    figure : `matplotlib.figure.Figure`, optional
 
     Returns
     -------
     `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If there is no map.
 
     Examples
     --------
@@ -197,11 +191,9 @@ def plot_scale_maps(
     >>> figure.axes[0].get_title()
     'scale 1'
     """
-    if not maps:
-        raise ValueError("maps must hold one map or more, got none")
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
-    figure = style.new_figure((style.WIDTH, 2.9 * rows)) if figure is None else figure
+    figure = style.new_figure((style.WIDTH, 2.9 * rows))
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (name, values) in zip(axes.flat, maps.items(), strict=False):
         draw_map(ax, values, grid, unit)
@@ -217,19 +209,14 @@ def plot_scale_maps(
     return figure
 
 
-def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
+def plot_position_angles(groups):
     """
-    Draw histograms of position angles, or of offsets, of groups of SSPs.
+    Draw histograms of the position angles of groups of SSPs.
 
     Parameters
     ----------
     groups : dict of `~astropy.units.Quantity`
-        The angles or offsets, by the names of the groups.
-    ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
-    label : str, optional
-        Label of the axis, by default that of position angles.
-    n_bins : int, optional
+        The angles by the names of the groups, of which some may be empty.
 
     Returns
     -------
@@ -243,14 +230,11 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
     >>> figure.axes[0].get_xlabel()
     'Position angle (deg)'
     """
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.2))
-    values = [np.atleast_1d(u.Quantity(v)) for v in groups.values()]
-    unit = next((v.unit for v in values if len(v)), u.deg)
-    values = [v.to_value(unit) if len(v) else v.value for v in values]
-    everything = np.concatenate(values) if any(map(len, values)) else [0.0, 1.0]
-    low, high = np.percentile(everything, [0.5, 99.5])
-    edges = np.linspace(low, high if high > low else low + 1, n_bins + 1)
-    for k, (name, v) in enumerate(zip(groups, values, strict=True)):
+    figure, ax = style.figure_and_axes(None, (style.WIDTH, 3.2))
+    degrees = {name: angles.to_value(u.deg) for name, angles in groups.items()}
+    low, high = np.percentile(np.concatenate([*degrees.values()]), [0.5, 99.5])
+    edges = np.linspace(low, high if high > low else low + 1, ANGLE_BINS + 1)
+    for k, (name, v) in enumerate(degrees.items()):
         color = style.component_color(k + 1)
         ax.hist(
             v, edges, weights=np.full(len(v), 1 / max(len(v), 1)), histtype="step",
@@ -258,8 +242,6 @@ def plot_position_angles(groups, *, ax=None, label=None, n_bins=24):
         )  # fmt: skip
         if len(v):
             ax.axvline(np.median(v), color=color, lw=0.8)
-    ax.set_xlabel(label or f"Position angle ({unit_name(unit)})")
-    ax.set_ylabel("Share of the SSPs")
-    if groups:
-        ax.legend(fontsize="small")
+    ax.set(xlabel="Position angle (deg)", ylabel="Share of the SSPs")
+    ax.legend(fontsize="small")
     return figure

@@ -143,44 +143,33 @@ def population(features):
 
 def fastest_of(features, column="pm"):
     """Return the largest value of the moving features of each source."""
-    some = features[population(features)["moving"]]
-    values, largest = _plain(some[column]) if len(some) else [], {}
-    for source, value in zip(some["source"] if len(some) else (), values, strict=True):
+    moving, largest = features[population(features)["moving"]], {}
+    for source, value in zip(moving["source"], _plain(moving[column]), strict=True):
         if np.isfinite(value):
             largest[source] = max(value, largest.get(source, 0.0))
     return np.array(list(largest.values()))
 
 
-def plot_population(features, *, figure=None):
+def plot_population(features):
     """
     Draw the speeds of the features of many sources.
 
     Parameters
     ----------
     features : `~astropy.table.QTable`
-        ``features.ecsv`` of a survey.
-    figure : `matplotlib.figure.Figure`, optional
-        Figure to draw on instead of a new one.
+        ``features.ecsv`` of a survey, of which some move.
 
     Returns
     -------
     `matplotlib.figure.Figure`
         Histograms of the speeds of secure features that move and of the fastest one of
         each jet, in mas/yr and, if sources have redshifts, in units of c.
-
-    Raises
-    ------
-    ValueError
-        If no feature is secure and moves.
     """
     found = population(features)
-    if not found["moving"].any():
-        raise ValueError("no secure feature moves")
     columns = {"pm": f"Proper motion ({unit_name(features['pm'].unit)})"}
     if "beta_app" in features.colnames:
         columns["beta_app"] = r"Apparent speed, $\beta_\mathrm{app}$ ($c$)"
-    size = style.WIDTH, 2.6 * len(columns)
-    figure = style.new_figure(size) if figure is None else figure
+    figure = style.new_figure((style.WIDTH, 2.6 * len(columns)))
     axes = figure.subplots(len(columns), 2, squeeze=False)
     inward, colors = found["inward"], (style.BLUE, style.VERMILION)
     for (name, label), (left, right) in zip(columns.items(), axes, strict=True):

@@ -266,9 +266,8 @@ def _along_jet(scene):
 def _mark_significance(scene):
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
-    for row, kind, strong, (along, error, across, across_error) in scene.streams(
-        *names
-    ):
+    for row, kind, strong, numbers in scene.streams(*names):
+        along, error, across, across_error = numbers
         on_axis = abs(across) <= 3 * max(across_error, least)
         color = style.VERMILION if strong else GREY
         scene.ax.errorbar(

@@ -144,7 +144,6 @@ def test_scale_size(scale, size):
         ((16, 40), [3], {"kernel": "b3"}, "too small for wavelet scale"),
         ((40, 2), [0], {"kernel": "b3"}, "too small for wavelet scale"),
         ((32, 32), [1.5], {"kernel": "haar"}, "unknown wavelet kernel 'haar'"),
-        ((32, 32), [], {}, "at least one wavelet scale"),
         *(
             ((32, 32), [scale], {}, "not a number of the series")
             for scale in (-1, -0.5, 1.25, np.nan, np.inf)

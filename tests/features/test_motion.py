@@ -217,7 +217,7 @@ def track_of(series):
         d = series(rows, **options)
         own = np.flatnonzero(d.number == 0)
         args = (part[own] for part in (d.time, d.place, d.place_error))
-        track = Track(own, np.ones(len(own) - 1), 1.0, True)
+        track = Track(own, 1.0, True)
         return d, track, fit_motion(*args, d.fwhm)
 
     return make

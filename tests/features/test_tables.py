@@ -30,8 +30,8 @@ def features(series):
         np.ones((N, 8, 8)), dates, pixel_scale=0.1 * u.mas, unit=u.Jy / u.beam
     )
     d = series(rows, years=dates.jyear)
-    tracks = [Track(np.arange(k, 3 * N, 3), np.ones(N - 1), 1.0, True) for k in (0, 1)]
-    late = Track(np.arange(5, 3 * N, 3), np.ones(N - 2), 0.2, False)
+    tracks = [Track(np.arange(k, 3 * N, 3), 1.0, True) for k in (0, 1)]
+    late = Track(np.arange(5, 3 * N, 3), 0.2, False)
     return Features(cube=cube, detections=d, core=core, tracks=(*tracks, late))
 
 
@@ -134,7 +134,7 @@ def test_positions(features):
 def test_a_feature_at_the_core_that_stands(features, series):
     # Neither radius nor motion has a direction.
     d = series([(t, 0.0, 0.0) for t in range(N)], years=features.detections.years)
-    track = Track(np.arange(N), np.ones(N - 1), 1.0, True)
+    track = Track(np.arange(N), 1.0, True)
     row = replace(features, detections=d, tracks=(track,)).table[0]
     assert row["pm_pa_err"] == row["position_angle_err"] == 180 * u.deg
     assert row["separation"] == 0 * u.mas

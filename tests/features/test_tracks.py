@@ -57,9 +57,6 @@ def test_what_holds_for_all_tracks(series, seed):
         epoch = d.epoch[track.detection]
         assert len(track) >= TrackSettings().least_epochs
         assert (np.diff(epoch) > 0).all()
-        assert len(track.agreement) == len(track) - 1
-        assert (track.agreement > TrackSettings().agreed).all()
-        assert (track.agreement <= 1 + 1e-9).all()
         assert 0 <= track.same_speed <= 1
         firsts.append((epoch[0], d.number[track.detection[0]]))
     assert firsts == sorted(firsts)
@@ -85,7 +82,6 @@ def test_crossing_features_keep_their_identity(crossing):
     ]
     for track in tracks:
         assert track.proven
-        assert track.agreement.min() > 0.75
         assert track.same_speed > 0.9
 
 
@@ -118,10 +114,9 @@ def test_the_seed_decides(series):
     assert len(one) == len(again)
     for a, b in zip(one, again, strict=True):
         np.testing.assert_array_equal(a.detection, b.detection)
-        np.testing.assert_array_equal(a.agreement, b.agreement)
         assert (a.same_speed, a.proven) == (b.same_speed, b.proven)
     other = find_tracks(d, seed=5)
-    assert [t.agreement.tolist() for t in one] != [t.agreement.tolist() for t in other]
+    assert [t.same_speed for t in one] != [t.same_speed for t in other]
 
 
 def test_rounds_take_up_what_is_left(series, separated):

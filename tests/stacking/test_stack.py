@@ -344,11 +344,5 @@ def test_without_any_correlation_the_z_score_is_zero(maps, pairs):
     np.testing.assert_array_equal(found.z_score(np.ones(GRID.shape)), 0.0)
 
 
-@pytest.mark.parametrize("n_trials", [-1, 0, 1])
-def test_needs_at_least_two_trials(maps, pairs, n_trials):
-    with pytest.raises(ValueError, match=f"at least 2 trials, got {n_trials}"):
-        run(maps, pairs, n_trials=n_trials)
-
-
 def test_of_many_epochs_there_are_orders_without_end():
     assert number_of_permutations(1000) == number_of_permutations(20) > 1e18

@@ -393,7 +393,7 @@ def test_chains_are_what_links_connect():
     pairs = [(0, 3), (3, 8), (8, 9), (1, 4), (4, 6), (2, 11), (5, 6)]
     source, target = np.array(pairs).T
     kinds, zeros = np.array(["link"] * 6 + ["merge"]), np.zeros((5, 7))
-    links = Links(source, target, *zeros, kinds, zeros[0])
+    links = Links(source, target, *zeros, kinds)
     found = [track.tolist() for track in chains(links, ssps, min_epochs=2)]
     assert found == [[0, 3, 8, 9], [1, 4, 6], [2, 11]]
     assert len(chains(links, ssps, min_epochs=3)) == 2
