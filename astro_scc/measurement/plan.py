@@ -51,7 +51,7 @@ FAR_BEAMS = 4.0
 #: is half of the size of the structures (`structure_size`).
 OCTAVES = 4
 #: What is smooth on this scale, in pixels, is background to the structures: those of 3
-#: to 8 px are then measured to 20% (``tests/measurement/test_choices.py``).
+#: to 8 px are then measured to 20% (``tests/measurement/test_plan.py``).
 BACKGROUND = 16.0
 #: Number of epochs in which they are measured, and width of the part in the middle, in
 #: pixels.
