@@ -310,9 +310,9 @@ def test_local_noise_follows_a_gradient(scale, tolerance, beam):
     (true,) = propagated_noise(1.0, [scale], beam_covariance=covariance)
     found = []
     for seed in range(3):
-        image = correlated_noise(
-            shape, rms=1.0, beam=beam, pixel_scale=0.1 * u.mas, rng=seed
-        )
+        image = np.random.default_rng(seed).standard_normal(shape)
+        if beam is not None:
+            image = beam_noise(seed, shape, rms=1.0)
         (plane,) = wavelet_planes(image * gradient, [scale])
         found.append(local_noise(plane, scale))
     ratio = (np.mean(found, axis=0) / (true * gradient)).mean(axis=0)
