@@ -135,7 +135,9 @@ def _components(args, reporter):
     for name in args.source.split(",") if args.source else (None,):
         found |= read_sources(args.survey, source=name, **options)
     if not all(own.beams for own in found.values()):
-        how["beam"] = beam = _typical_beam(found.values())
+        # That of the whole table, so that no source depends on which others are chosen.
+        every = read_sources(args.survey, **options) if args.source else found
+        how["beam"] = beam = _typical_beam(every.values())
         found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
         reporter.note(
             f"{args.survey} has no beam: images are restored with one of "
@@ -155,7 +157,7 @@ def _typical_beam(lists):
     """Return a circular beam that separates half of the components of an epoch."""
     nearest = []
     for own in lists:
-        places = np.stack([own.east.value, own.north.value], axis=1)
+        places = np.stack([own.east, own.north], axis=1).to_value(u.mas)
         for epoch in range(own.n_epochs):
             here = places[own.epoch == epoch]
             if len(here) > 1:

@@ -2,6 +2,7 @@
 """A survey of the sources of a table of components."""
 
 import io
+import re
 import shutil
 
 import astropy.units as u
@@ -151,6 +152,18 @@ def test_without_neighbours_there_is_no_beam(tmp_path, capsys):
     assert "no epoch of the table has two components apart; give --beam" in (
         capsys.readouterr().err
     )
+
+
+def test_a_beam_does_not_depend_on_the_sources_that_are_chosen(
+    table, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("astro_scc.cli.survey_table.images.write_images", print)
+    said = set()
+    for k, source in enumerate(["0003+380", "0010+405", "0003+380,0010+405", ""]):
+        more = ["--source", source] if source else []
+        main(["survey", str(table), "-o", str(tmp_path / str(k)), *more])
+        said |= set(re.findall("restored with one of (.*),", capsys.readouterr().err))
+    assert len(said) == 1
 
 
 @pytest.mark.parametrize(
