@@ -245,7 +245,8 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def stack(
         self, matched: MatchedEpochs, *, n_trials: int = 1000,
-        rng: np.random.Generator | int | None = None, progress_bar: bool = False,
+        rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
+        progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
         Stack matches and measure the velocity components.
@@ -258,6 +259,8 @@ class StackedCrossCorrelation(MeasurementSettings):
             at most 200, which give a standard deviation to 5%.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
+        n_workers : int, str or `dask.distributed.Client`, optional
+            See `match`; they search parts of the data.
         progress_bar : bool, optional
 
         Returns
@@ -274,7 +277,12 @@ class StackedCrossCorrelation(MeasurementSettings):
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1):
             return stack_matches(
-                matched, self, n_trials=n_trials, rng=rng, progress_bar=progress_bar
+                matched,
+                self,
+                n_trials=n_trials,
+                rng=rng,
+                n_workers=n_workers,
+                progress_bar=progress_bar,
             )
 
     def displacements(self, matched: MatchedEpochs) -> tuple[VelocitySamples, Any]:
@@ -325,13 +333,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         # Refused before the matching, which takes long.
         n_trials = require("n_trials", n_trials)
-        how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
-        matched = self.match(cube, region=region, **how)
+        shown = {"n_workers": n_workers, "progress_bar": progress_bar}
+        matched = self.match(cube, region=region, cache=cache, **shown)
         require_ssps(matched.ssps, matched.scales)
-        matched.follow(n_workers=n_workers, progress_bar=progress_bar)
-        return self.stack(
-            matched, n_trials=n_trials, rng=rng, progress_bar=progress_bar
-        )
+        matched.follow(**shown)
+        return self.stack(matched, n_trials=n_trials, rng=rng, **shown)
 
     def to_dict(self) -> dict[str, Any]:
         """

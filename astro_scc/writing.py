@@ -104,7 +104,8 @@ def make_folder(path, named):
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise OSError(f"{named}: is a file; choose another folder") from None
+        what = "is a file" if Path(named).is_file() else f"{path} is a file"
+        raise OSError(f"{named}: {what}; choose another folder") from None
     except OSError as error:
         raise OSError(f"{named}: cannot be made or used: {error.strerror}") from None
 

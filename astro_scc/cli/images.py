@@ -44,14 +44,16 @@ def simulate(args, reporter):
             raise ValueError(_of_option(str(error))) from None
         jet.truth.meta["seed"] = seed
         *images, _ = write_simulation(jet, part)
-    _say(reporter, args, f"{len(images)} epochs and truth.ecsv", f" (seed {seed})")
+    _say(reporter, args, len(images), " and truth.ecsv", f" (seed {seed})")
 
 
-def _say(reporter, args, what, more):
+def _say(reporter, args, n_epochs, what, more):
     """Say what has been written, and how it is measured."""
-    folder = Path(args.output)
-    next_one = f"astro-scc measure {folder}/*.fits -o {folder}-measured"
-    reporter.say(f"{what} in {folder}{more}; next:\n  {next_one}")
+    folder, epochs = Path(args.output), "epoch" if n_epochs == 1 else "epochs"
+    said = f"{n_epochs} {epochs}{what} in {folder}{more}"
+    if n_epochs > 1:
+        said += f"; next:\n  astro-scc measure {folder}/*.fits -o {folder}-measured"
+    reporter.say(said)
 
 
 def _of_option(message):
@@ -75,11 +77,11 @@ def restore(args, reporter):
     first, last = cube.times.isot[[0, -1]]
     ny, nx = cube.shape[1:]
     what = (
-        f"{len(cube)} epochs, {first[:10]} to {last[:10]}, {nx} x {ny} pixels of "
+        f", {first[:10]} to {last[:10]}, {nx} x {ny} pixels of "
         f"{how['pixel_scale'].to(u.mas):.4g}, beam {found.beams[0]},"
     )
     drawn = "" if how["noise"] is None else f" (seed of the noise {how['seed']})"
-    _say(reporter, args, what, drawn)
+    _say(reporter, args, len(cube), what, drawn)
 
 
 def images_of(args):

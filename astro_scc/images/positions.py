@@ -196,13 +196,32 @@ def beam_fwhm(cube, epoch, scale, axes):
     >>> beam_fwhm(cube, [0], [2], np.eye(2))
     array([[1., 1.]])
     """
+    return widths_along(beam_covariance(cube, epoch, scale), axes)
+
+
+def beam_covariance(cube, epoch, scale):
+    """
+    Return the resolution as covariances of Gaussians, in mas^2, shape (n, 2, 2).
+
+    Parameters
+    ----------
+    cube, epoch, scale
+        See `beam_fwhm`.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n, 2, 2)
+    """
     if cube.beams is None:
         size = np.vectorize(scale_size, otypes=[float])(scale)
-        width = SCALES_PER_FWHM * size * cube.pixel_scale.value
-        # Axes have unit length except in frames that scale with distance.
-        return width[..., None] * np.linalg.norm(axes, axis=-1)
+        variance = (SCALES_PER_FWHM * size * cube.pixel_scale.value) ** 2
+        return variance[..., None, None] / (8 * np.log(2)) * np.eye(2)
     each = np.stack([beam.covariance.value for beam in cube.beams])
-    covariance = each[np.asarray(epoch)]
+    return each[np.asarray(epoch)]
+
+
+def widths_along(covariance, axes):
+    """Return the full widths at half maximum of Gaussians along two axes, (n, 2)."""
     variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
     return np.sqrt(8 * np.log(2) * variance)
 

@@ -8,7 +8,13 @@ import numpy as np
 
 from astro_scc import kinematics
 from astro_scc.correlation.matches import target_ssps
-from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.images.positions import (
+    beam_covariance,
+    beam_fwhm,
+    position_errors,
+    ssp_offsets,
+    widths_along,
+)
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.stacking.velocities import VelocitySamples
@@ -24,10 +30,14 @@ class AxisProjection:
         In mas, along the axes of the frame.
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
+    first : int, optional
+        Epoch of the cube that is the first one of the displacements.
     """
 
-    def __init__(self, displacements, cube, frame):
-        self.displacements, self.cube, self.frame = displacements, cube, frame
+    def __init__(self, displacements, cube, frame, first=0):
+        d = displacements
+        self.displacements, self.frame = d, frame
+        self._covariance = beam_covariance(cube, d.epoch + first, d.scale)
         east, north = np.ascontiguousarray(displacements.position.T)
         self._position = frame_positions(frame, east, north)
         self._axes = np.asarray(frame.matrix(east, north))
@@ -52,8 +62,7 @@ class AxisProjection:
         if not keep.any():
             return np.ones(2)
         axes = axes if axes.ndim == 2 else axes[keep]
-        fwhm = beam_fwhm(self.cube, d.epoch[keep], d.scale[keep], axes)
-        return np.mean(fwhm, axis=0)
+        return np.mean(widths_along(self._covariance[keep], axes), axis=0)
 
     def __call__(self, angle):
         """

@@ -1,7 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The search of matches, and how its main speed depends on parts of the data."""
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -11,6 +13,7 @@ from scipy.special import ndtr
 
 from astro_scc import kinematics
 from astro_scc.columns import build_table, cell, round_to_errors
+from astro_scc.correlation.parallel import in_order
 from astro_scc.measurement import axes
 from astro_scc.measurement.followed import FollowedFeatures
 from astro_scc.measurement.matched import ssp_distances
@@ -44,9 +47,7 @@ class Found:
     frame: Any
 
 
-def search_matches(
-    matched, settings, plan, *, n_trials, rng, intervals=None, epochs=None
-):
+def search_matches(matched, settings, plan, *, n_trials, rng):
     """
     Search the matches of epochs for streams.
 
@@ -57,27 +58,42 @@ def search_matches(
     plan : `~astro_scc.measurement.SearchPlan`
     n_trials : int
     rng : `~numpy.random.Generator`
-    intervals : (float, float), optional
-        Shortest and longest interval in years, instead of those of the plan.
-    epochs : slice, optional
-        Consecutive epochs to which the search is limited.
 
     Returns
     -------
     ``Found``
     """
+    samples, frame = axes.matched_displacements(matched, settings)
+    of = matched, settings, plan, samples, frame
+    search, velocities = _prepared(*of, n_trials=n_trials, rng=rng)()
+    return Found(search, velocities, samples, frame)
+
+
+def _prepared(
+    matched, settings, plan, samples, frame, *, n_trials, rng, intervals=None,
+    epochs=None,
+):  # fmt: skip
+    """
+    Return a search that can be sent to another process, as it holds no images.
+
+    ``intervals`` are the shortest and the longest one in years, instead of those of
+    the plan, and ``epochs`` a slice, the consecutive epochs to which it is limited.
+    """
     cube, max_speed = matched.cube, plan.max_speed
     intervals = plan.intervals if intervals is None else intervals
-    samples, frame = axes.matched_displacements(matched, settings)
     if epochs is not None:
         samples = samples.of_epochs(epochs)
-    project = axes.AxisProjection(samples, cube, frame)
+    first = 0 if epochs is None else epochs.start or 0
+    project = axes.AxisProjection(samples, cube, frame, first)
     known = not isinstance(frame, kinematics.SkyFrame)
     n_axes = 1 if known else N_AXES
-    search = find_streams(
+    misaligned = axes.alignment_errors(cube, settings.alignment_error)
+    return partial(
+        _search,
         project,
         np.arange(n_axes) * np.pi / n_axes,
         plan.radius,
+        misaligned[epochs or slice(None)],
         alpha=settings.alpha,
         n_trials=n_trials,
         rng=rng,
@@ -86,12 +102,15 @@ def search_matches(
         intervals=intervals,
         followed=FollowedFeatures(matched, project, plan.radius, epochs, intervals),
     )
-    misaligned = axes.alignment_errors(cube, settings.alignment_error)
-    velocities = tuple(
+
+
+def _search(project, angles, radius, misaligned, **how):
+    """Return the search for streams, and their velocities."""
+    search = find_streams(project, angles, radius, **how)
+    return search, tuple(
         velocity_of(stream, project.beam(stream.angle), misaligned)
         for stream in search.streams
     )
-    return Found(search, velocities, samples, frame)
 
 
 #: Permutations of a search in a part of the data, which only ranks speeds.
@@ -102,7 +121,7 @@ FEWEST_EPOCHS = 4
 DIFFERENT = 2.0
 
 
-def sensitivity_rows(found, matched, settings, plan, rng):
+def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
     """
     Search parts of the data again, each from the matches on.
 
@@ -114,6 +133,7 @@ def sensitivity_rows(found, matched, settings, plan, rng):
     settings : `~astro_scc.StackedCrossCorrelation`
     plan : `~astro_scc.measurement.SearchPlan`
     rng : `~numpy.random.Generator`
+    n_workers : int, str or `dask.distributed.Client`, optional
 
     Returns
     -------
@@ -125,16 +145,26 @@ def sensitivity_rows(found, matched, settings, plan, rng):
         return []
     stream, velocity = streams[0], found.velocities[0]
     axis = _direction(velocity)
-    main = _measured(stream, velocity, axis)
-    speeds = np.array([axis @ own.value for _, own in _moving(found)])
+    main = _measured(velocity, len(stream.features), axis)
+    of_streams = _moving(streams, found.velocities)
+    speeds = np.array([axis @ own.value for own, _ in of_streams])
     rows = [_row("as measured", main)]
-    for pair in _pairs_of_parts(found, matched, stream):
+    pairs = list(_pairs_of_parts(found, matched, stream))
+    parts = [part for pair in pairs for part in pair]
+
+    def searches():
+        for _, part, how in parts:
+            samples = found.samples.of_ssps(part.select)
+            of = part, settings, plan, samples, found.frame
+            yield _prepared(*of, n_trials=TRIALS, rng=deepcopy(rng), **how)
+            # The next search gets other random numbers.
+            rng.spawn(2)
+
+    again = iter(list(in_order(_moving_of, searches(), n_workers)))
+    for pair in pairs:
         own = []
-        for name, part, how in pair:
-            again = search_matches(
-                part, settings, plan, n_trials=TRIALS, rng=rng, **how
-            )
-            some = [_measured(*one, axis) for one in _moving(again)]
+        for name, _, _ in pair:
+            some = [_measured(*one, axis) for one in next(again)]
             # What is nearer to another stream is not meant.
             some = [m for m in some if np.abs(speeds - m[0]).argmin() == 0]
             nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
@@ -232,10 +262,19 @@ def sensitivity_line(table):
     return "; ".join(lines)
 
 
-def _moving(found):
-    """Return the streams that move, each with its velocity."""
-    pairs = zip(found.search.streams, found.velocities, strict=True)
-    return [pair for pair in pairs if pair[0].kind == "moving"]
+def _moving(streams, velocities):
+    """Return velocities and numbers of features of the streams that move."""
+    return [
+        (velocity, len(stream.features))
+        for stream, velocity in zip(streams, velocities, strict=True)
+        if stream.kind == "moving"
+    ]
+
+
+def _moving_of(search):
+    """Return what moves in a search, of which the rest is large."""
+    found, velocities = search()
+    return _moving(found.streams, velocities)
 
 
 def _direction(velocity):
@@ -243,10 +282,10 @@ def _direction(velocity):
     return velocity.value / np.hypot(*velocity.value)
 
 
-def _measured(stream, velocity, axis):
+def _measured(velocity, n_features, axis):
     """Return the speed along an axis, its error, and the number of features."""
     error = np.sqrt(axis @ velocity.covariance @ axis)
-    return float(axis @ velocity.value), float(error), len(stream.features)
+    return float(axis @ velocity.value), float(error), n_features
 
 
 def _row(choice, measured, main=None, main_err=0.0):

@@ -28,7 +28,9 @@ PAPER_TRIALS = 200
 FEWEST_PAIRS = 3
 
 
-def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=False):
+def stack_matches(
+    matched, settings, *, n_trials=1000, rng=None, n_workers=1, progress_bar=False
+):
     """
     Search the matches of epochs for streams, and stack them.
 
@@ -42,6 +44,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     n_trials : int
         The paper's z-score and error take at most 200.
     rng : None, int or `~numpy.random.Generator`
+    n_workers : int, str or `dask.distributed.Client`
     progress_bar : bool
 
     Returns
@@ -68,7 +71,7 @@ def stack_matches(matched, settings, *, n_trials=1000, rng=None, progress_bar=Fa
     with progress(None, "Searching", show=progress_bar):
         of = matched, settings, plan
         found = sensitivity.search_matches(*of, n_trials=n_trials, rng=search_rng)
-    choices = sensitivity.sensitivity_rows(found, *of, choice_rng)
+        choices = sensitivity.sensitivity_rows(found, *of, choice_rng, n_workers)
     search, velocities, samples = found.search, found.velocities, found.samples
     frame = found.frame
     if choices:

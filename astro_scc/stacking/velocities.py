@@ -148,6 +148,21 @@ class VelocitySamples:
             years=self.years[first:last],
         )
 
+    def of_ssps(self, select: np.ndarray) -> VelocitySamples:
+        """
+        Return the samples that start at selected SSPs.
+
+        Parameters
+        ----------
+        select : `~numpy.ndarray` of bool, shape (n_ssps,)
+
+        Returns
+        -------
+        `VelocitySamples`
+        """
+        number = np.bincount(self.epoch[select], minlength=self.n_epochs)
+        return replace(self.select(select[self.ssp]), n_ssps=number)
+
     def without_ssps(self, taken: np.ndarray) -> VelocitySamples:
         """
         Return the samples that neither start nor end at the ``taken`` SSPs.

@@ -29,6 +29,8 @@ ONE_DISPERSIONS = (
 )  # fmt: skip
 #: Those that are tried for each of two streams.
 TWO_DISPERSIONS = (0.05, 0.12, 0.25)
+#: Far below any density of speeds that counts.
+TINY = np.finfo(float).tiny
 #: Number of dispersions that are tried, from zero to four standard deviations.
 TAUS = 80
 
@@ -274,7 +276,7 @@ def _two(y, e, dispersions):
     for split in range(1, n):
         slow, fast = (
             [
-                np.log(share) + 0.5 * (np.log(w) - w * (y - _mean(y, w, part)) ** 2)
+                share * np.exp(0.5 * (np.log(w) - w * (y - _mean(y, w, part)) ** 2))
                 for w in weights
             ]
             for part, share in (
@@ -283,9 +285,8 @@ def _two(y, e, dispersions):
             )
         )
         for a, b in product(slow, fast):
-            # log(e^a + e^b); numpy's own function is ten times slower.
-            value = np.maximum(a, b) + np.log(1 + np.exp(-np.abs(a - b)))
-            value = value.sum(axis=1)
+            # What is far from both would have a logarithm of zero.
+            value = np.log(a + b + TINY).sum(axis=1)
             better = value > best
             best[better], where[better] = value[better], split
     return best, where

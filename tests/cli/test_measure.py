@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -251,6 +252,10 @@ def test_nothing_is_left_of_what_was_not_begun(resumed, here, monkeypatch):
     assert status == 2
     assert "scheduler tcp://127.0.0.1:9: cannot be reached" in err
     assert not list(here.iterdir())
+    (here / "out").mkdir()
+    (here / "out" / WORK).touch()
+    status, err = resumed("-o", "out", "--overwrite")
+    assert f"out: {Path('out') / WORK} is a file; choose another folder" in err
 
 
 # -- the demo --------------------------------------------------------------------------

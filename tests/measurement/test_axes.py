@@ -179,6 +179,16 @@ def test_no_ssps_no_displacements(beams):
         np.testing.assert_array_equal(project.beam(0.3), 1.0)
 
 
+def test_later_epochs_have_their_own_beams():
+    cube = cube_of([Beam(w * u.mas, w * u.mas) for w in (1.0, 2.0, 3.0)])
+    ssps = ssps_of(cube, EAST, NORTH, EPOCH)
+    d = displacements_of(matches_of(ssps, PAIRS), ssps, cube, SkyFrame())
+    np.testing.assert_allclose(AxisProjection(d, cube, SkyFrame()).beam(0.3), 10 / 6)
+    later = d.of_epochs(slice(1, None))
+    project = AxisProjection(later, cube, SkyFrame(), first=1)
+    np.testing.assert_allclose(project.beam(0.3), 7 / 3)
+
+
 def test_errors_of_the_alignment_are_given_or_those_that_it_found():
     cube = simulate_two_fluid(n_epochs=3, rng=1).cube
     np.testing.assert_array_equal(alignment_errors(cube), np.zeros((3, 2)))

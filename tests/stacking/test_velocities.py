@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Grids, pairs of dates, and samples of features whose motion is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -82,6 +84,9 @@ def test_a_selection_selects_every_column():
         np.testing.assert_array_equal(getattr(some, name), getattr(d, name)[keep])
     assert some.n_epochs == 5
     assert some.position is d.position
+    some = replace(d, epoch=np.arange(5)).of_ssps(np.arange(5) == 2)
+    np.testing.assert_array_equal(some.ssp, d.ssp[keep])
+    assert some.n_ssps.tolist() == [0, 0, 1, 0, 0]
 
 
 speed = st.floats(0.01, 100.0)
