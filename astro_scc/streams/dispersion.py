@@ -29,8 +29,8 @@ ONE_DISPERSIONS = (
 )  # fmt: skip
 #: Those that are tried for each of two streams.
 TWO_DISPERSIONS = (0.05, 0.12, 0.25)
-#: Far below any density of speeds that counts.
-TINY = np.finfo(float).tiny
+#: Far below any density of speeds that counts, and its square is not zero.
+TINY = 1e-150
 #: Number of dispersions that are tried, from zero to four standard deviations.
 TAUS = 80
 
@@ -273,11 +273,12 @@ def _two(y, e, dispersions):
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
     weights = [1 / (e**2 + tau**2) for tau in dispersions]
+    roots = [np.sqrt(w) for w in weights]
     for split in range(1, n):
         slow, fast = (
             [
-                share * np.exp(0.5 * (np.log(w) - w * (y - _mean(y, w, part)) ** 2))
-                for w in weights
+                share * root * np.exp(-0.5 * w * (y - _mean(y, w, part)) ** 2)
+                for w, root in zip(weights, roots, strict=True)
             ]
             for part, share in (
                 (slice(split), split / n),
@@ -285,8 +286,11 @@ def _two(y, e, dispersions):
             )
         )
         for a, b in product(slow, fast):
-            # What is far from both would have a logarithm of zero.
-            value = np.log(a + b + TINY).sum(axis=1)
+            density = a + b + TINY
+            # Logarithms take longest: one of each product of two.
+            value = np.log(density[:, : n // 2] * density[:, -(n // 2) :]).sum(axis=1)
+            if n % 2:
+                value += np.log(density[:, n // 2])
             better = value > best
             best[better], where[better] = value[better], split
     return best, where
