@@ -115,7 +115,7 @@ def plot_profile(
     ax.set_xlabel("Core separation (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(fontsize="small", framealpha=0.85)
+        style.legend_above(ax)
     style.add_speed_axis(ax, speeds, beta_per_pm, "right")
     if above:
         _draw_strip(strip, cube, line, far)
