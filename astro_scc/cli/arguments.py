@@ -323,7 +323,7 @@ def survey(parser):
     )
     group = parser.add_argument_group("a table of components, or a folder of folders")
     add(group, "redshifts")
-    add_restoring(group, required=False)
+    add_restoring(parser.add_argument_group("a table of components"), required=False)
     add(parser.add_argument_group("running"), "workers", "scheduler")
 
 

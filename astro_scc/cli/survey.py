@@ -49,6 +49,8 @@ FEATURES = "features.ecsv"
 PARTIAL = "partial-"
 #: Why there is nothing to test.
 NO_MATCH = "no match that could be tested"
+#: Options on images that are restored from components.
+RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
 NO_PATTERN = "no significant pattern here on these scales"
 
 
@@ -67,6 +69,16 @@ class Outcome:
     last: str = ""
 
 
+def _refuse_restoring(args):
+    """Refuse options on images that are restored, where there are images."""
+    for name in RESTORING:
+        if getattr(args, name) is not None:
+            raise ValueError(
+                f"--{name} is for a table of components, not for {args.survey}; "
+                "settings are written into survey.toml"
+            )
+
+
 def run(args, reporter):
     """Run a survey according to the arguments."""
     n_workers, output = workers_of(args), Path(args.output)
@@ -74,9 +86,12 @@ def run(args, reporter):
     if Path(args.survey).suffix.lower() == ".toml":
         if args.redshifts:
             raise ValueError("--redshifts is not for a .toml file; write them to it")
+        _refuse_restoring(args)
         survey, report = sources.read_survey(args.survey), args.report is not False
     else:
         report = bool(args.report)
+        if Path(args.survey).is_dir():
+            _refuse_restoring(args)
         survey = survey_of(args, output, reporter)
 
     def done(name, outcomes, before):

@@ -3,7 +3,9 @@
 
 import glob
 import json
+import re
 import shutil
+import tomllib
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -39,8 +41,9 @@ def survey_of(args, output, reporter):
     Return the survey of a table of components, or of a folder of folders of images.
 
     The folder of the survey gets ``survey.toml``, which names the images of each
-    source.  Of a table, they are restored into ``images/NAME``; those that an earlier
-    run made from the same table in the same way are kept.
+    source; settings may be added to it.  Of a table, they are restored into
+    ``images/NAME``; those that an earlier run made from the same table in the same way
+    are kept, and their sources stay in the survey.
 
     Parameters
     ----------
@@ -73,12 +76,10 @@ def survey_of(args, output, reporter):
         state = source.stat()
         made_of = [str(source.absolute()), state.st_size, state.st_mtime_ns]
         asked = {k: str(v) for k, v in how.items() if k != "seed"}
-        asked |= {"seed": args.seed, "source": args.source}
+        asked |= {"seed": args.seed}
         head = f"{HEAD} {json.dumps([*made_of, asked])}"
         if any((own.feature > 0).any() for own in found.values()):
             published = f"[defaults]\ncompare = {json.dumps(made_of[0])}\n"
-    if unknown := sorted(redshifts.keys() - epochs.keys()):
-        reporter.note(f"{args.redshifts}: {len(unknown)} sources are not of the survey")
     path = output / PLAN
     before = path.read_text(encoding="utf-8") if path.is_file() else ""
     # Images that were not restored here must not be deleted.
@@ -86,19 +87,26 @@ def survey_of(args, output, reporter):
         raise OSError(
             f"{output}: exists and is not of a survey of a table; choose another folder"
         )
-    same = before.startswith(f"{head}\n")
-    # If the head is the same, redshifts may have been added to the file.
-    if redshifts or not same:
-        if not same:
+    # What was added to the file stays, and so do the sources of other calls.
+    text = before if before.startswith(f"{head}\n") else f"{head}\n\n{published}"
+    try:
+        known = tomllib.loads(text).get("sources", {})
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: {first_line(error)}") from None
+    for name, files in epochs.items():
+        if name not in known:
+            table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
+            text = f"{text.rstrip()}\n\n{table}"
+    if unknown := sorted(redshifts.keys() - epochs.keys() - known.keys()):
+        few = f"{len(unknown)} {'source is' if len(unknown) == 1 else 'sources are'}"
+        reporter.note(f"{args.redshifts}: {few} not of the survey")
+    for name in redshifts.keys() - unknown:
+        text = _with_redshift(text, name, redshifts[name])
+    if text != before:
+        if not known:
             shutil.rmtree(output / IMAGES, ignore_errors=True)
         output.mkdir(parents=True, exist_ok=True)
-        tables = [
-            f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
-            + (f"redshift = {redshifts[name]}\n" if name in redshifts else "")
-            for name, files in epochs.items()
-        ]
         with replace_when_complete(path, overwrite=True) as part:
-            text = "\n".join(filter(None, [head, published, *tables]))
             part.write_text(text, encoding="utf-8")
     target = {name: output / IMAGES / folders[name] for name in found}
     left = [name for name in found if not target[name].is_dir()]
@@ -113,6 +121,18 @@ def survey_of(args, output, reporter):
             output.rmdir()
         raise ValueError(f"{args.survey}: the images of no source can be restored")
     return read_survey(path)
+
+
+def _with_redshift(text, name, redshift):
+    """Return the text of a survey's file with the redshift of one of its sources."""
+    table = re.escape(f"[sources.{json.dumps(name)}]\n")
+    found = re.search(rf"^{table}(.*?)(?=^\[|\Z)", text, re.DOTALL | re.MULTILINE)
+    if found is None:
+        raise ValueError(f"survey.toml: write the redshift of {name} into it")
+    own = re.sub(r"^redshift\b.*\n", "", found[1], flags=re.MULTILINE)
+    epochs, line, rest = own.partition("\n")
+    own = f"{epochs}{line}redshift = {redshift}\n{rest}"
+    return text[: found.start(1)] + own + text[found.end(1) :]
 
 
 def _restore(task):
@@ -211,7 +231,12 @@ def read_redshifts(path):
             f"{path}: needs the columns source and redshift; it has "
             f"{', '.join(table.colnames)}"
         )
-    rows = zip(
-        table[names], np.ma.filled(table[values].astype(float), np.nan), strict=True
-    )
+    try:
+        numbers = np.ma.filled(table[values].astype(float), np.nan)
+    except ValueError:
+        raise ValueError(
+            f"{path}: its column {values} must be numbers without a unit, as 0.158; "
+            f"it has {table[values][0]}"
+        ) from None
+    rows = zip(table[names], numbers, strict=True)
     return {str(name): float(z) for name, z in rows if np.isfinite(z)}

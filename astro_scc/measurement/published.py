@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 LEAST = 3
 #: Features are the same if their paths are apart by at most so many beams.
 SAME = 0.5
+#: A day, in years.
+DAY = 1 / 365.25
 
 
 def published_positions(path: Path | str, cube: EpochCube) -> QTable:
@@ -90,8 +92,10 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
     """
     Return a table of features with the published ones and their proper motions.
 
-    A published feature is the same if it is within half a beam of the measured one,
-    in the median of the epochs that both have; it is interpolated to their dates.
+    A published feature is the same if it is within half a beam of the measured one
+    in most of the epochs that both have; it is interpolated to their dates.  Its proper
+    motion is that in the time in which the measured one is seen, if it has three epochs
+    there, since features accelerate.
 
     Parameters
     ----------
@@ -121,9 +125,11 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
             both = (time >= years[0]) & (time <= years[-1])
             if both.sum() >= max(LEAST, len(time) / 2):
                 there = np.stack([np.interp(time, years, k) for k in published_place])
-                apart[np.median(np.hypot(*(there - place)[:, both]))] = number
+                off = np.hypot(*(there - place)[:, both])
+                if 2 * np.sum(off <= SAME * d.fwhm) > len(off):
+                    apart[np.median(off)] = number
         best = apart[min(apart)]
-        rows.append((best, *(speed_of(*paths[best]) if best else (0.0, 0.0))))
+        rows.append((best, *(_speed_at(time, *paths[best]) if best else (0.0, 0.0))))
     numbers, *speeds = zip(*rows, strict=True) if rows else ((), (), ())
     missing = np.array([number is None for number in numbers], dtype=bool)
     table = table.copy()
@@ -134,6 +140,14 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
         speed = (np.array(speed, dtype=float) * PM_UNIT).to(unit)
         table[name] = Masked(speed, mask=missing)
     return round_to_errors(describe(table, "added"))
+
+
+def _speed_at(time, years, place):
+    """Return the speed and its error in the time of a feature, or of all if few."""
+    inside = (years >= time[0] - DAY) & (years <= time[-1] + DAY)
+    if inside.sum() < LEAST:
+        inside[:] = True
+    return speed_of(years[inside], place[:, inside])
 
 
 def speed_of(years, place):

@@ -25,6 +25,7 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.stacking.stack import sample_velocities
+from astro_scc.stacking.trials import number_of_permutations
 from astro_scc.units import PM_UNIT, in_speed_unit
 
 if TYPE_CHECKING:
@@ -226,6 +227,8 @@ def component_row(result, number):
     member, permutations = result.members(number), result.search.permutations
     epochs = np.sort([member["epoch"], member["target_epoch"]], axis=0)
     p, n = stream.p_global, len(permutations.permuted)
+    # All orders of a few epochs leave nothing to chance.
+    chance = n + 1 < number_of_permutations(len(result.cube))
     row, by_jitter, by_alignment = (
         velocity_columns(
             velocity.value, covariance, result.frame, result.position_angle
@@ -256,7 +259,7 @@ def component_row(result, number):
         "z_score": float(result.z_score[peak.row, peak.column]),
         "p_local": stream.p_local,
         "p_global": p,
-        "p_global_err": np.sqrt(p * (1 - p) / n),
+        "p_global_err": chance * np.sqrt(p * (1 - p) / n),
         "p_distinct": stream.p_distinct,
         "p_smallest": permutations.smallest_p,
         "n_ssp": len(np.unique(member["ssp"])),

@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
+from astropy.table import QTable, vstack
 from astropy.time import Time
 
 from astro_scc.epochs import ComponentList
@@ -45,6 +45,14 @@ def test_the_same_features_have_their_numbers_and_speeds(features, tmp_path):
     error = np.hypot(table["pm_err"], table["published_pm_err"].unmasked)
     assert np.all((np.abs(close) <= 3 * error)[~other])
     assert all(table[k].info.description for k in table.colnames)
+    # Later positions of a feature that accelerates do not count.
+    later = published.copy()
+    later["date"] += 20 * u.yr
+    later["ra_offset"] += 99 * u.mas
+    far = vstack([published, later])
+    far.sort(["published", "date"])
+    again = with_published(features.table, features, far)
+    np.testing.assert_array_equal(again["published_pm"], table["published_pm"])
     # They survive in the file.
     table.write(tmp_path / "out.ecsv")
     assert QTable.read(tmp_path / "out.ecsv")["published"].mask.sum() == 1

@@ -71,6 +71,8 @@ def test_few_epochs_are_warned_of():
     assert list(table["kind"]) == ["not significant", "stationary"]
     assert table["caution"][0] == "too few epochs or trials: no p_global below 0.083"
     np.testing.assert_allclose(table["p_smallest"], 2 / 24)
+    # All orders were tried.
+    assert np.all(table["p_global_err"] == 0)
     assert table["pm"][1] < 0.5 * PM
     # What does not move is not measured again from parts of the data.
     assert len(parts) == 0

@@ -4,6 +4,7 @@
 import io
 import re
 import shutil
+import tomllib
 
 import astropy.units as u
 import numpy as np
@@ -58,6 +59,12 @@ def test_all_sources_are_restored_and_measured(table, tmp_path, monkeypatch):
     assert main(["survey", str(table), "-o", str(out), *other]) == 0
     assert [path.stat().st_mtime_ns for path in first] != before
     assert set(QTable.read(out / "survey.ecsv")["source"]) == set(BOTH)
+    # Sources of one call after the other stay.
+    one, two = (
+        ["survey", str(table), "-o", "each", *OPTIONS, "--source", k] for k in BOTH
+    )
+    assert main(one) == main(two) == 0
+    assert set(QTable.read("each/survey.ecsv")["source"]) == set(BOTH)
     # The file can be changed, for a redshift, and given to the command.
     plan = out / "survey.toml"
     plan.write_text(plan.read_text() + "redshift = 0.229\n")
@@ -128,6 +135,25 @@ def test_folders_of_images(tmp_path, capsys):
     assert "needs the columns source and redshift; it has a, b" in (
         capsys.readouterr().err
     )
+    (tmp_path / "z.txt").write_text("name z\ntwo '68600 km/s'\n")
+    assert main([*argv, "--redshifts", str(tmp_path / "z.txt")]) == 2
+    words = "z.txt: its column z must be numbers without a unit, as 0.158; it has 68600"
+    assert words in capsys.readouterr().err
+    # What has been added to the file stays, and the redshift is replaced.
+    plan = out / "survey.toml"
+    plan.write_text(plan.read_text() + "n_trials = 50\n")
+    for z in 0.2, 0.158:
+        (tmp_path / "z.txt").write_text(f"name z\ntwo {z}\n")
+        assert main([*argv, "--redshifts", str(tmp_path / "z.txt")]) == 0
+    own = tomllib.loads(plan.read_text())["sources"]["two"]
+    assert (own["redshift"], own["n_trials"]) == (0.158, 50)
+    # A folder that is new is a source more.
+    shutil.copytree(folder / "two", folder / "three")
+    assert main(argv) == 0
+    assert len(QTable.read(out / "survey.ecsv")["source"]) >= 3
+    plan.write_text(plan.read_text() + "n_trials = \n")
+    assert main(argv) == 2
+    assert "survey.toml: Invalid value" in capsys.readouterr().err
     (tmp_path / "z.txt").write_text("")
     assert main([*argv, "--redshifts", str(tmp_path / "z.txt")]) == 2
     assert "z.txt: is no table: " in capsys.readouterr().err
@@ -136,6 +162,11 @@ def test_folders_of_images(tmp_path, capsys):
     assert "--redshifts is not for a .toml file; write them to it" in (
         capsys.readouterr().err
     )
+    for what in folder, out / "survey.toml":
+        assert main(["survey", str(what), "-o", str(out), "--source", "two"]) == 2
+        assert "--source is for a table of components, not for" in (
+            capsys.readouterr().err
+        )
     assert main(["survey", str(out), "-o", str(tmp_path / "other")]) == 2
     assert "has no folder of FITS images" in capsys.readouterr().err
 
