@@ -218,7 +218,7 @@ def explore(parser):
 
     The images are those that config.toml names, aligned as they were measured; start
     the command where the measurement was started.  It needs bokeh: pip install
-    'astro_scc[explore]'
+    bokeh
     """
     parser.add_argument("folder", metavar="OUT", help="folder that measure has written")
 

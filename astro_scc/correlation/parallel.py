@@ -406,7 +406,7 @@ def _dask():
         import distributed
     except ImportError:
         raise ImportError(
-            "a scheduler needs Dask: pip install 'astro_scc[dask]', or give a number "
+            "a scheduler needs Dask: pip install distributed, or give a number "
             "of processes"
         ) from None
     return distributed

@@ -59,9 +59,7 @@ def to_ndcube(cube: ImageSeries) -> NDCube:
     try:
         import ndcube
     except ImportError:
-        raise ImportError(
-            "to_ndcube needs ndcube; install it: pip install 'astro_scc[ndcube]'"
-        ) from None
+        raise ImportError("to_ndcube needs ndcube; pip install ndcube") from None
     noise = cube.noise
     if noise is not None:
         every = np.broadcast_to(noise.value[:, None, None], cube.shape)

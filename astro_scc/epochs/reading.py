@@ -166,6 +166,11 @@ def _completed(planes, times, beams):
         plane.time = _observed(plane, time)
         own = plane.beam
         if beam is not None:
+            if beam.major.to_value(u.deg) > plane.extent:
+                raise ValueError(
+                    f"{plane.name}: the beam that is given, {beam}, is larger than the "
+                    "image; give another"
+                )
             plane.beam, plane.beam_problem = beam, ""
         notes = plane.notes
         if beam is not None and own is not None and different_beam((beam, own)):

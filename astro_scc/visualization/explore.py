@@ -25,9 +25,7 @@ try:
     from bokeh.plotting import figure
     from bokeh.resources import INLINE
 except ImportError:
-    raise ImportError(
-        "explore needs bokeh; install it: pip install 'astro_scc[explore]'"
-    ) from None
+    raise ImportError("explore needs bokeh; pip install bokeh") from None
 
 #: Pixels of the images of all epochs, a byte each, and the largest number of features:
 #: with them a page stays below 5 MB, of which 2 MB are the library.

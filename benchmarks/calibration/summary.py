@@ -176,15 +176,17 @@ def draw(kinds):
     left, right = figure.subplots(1, 2)
     pulls, true, measured = [], [], []
     for kind in kinds:
-        for jet in read(kind):
+        jets = read(kind)
+        flow = np.mean([jet[0]["true_mean"] for jet in jets])
+        for jet in jets:
             for r in moving(jet)[:1]:
-                pulls.append((r["speed"] - r["true_mean"]) / r["error"])
+                pulls.append((r["speed"] - flow) / r["error"])
                 true.append(r["true_dispersion"] / r["true_mean"])
                 measured.append(r["dispersion"] / r["speed"])
     x = np.linspace(-4, 4, 161)
     left.hist(np.clip(pulls, -4, 4), np.linspace(-4, 4, 33), density=True, color="0.7")
     left.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color="#0072B2")
-    left.set(xlabel="(measured - true) / error", ylabel="density")
+    left.set(xlabel="(speed - flow's mean) / error", ylabel="density")
     right.plot(true, measured, ".", ms=3, color="#D55E00")
     right.plot([0, 0.5], [0, 0.5], color="0.5", lw=0.8)
     right.set(xlabel="true dispersion / speed", ylabel="measured dispersion / speed",

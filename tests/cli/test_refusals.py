@@ -15,6 +15,7 @@ REFUSED = {
 --max-speed "1e9 mas/yr" | error: --max-speed moves 8.21e+07 mas in the
 --seed -3 | --seed '-3' must be 0 to
 --workers 0 | --workers must be at least 1
+--beam "10 arcsec" | the beam that is given, 10 x 10 arcsec, is larger than
 --redshift 1 --distance "1 Mpc" | --distance needs neither redshift
 --redshift 47367 | --redshift '47367' must be below 30; of a velo
 --position-angle -112 | '-112' has no unit at its end; it must be rad
@@ -86,6 +87,7 @@ static . | .: exists and is not empty
 --seed x | --seed 'x' must be a whole number
 --after 2011-01-01 | no component is left
 --origin core | no core component (feature 0)
+--source M87,3C120 | --source: restore takes one source, survey
 --source M87 | no source 'M87'; it does not say of which source it is
 """,
     'restore -o out --beam "1 mas" --pixel "0.1 mas"': """

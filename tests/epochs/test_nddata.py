@@ -331,7 +331,7 @@ def test_ndcubes_that_are_refused(ndcube, make, options, words):
 
 def test_ndcube_is_not_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "ndcube", None)
-    with pytest.raises(ImportError, match=r"to_ndcube needs ndcube; .*scc\[ndcube\]"):
+    with pytest.raises(ImportError, match="to_ndcube needs ndcube; pip install ndcube"):
         make_cube().to_ndcube()
 
 
