@@ -15,7 +15,7 @@ REFUSED = {
 --max-speed "1e9 mas/yr" | error: --max-speed moves 8.21e+07 mas in the
 --seed -3 | --seed '-3' must be 0 to
 --workers 0 | --workers must be at least 1
---beam "10 arcsec" | the beam that is given, 10 x 10 arcsec, is larger than
+--beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another
 --redshift 1 --distance "1 Mpc" | --distance needs neither redshift
 --redshift 47367 | --redshift '47367' must be below 30; of a velo
 --position-angle -112 | '-112' has no unit at its end; it must be rad
