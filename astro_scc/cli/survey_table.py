@@ -98,8 +98,8 @@ def survey_of(args, output, reporter):
             table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
             text = f"{text.rstrip()}\n\n{table}"
     if unknown := sorted(redshifts.keys() - epochs.keys() - known.keys()):
-        few = f"{len(unknown)} {'source is' if len(unknown) == 1 else 'sources are'}"
-        reporter.note(f"{args.redshifts}: {few} not of the survey")
+        some = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
     for name in redshifts.keys() - unknown:
         text = _with_redshift(text, name, redshifts[name])
     if text != before:
@@ -233,10 +233,10 @@ def read_redshifts(path):
         )
     try:
         numbers = np.ma.filled(table[values].astype(float), np.nan)
-    except ValueError:
+    except ValueError as error:
         raise ValueError(
-            f"{path}: its column {values} must be numbers without a unit, as 0.158; "
-            f"it has {table[values][0]}"
+            f"{path}: its column {values} must be numbers without a unit, as 0.158: "
+            f"{first_line(error)}"
         ) from None
     rows = zip(table[names], numbers, strict=True)
     return {str(name): float(z) for name, z in rows if np.isfinite(z)}

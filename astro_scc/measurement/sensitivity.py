@@ -157,7 +157,7 @@ def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
             samples = found.samples.of_ssps(part.select)
             of = part, settings, plan, samples, found.frame
             yield _prepared(*of, n_trials=TRIALS, rng=deepcopy(rng), **how)
-            # The next search gets other random numbers.
+            # Each search spawns two generators; the next one gets others.
             rng.spawn(2)
 
     again = iter(list(in_order(_moving_of, searches(), n_workers)))
@@ -272,7 +272,7 @@ def _moving(streams, velocities):
 
 
 def _moving_of(search):
-    """Return what moves in a search, of which the rest is large."""
+    """Search, and return what moves only: the rest is large to send."""
     found, velocities = search()
     return _moving(found.streams, velocities)
 
