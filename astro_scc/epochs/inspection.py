@@ -26,6 +26,11 @@ from astro_scc.units import speed_unit
 # apart.
 BAND = 0.1
 POLARISED = ("Q", "U", "V")
+#: Smallest factor between the brightness of an image and that of most others that is
+#: hardly variability, but another unit.
+OTHER_SCALE = 100
+#: Year of the first photograph of a nebula.
+FIRST_IMAGES = 1880
 #: What to do with an image that does not belong to the others.
 UNCHECKED = "leave it out (in Python, check=False reads it)"
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
@@ -136,7 +141,7 @@ def _inspect(path, hdu):
 def _compare(read):
     """Add the problems that show in a comparison of the files."""
     rows, planes = zip(*read, strict=True)
-    for found in problems(planes):
+    for found in problems(planes, np.array([row["peak"] for row in rows])):
         rows[found.index]["problem"].append(found.what)
     some_have_beams = any(plane.beam is not None for plane in planes)
     grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
@@ -317,15 +322,18 @@ class Problem:
     refused: bool = True
 
 
-def problems(planes, check=True):
+def problems(planes, peaks, check=True):
     """
     Return the `Problem` of each image that does not belong to the others.
 
     It is of another unit, object, band or polarisation, or of the date of another one.
-    Another name for the same place, and the same date, need only a warning.  Without
+    Another name for the same place, the same date, an impossible one, and a brightness
+    out of scale need only a warning; ``peaks`` are the largest values.  Without
     ``check``, only units and dates count.
     """
-    found = [*_same_dates(planes), *(_strangers(planes) if check else ())]
+    found = [*_same_dates(planes), *_wrong_dates(planes)]
+    if check:
+        found += [*_strangers(planes), *_out_of_scale(peaks)]
     first = planes[0].unit
     for i, plane in enumerate(planes):
         if not plane.unit.is_equivalent(first):
@@ -349,6 +357,28 @@ def _same_dates(planes):
         what = f"is of {date}, as is {Path(planes[one].name).name}"
         advice = "leave one out if it is a stack or another image of the same data"
         yield Problem(other, what, advice, refused=False)
+
+
+def _wrong_dates(planes):
+    """Yield images of dates at which none was taken."""
+    now = Time.now().jyear
+    for i, plane in enumerate(planes):
+        if plane.time is None or FIRST_IMAGES < plane.time.jyear < now + 1 / 365:
+            continue
+        date = plane.time.to_value("iso", subfmt="date")
+        what = f"is of {date}, when no image can have been taken"
+        yield Problem(i, what, "correct its date, or leave it out", refused=False)
+
+
+def _out_of_scale(peaks):
+    """Yield images whose largest values are far from those of most."""
+    bright = np.flatnonzero(np.isfinite(peaks) & (peaks > 0))
+    # Of two, either may be the odd one.
+    for i in bright if len(bright) > 2 else ():
+        ratio = float(peaks[i] / np.median(peaks[bright]))
+        if max(ratio, 1 / ratio) > OTHER_SCALE:
+            what = f"its peak is {ratio:.2g} times that of most images"
+            yield Problem(int(i), what, "correct its unit or scale", refused=False)
 
 
 def _strangers(planes):

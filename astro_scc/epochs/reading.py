@@ -194,12 +194,17 @@ def _completed(planes, times, beams):
 
 def _refuse_strangers(planes, frame, check):
     """Refuse images that do not belong together, or warn of them."""
-    for problem in problems(planes, check):
+    first = planes[0]
+    peaks = [np.max(p.data, where=~p.mask, initial=-np.inf) for p in planes]
+    peaks = [
+        peak * plane.unit.to(first.unit) if plane.unit.is_equivalent(first.unit) else 0
+        for peak, plane in zip(peaks, planes, strict=True)
+    ]
+    for problem in problems(planes, np.array(peaks), check):
         text = f"{planes[problem.index].name}: {problem.what}; {problem.advice}"
         if problem.refused:
             raise ValueError(text)
         warn(text)
-    first = planes[0]
     distance = [separation(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if frame == "offset" and distance[k] > FAR * max(first.extent, planes[k].extent):

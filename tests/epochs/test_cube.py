@@ -425,11 +425,21 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
         EpochCube.from_ccddata([])
 
 
+@pytest.mark.parametrize("date", ["2198-01-01", "1858-11-17"])
+# Leap seconds of the future are not known.
+@pytest.mark.filterwarnings("ignore:.*dubious year")
+def test_date_at_which_no_image_was_taken_is_a_warning(make_fits, date):
+    paths = make_fits("a.fits"), make_fits("b.fits", DATE_OBS=date)
+    with pytest.warns(EpochWarning, match=f"b.fits: is of {date}, when no image can"):
+        EpochCube.read(paths)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"BMAJ": None}, "b.fits: no beam where other epochs have"),
         ({"DATE_OBS": "2006-03-09"}, "b.fits: is of .*, as is a.fits; leave"),
+        ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "b.fits: its peak is .* ti"),
         ({"OBJECT": "1226+023"}, "b.fits: shows 1226.023, at the same place"),
         ({"BUNIT": "ODD"}, "^a.fits, b.fits, c.fits and 1 more: its unit 'ODD'"),
     ],
