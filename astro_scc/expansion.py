@@ -13,7 +13,8 @@ from astropy.table import QTable
 
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
-from astro_scc.measurement import MatchedEpochs, false_discovery_rate
+from astro_scc.matching import MatchedEpochs
+from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
 from astro_scc.scc import StackedCrossCorrelation
@@ -65,7 +66,7 @@ def fit_shell(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; its velocity axes are not used.
-    matched : `~astro_scc.measurement.MatchedEpochs` or dict of it
+    matched : `~astro_scc.matching.MatchedEpochs` or dict of it
         In a dict, each value is a group with the key as its name; all must
         have the same dates.
     groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,), optional
@@ -392,7 +393,7 @@ def measure_expansion(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; ``max_speed`` is the speed at the radius.
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) from the reference pixel, see `fit_shell`.
     radius : `~astropy.units.Quantity`

@@ -16,10 +16,11 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.images.beam import require_common_beam
-from astro_scc.measurement import MatchedEpochs, SCCResult, SearchPlan
+from astro_scc.matching import MatchedEpochs, SearchPlan
+from astro_scc.matching.matched import allow_for_structure, match_epochs
+from astro_scc.matching.plan import scale_numbers
+from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.matched import allow_for_structure, match_epochs
-from astro_scc.measurement.plan import scale_numbers
 from astro_scc.measurement.stacking import stack_matches
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking.velocities import VelocitySamples
@@ -156,7 +157,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.measurement.SearchPlan`
+        `~astro_scc.matching.SearchPlan`
 
         Raises
         ------
@@ -207,7 +208,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.measurement.MatchedEpochs`
+        `~astro_scc.matching.MatchedEpochs`
 
         Raises
         ------
@@ -253,7 +254,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Parameters
         ----------
-        matched : `~astro_scc.measurement.MatchedEpochs`
+        matched : `~astro_scc.matching.MatchedEpochs`
         n_trials : int, optional
             Number of permutations of the epochs.  The paper's z-score and error take
             at most 200, which give a standard deviation to 5%.
@@ -291,7 +292,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Parameters
         ----------
-        matched : `~astro_scc.measurement.MatchedEpochs`
+        matched : `~astro_scc.matching.MatchedEpochs`
 
         Returns
         -------

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Hidden folders for incomplete output, and removal of those left by killed runs."""
+"""Hidden folders for incomplete output, and what is written of text and versions."""
 
 import hashlib
 import os
@@ -9,6 +9,8 @@ import secrets
 import shutil
 import time
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 #: Seconds for which a folder must be held to count as held, and number of trials.
@@ -203,3 +205,35 @@ def is_held(folder):
             return False
         time.sleep(PATIENCE / TRIES)
     return True
+
+
+def ascii_line(text):
+    """Return text in one line of ASCII."""
+    return " ".join(str(text).split()).encode("ascii", "replace").decode()
+
+
+def versions() -> dict[str, str]:
+    """
+    Return the versions of this package and of the packages its numbers depend on.
+
+    Returns
+    -------
+    dict of str
+
+    Examples
+    --------
+    >>> from astro_scc.writing import versions
+    >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
+    True
+    """
+    return dict(_versions())
+
+
+@cache
+def _versions():
+    needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
+    found = dict.fromkeys(needed, "unknown")
+    for name in found:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found

@@ -14,7 +14,7 @@ from common import PM_UNIT, measured, plain, write_table
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import add_gaussians
 from astro_scc.kinematics import find_ridge_line
-from astro_scc.measurement import select_ssps
+from astro_scc.matching import select_ssps
 
 RADIUS, SPEEDS = 16.0, (0.5, 1.4)
 NAMES = ("ridge line", "position angle")

@@ -35,7 +35,7 @@ from common import (
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import apparent_speed, paper_cosmology
-from astro_scc.measurement import select_ssps
+from astro_scc.matching import select_ssps
 
 #: The paper uses the images of 3C 273 and 3C 120 before this date.
 BEFORE = "2011-01-01"

@@ -39,7 +39,7 @@ from astro_scc.flow import (
     scale_groups,
 )
 from astro_scc.kinematics import apparent_speed
-from astro_scc.measurement import select_ssps
+from astro_scc.matching import select_ssps
 from astro_scc.streams.dispersion import random_effects
 
 SOURCE = {source.name: source for source in SOURCES}

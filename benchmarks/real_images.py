@@ -25,7 +25,7 @@ from common import (
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import plan_intervals
-from astro_scc.measurement import select_ssps
+from astro_scc.matching import select_ssps
 
 SOURCE = "0003+380"
 #: Direction from the core to the patterns of the jet, in degrees.

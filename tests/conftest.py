@@ -67,6 +67,18 @@ def jet_stacked(jet_matched):
 
 
 @pytest.fixture(scope="session")
+def matched(jet_matched):
+    """The small jet, correlated; tests of other jets have their own."""
+    return jet_matched
+
+
+@pytest.fixture(scope="session")
+def sky_result(jet_stacked):
+    """The small jet, stacked along east and north."""
+    return jet_stacked()
+
+
+@pytest.fixture(scope="session")
 def jet_results(jet_stacked):
     """Results of the same matches by the kind of their axes."""
     angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}

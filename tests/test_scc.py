@@ -12,7 +12,7 @@ from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement import write_products
+from astro_scc.products import write_products
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.stacking.stack import find_velocity_peaks
 

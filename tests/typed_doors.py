@@ -28,8 +28,9 @@ from astro_scc import (
     features,
     flow,
     kinematics,
+    matching,
     measure_velocities,
-    measurement,
+    products,
     recovery,
     report,
     settings,
@@ -38,7 +39,8 @@ from astro_scc import (
     visualization,
 )
 from astro_scc.features.motion import Motion
-from astro_scc.measurement import MatchedEpochs, SCCResult
+from astro_scc.matching import MatchedEpochs
+from astro_scc.measurement import SCCResult
 from astro_scc.stacking.velocities import DatePairs
 
 MAS_PER_YEAR = u.mas / u.yr
@@ -49,7 +51,7 @@ def measure(cube: EpochCube) -> QTable:
     StackedCrossCorrelation(scales="0.2 mas, 0.4 mas", max_speed="2 mas/yr")
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
     StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
-    assert_type(scc.plan(cube), measurement.SearchPlan)
+    assert_type(scc.plan(cube), matching.SearchPlan)
     assert_type(scc.plan(cube).scales, tuple[float, ...])
     assert_type(scc.decomposer(cube), decomposition.Decomposer)
     assert_type(scc.plan(cube).pairs, DatePairs)
@@ -234,8 +236,8 @@ def read_results(result: SCCResult, cube: EpochCube) -> list[Path]:
     assert_type(result.explore("jet.html"), Path)
     result.matched.write("matches.fits")
     matched = MatchedEpochs.read("matches.fits", cube)
-    inner = measurement.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
-    measurement.select_ssps(matched, r_max=8)  # type: ignore[arg-type]
-    regions = measurement.ssp_regions(inner.ssps, cube, 0, shape="circle")
+    inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
+    matching.select_ssps(matched, r_max=8)  # type: ignore[arg-type]
+    regions = products.ssp_regions(inner.ssps, cube, 0, shape="circle")
     regions.write("ssps.reg")
-    return measurement.write_products(result, result.components, "out")
+    return products.write_products(result, result.components, "out")

@@ -13,7 +13,7 @@ from astro_scc.components.restoring import NO_BEAM
 from astro_scc.epochs import read_components, write_epochs
 from astro_scc.epochs import restore as restored
 from astro_scc.images.beam import parse_beam
-from astro_scc.measurement.products import product_folder
+from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.settings import check_setting
 from astro_scc.simulation import write_simulation

@@ -17,11 +17,11 @@ from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.cutout import refuse_pixels
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.headers import first_line
-from astro_scc.measurement import plan
-from astro_scc.measurement.published import published_positions
-from astro_scc.measurement.tables import versions
+from astro_scc.matching import plan
+from astro_scc.products.published import published_positions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
+from astro_scc.writing import versions
 
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.

@@ -13,17 +13,16 @@ from astro_scc.cli import inputs
 from astro_scc.cli.arguments import WORK
 from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
-from astro_scc.measurement import write_epoch_regions, write_products
-from astro_scc.measurement.products import product_folder
-from astro_scc.measurement.published import with_published
-from astro_scc.measurement.tables import versions
+from astro_scc.products import write_epoch_regions, write_products
+from astro_scc.products.folder import product_folder
+from astro_scc.products.published import with_published
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, published_lines
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 from astro_scc.visualization import FIGURES
-from astro_scc.writing import make_folder, replace_when_complete
+from astro_scc.writing import make_folder, replace_when_complete, versions
 
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (

@@ -8,12 +8,12 @@ from astro_scc.cli import inputs
 from astro_scc.flow import measure_acceleration
 from astro_scc.flow.profile import bins_of, measure_profile, write_profile
 from astro_scc.flow.speeds import compare_scales
-from astro_scc.measurement import select_ssps
-from astro_scc.measurement.products import product_folder
-from astro_scc.measurement.publication import write_publication
-from astro_scc.measurement.tables import versions
+from astro_scc.matching import select_ssps
+from astro_scc.products.folder import product_folder
+from astro_scc.products.publication import write_publication
 from astro_scc.report.answer import profile_lines, scale_lines
 from astro_scc.units import in_speed_unit
+from astro_scc.writing import versions
 
 PRODUCTS = (
     "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "

@@ -29,9 +29,9 @@ from astro_scc.columns import table_lines
 from astro_scc.correlation import parallel
 from astro_scc.images.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
-from astro_scc.measurement import select_ssps
-from astro_scc.measurement.publication import FOLDER, write_publication
-from astro_scc.measurement.published import published_positions
+from astro_scc.matching import select_ssps
+from astro_scc.products.publication import FOLDER, write_publication
+from astro_scc.products.published import published_positions
 from astro_scc.progress import progress
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation

@@ -17,9 +17,10 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc.cli import inputs
 from astro_scc.columns import round_to_errors
-from astro_scc.measurement import component_table, false_discovery_rate, versions
+from astro_scc.measurement import component_table, false_discovery_rate
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
+from astro_scc.writing import versions
 
 __all__ = ["read_survey"]
 

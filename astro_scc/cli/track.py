@@ -10,14 +10,14 @@ from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
-from astro_scc.measurement.matched import decompose_epochs
-from astro_scc.measurement.products import product_folder, write_files, write_tables
-from astro_scc.measurement.publication import write_publication
-from astro_scc.measurement.published import with_published
-from astro_scc.measurement.tables import versions
+from astro_scc.matching.matched import decompose_epochs
+from astro_scc.products.folder import product_folder, write_files, write_tables
+from astro_scc.products.publication import write_publication
+from astro_scc.products.published import with_published
 from astro_scc.report.answer import feature_lines, published_lines, speed_lines
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import plot_separation, plot_tracks
+from astro_scc.writing import versions
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (

@@ -5,9 +5,9 @@ from astro_scc.alignment.registration import core_positions
 from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.inspection import inspect_epochs, plan_intervals
+from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import Beam
 from astro_scc.images.cutout import distance_mask
-from astro_scc.images.serialize import write_epochs
 
 restore = EpochCube.from_components
 

@@ -21,12 +21,12 @@ from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
 from astro_scc.components.tables import kind_of
 from astro_scc.epochs import ndcubes, reading
+from astro_scc.epochs.serialize import read_object, write_cube
 from astro_scc.images.beam import Beam, beam_columns
 from astro_scc.images.cutout import crop, region_mask
 from astro_scc.images.fits import CUBE_CREATOR, find_files
 from astro_scc.images.grid import common_beam, reproject_cube
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.serialize import read_object, write_cube
 from astro_scc.images.series import ImageSeries
 from astro_scc.images.validation import date_labels
 

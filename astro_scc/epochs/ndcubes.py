@@ -12,9 +12,9 @@ from astropy.nddata import StdDevUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
+from astro_scc.epochs.serialize import EXACT, without_dates
 from astro_scc.images.fits import Plane
 from astro_scc.images.headers import read_header
-from astro_scc.images.serialize import EXACT, without_dates
 from astro_scc.images.series import ImageSeries
 from astro_scc.images.validation import as_celestial, as_numbers, fits_wcs
 

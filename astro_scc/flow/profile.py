@@ -13,15 +13,15 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc import measurement
+from astro_scc import matching, measurement
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
 from astro_scc.flow.models import fit_profile
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
-from astro_scc.measurement.products import write_files, write_tables
 from astro_scc.measurement.tables import Components, component_table, stack_tables
+from astro_scc.products.folder import write_files, write_tables
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking.stack import stack
@@ -138,7 +138,7 @@ def _main(table):
 
 
 def measure_profile(
-    scc: StackedCrossCorrelation, matched: measurement.MatchedEpochs | EpochCube,
+    scc: StackedCrossCorrelation, matched: matching.MatchedEpochs | EpochCube,
     edges: u.Quantity | str, *, window: u.Quantity | str | None = None,
     ridge: RidgeLine | None = None, n_trials: int = 1000,
     rng: np.random.Generator | int | None = None, progress_bar: bool = False,
@@ -153,7 +153,7 @@ def measure_profile(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings.
-    matched : `~astro_scc.measurement.MatchedEpochs` or cube
+    matched : `~astro_scc.matching.MatchedEpochs` or cube
         The result of ``scc.match(cube)``, or a cube, which is matched first.
     edges : `~astropy.units.Quantity` or str, shape (n + 1,)
         Limits of the bins: increasing angles, none negative.
@@ -196,7 +196,7 @@ def measure_profile(
     results = [None] * len(bins)
     for k, own in enumerate(np.random.default_rng(rng).spawn(len(bins))):
         limits = {"r_min": bins[k, 0], "r_max": bins[k, 1]}
-        part = measurement.select_ssps(matched, **limits, ridge=ridge)
+        part = matching.select_ssps(matched, **limits, ridge=ridge)
         if part.select.any():
             results[k] = scc.stack(
                 part, n_trials=n_trials, rng=own, progress_bar=progress_bar
@@ -312,7 +312,7 @@ def ssp_angles(matched, jet):
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     jet : `~astropy.units.Quantity`
         Direction of the jet.
 

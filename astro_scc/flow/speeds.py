@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtr
 
 from astro_scc.kinematics import SkyFrame
-from astro_scc.measurement import MatchedEpochs, SCCResult, select_ssps
+from astro_scc.matching import MatchedEpochs, select_ssps
+from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
 from astro_scc.streams.dispersion import feature_speeds, random_effects, scattered_fit
@@ -256,7 +257,7 @@ def scale_groups(
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     groups : dict of sequence of float or `~astropy.units.Quantity`
         The scales of each group, by its name.
 

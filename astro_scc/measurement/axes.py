@@ -129,7 +129,7 @@ def matched_displacements(matched, settings):
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
 
     Returns

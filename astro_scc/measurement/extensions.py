@@ -6,10 +6,10 @@ import numpy as np
 from astropy.io import fits
 from astropy.table import QTable
 
-from astro_scc.measurement.publication import ascii_line
 from astro_scc.measurement.tables import frame_velocities
 from astro_scc.streams import SearchSettings
 from astro_scc.units import PM_UNIT
+from astro_scc.writing import ascii_line
 
 MOTION = "direction of the proper motion"
 #: What the header of the diagram says about it.

@@ -54,7 +54,7 @@ class FollowedFeatures:
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     project : `~astro_scc.measurement.axes.AxisProjection`
     radius : float
         Largest displacement between two detections, in beams.

@@ -17,14 +17,14 @@ from astropy.wcs import WCS
 
 from astro_scc.columns import cell
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.tables import feature_table
 from astro_scc.images.positions import axis_words, name_by_frame
-from astro_scc.images.serialize import read_object, write_object
+from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.extensions import velocity_hdus
-from astro_scc.measurement.matched import MatchedEpochs
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.trials import JitteredVelocity, PermutedStacks

@@ -14,9 +14,9 @@ from scipy.special import ndtr
 from astro_scc import kinematics
 from astro_scc.columns import build_table, cell, round_to_errors
 from astro_scc.correlation.parallel import in_order
+from astro_scc.matching.matched import ssp_distances
 from astro_scc.measurement import axes
 from astro_scc.measurement.followed import FollowedFeatures
-from astro_scc.measurement.matched import ssp_distances
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import find_streams
 from astro_scc.streams.errors import StreamVelocity, velocity_of
@@ -53,9 +53,9 @@ def search_matches(matched, settings, plan, *, n_trials, rng):
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
-    plan : `~astro_scc.measurement.SearchPlan`
+    plan : `~astro_scc.matching.SearchPlan`
     n_trials : int
     rng : `~numpy.random.Generator`
 
@@ -129,9 +129,9 @@ def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
     ----------
     found : ``Found``
         The search in all data.
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
-    plan : `~astro_scc.measurement.SearchPlan`
+    plan : `~astro_scc.matching.SearchPlan`
     rng : `~numpy.random.Generator`
     n_workers : int, str or `dask.distributed.Client`, optional
 

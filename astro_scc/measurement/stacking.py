@@ -5,10 +5,9 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.matching.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement import sensitivity
-from astro_scc.measurement.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import versions
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.stacking import trials
@@ -16,6 +15,7 @@ from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.stack import stack, velocity_peak_near
 from astro_scc.stacking.velocities import baseline_pairs
 from astro_scc.streams.search_settings import DEFAULT
+from astro_scc.writing import versions
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
@@ -39,7 +39,7 @@ def stack_matches(
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     settings : `~astro_scc.StackedCrossCorrelation`
     n_trials : int
         The paper's z-score and error take at most 200.

@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
@@ -45,33 +42,6 @@ PAPER = (
     "separation position_angle pm beta_app pm_pa published published_pm dispersion "
     "t_ej p_false p_global p_fdr n_features n_pairs secure"
 ).split()
-
-
-def versions() -> dict[str, str]:
-    """
-    Return the versions of this package and of the packages its numbers depend on.
-
-    Returns
-    -------
-    dict of str
-
-    Examples
-    --------
-    >>> from astro_scc.measurement.tables import versions
-    >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
-    True
-    """
-    return dict(_versions())
-
-
-@cache
-def _versions():
-    needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
-    found = dict.fromkeys(needed, "unknown")
-    for name in found:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
 
 
 def component_table(

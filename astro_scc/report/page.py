@@ -14,8 +14,8 @@ from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.speeds import compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c_as
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.products import write_files
 from astro_scc.measurement.tables import printed
+from astro_scc.products.folder import write_files
 from astro_scc.report import answer, tables
 from astro_scc.stacking.trials import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
@@ -73,7 +73,7 @@ def write_report(
         with letters of 8 pt.
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
-        ``astro_scc.measurement.published.published_positions``.
+        ``astro_scc.products.published.published_positions``.
 
     Returns
     -------

@@ -26,8 +26,8 @@ from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.flow.speeds import BLENDS, _difference, _groups_of, _mean, fit_gradient
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine, SkyFrame, paper_cosmology
+from astro_scc.matching.matched import select_ssps, ssp_distances
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.matched import select_ssps, ssp_distances
 from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 from astro_scc.streams import SearchSettings
@@ -42,12 +42,6 @@ def scc():
     return StackedCrossCorrelation(
         scales=[1, 2, 3], max_speed=30 * PM, position_angle=270 * u.deg
     )
-
-
-@pytest.fixture(scope="module")
-def matched(jet_matched):
-    """A jet of one stream that moves by 6 pixels an epoch, 7.3 mas/yr."""
-    return jet_matched
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.features.diffusion import measure_diffusion, random_walk
-from astro_scc.measurement import select_ssps
+from astro_scc.matching import select_ssps
 from astro_scc.measurement.axes import AxisProjection
 from astro_scc.measurement.followed import FollowedFeatures
 from astro_scc.measurement.sensitivity import (

@@ -12,8 +12,8 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.epochs import serialize
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.images import serialize
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, RidgeLine, SkyFrame
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import paper_table, printed

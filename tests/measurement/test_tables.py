@@ -19,16 +19,16 @@ from astro_scc.columns import columns_of
 from astro_scc.decomposition import SSPs
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.publication import latex_texts_of
 from astro_scc.measurement.tables import (
     component_table,
     components_of,
     paper_table,
     ssp_table,
     velocity_columns,
-    versions,
 )
+from astro_scc.products.publication import latex_texts_of
 from astro_scc.quantities import decimals
+from astro_scc.writing import versions
 
 PM = u.mas / u.yr
 

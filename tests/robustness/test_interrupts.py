@@ -118,7 +118,7 @@ def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
         left[0] -= 1
         real(old, new)
 
-    monkeypatch.setattr("astro_scc.measurement.products.os.replace", replace)
+    monkeypatch.setattr("astro_scc.products.folder.os.replace", replace)
     child = start([*argv, str(out), "--overwrite"], tmp_path / "log")
     _, status = os.waitpid(child, 0)
     monkeypatch.undo()

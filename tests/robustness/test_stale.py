@@ -163,7 +163,7 @@ def test_a_finished_source_of_another_content(survey, tmp_path, name, old, new):
 
 
 def test_a_finished_source_of_other_versions(survey, monkeypatch):
-    from astro_scc.measurement.tables import versions
+    from astro_scc.writing import versions
 
     now = versions()
     monkeypatch.setattr(

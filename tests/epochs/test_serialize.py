@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from astro_scc.components.tables import kind_of
-from astro_scc.epochs import Beam, EpochCube, write_epochs
-from astro_scc.images import serialize
+from astro_scc.epochs import Beam, EpochCube, serialize, write_epochs
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
 

@@ -73,7 +73,7 @@ def ssp_regions(
     Examples
     --------
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.measurement import ssp_regions
+    >>> from astro_scc.products import ssp_regions
     >>> from astro_scc.simulation import simulate_static
     >>> cube = simulate_static(n_epochs=2, rng=1).cube
     >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])
@@ -134,7 +134,7 @@ def write_ssp_regions(
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import write_ssp_regions
+    >>> from astro_scc.products import write_ssp_regions
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
@@ -183,7 +183,7 @@ def ssp_segmentation(
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import ssp_segmentation
+    >>> from astro_scc.products import ssp_segmentation
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
@@ -274,7 +274,7 @@ def write_epoch_regions(
     Examples
     --------
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.measurement import write_epoch_regions
+    >>> from astro_scc.products import write_epoch_regions
     >>> from astro_scc.simulation import simulate_static
     >>> cube = simulate_static(n_epochs=2, rng=1).cube
     >>> ssps = SSPs.of_epochs([Decomposer(scales=[2])(image) for image in cube.data])

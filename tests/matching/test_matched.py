@@ -18,8 +18,8 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.noise import propagated_noise, shared_variance
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement import MatchedEpochs, select_ssps
-from astro_scc.measurement.matched import (
+from astro_scc.matching import MatchedEpochs, select_ssps
+from astro_scc.matching.matched import (
     allow_for_structure,
     centroids_inside,
     decompose_epochs,
@@ -239,7 +239,7 @@ def test_dates_do_not_matter_but_images_and_versions_do(
     assert MatchedEpochs.read(path, later).cube.times[0] == later.times[0]
     with pytest.raises(ValueError, match="m.fits: is of other images, masks, beams;"):
         MatchedEpochs.read(path, cube[:2])
-    other = "astro_scc.measurement.matched.versions", lambda: {"astro_scc": "0"}
+    other = "astro_scc.matching.matched.versions", lambda: {"astro_scc": "0"}
     monkeypatch.setattr(*other)
     with pytest.raises(ValueError, match="is of other versions; match the epochs"):
         MatchedEpochs.read(path, cube)

@@ -21,9 +21,9 @@ from astro_scc.columns import describe
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement.extensions import velocity_hdus
-from astro_scc.measurement.publication import write_publication
-from astro_scc.measurement.published import with_published
 from astro_scc.measurement.result import SCCResult
+from astro_scc.products.publication import write_publication
+from astro_scc.products.published import with_published
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
@@ -69,7 +69,7 @@ def product_folder(
     Examples
     --------
     >>> from pathlib import Path
-    >>> from astro_scc.measurement.products import product_folder
+    >>> from astro_scc.products.folder import product_folder
     >>> with product_folder("out") as folder:
     ...     _ = (folder / "a.txt").write_text("done")
     >>> [path.name for path in Path("out").iterdir()]
@@ -174,7 +174,7 @@ def write_products(
         The same settings as TOML, for ``config.toml``.
     published : `~astropy.table.QTable`, optional
         Published features, see
-        ``astro_scc.measurement.published.published_positions``, of which the table of
+        ``astro_scc.products.published.published_positions``, of which the table of
         features has columns.
     archives : bool, optional
         Write the folder ``publication``.
@@ -185,7 +185,7 @@ def write_products(
         ``components.ecsv``, ``features.ecsv``, with apparent speeds if the components
         have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``,
         ``ssps.ecsv``, ``scc.fits``, the folder ``publication``, see
-        ``astro_scc.measurement.publication.write_publication``, and, if ``text`` is
+        ``astro_scc.products.publication.write_publication``, and, if ``text`` is
         given, ``config.toml``.
 
     Raises
@@ -203,7 +203,7 @@ def write_products(
     >>> from pathlib import Path
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import write_products
+    >>> from astro_scc.products import write_products
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)

@@ -380,7 +380,7 @@ def flow_direction(matched, frame=None):
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     frame : frame of `astro_scc.kinematics`, optional
 
     Returns
@@ -420,7 +420,7 @@ def choose_alignment(cube):
 
     Examples
     --------
-    >>> from astro_scc.measurement.plan import choose_alignment
+    >>> from astro_scc.matching.plan import choose_alignment
     >>> from astro_scc.simulation import simulate_jet
     >>> choose_alignment(simulate_jet(n_epochs=12, alignment_error=0.4, rng=1).cube)
     ('core', 'the epochs scatter by 0.38 beams, 0.01 on the core')
@@ -476,7 +476,7 @@ def choose_scales(cube):
     Examples
     --------
     >>> from astro_scc import EpochCube
-    >>> from astro_scc.measurement.plan import choose_scales
+    >>> from astro_scc.matching.plan import choose_scales
     >>> from astro_scc.simulation import simulate_jet
     >>> cube = simulate_jet(n_epochs=5, rng=1).cube
     >>> choose_scales(cube)
@@ -564,7 +564,7 @@ def choose_direction(cube):
 
     Examples
     --------
-    >>> from astro_scc.measurement.plan import choose_direction
+    >>> from astro_scc.matching.plan import choose_direction
     >>> from astro_scc.simulation import simulate_jet
     >>> choose_direction(simulate_jet(n_epochs=5, rng=1).cube)[0]
     <Quantity 273. deg>

@@ -10,7 +10,7 @@ from regions import Regions
 
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.measurement import (
+from astro_scc.products import (
     ssp_regions,
     ssp_segmentation,
     write_epoch_regions,

@@ -21,15 +21,15 @@ from astro_scc.correlation.parallel import in_order, workers_of
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.positions import ssp_offsets
-from astro_scc.images.serialize import read_object, without_dates, write_object
 from astro_scc.kinematics import RidgeLine
-from astro_scc.measurement.plan import scales_of_pixels
-from astro_scc.measurement.tables import versions
+from astro_scc.matching.plan import scales_of_pixels
 from astro_scc.progress import progress
 from astro_scc.settings import require
+from astro_scc.writing import versions
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
@@ -538,7 +538,7 @@ def ssp_distances(matched, *, origin=None, ridge=None):
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     origin : `~astropy.units.Quantity`, shape (2,), optional
         (east, north) of the core, by default the reference pixel.
     ridge : `~astro_scc.kinematics.RidgeLine`, optional
@@ -569,7 +569,7 @@ def select_ssps(
 
     Parameters
     ----------
-    matched : `~astro_scc.measurement.MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     region : optional
         Anything that ``cube.region_mask`` takes.
     r_min, r_max : `~astropy.units.Quantity`, optional
@@ -582,7 +582,7 @@ def select_ssps(
 
     Returns
     -------
-    `~astro_scc.measurement.MatchedEpochs`
+    `~astro_scc.matching.MatchedEpochs`
 
     Raises
     ------
@@ -593,7 +593,7 @@ def select_ssps(
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.measurement import select_ssps
+    >>> from astro_scc.matching import select_ssps
     >>> from astro_scc.simulation import simulate_static
     >>> matched = StackedCrossCorrelation(scales=[1, 2]).match(
     ...     simulate_static(n_epochs=3, rng=1).cube)

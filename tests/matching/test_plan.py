@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.plan import (
+from astro_scc.matching.plan import (
     SearchPlan,
     choose_alignment,
     choose_direction,

@@ -17,9 +17,10 @@ from astropy.wcs import WCS
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import RadialFrame
 from astro_scc.kinematics.cosmology import to_cosmology
-from astro_scc.measurement import products, write_products
 from astro_scc.measurement.extensions import velocity_hdus
-from astro_scc.measurement.products import product_folder
+from astro_scc.products import folder as products
+from astro_scc.products import write_products
+from astro_scc.products.folder import product_folder
 from astro_scc.writing import _machine
 
 SETTINGS = {"scales": [2], "max_speed": "36 mas / yr"}

@@ -21,6 +21,7 @@ from astro_scc import writing
 from astro_scc.columns import column_of, round_to_errors
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.measurement.tables import paper_table, printed
+from astro_scc.writing import ascii_line
 
 FOLDER = "publication"
 #: Captions, with the name of the source in braces.
@@ -71,7 +72,7 @@ def write_publication(
     >>> from pathlib import Path
     >>> import astropy.units as u
     >>> from astropy.table import QTable
-    >>> from astro_scc.measurement.publication import write_publication
+    >>> from astro_scc.products.publication import write_publication
     >>> Path("out").mkdir()
     >>> table = QTable({"pm": [0.5] * u.mas / u.yr})
     >>> paths = write_publication({"speeds": table}, "out")
@@ -131,17 +132,12 @@ def _caption(table, name):
     return caption.format(f" of {source}" if source else "")
 
 
-def ascii_line(text):
-    """Return text in one line of ASCII."""
-    return " ".join(str(text).split()).encode("ascii", "replace").decode()
-
-
 def _rendered(template, **what):
     """Return a filled template; LaTeX has braces of its own."""
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("astro_scc", "measurement/templates"),
+        loader=jinja2.PackageLoader("astro_scc", "products/templates"),
         variable_start_string="<<",
         variable_end_string=">>",
         block_start_string="<%",
@@ -330,7 +326,7 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     --------
     >>> import astropy.units as u
     >>> from astropy.table import QTable
-    >>> from astro_scc.measurement import write_votable
+    >>> from astro_scc.products import write_votable
     >>> write_votable(QTable({"pm": [0.5] * u.mas / u.yr}), "components.vot")
     >>> QTable.read("components.vot")["pm"].unit
     Unit("mas / yr")

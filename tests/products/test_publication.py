@@ -16,8 +16,9 @@ from astropy.utils.masked import Masked
 
 from astro_scc.columns import column_of, columns_of
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.measurement import tables, write_votable
-from astro_scc.measurement.publication import (
+from astro_scc.measurement import tables
+from astro_scc.products import write_votable
+from astro_scc.products.publication import (
     ONE_PAGE,
     latex_texts_of,
     write_publication,
