@@ -27,7 +27,7 @@ from astro_scc.measurement.stacking import seeded
 from astro_scc.progress import progress
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
-from astro_scc.stacking.trials import number_of_permutations
+from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Correlation of SSPs with the images of other epochs, giving matches in pixels."""
 
-from astro_scc.correlation.correlate import Correlator, all_pairs
-from astro_scc.correlation.matches import Matches
+from astro_scc.correlation.correlate import Correlator, Matches, all_pairs
 
 __all__ = ["Correlator", "Matches", "all_pairs"]

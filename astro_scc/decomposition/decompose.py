@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.decomposition import noise as estimates
+from astro_scc.decomposition import wavelet
 from astro_scc.decomposition.segmentation import SSPs, find_ssps
 from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
 from astro_scc.quantities import NOISES, check_choice, named
@@ -232,7 +232,7 @@ class Decomposer:
         each = [self._planes(*of) for of in zip(images, masks, strict=True)]
         planes, masks, _ = zip(*each, strict=True)
         found = [
-            estimates.shared_variance(pair, scale, masks=masks)
+            wavelet.shared_variance(pair, scale, masks=masks)
             for *pair, scale in zip(*planes, self.scales, strict=True)
         ]
         share, chance = np.array(found).T
@@ -254,10 +254,10 @@ class Decomposer:
         if self.noise == "propagated":
             if rms is None or not 0 < rms < np.inf:
                 raise ValueError(f"'propagated' needs the rms of the image, got {rms}")
-            return estimates.propagated_noise(
+            return wavelet.propagated_noise(
                 rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
             )
-        kinds = {"plane": estimates.plane_noise, "local": estimates.local_noise}
+        kinds = {"plane": wavelet.plane_noise, "local": wavelet.local_noise}
         factors = self.noise_factors or (1.0,) * len(self.scales)
         return [
             factor * kinds[self.noise](plane, scale, mask=missing)

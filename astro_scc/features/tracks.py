@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from astro_scc.features.assignment import Assignment
 from astro_scc.features.detections import Detections
-from astro_scc.features.hypotheses import steady_hypotheses
+from astro_scc.features.hypotheses import Assignment, steady_hypotheses
 
 
 @dataclass(frozen=True, kw_only=True)

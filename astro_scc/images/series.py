@@ -19,7 +19,7 @@ from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
 from astro_scc import units
-from astro_scc.decomposition.noise import MAD_TO_SIGMA
+from astro_scc.decomposition.wavelet import MAD_TO_SIGMA
 from astro_scc.images import positions, validation
 from astro_scc.images.beam import Beam
 from astro_scc.images.headers import epoch_header

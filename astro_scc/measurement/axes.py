@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc import kinematics
-from astro_scc.correlation.matches import target_ssps
+from astro_scc.correlation.correlate import target_ssps
 from astro_scc.images.positions import (
     beam_covariance,
     beam_fwhm,

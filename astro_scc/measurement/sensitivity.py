@@ -19,7 +19,7 @@ from astro_scc.measurement import axes
 from astro_scc.measurement.followed import FollowedFeatures
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import find_streams
-from astro_scc.streams.errors import StreamVelocity, velocity_of
+from astro_scc.streams.dispersion import StreamVelocity, velocity_of
 from astro_scc.streams.search import Search
 from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit
 

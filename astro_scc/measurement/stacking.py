@@ -10,9 +10,14 @@ from astro_scc.measurement import sensitivity
 from astro_scc.measurement.result import SCCResult
 from astro_scc.progress import progress
 from astro_scc.settings import require
-from astro_scc.stacking import trials
 from astro_scc.stacking.pair_maps import PairMaps
-from astro_scc.stacking.stack import stack, velocity_peak_near
+from astro_scc.stacking.stack import (
+    jitter_positions,
+    number_of_permutations,
+    permute_stacks,
+    stack,
+    velocity_peak_near,
+)
 from astro_scc.stacking.velocities import baseline_pairs
 from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.writing import versions
@@ -96,12 +101,12 @@ def stack_matches(
     shift = (SMALL_SHIFT * fwhm,) * 2 if small else None
     with progress(few, "Permuting", show=progress_bar) as done:
         how = {"rng": paper_rng, "shift": shift, "progress": done}
-        permuted = trials.permute_stacks(maps, pairs, grid, few, **how)
+        permuted = permute_stacks(maps, pairs, grid, few, **how)
     scc = stack(samples, pairs, grid)
     box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
     peaks = tuple(velocity_peak_near(scc, grid, box, *v.value) for v in velocities)
     jitters = tuple(
-        trials.jitter_positions(samples, pairs, peak, box, few, rng=own)
+        jitter_positions(samples, pairs, peak, box, few, rng=own)
         for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
     )
     return SCCResult(
@@ -148,7 +153,7 @@ def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Warn if no p-value can be as small as the level."""
     if smallest <= level:
         return
-    if 1 / trials.number_of_permutations(n_epochs) <= level:
+    if 1 / number_of_permutations(n_epochs) <= level:
         what = (
             f"{n_trials} trials allow no p_global below {1 / (n_trials + 1):.2g}, "
             f"so no stream can reach level {level:g}: give n_trials of "

@@ -17,7 +17,7 @@ from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import printed
 from astro_scc.products.folder import write_files
 from astro_scc.report import answer, tables
-from astro_scc.stacking.trials import number_of_permutations
+from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.units import in_speed_unit, unit_name
 from astro_scc.visualization import speeds, style
 from astro_scc.writing import make_folder

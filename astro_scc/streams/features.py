@@ -176,7 +176,7 @@ def find_features(samples, mixture, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.streams.mixture.Mixture`
+    mixture : `~astro_scc.streams.diagram.Mixture`
     settings : `~astro_scc.streams.SearchSettings`
 
     Returns
@@ -213,7 +213,7 @@ def first_speeds(samples, mixture, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.streams.mixture.Mixture`
+    mixture : `~astro_scc.streams.diagram.Mixture`
     settings : `~astro_scc.streams.SearchSettings`
 
     Returns

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.classification import Stream, classify, with_secure
-from astro_scc.streams.diagram import SHORT, Diagram, Rays
+from astro_scc.streams.diagram import SHORT, Diagram, Rays, fit_mixture
 from astro_scc.streams.dispersion import (
     Population,
     feature_speeds,
@@ -34,9 +34,7 @@ from astro_scc.streams.features import (
     find_features,
     standing_features,
 )
-from astro_scc.streams.mixture import fit_mixture
-from astro_scc.streams.permutations import EpochPermutations
-from astro_scc.streams.persistence import persistence
+from astro_scc.streams.permutations import EpochPermutations, persistence
 from astro_scc.streams.search_settings import SearchSettings
 
 #: Smallest significance of the speed of a stream's feature, in standard deviations of

@@ -133,7 +133,7 @@ def find_candidates(
     --------
     >>> import numpy as np
     >>> from astro_scc.correlation import Correlator, all_pairs
-    >>> from astro_scc.correlation.matches import target_ssps
+    >>> from astro_scc.correlation.correlate import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> from astro_scc.tracking.likelihood import find_candidates
     >>> y, x = np.mgrid[:64, :96]

@@ -96,7 +96,7 @@ def link(
     --------
     >>> import numpy as np
     >>> from astro_scc.correlation import Correlator, all_pairs
-    >>> from astro_scc.correlation.matches import target_ssps
+    >>> from astro_scc.correlation.correlate import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> from astro_scc.tracking.likelihood import find_candidates
     >>> from astro_scc.tracking.linking import link

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from astro_scc import quantities as q
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.correlation import Correlator, Matches
-from astro_scc.correlation.matches import COLUMNS, target_ssps
+from astro_scc.correlation.correlate import COLUMNS, target_ssps
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.decomposition.segmentation import require_ssps

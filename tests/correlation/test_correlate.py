@@ -11,8 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
-from astro_scc.correlation.correlate import TargetStack, match_block
-from astro_scc.correlation.matches import target_ssps
+from astro_scc.correlation.correlate import TargetStack, match_block, target_ssps
 from astro_scc.correlation.zncc import find_peaks, zncc
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.wavelet import scale_size

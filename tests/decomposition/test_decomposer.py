@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
 from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
-from astro_scc.decomposition.wavelet import wavelet_planes
+from astro_scc.decomposition.wavelet import (
+    local_noise,
+    plane_noise,
+    propagated_noise,
+    wavelet_planes,
+)
 
 
 def scene(seed=0, shape=(64, 96), n=6, noise=0.005):

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.decomposition import Decomposer
-from astro_scc.decomposition.noise import local_noise, plane_noise, propagated_noise
 from astro_scc.decomposition.wavelet import (
     KERNELS,
     atrous_transform,
+    local_noise,
+    plane_noise,
+    propagated_noise,
     scale_size,
     wavelet_planes,
 )

@@ -10,9 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from astro_scc.features import TrackSettings, assignment
-from astro_scc.features.assignment import TOLERANCE, Assignment
-from astro_scc.features.hypotheses import log_t, position_scatter, steady_hypotheses
+from astro_scc.features import TrackSettings, hypotheses
+from astro_scc.features.hypotheses import (
+    TOLERANCE,
+    Assignment,
+    log_t,
+    position_scatter,
+    steady_hypotheses,
+)
 from astro_scc.features.tracks import find_tracks
 
 #: Turns and mirrors of the sky.
@@ -293,9 +298,9 @@ def test_it_is_the_best_choice_and_others_are_valid(problem, seed):
 def test_prices_alone_do_not_solve_all_pairs(monkeypatch):
     # Of all pairs of five only two are disjoint, but prices cannot exclude 2.5.
     calls = []
-    solve = assignment.milp
+    solve = hypotheses.milp
     monkeypatch.setattr(
-        assignment, "milp", lambda *a, **k: calls.append(1) or solve(*a, **k)
+        hypotheses, "milp", lambda *a, **k: calls.append(1) or solve(*a, **k)
     )
     paths = list(combinations(range(5), 2))
     chosen, proven = Assignment(paths, 5).best(np.ones(10))
@@ -311,7 +316,7 @@ def test_prices_alone_do_not_solve_all_pairs(monkeypatch):
 )
 def test_without_time_or_all_tracks_nothing_is_proven(monkeypatch, limits):
     for name, value in limits.items():
-        monkeypatch.setattr(assignment, name, value)
+        monkeypatch.setattr(hypotheses, name, value)
     paths, score = hard()
     chosen, proven = Assignment(paths, 60).best(score)
     assert is_packing(paths, chosen)

@@ -15,7 +15,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.correlation.correlate import match_block
 from astro_scc.decomposition import Decomposer
-from astro_scc.decomposition.noise import propagated_noise, shared_variance
+from astro_scc.decomposition.wavelet import propagated_noise, shared_variance
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.matching import MatchedEpochs, select_ssps

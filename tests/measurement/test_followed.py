@@ -19,7 +19,7 @@ from astro_scc.measurement.sensitivity import (
     with_choices,
 )
 from astro_scc.simulation import JetSimulation, Stream, simulate_jet
-from astro_scc.streams.errors import StreamVelocity
+from astro_scc.streams.dispersion import StreamVelocity
 
 SCC = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
 

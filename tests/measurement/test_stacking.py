@@ -13,8 +13,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import simulate_static
 from astro_scc.streams.classification import Stream
-from astro_scc.streams.dispersion import Population
-from astro_scc.streams.errors import velocity_of
+from astro_scc.streams.dispersion import Population, velocity_of
 from astro_scc.streams.features import Feature
 
 PM = u.mas / u.yr

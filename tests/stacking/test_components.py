@@ -13,9 +13,9 @@ from astro_scc.stacking.stack import (
     VelocityPeak,
     find_velocity_peaks,
     fit_gaussian,
+    jitter_positions,
     velocity_peak_near,
 )
-from astro_scc.stacking.trials import jitter_positions
 from astro_scc.stacking.velocities import VelocityGrid, consecutive_pairs
 
 GRID = VelocityGrid.covering((10.0, 8.0), (0.5, 0.4))

@@ -15,14 +15,12 @@ from scipy.stats import chisquare
 from astro_scc.stacking.pair_maps import PairMaps, _Stretch
 from astro_scc.stacking.stack import (
     gaussian_sum,
-    number_of_ssps,
-    sample_velocities,
-    stack,
-)
-from astro_scc.stacking.trials import (
     number_of_permutations,
+    number_of_ssps,
     permute_stacks,
     random_permutations,
+    sample_velocities,
+    stack,
 )
 from astro_scc.stacking.velocities import (
     VelocityGrid,

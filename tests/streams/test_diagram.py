@@ -7,7 +7,7 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from astro_scc.stacking.trials import number_of_permutations
+from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import (

@@ -12,11 +12,11 @@ from astro_scc.streams.classification import Stream
 from astro_scc.streams.dispersion import (
     ONE_DISPERSIONS,
     TWO_DISPERSIONS,
+    alignment_response,
     feature_speeds,
     random_effects,
     separate_streams,
 )
-from astro_scc.streams.errors import alignment_response
 from astro_scc.streams.features import Feature
 
 SEARCH = SearchSettings()

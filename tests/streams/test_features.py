@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from astro_scc.streams import SearchSettings, find_streams
-from astro_scc.streams.diagram import Rays
+from astro_scc.streams.diagram import Rays, fit_mixture
 from astro_scc.streams.dispersion import feature_speeds, separate_streams
 from astro_scc.streams.features import (
     PULL,
@@ -18,7 +18,6 @@ from astro_scc.streams.features import (
     find_features,
     standing_features,
 )
-from astro_scc.streams.mixture import fit_mixture
 
 SEARCH = SearchSettings()
 #: Uneven: followers differ from features by the dates.

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from astro_scc.streams import SearchSettings
-from astro_scc.streams.diagram import Rays
-from astro_scc.streams.mixture import fit_mixture
+from astro_scc.streams.diagram import Rays, fit_mixture
 
 YEARS = np.cumsum([0.0, 0.7, 0.5, 1.1, 0.7, 0.4, 1.2, 0.6])
 RAYS = Rays.of(YEARS, 1.5, SearchSettings())

@@ -10,7 +10,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.measurement.axes import AxisProjection, matched_displacements
 from astro_scc.simulation import simulate_random_velocity
 from astro_scc.stacking.velocities import VelocitySamples
-from astro_scc.streams.persistence import persistence
+from astro_scc.streams.permutations import persistence
 
 N_EPOCHS, N_SSPS = 8, 20
 
