@@ -271,7 +271,7 @@ def streams_of_3c273(args):
               "p", "paper"]  # fmt: skip
     write_table("stratification_3c273", header, rows)
     from astro_scc.flow.profile import ssp_angles
-    from astro_scc.visualization.profiles import plot_position_angles
+    from astro_scc.visualization.speeds import plot_position_angles
 
     angle = ssp_angles(matched, scc.position_angle)
     inner = select_ssps(matched, r_min=1 * u.mas, r_max=6 * u.mas).select

@@ -20,7 +20,7 @@ from astro_scc.images.fits import find_files, looks_like_mask, read_plane
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, measure_noise
 from astro_scc.images.validation import as_beams, as_times, order_of
-from astro_scc.units import speed_unit
+from astro_scc.quantities import speed_unit
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
 # apart.

@@ -1,8 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Flow: speed profiles of jets, acceleration, and groups of scales."""
 
-from astro_scc.flow.models import ProfileFit, fit_profile
-from astro_scc.flow.profile import Profile, measure_profile
+from astro_scc.flow.profile import Profile, ProfileFit, fit_profile, measure_profile
 from astro_scc.flow.speeds import (
     compare_speeds,
     feature_profile,

@@ -18,12 +18,12 @@ from astropy.wcs import WCS
 from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
-from astro_scc import units
 from astro_scc.decomposition.wavelet import MAD_TO_SIGMA
 from astro_scc.images import positions, validation
 from astro_scc.images.beam import Beam
 from astro_scc.images.headers import epoch_header
 from astro_scc.images.validation import as_celestial, as_epoch_tuple
+from astro_scc.quantities import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
 
@@ -261,9 +261,9 @@ class ImageSeries:
         """Unit of proper motions that suits the dates and the resolution."""
         days = np.unique((self.times - self.times[0]).jd) * u.day
         if len(days) < 2:
-            return units.PM_UNIT
+            return PM_UNIT
         width, median = positions.resolution(self), np.median(np.diff(days))
-        return units.speed_unit(days[-1], width, median)
+        return speed_unit(days[-1], width, median)
 
     @property
     def facts(self) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from astropy.table import QTable
 from numpy.typing import ArrayLike
 
 from astro_scc.columns import describe, round_to_errors
-from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
-from astro_scc.units import PM_UNIT
+from astro_scc.quantities import NUMBER, PM_UNIT, named, parse_quantities, to_quantity
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM

@@ -19,20 +19,20 @@ from astro_scc.columns import cell
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
-from astro_scc.features.tables import feature_table
+from astro_scc.features.finder import feature_table
 from astro_scc.images.positions import axis_words, name_by_frame
 from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.extensions import velocity_hdus
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
+from astro_scc.quantities import PM_UNIT, unit_name
 from astro_scc.stacking.stack import JitteredVelocity, PermutedStacks, VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
 from astro_scc.streams.search import Search
-from astro_scc.units import PM_UNIT, unit_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

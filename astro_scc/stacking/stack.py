@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The stacked cross-correlation on a grid of velocities, its maxima and permutations."""
+"""The stacked cross-correlation on a grid of velocities: maxima and permutations."""
 
 from __future__ import annotations
 

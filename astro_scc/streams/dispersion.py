@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Mean, dispersion and error of the speeds of features, and how many streams they are."""
+"""Mean, dispersion and error of the speeds of features, and how many streams."""
 
 from __future__ import annotations
 

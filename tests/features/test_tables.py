@@ -11,7 +11,7 @@ from astropy.time import Time
 from astro_scc.columns import columns_of
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
-from astro_scc.features.tables import flux_unit
+from astro_scc.features.finder import flux_unit
 from astro_scc.features.tracks import Track
 
 N = 8

@@ -114,6 +114,7 @@ def test_without_options(table, tmp_path, capsys):
     assert (out / "population.png").is_file()
 
 
+@pytest.mark.slow
 def test_folders_of_images(tmp_path, capsys):
     folder, out = tmp_path / "images", tmp_path / "out"
     for name in ("one [1]", "two"):

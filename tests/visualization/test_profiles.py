@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
+from astro_scc.quantities import PM_UNIT as PM
 from astro_scc.stacking.velocities import VelocityGrid
-from astro_scc.units import PM_UNIT as PM
-from astro_scc.visualization.profiles import (
+from astro_scc.visualization.speeds import (
+    fastest_of,
+    plot_population,
     plot_position_angles,
     plot_profile,
     plot_scale_maps,
+    population,
 )
-from astro_scc.visualization.speeds import fastest_of, plot_population, population
 from astro_scc.visualization.style import BLUE
 
 WEST = SimpleNamespace(
