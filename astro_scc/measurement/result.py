@@ -48,7 +48,7 @@ class SCCResult(tables.Components):
 
     Attributes
     ----------
-    matched : `MatchedEpochs`
+    matched : `~astro_scc.matching.MatchedEpochs`
     frame : frame of `astro_scc.kinematics`
         The two velocity axes.
     position_angle : `~astropy.units.Quantity`
@@ -188,7 +188,7 @@ class SCCResult(tables.Components):
 
     @property
     def tracked_features(self) -> Features:
-        """The features that are followed, see `MatchedEpochs.features`."""
+        """The features that are followed in the images of ``matched``."""
         return self.matched.features
 
     @cached_property

@@ -162,9 +162,9 @@ def write_products(
 
     Parameters
     ----------
-    result : `SCCResult`
+    result : `~astro_scc.measurement.SCCResult`
     components : `~astropy.table.QTable`
-        `SCCResult.components`, with apparent speeds if there are any.
+        Its ``components``, with apparent speeds if there are any.
     directory : path
         A folder that exists, see ``product_folder``.
     configuration : dict, optional
