@@ -327,11 +327,11 @@ def problems(planes, peaks, check=True):
     Return the `Problem` of each image that does not belong to the others.
 
     It is of another unit, object, band or polarisation, or of the date of another one.
-    Another name for the same place, the same date, an impossible one, and a brightness
-    out of scale need only a warning; ``peaks`` are the largest values.  Without
-    ``check``, only units and dates count.
+    Another name for the same place, an impossible date, and a brightness out of scale
+    need only a warning; ``peaks`` are the largest values.  Without ``check``, only
+    units are refused, and dates are warned of.
     """
-    found = [*_same_dates(planes), *_wrong_dates(planes)]
+    found = [*_same_dates(planes, check), *_wrong_dates(planes)]
     if check:
         found += [*_strangers(planes), *_out_of_scale(peaks)]
     first = planes[0].unit
@@ -343,7 +343,7 @@ def problems(planes, peaks, check=True):
     return sorted(found, key=lambda problem: (problem.index, problem.what))
 
 
-def _same_dates(planes):
+def _same_dates(planes, check):
     """Yield images of the date of another one, to the second."""
     dated = [i for i, plane in enumerate(planes) if plane.time is not None]
     if not dated:
@@ -355,8 +355,11 @@ def _same_dates(planes):
         one, other = (dated[order[n]] for n in (k, k + 1))
         date = times[order[k]].to_value("iso", subfmt="date")
         what = f"is of {date}, as is {Path(planes[one].name).name}"
-        advice = "leave one out if it is a stack or another image of the same data"
-        yield Problem(other, what, advice, refused=False)
+        advice = (
+            "leave one out, or average them: two images of the same data share their "
+            "noise, and would pass for structure (in Python, check=False reads both)"
+        )
+        yield Problem(other, what, advice, refused=check)
 
 
 def _wrong_dates(planes):

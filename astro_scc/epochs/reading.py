@@ -235,10 +235,13 @@ def _assemble(planes, times, beams, frame, check, source):
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
             f"{anew}; leave it out if you do not want that"
         )
-    otherwise = f"the cube has none; {fits.CORRECT_BEAM}, or give beams= in Python"
-    beams = _all_or_none(planes, "beam", otherwise)
-    otherwise = "that of all is measured; give every image an uncertainty"
-    noise = None if resampled else _all_or_none(planes, "noise", otherwise)
+    advice = (
+        f"{fits.CORRECT_BEAM}, give one of all (--beam, in Python beams=), or leave it "
+        "out (check=False reads all without beams)"
+    )
+    beams = _all_or_none(planes, "beam", advice, refused=check)
+    advice = "that of all is measured; give every image an uncertainty"
+    noise = None if resampled else _all_or_none(planes, "noise", advice)
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
         warn(f"{some(uneven)}: {validation.UNEVEN}")
@@ -258,15 +261,17 @@ def _assemble(planes, times, beams, frame, check, source):
     }
 
 
-def _all_or_none(planes, what, otherwise):
-    """Return the beams or noise of all images, or None; warn if some have one."""
+def _all_or_none(planes, what, advice, refused=False):
+    """Return the beams or noise of all images, or None; it is odd if some have one."""
     values = [getattr(plane, what) for plane in planes]
     missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
     if not missing:
         return values
     if len(missing) < len(planes):
-        other = f"no {what} where other epochs have one"
-        warn(f"{some(missing)}: {other}, so {otherwise}")
+        text = f"{some(missing)}: no {what} where other epochs have one; {advice}"
+        if refused:
+            raise ValueError(text)
+        warn(text)
     return None
 
 

@@ -180,6 +180,8 @@ def _header_beam(header, tables):
         return as_beam(beam)
     major, minor, pa = (get(header, keyword, kind=float) for keyword in BEAM)
     if major:
+        if pa is None and minor not in (None, major):
+            raise ValueError("BPA is missing or no number, and BMAJ and BMIN differ")
         return _beam(major, major if minor is None else minor, pa or 0.0)
     for table in tables:
         if table.name.upper() in ("AIPS CG", "BEAMS") and len(table.data):

@@ -139,7 +139,7 @@ class Feature:
 
         error = np.sqrt(variance(left, 2) * (response @ response))
         bend = bend_error = np.nan
-        if len(years) >= ACCELERATED_EPOCHS:
+        if len(np.unique(years)) >= ACCELERATED_EPOCHS:
             design = np.stack([np.ones(len(years)), time, time**2 / 2], axis=1)
             inverse = np.linalg.inv(design.T @ design)
             curve = inverse @ design.T @ position[:, 0]

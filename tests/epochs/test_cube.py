@@ -437,8 +437,6 @@ def test_date_at_which_no_image_was_taken_is_a_warning(make_fits, date):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"BMAJ": None}, "b.fits: no beam where other epochs have"),
-        ({"DATE_OBS": "2006-03-09"}, "b.fits: is of .*, as is a.fits; leave"),
         ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "b.fits: its peak is .* ti"),
         ({"OBJECT": "1226+023"}, "b.fits: shows 1226.023, at the same place"),
         ({"BUNIT": "ODD"}, "^a.fits, b.fits, c.fits and 1 more: its unit 'ODD'"),
@@ -455,6 +453,25 @@ def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, wo
     with pytest.warns(EpochWarning, match=words) as caught:
         cube = EpochCube.read(paths)
     assert (len(caught), caught[0].filename, len(cube)) == (1, __file__, 4)
+    assert cube.beams is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"BMAJ": None}, "b.fits: no beam where other epochs have one; write BMAJ"),
+        ({"DATE_OBS": "2006-03-09"}, "b.fits: is of 2006-03-09, as is a.fits; leave"),
+    ],
+)
+def test_what_is_read_only_without_check(make_fits, changes, words):
+    paths = [
+        make_fits("a.fits"),
+        make_fits("b.fits", **{"DATE_OBS": "2007-01-01", **changes}),
+    ]
+    with pytest.raises(ValueError, match=words):
+        EpochCube.read(paths)
+    with pytest.warns(EpochWarning, match=words):
+        cube = EpochCube.read(paths, check=False)
     assert (cube.beams is None) == ("BMAJ" in changes)
 
 

@@ -149,6 +149,10 @@ def test_beam_from_the_header(aips_header):
     assert header_beam({"beam": BEAM}) is BEAM
     for none in (None, 0.0):
         assert header_beam(aips_header(BMAJ=none)) is None
+    for lost in (None, "abc", np.nan):
+        record = read_header(dict(aips_header()) | {"BPA": lost})
+        assert record["beam"] is None
+        assert record["beam_problem"].startswith("BPA is missing or no number, and BMA")
     for wrong in ({"BMAJ": -1e-7}, {"BMIN": 0.0}, {"BMIN": -1.0}):
         record = read_header(aips_header(**wrong))
         assert record["beam"] is None

@@ -315,3 +315,10 @@ class TestClearOf:
         moving, still = found.streams
         assert (moving.kind, still.kind) == ("moving", "stationary")
         assert moving.along.mean == pytest.approx(0.5, abs=0.01)
+
+
+def test_two_dates_have_no_acceleration():
+    years = np.array([0.0, 0.0, 1.0, 1.0, 1.0])
+    place = np.outer(years, [0.5, 0.0])
+    feature = Feature.through(np.arange(5), np.arange(5), years, place)
+    assert (feature.speed, np.isnan(feature.acceleration)) == (0.5, True)
