@@ -404,7 +404,7 @@ LINES = [
     ),
     (
         {"kind": "not confirmed", "caution": "none is seen", "n_features": 0,
-         "pm_limit": 3 * PM_UNIT},
+         "pm": np.nan * PM_UNIT, "pm_limit": 3 * PM_UNIT},
         {0: "Motion not confirmed: p_global {p}, but none is seen.",
          3: "1       not confirmed                         -         -  "},
     ),

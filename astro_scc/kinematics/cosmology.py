@@ -357,7 +357,7 @@ def lorentz_factor(beta: ArrayLike) -> u.Quantity:
     return np.where(np.abs(beta) < 1, gamma, np.nan) * u.one
 
 
-def minimum_lorentz_factor(beta_app):
+def minimum_lorentz_factor(beta_app: ArrayLike) -> u.Quantity:
     """
     Return the smallest Lorentz factor that can show an apparent speed.
 
@@ -366,6 +366,22 @@ def minimum_lorentz_factor(beta_app):
     5.92 c for a Lorentz factor of 6.  Mertens & Lobanov (2016) explain a change from
     4 c to 6 c at that Lorentz factor by a change of viewing angle, which is not
     possible: 6 c needs at least 6.08, and 7.48 at 15 degrees.
+
+    Parameters
+    ----------
+    beta_app : array_like or `~astropy.units.Quantity`
+        Apparent speeds in units of c.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+        Dimensionless.
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import minimum_lorentz_factor
+    >>> minimum_lorentz_factor(6).round(2)
+    <Quantity 6.08>
     """
     return np.sqrt(1 + in_units_of_c(beta_app) ** 2) * u.one
 
@@ -398,12 +414,27 @@ def doppler_factor(beta: ArrayLike, viewing_angle: u.Quantity) -> u.Quantity:
     return 1 / (lorentz_factor(beta) * (1 - beta * np.cos(angle)))
 
 
-def maximum_viewing_angle(beta_app):
+def maximum_viewing_angle(beta_app: ArrayLike) -> u.Quantity:
     """
     Return the largest angle to the line of sight that allows an apparent speed.
 
     It is ``t_max = 2 atan(1 / beta_app)``, which is approached as the flow's speed
     approaches c; 180 deg for no apparent speed.
+
+    Parameters
+    ----------
+    beta_app : array_like or `~astropy.units.Quantity`
+        Apparent speeds in units of c.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`
+
+    Examples
+    --------
+    >>> from astro_scc.kinematics import maximum_viewing_angle
+    >>> maximum_viewing_angle(6).round(2)
+    <Quantity 18.92 deg>
     """
     return np.degrees(2 * np.arctan2(1, in_units_of_c(beta_app))) * u.deg
 

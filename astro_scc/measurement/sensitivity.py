@@ -173,7 +173,7 @@ def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
         sigma = largest_difference([*own, rows[0]])
         for row in own:
             row["change_sigma"] = sigma
-            row["p_value"] = 2 * ndtr(-sigma)
+            row["p_value"] = 2 * ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
             row["significant"] = bool(sigma > DIFFERENT)
         rows += own
     return rows
@@ -298,7 +298,7 @@ def _row(choice, measured, main=None, main_err=0.0):
         "pm": speed,
         "pm_err": error,
         "change": change,
-        "change_err": np.sqrt(max(error**2 - main_err**2, (error / 2) ** 2)),
+        "change_err": 0.0 if main is None else np.hypot(error, main_err),
         "change_sigma": 0.0,
         "p_value": 1.0,
         "significant": False,

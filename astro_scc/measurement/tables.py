@@ -145,10 +145,6 @@ def printed(table):
         shown["component"][core] = 0
         return shown
     shown = table[~(core & (table["kind"] == "stationary"))]
-    blank = np.asarray(shown["n_features"]) == 0
-    for name in shown.colnames:
-        if name.startswith(("pm", "beta_app", "dispersion")):
-            shown[name][blank] = np.nan
     shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
     return shown
 
@@ -196,13 +192,16 @@ def component_row(result, number):
     member, permutations = result.members(number), result.search.permutations
     epochs = np.sort([member["epoch"], member["target_epoch"]], axis=0)
     p, n = stream.p_global, len(permutations.permuted)
+    # What has no feature has no speed.
+    value, own = velocity.value, [velocity.covariance, jitter.covariance]
+    own.append(velocity.alignment)
+    if not stream.features:
+        value, own = np.full(2, np.nan), [np.full((2, 2), np.nan)] * 3
     # All orders of a few epochs leave nothing to chance.
     chance = n + 1 < number_of_permutations(len(result.cube))
     row, by_jitter, by_alignment = (
-        velocity_columns(
-            velocity.value, covariance, result.frame, result.position_angle
-        )
-        for covariance in (velocity.covariance, jitter.covariance, velocity.alignment)
+        velocity_columns(value, covariance, result.frame, result.position_angle)
+        for covariance in own
     )
     still = stream.kind != "moving"
     cautions = [stream.reason, result.sensitivity_line if number == 1 else ""]

@@ -318,7 +318,8 @@ def velocity_peak_near(scc, grid, box, v1, v2):
     scc : `~numpy.ndarray`, shape ``grid.shape``
     grid : `VelocityGrid`
     box : tuple of float
-        As in `find_velocity_peaks`; the maximum must lie within half of it.
+        As in `find_velocity_peaks`; the maximum must lie within half of it, and be
+        nearer to the velocity than to rest.
     v1, v2 : float
 
     Returns
@@ -331,7 +332,8 @@ def velocity_peak_near(scc, grid, box, v1, v2):
         return np.hypot((c.v1 - v1) / box[0], (c.v2 - v2) / box[1])
 
     nearest = min(find_velocity_peaks(scc, grid, box), key=distance, default=None)
-    if nearest is not None and distance(nearest) <= 0.5:
+    near = np.clip(0.5 * np.hypot(v1 / box[0], v2 / box[1]), *NEAR)
+    if nearest is not None and distance(nearest) <= near:
         return nearest
     row = int(np.abs(grid.v2 - v2).argmin())
     column = int(np.abs(grid.v1 - v1).argmin())
@@ -346,6 +348,8 @@ def _grid_point(scc, y, x):
 
 #: Standard deviations of stacks are at least this fraction of the largest one.
 STD_FLOOR = 0.01
+#: Largest distance of the maximum of a velocity at rest, and of any, in boxes.
+NEAR = 0.1, 0.5
 #: Factorials of larger numbers of epochs are replaced by that of this one.
 MOST = 20
 #: Grid points of a box on each axis.
