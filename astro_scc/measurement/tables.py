@@ -199,6 +199,7 @@ def component_row(result, number):
         value, own = np.full(2, np.nan), [np.full((2, 2), np.nan)] * 3
     # All orders of a few epochs leave nothing to chance.
     chance = n + 1 < number_of_permutations(len(result.cube))
+    p_err = chance * np.sqrt(p * (1 - p) / n)
     row, by_jitter, by_alignment = (
         velocity_columns(value, covariance, result.frame, result.position_angle)
         for covariance in own
@@ -214,6 +215,11 @@ def component_row(result, number):
             was = "was" if one else "were"
             some += f", which {was} matched but not followed from image to image"
         cautions.append(f"rests on {some}")
+    alpha = result.meta["settings"]["alpha"]
+    if p > permutations.smallest_p and abs(p - alpha) <= 2 * p_err:
+        cautions.append(
+            f"p_global may be above or below {alpha:g} by chance: take more trials"
+        )
     cautions = [text for text in cautions if text]
     return row | {
         "component": number,
@@ -227,7 +233,7 @@ def component_row(result, number):
         "z_score": float(result.z_score[peak.row, peak.column]),
         "p_local": stream.p_local,
         "p_global": p,
-        "p_global_err": chance * np.sqrt(p * (1 - p) / n),
+        "p_global_err": p_err,
         "p_distinct": stream.p_distinct,
         "p_smallest": permutations.smallest_p,
         "n_ssp": len(np.unique(member["ssp"])),
