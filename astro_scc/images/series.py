@@ -167,6 +167,8 @@ class ImageSeries:
         -------
         `EpochCube`
         """
+        if self.noise is not None and changes.get("noise", self.noise) is None:
+            line += "; the noise, which had been given, is measured in the new images"
         meta = changes.pop("meta", self.meta)
         meta = {**meta, "history": [*meta.get("history", ()), line]}
         each = {k: tuple(v) for k, v in changes.items() if isinstance(v, list)}

@@ -93,6 +93,7 @@ def test_a_table_brings_sources_to_the_reference_pixel(tmp_path, turn):
     assert (record["epoch"], record["date"]) == (cube.labels[1], "2000-07-01")
     assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
     assert "aligned on positions of a table" in result.meta["history"][-1]
+    assert "the noise, which had been given, is measured" in result.meta["history"][-1]
     offset_table().write(tmp_path / "cores.ecsv")
     assert_array_equal(align(cube, tmp_path / "cores.ecsv").data, result.data)
     again = align(result, str(tmp_path / "cores.ecsv"))
