@@ -17,7 +17,7 @@ from astro_scc.matching import MatchedEpochs
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
-from astro_scc.quantities import PM_UNIT
+from astro_scc.quantities import PM_UNIT, random_generator
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.streams.dispersion import jackknife_covariance
 
@@ -449,7 +449,7 @@ def measure_expansion(
     x0, y0 = frame.centre.value
     azimuth = np.degrees(np.arctan2(east - x0, north - y0))
     tables = {}
-    rngs = np.random.default_rng(rng).spawn(len(limits))
+    rngs = random_generator(rng).spawn(len(limits))
     for (low, high), own in zip(limits, rngs, strict=True):
         inside = (azimuth - low) % 360 < high - low
         part = replace(matched, select=matched.select & inside)

@@ -8,6 +8,7 @@ import warnings
 from datetime import datetime
 
 import astropy.units as u
+import numpy as np
 
 #: Number of the largest scale, far above that of any image.
 LARGEST_SCALE = 20
@@ -377,6 +378,38 @@ def check_choice(value, *choices):
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"must be one of {', '.join(choices)}")
     return value
+
+
+def random_generator(rng):
+    """
+    Return the `~numpy.random.Generator` of a seed, a generator or None.
+
+    Parameters
+    ----------
+    rng : int, `~numpy.random.Generator` or None
+
+    Returns
+    -------
+    `~numpy.random.Generator`
+
+    Raises
+    ------
+    ValueError
+        If it is something else.
+
+    Examples
+    --------
+    >>> from astro_scc.quantities import random_generator
+    >>> int(random_generator(1).integers(100))
+    47
+    """
+    if isinstance(rng, bool | np.random.RandomState):
+        raise ValueError(f"rng must be a seed or a numpy Generator, got {rng!r}")
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError):
+        what = f"rng must be a seed of 0 or more, or a numpy Generator, got {rng!r}"
+        raise ValueError(what) from None
 
 
 #: Estimates of the noise of wavelet planes.

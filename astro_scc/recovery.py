@@ -25,7 +25,7 @@ from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.measurement.stacking import seeded
 from astro_scc.progress import progress
-from astro_scc.quantities import PM_UNIT
+from astro_scc.quantities import PM_UNIT, random_generator
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking.stack import number_of_permutations
@@ -114,7 +114,7 @@ def draw_paths(
     >>> np.diff(paths.x)[0].round(1)  # west is to the right
     array([10., 20.])
     """
-    rng = np.random.default_rng(rng)
+    rng = random_generator(rng)
     rows, columns = np.nonzero(area)
     if len(rows) == 0:
         raise ValueError("the area for features holds no pixel")
@@ -377,7 +377,7 @@ def completeness(
     if not 0 <= scatter < np.inf:
         raise ValueError(f"scatter must be zero or positive, got {scatter}")
     rng, seed = seeded(rng)
-    own_rng, root = np.random.default_rng(rng).spawn(2)
+    own_rng, root = random_generator(rng).spawn(2)
 
     def measure(cube, rng):
         matched = scc.match(cube, region=region)

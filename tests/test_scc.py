@@ -355,3 +355,9 @@ def test_two_streams_of_a_simulated_jet(seed):
         assert abs(motion[0] - truth[0]) < 1.0
         assert abs(motion[1] - truth[1]) < 1.5
     assert np.all(significant["p_distinct"] <= 0.05)
+
+
+@pytest.mark.parametrize("rng", [True, "abc", 1.5, -1, np.random.RandomState(1)])
+def test_what_is_no_seed_is_refused(jet_matched, rng):
+    with pytest.raises(ValueError, match="^rng must be a seed"):
+        StackedCrossCorrelation().stack(jet_matched, n_trials=20, rng=rng)

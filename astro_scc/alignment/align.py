@@ -398,6 +398,9 @@ def _dates(table, name):
             kind = kind if kind in ("mjd", "jd") else "jyear"
             column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
         else:
+            blank = np.flatnonzero(np.ma.getmaskarray(column))
+            if len(blank):
+                raise ValueError(f"that of row {blank[0] + 1} is missing")
             column = [str(value) for value in column]
         return as_times(column, len(table))
 

@@ -17,6 +17,7 @@ from astro_scc.images.headers import FACTS
 from astro_scc.images.positions import pixel_side
 from astro_scc.images.series import ImageSeries, Series
 from astro_scc.images.validation import as_beams, as_noise
+from astro_scc.quantities import random_generator
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.
 FLIP = np.diag([-1.0, 1.0])
@@ -142,7 +143,7 @@ def restore(
     own = _covariances(components) / scale**2
     flux = (components.flux / u.beam).to_value(unit)
     data = np.zeros((n_epochs, *shape))
-    for i, noise_rng in enumerate(np.random.default_rng(rng).spawn(n_epochs)):
+    for i, noise_rng in enumerate(random_generator(rng).spawn(n_epochs)):
         here = components.epoch == i
         blur = in_pixels(beams[i], pixel_scale)
         total = own[here] + blur
@@ -340,6 +341,6 @@ def correlated_noise(
     if padded[1] % 2 == 0:
         weight[-1] = 1.0
     gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
-    white = np.random.default_rng(rng).standard_normal(padded)
+    white = random_generator(rng).standard_normal(padded)
     noise = fft.irfft2(fft.rfft2(white) * transfer, s=padded)
     return rms * (noise[: shape[0], : shape[1]] / gain)

@@ -24,6 +24,7 @@ from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement.tables import Components, component_table, stack_tables
 from astro_scc.products.folder import write_files, write_tables
+from astro_scc.quantities import random_generator
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.stacking.stack import stack
@@ -411,7 +412,7 @@ def measure_profile(
         matched = scc.match(matched, progress_bar=progress_bar)
     seed = int(rng) if isinstance(rng, int | np.integer) else None
     results = [None] * len(bins)
-    for k, own in enumerate(np.random.default_rng(rng).spawn(len(bins))):
+    for k, own in enumerate(random_generator(rng).spawn(len(bins))):
         limits = {"r_min": bins[k, 0], "r_max": bins[k, 1]}
         part = matching.select_ssps(matched, **limits, ridge=ridge)
         if part.select.any():

@@ -126,6 +126,8 @@ def _combine(cube, items, name, places):
                 NotImplementedError: "has no inside",
                 OverflowError: "has a size or place without end",
             }.get(type(error), f"cannot be drawn on the image ({first_line(error)})")
+            if "NaN" in reason:
+                reason = "is on another part of the sky"
             raise ValueError(
                 f"{name}: a {type(item).__name__} {reason}; use circles, ellipses, "
                 "rectangles or polygons, on the part of the sky that the images show"

@@ -288,6 +288,8 @@ def celestial_wcs(header, fobj=None):
             wcs.wcs.set()
         except Exception as error:
             reason = " ".join(str(error).strip().splitlines()[:2])
+            # Where in its source wcslib noticed it helps nobody.
+            reason = re.sub(r"ERROR \d+ in \S+ at line \d+ of file \S+: ", "", reason)
             raise ContentError(f"its coordinates cannot be read: {reason}") from None
     return wcs
 

@@ -19,6 +19,7 @@ from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import MAD_TO_SIGMA
+from astro_scc.exceptions import warn
 from astro_scc.images import positions, validation
 from astro_scc.images.beam import Beam
 from astro_scc.images.headers import epoch_header
@@ -29,6 +30,10 @@ Series = TypeVar("Series", bound="ImageSeries")
 
 #: Fields that have a value for each epoch.
 EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_meta"
+#: Fields that `ImageSeries.from_arrays` takes as they are.
+FIELDS = (
+    "unit", "mask", "beams", "noise", "labels", "epoch_wcs", "epoch_meta", "meta",
+)  # fmt: skip
 # Of the noise: pixels further from the median, in standard deviations, are left out.
 CLIP = 3.0
 MAX_ITERATIONS = 50
@@ -80,6 +85,10 @@ class ImageSeries:
         )
         self._refuse_empty()
         order = validation.order_of(times)
+        days = times.jd[order]
+        for k in np.flatnonzero(np.diff(days) * 86400 < 1)[:1]:
+            date = times.isot[order[k]]
+            warn(f"two images are of {date}; leave one out, or average them")
         if np.any(np.diff(order) < 0):
             vars(self).update(self._picked(order))
 
@@ -112,10 +121,25 @@ class ImageSeries:
 
         Raises
         ------
+        TypeError
+            If an argument is of another kind, or not known.
         ValueError
             If shapes or numbers of epochs disagree.
+
+        Warns
+        -----
+        EpochWarning
+            If two images are of one date.
         """
-        n, ny, nx = (*np.shape(data), 1, 1, 1)[:3]
+        if unknown := sorted(fields.keys() - set(FIELDS)):
+            raise TypeError(
+                f"from_arrays has no {unknown[0]!r}; it takes {', '.join(FIELDS)}"
+            )
+        try:
+            n, ny, nx = (*np.shape(data), 1, 1, 1)[:3]
+        except ValueError:
+            shapes = ", ".join(sorted({str(np.shape(image)) for image in data}))
+            raise ValueError(f"the images differ in shape: {shapes}") from None
         if reference_pixel is None:
             reference_pixel = (nx - 1) / 2, (ny - 1) / 2
         fields = {"meta": {"history": [f"{n} epochs from arrays"]}, **fields}

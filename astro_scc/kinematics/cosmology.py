@@ -13,7 +13,14 @@ from astropy.table import QTable
 from numpy.typing import ArrayLike
 
 from astro_scc.columns import describe, round_to_errors
-from astro_scc.quantities import NUMBER, PM_UNIT, named, parse_quantities, to_quantity
+from astro_scc.quantities import (
+    NUMBER,
+    PM_UNIT,
+    named,
+    parse_quantities,
+    random_generator,
+    to_quantity,
+)
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
@@ -518,7 +525,7 @@ def intrinsic_table(
     s = np.broadcast_to(in_units_of_c(error), beta.shape)
     if not np.all(np.isfinite(beta) & np.isfinite(s) & (beta >= 0) & (s >= 0)):
         raise ValueError("apparent speeds and errors must be finite and not negative")
-    rng = np.random.default_rng(rng)
+    rng = random_generator(rng)
     trials = np.abs(rng.normal(beta[:, None], s[:, None], (len(beta), n_trials)))
     # The first of the trials is the value itself.
     trials = np.column_stack([beta, trials])
@@ -609,7 +616,7 @@ def two_sided_jet(
     speed = constants.c.to_value(u.m / u.s)
     # At this distance beta = 1: (beta cos)^2 + (beta sin)^2 = 1.
     farthest = (speed / np.sqrt(a * r) * u.m).to(u.kpc)
-    rng = np.random.default_rng(rng)
+    rng = random_generator(rng)
     trials = []
     for value, error in zip((a, r), errors, strict=True):
         # An error of 0 needs no unit.

@@ -9,6 +9,7 @@ from astro_scc.matching.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement import sensitivity
 from astro_scc.measurement.result import SCCResult
 from astro_scc.progress import progress
+from astro_scc.quantities import random_generator
 from astro_scc.settings import require
 from astro_scc.stacking.pair_maps import PairMaps
 from astro_scc.stacking.stack import (
@@ -69,7 +70,7 @@ def stack_matches(
     """
     n_trials = require("n_trials", n_trials)
     rng, seed = seeded(rng)
-    paper_rng, search_rng, error_rng, choice_rng = np.random.default_rng(rng).spawn(4)
+    paper_rng, search_rng, error_rng, choice_rng = random_generator(rng).spawn(4)
     cube, alpha = matched.cube, settings.alpha
     plan = SearchPlan.of(cube, settings)
     pairs, max_speed, fwhm = plan.pairs, plan.max_speed, plan.fwhm

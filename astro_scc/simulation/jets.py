@@ -18,6 +18,7 @@ from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.validation import as_beams, as_epoch_tuple
+from astro_scc.quantities import random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
@@ -281,7 +282,7 @@ class JetSimulation:
         ``SimulatedJet``
             Its ``cube``, and ``truth`` with a row for each feature and epoch.
         """
-        rng = np.random.default_rng(rng)
+        rng = random_generator(rng)
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
         flux_rng, shift_rng, ripple_rng = rng.spawn(3)
         features = self._features(stream_rngs, flux_rng)

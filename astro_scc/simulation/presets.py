@@ -15,6 +15,7 @@ from astropy.time import Time
 from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.quantities import random_generator
 from astro_scc.simulation.jets import JetSimulation, SimulatedJet
 from astro_scc.simulation.streams import Flow, Stream
 
@@ -294,7 +295,7 @@ def simulate_jet(
     for name, value in {"length": length, **scatters}.items():
         if not 0 <= value < np.inf:
             raise ValueError(f"{name} must be zero or positive, got {value}")
-    rng = np.random.default_rng(rng)
+    rng = random_generator(rng)
     date_rng, noise_rng = rng.spawn(2)
     if dates is None:
         if n_epochs < 1:
@@ -421,7 +422,7 @@ def simulate_shell(
     middle = u.Quantity(centre).to(u.mas)
     if 1.2 * r + np.abs(middle.value).max() > 0.5 * size * step:
         raise ValueError(f"a shell of {radius} is larger than {size} pixels can show")
-    rng = np.random.default_rng(rng)
+    rng = random_generator(rng)
     n = n_knots + n_clumps
     knot = np.arange(n) < n_knots
     angle = rng.uniform(0, 2 * np.pi, n)

@@ -3,8 +3,7 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 
-from astro_scc.kinematics import beta_intrinsic, lorentz_factor
-from astro_scc.kinematics import maximum_viewing_angle
+from astro_scc.kinematics import beta_intrinsic, lorentz_factor, maximum_viewing_angle
 
 figure, ax = plt.subplots(figsize=(6, 3.4), layout="constrained")
 for beta_app, color in zip((2, 4, 6, 10), ("#0072B2", "#D55E00", "#009E73", "#CC79A7")):

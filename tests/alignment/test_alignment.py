@@ -154,6 +154,7 @@ def test_dates_of_many_sorts(name, dates):
         ("date,east_mas,north_mas\n2000-01-01,1,x\n", "'north_mas' is not numeric"),
         ("when,east_mas,north_mas\n2000-01-01,1,2\n", "0 columns of dates"),
         ("date,east_mas,north_mas\n1 May 2000,1,2\n", "'date' are not understood"),
+        ("date,east_mas,north_mas\n2000-01-01,1,2\n,1,2\n", "that of row 2 is missing"),
         ("# %ECSV 1.0\ndate east\n", "neither CSV nor ECSV"),
         (None, "No such file"),
         (3, "table must be a path or a Table, got int"),

@@ -75,6 +75,7 @@ def test_everything_is_sorted_by_date():
     assert [m["k"] for m in cube.epoch_meta] == [1, 2, 0]
 
 
+@pytest.mark.filterwarnings("ignore:two images are of")
 @settings(max_examples=30)
 @given(st.permutations(range(5)))
 def test_any_order_gives_the_same_cube(order):

@@ -27,6 +27,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.exceptions import EpochWarning
 
+MAS = {"pixel_scale": 1 * u.mas}
 DATES = ["2000-01-01", "2000-06-01", "2001-01-01"]
 SHAPE = (24, 36)
 DATA = np.random.default_rng(1).normal(size=(3, *SHAPE))
@@ -437,11 +438,22 @@ def test_images_that_are_refused(images, words):
         (lambda: EpochCube([DATA[0] * u.Jy, DATA[1] * u.K], DATES[:2], celestial()),
          "images of real numbers in one unit: "),
         (lambda: EpochCube(DATA, DATES, LINE), "lost a celestial axis by slicing"),
+        (lambda: EpochCube.from_arrays([DATA[0], DATA[1, 2:]], DATES[:2], **MAS),
+         r"the images differ in shape: \(22, 36\), \(24, 36\)"),
+        (lambda: EpochCube.from_arrays(DATA, DATES, beam=3, **MAS),
+         "from_arrays has no 'beam'; it takes unit, mask, beams"),
+        (lambda: EpochCube.from_arrays(DATA, DATES, position="0h 1d", **MAS),
+         "position must be a SkyCoord, got '0h 1d'"),
     ],
 )  # fmt: skip
 def test_arrays_that_are_refused(call, words):
     with pytest.raises((TypeError, ValueError), match=words):
         call()
+
+
+def test_two_arrays_of_one_date():
+    with pytest.warns(EpochWarning, match="^two images are of 2000-01-01T00:00:00.000"):
+        EpochCube.from_arrays(np.ones((2, 4, 4)), DATES[:1] * 2, **MAS)
 
 
 def test_images_with_an_hdu_and_of_two_types():

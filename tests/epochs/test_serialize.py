@@ -96,6 +96,7 @@ def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
     assert again == meta | {"history": ["again"]}
 
 
+@pytest.mark.filterwarnings("ignore:two images are of")
 @settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=arrays(float, (2, 1, 2), elements=st.floats(width=64)),

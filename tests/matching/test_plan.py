@@ -141,6 +141,7 @@ REFUSED = [
 ]  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore:two images are of")
 @pytest.mark.parametrize(("call", "words"), REFUSED)
 def test_what_cannot_be_meant_is_refused(call, words):
     with pytest.raises(ValueError, match=words):
