@@ -21,7 +21,8 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from astro_scc.quantities import decimals, unit_name, with_error
+from astro_scc.quantities import decimals, with_error
+from astro_scc.units import unit_name
 
 #: Types of columns without a unit; of an empty one the values decide.
 TYPES = {"int": int, "float": float, "bool": bool, "text": str, "word": "U15"}

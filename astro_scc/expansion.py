@@ -17,9 +17,10 @@ from astro_scc.matching import MatchedEpochs
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
-from astro_scc.quantities import PM_UNIT, random_generator
+from astro_scc.quantities import random_generator
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.streams.dispersion import jackknife_covariance
+from astro_scc.units import PM_UNIT
 
 __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 

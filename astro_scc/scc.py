@@ -22,9 +22,9 @@ from astro_scc.matching.plan import scale_numbers
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import matched_displacements
 from astro_scc.measurement.stacking import stack_matches
-from astro_scc.quantities import comparable
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.units import comparable
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -17,11 +17,12 @@ from astro_scc.columns import cell
 from astro_scc.features import find_features
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.measurement.tables import core_streams
-from astro_scc.quantities import PM_UNIT, with_error
+from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, feature_lines, headline, notes
 from astro_scc.report.page import feature_rows
 from astro_scc.simulation import simulate_static
+from astro_scc.units import PM_UNIT
 
 CHANCE = "permuted epochs give as strong a peak (p_global 0.62)"
 HOSTILE = "<script>alert('1')</script> & \"more\""

@@ -36,8 +36,15 @@ def inspect(args, reporter):
         speed = named("--speed", one_quantity, speed, "an angle per time", "2 mas/yr")
     files = find_files(args.epochs, missing_ok=True)
     beam = None if args.beam is None else named("--beam", parse_beam, args.beam)
-    cube, refusal = _cube(files, beam)
+    cube, refusal, remarks = _cube(files, beam)
     names, facts, problems = _facts(files, cube, refusal)
+    known = "; ".join(problems)
+    # Of the same problem the first words are the same.
+    problems += [
+        text
+        for text in remarks
+        if " ".join(text.split(": ")[-1].split()[:3]) not in known
+    ]
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube)
     unit = facts["noise"].unit
     rows = [
@@ -72,13 +79,17 @@ def _facts(files, cube, refusal):
 
 
 def _cube(files, beam):
-    """Return the files as a cube and None, or None and the reason why they are not."""
-    # Warnings are listed among the problems.
-    with warnings.catch_warnings(action="ignore", category=AstroSccWarning):
+    """Return the files as a cube or None, why they are none or None, and warnings."""
+    cube = refusal = None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", AstroSccWarning)
         try:
-            return EpochCube.read(files, beams=beam), None
+            cube = EpochCube.read(files, beams=beam)
         except (ValueError, OSError, MemoryError) as error:
-            return None, str(error)
+            refusal = str(error)
+    texts = (str(w.message) for w in caught if issubclass(w.category, AstroSccWarning))
+    restored = {kind_of(file) for file in files} == {"components"}
+    return cube, refusal, [] if restored else list(texts)
 
 
 def _cores(cube):

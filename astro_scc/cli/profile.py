@@ -11,8 +11,8 @@ from astro_scc.flow.speeds import compare_scales
 from astro_scc.matching import select_ssps
 from astro_scc.products.folder import product_folder
 from astro_scc.products.publication import write_publication
-from astro_scc.quantities import in_speed_unit
 from astro_scc.report.answer import profile_lines, scale_lines
+from astro_scc.units import in_speed_unit
 from astro_scc.writing import versions
 
 PRODUCTS = (

@@ -20,7 +20,7 @@ from astro_scc.images.fits import find_files, looks_like_mask, read_plane
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, measure_noise
 from astro_scc.images.validation import as_beams, as_times, order_of
-from astro_scc.quantities import speed_unit
+from astro_scc.units import speed_unit
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
 # apart.
@@ -327,13 +327,13 @@ def problems(planes, peaks, check=True):
     Return the `Problem` of each image that does not belong to the others.
 
     It is of another unit, object, band or polarisation, or of the date of another one.
-    Another name for the same place, an impossible date, and a brightness out of scale
-    need only a warning; ``peaks`` are the largest values.  Without ``check``, only
-    units are refused, and dates are warned of.
+    Another name for the same place, a mirror image, an impossible date, and a
+    brightness out of scale need only a warning; ``peaks`` are the largest values.
+    Without ``check``, only units are refused, and dates are warned of.
     """
     found = [*_same_dates(planes, check), *_wrong_dates(planes)]
     if check:
-        found += [*_strangers(planes), *_out_of_scale(peaks)]
+        found += [*_strangers(planes), *_mirrored(planes), *_out_of_scale(peaks)]
     first = planes[0].unit
     for i, plane in enumerate(planes):
         if not plane.unit.is_equivalent(first):
@@ -371,6 +371,17 @@ def _wrong_dates(planes):
         date = plane.time.to_value("iso", subfmt="date")
         what = f"is of {date}, when no image can have been taken"
         yield Problem(i, what, "correct its date, or leave it out", refused=False)
+
+
+def _mirrored(planes):
+    """Yield images with east on the other side than most."""
+    east = [np.linalg.det(plane.wcs.pixel_scale_matrix) > 0 for plane in planes]
+    usual = 2 * sum(east) > len(east)
+    for i, right in enumerate(east):
+        if right != usual:
+            what = f"east is to the {'right' if right else 'left'}, unlike in most"
+            advice = "correct the sign of CDELT1 unless it is a mirror image"
+            yield Problem(i, what, advice, refused=False)
 
 
 def _out_of_scale(peaks):

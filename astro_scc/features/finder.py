@@ -25,7 +25,8 @@ from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
 from astro_scc.features.trust import false_probability, is_secure
 from astro_scc.images.positions import name_by_frame
-from astro_scc.quantities import check_choice, in_speed_unit
+from astro_scc.quantities import check_choice
+from astro_scc.units import in_speed_unit
 
 if TYPE_CHECKING:
     from distributed import Client

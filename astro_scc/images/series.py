@@ -24,7 +24,7 @@ from astro_scc.images import positions, validation
 from astro_scc.images.beam import Beam
 from astro_scc.images.headers import epoch_header
 from astro_scc.images.validation import as_celestial, as_epoch_tuple
-from astro_scc.quantities import PM_UNIT, speed_unit
+from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
 

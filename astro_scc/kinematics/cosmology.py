@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from astro_scc.columns import describe, round_to_errors
 from astro_scc.quantities import (
     NUMBER,
-    PM_UNIT,
     named,
     parse_quantities,
     random_generator,
     to_quantity,
 )
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM

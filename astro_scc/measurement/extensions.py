@@ -7,8 +7,8 @@ from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc.measurement.tables import frame_velocities
-from astro_scc.quantities import PM_UNIT
 from astro_scc.streams import SearchSettings
+from astro_scc.units import PM_UNIT
 from astro_scc.writing import ascii_line
 
 MOTION = "direction of the proper motion"

@@ -26,13 +26,13 @@ from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.extensions import velocity_hdus
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
-from astro_scc.quantities import PM_UNIT, unit_name
 from astro_scc.stacking.stack import JitteredVelocity, PermutedStacks, VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
 from astro_scc.streams.search import Search
+from astro_scc.units import PM_UNIT, unit_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,11 +17,11 @@ from astro_scc.correlation.parallel import in_order
 from astro_scc.matching.matched import ssp_distances
 from astro_scc.measurement import axes
 from astro_scc.measurement.followed import FollowedFeatures
-from astro_scc.quantities import PM_UNIT, in_speed_unit, offset_unit
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import find_streams
 from astro_scc.streams.dispersion import StreamVelocity, velocity_of
 from astro_scc.streams.search import Search
+from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit
 
 #: Number of directions, over half a turn, that are searched if none is known.
 N_AXES = 12

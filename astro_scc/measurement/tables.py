@@ -21,8 +21,8 @@ from astro_scc.columns import (
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.quantities import PM_UNIT, in_speed_unit
 from astro_scc.stacking.stack import number_of_permutations, sample_velocities
+from astro_scc.units import PM_UNIT, in_speed_unit
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW

@@ -14,7 +14,7 @@ from astropy.utils.masked import Masked
 from astro_scc.columns import describe, round_to_errors
 from astro_scc.epochs import read_components
 from astro_scc.exceptions import warn
-from astro_scc.quantities import PM_UNIT
+from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
     from astro_scc.epochs import EpochCube

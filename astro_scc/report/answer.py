@@ -8,7 +8,7 @@ from astro_scc.columns import cell, headed, table_lines
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
 from astro_scc.measurement.tables import printed
-from astro_scc.quantities import offset_unit, unit_name
+from astro_scc.units import offset_unit, unit_name
 
 #: Most features that are named in a sentence, and that the terminal shows.
 MOST = 10

@@ -20,9 +20,10 @@ from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import printed
 from astro_scc.products.folder import write_files
-from astro_scc.quantities import in_speed_unit, offset_unit, unit_name, with_error
+from astro_scc.quantities import with_error
 from astro_scc.report import answer
 from astro_scc.stacking.stack import number_of_permutations
+from astro_scc.units import in_speed_unit, offset_unit, unit_name
 from astro_scc.visualization import speeds, style
 from astro_scc.visualization.speeds import LARGE_ERROR, population
 from astro_scc.writing import make_folder

@@ -27,10 +27,10 @@ from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.progress import progress
-from astro_scc.quantities import PM_UNIT
 from astro_scc.settings import BEAMS, require
 from astro_scc.tracking import likelihood
 from astro_scc.tracking.linking import Links, chains, link
+from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
 BEAMS_PER_INTERVAL = 4.0

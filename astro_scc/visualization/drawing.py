@@ -7,7 +7,7 @@ import numpy as np
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.positions import axis_words, ssp_offsets
-from astro_scc.quantities import offset_unit, unit_name
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 
 #: Colour of masked pixels, which is not among the greys of the image.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
-from astro_scc.quantities import PM_UNIT
+from astro_scc.units import PM_UNIT
 
 # Colours of Okabe & Ito, which colour-blind readers can distinguish.
 BLACK = "#000000"

@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.quantities import offset_unit, unit_name
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.velocity import speed_text
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from astro_scc.columns import cell
 from astro_scc.images.positions import axis_words, sky_columns
-from astro_scc.quantities import PM_UNIT, offset_unit, unit_like, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 

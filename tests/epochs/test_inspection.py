@@ -57,6 +57,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         "grid": {"DATE_OBS": "2013-01-01", "data": np.eye(5) + np.arange(5)},
         "mask": {"DATE_OBS": "2014-01-01", "data": np.eye(16, 32)},
         "late": {"DATE_OBS": "2194-01-01"},
+        "mirror": {"DATE_OBS": "2016-01-01", "CDELT1": 1 / 3.6e7},
         "scale": {
             "DATE_OBS": "2015-01-01",
             "data": 1e6 * np.arange(512.0).reshape(16, 32),
@@ -80,6 +81,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         "other": "shows X, somewhere else",
         "grid": "on another grid than most (32 x 16 of 0.1 mas)",
         "mask": "no more than two different values",
+        "mirror": "east is to the right, unlike in most",
         "late": "is of 2194-01-01, when no image can have been taken",
         "scale": "times that of most images",
         "nan": "all are NaN",

@@ -17,9 +17,9 @@ from matplotlib.transforms import Affine2D
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import SSPs
 from astro_scc.images.positions import sky_columns
-from astro_scc.quantities import speed_unit
 from astro_scc.report.page import component_tables
 from astro_scc.stacking.velocities import baseline_pairs
+from astro_scc.units import speed_unit
 from astro_scc.visualization.drawing import image_limits, ssp_points, ticks_of
 from astro_scc.visualization.epochs import plot_intervals
 

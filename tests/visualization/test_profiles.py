@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
-from astro_scc.quantities import PM_UNIT as PM
 from astro_scc.stacking.velocities import VelocityGrid
+from astro_scc.units import PM_UNIT as PM
 from astro_scc.visualization.speeds import (
     fastest_of,
     plot_population,

@@ -9,7 +9,7 @@ import pytest
 from astropy.table import QTable, vstack
 
 from astro_scc.flow import feature_profile
-from astro_scc.quantities import PM_UNIT
+from astro_scc.units import PM_UNIT
 
 LABELS = {
     "jet": ("Proper motion parallel to the jet", "Transverse proper motion"),
