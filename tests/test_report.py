@@ -9,7 +9,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import Column, vstack
+from astropy.table import Column, QTable, vstack
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -501,3 +501,19 @@ def test_rounding_is_small_beside_the_error(value, error):
     shown, shown_error = map(float, with_error(value, error).split(" ± "))
     assert shown_error == pytest.approx(error, rel=0.06, abs=0.5 if error > 10 else 0)
     assert abs(shown - value) <= max(0.051 * error, 0.5) + 1e-9
+
+
+def test_published_speeds_are_in_the_page(result, words_of, tmp_path):
+    features = result.tracked_features
+    table = features.positions
+    published = QTable(
+        {
+            "published": table["feature"],
+            "date": table["date"],
+            "ra_offset": table["ra_offset"],
+            "dec_offset": table["dec_offset"],
+        }
+    )
+    words = words_of(result, published=published)
+    n = int(np.sum(result.features["secure"]))
+    assert f"{n} of {n} secure features are published ones, of which {n} have" in words

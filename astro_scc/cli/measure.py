@@ -2,6 +2,7 @@
 """The commands on the velocities in images of one jet: measure, demo and explore."""
 
 import math
+import shlex
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +55,7 @@ def measure(args, reporter):
             result, epochs.settings, folder, output=output, published=epochs.published,
             report=not args.no_report, warnings=reporter.warnings,
             left_out=epochs.left_out, chosen=epochs.chosen, pdf=args.pdf,
-            all_figures=args.all_figures,
+            all_figures=args.all_figures, compare=args.compare,
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, epochs.cube, folder)
@@ -89,7 +90,7 @@ def _measured(epochs, reporter, *, cache=None):
 
 def write_measurement(
     result, settings, folder, *, output, report=True, archives=True, published=None,
-    **page
+    compare=None, **page
 ):  # fmt: skip
     """
     Write tables, maps, settings and report of a measurement.
@@ -107,6 +108,8 @@ def write_measurement(
         Write the tables in the forms of journals and archives, too.
     published : `~astropy.table.QTable`, optional
         Published features to compare with.
+    compare : str, optional
+        The file that has them.
     **page
         Arguments of `~astro_scc.report.write_report`.
 
@@ -124,6 +127,7 @@ def write_measurement(
     )  # fmt: skip
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
+        rerun += f" --compare {shlex.quote(compare)}" if compare else ""
         page |= {"components": components, "rerun": rerun, "published": published}
         page["explore"] = f"astro-scc explore {output}"
         write_report(result, folder, **page)

@@ -42,9 +42,9 @@ COLUMNS = {
     **dict.fromkeys(("peak_east", "peak_north"), u.mas),
     "frequency": u.GHz,
 }
-# Smallest displacement that can be distinguished from zero (paper, Sect. 2.2), and
-# the range in which pairs of epochs work best, in beams.
-SMALLEST_SHIFT = 0.2
+# Smallest displacement in all the time that is searched, and the range in which pairs
+# of epochs work best, in beams.
+SMALLEST_SHIFT = 1.0
 GOOD_SHIFTS = (0.3, 1.5)
 
 
@@ -163,8 +163,8 @@ class IntervalPlan:
     the epochs), the span T of the series, the median interval dt between
     consecutive epochs and the shorter side L of the images:
 
-    - ``slowest = 0.2 b / T``: motion by less than a fifth of a beam from
-      the first to the last epoch cannot be distinguished from zero.
+    - ``slowest = b / T``, or that of consecutive epochs if those are slower: what
+      moves less than a beam from the first to the last epoch is not searched.
     - ``fastest = L / (2 dt)``: a feature that crosses half of the image
       between consecutive epochs is in one of them only.
     - ``consecutive = (0.3, 1.5) b / dt``: speeds for which consecutive
@@ -223,8 +223,8 @@ class IntervalPlan:
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
-            f"Slower than {self.slowest:.2g} cannot be distinguished from standing "
-            f"still{leaves}.",
+            f"Slower than {self.slowest:.2g} moves less than a beam, and is not "
+            f"searched{leaves}.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
             "Slower features show in pairs of epochs that are further apart, which "
             "are used for them.",
@@ -269,7 +269,7 @@ def plan_intervals(
     >>> times = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
     >>> plan = plan_intervals(times, Beam(1 * u.mas, 0.5 * u.mas))
     >>> plan.slowest.round(3), plan.consecutive.round(2)
-    (<Quantity 0.071 mas / yr>, <Quantity [0.42, 2.11] mas / yr>)
+    (<Quantity 0.353 mas / yr>, <Quantity [0.42, 2.11] mas / yr>)
     >>> plan.motion(1 * u.mas / u.yr).round(2)
     np.float64(0.71)
     >>> plan.baseline(1 * u.mas / u.yr).round(2)
@@ -295,7 +295,9 @@ def plan_intervals(
         median=median.to(time),
         longest=gaps.max().to(time),
         resolution=resolution.to(u.mas),
-        slowest=(SMALLEST_SHIFT * resolution / span).to(speed),
+        slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * resolution).to(
+            speed
+        ),
         fastest=None if extent is None else (extent / (2 * median)).to(speed),
         consecutive=(np.array(GOOD_SHIFTS) * resolution / median).to(speed),
     )

@@ -20,6 +20,7 @@ from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import printed
 from astro_scc.products.folder import write_files
+from astro_scc.products.published import with_published
 from astro_scc.quantities import with_error
 from astro_scc.report import answer
 from astro_scc.stacking.stack import number_of_permutations
@@ -345,7 +346,10 @@ def write_report(
     # Of all rows that the figures mark they need the places.
     jet = components[np.isin(components["component"], shown["component"])]
     files = draw_figures(result, jet, **how)
-    features = table_in_c_as(printed(result.features), components)
+    own = result.features
+    if published is not None:
+        own = with_published(own, result.tracked_features, published)
+    features = table_in_c_as(printed(own), components)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
         result=result,
@@ -355,7 +359,10 @@ def write_report(
         tables=component_tables(shown),
         zip=zip,
         features=feature_rows(features),
-        notes=answer.notes(components, result.features),
+        notes=[
+            *answer.notes(components, own),
+            *(line.rstrip(".") for line in answer.published_lines(own)),
+        ],
         settings=meta.pop("settings", {}) | meta,
         smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
         fast=fast_components(result, components),
