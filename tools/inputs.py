@@ -205,11 +205,15 @@ def _beam_table(i):
 
 
 each("beam in an AIPS CG table")(_beam_table)
-each("no beam at all", "note: the epochs have no beams and are left as they are")(
-    lambda i: NO_BEAM
+each(
+    "no beam at all",
+    "note: the epochs have no beams: three pixels count as one (--beam)",
+)(lambda i: NO_BEAM)
+refused("no beam in one epoch", "e1.fits: no beam where other epochs have one; write")(
+    lambda folder: series(folder, lambda i: NO_BEAM if i == 1 else {})
 )
-each("no beam in one epoch", "e1.fits: no beam where other epochs have one")(
-    lambda i: NO_BEAM if i == 1 else {}
+refused("no position angle of a beam", "e1.fits: no beam where other epochs have one")(
+    lambda folder: series(folder, lambda i: {"BPA": None} if i == 1 else {})
 )
 each("negative beam", "its beam is taken as unknown: .* is not positive")(
     lambda i: {"BMAJ": -0.4 * MAS}
@@ -296,7 +300,7 @@ refused("date that is none", "e2.fits: DATE-OBS: '2001-13-45' is no date")(
 
 case("epochs in any order")(lambda folder: [write(folder, k) for k in (3, 0, 4, 1, 2)])
 case("one path twice")(lambda folder: [*series(folder), folder / "e2.fits"])
-case("one epoch twice, under two names", "is of 2001-03-02, as is .*; leave one out")(
+refused("one epoch twice, under two names", "is of 2001-03-02, as is .*; leave one")(
     lambda folder: [*series(folder), write(folder, 2, name="copy.fits")]
 )
 refused("a mask among them", "mask.fits: .* seems to be a mask; leave it out")(
@@ -305,7 +309,7 @@ refused("a mask among them", "mask.fits: .* seems to be a mask; leave it out")(
         write(folder, 2, name="mask.fits", data=image(2) > 0.1),
     ]
 )
-case("a stack of all among them, of the date of one", "is of 2001-03-02, as is .*;")(
+refused("a stack of all among them, of the date of one", "is of 2001-03-02, as is .*;")(
     lambda folder: [
         *series(folder),
         write(
@@ -328,7 +332,7 @@ refused("Stokes Q among them", "x.fits: is of Stokes Q, others are of I; leave i
 refused("one epoch", "velocities need at least two epochs")(
     lambda folder: series(folder, n=1)
 )
-refused("two epochs of one date", "all 2 epochs are of one date")(
+refused("two epochs of one date", "x.fits: is of .*, as is .*; leave one out")(
     lambda folder: [write(folder, 1), write(folder, 1, name="x.fits")]
 )
 each("an epoch of another size")(

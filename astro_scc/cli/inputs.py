@@ -28,7 +28,7 @@ from astro_scc.writing import versions
 WORTH_PROCESSES = 3e6
 #: Notes on ``common_beam``, as given, and whether beams differ, None without any.
 NOTES = {
-    (None, None): "the epochs have no beams and are left as they are",
+    (None, None): "the epochs have no beams: three pixels count as one (--beam)",
     (None, True): "the beams differ: convolving to a common one (--no-common-beam)",
     (False, True): "the beams differ and are left so, as --no-common-beam states",
 }

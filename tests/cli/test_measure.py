@@ -135,7 +135,12 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     [
         ([1, 1.2, 1, 1, 1], [], "the beams differ: convolving to a common one", True),
         ([1, 1.2, 1, 1, 1], ["--no-common-beam"], "the beams differ and are", False),
-        ([None] * 5, [], "the epochs have no beams and are left as they are", False),
+        (
+            [None] * 5,
+            [],
+            "the epochs have no beams: three pixels count as one (--beam)",
+            False,
+        ),
     ],
 )
 def test_beams_that_differ_become_one(series, done, here, sizes, options, note, common):
