@@ -140,7 +140,7 @@ def test_the_answer_comes_first(page, components):
         f"Stream 1 (not significant): {CHANCE}.",
         "epochs in permuted order would give an equally strong peak at any velocity; "
         "here it cannot be below 0.024.",
-        "Other columns of the velocity components", "Errors are from the alignment",
+        "Other columns of the velocity components", "Errors are from the scatter of",
         "Separation against time.", "Paths of the features.",
         "Displacement against interval.", "Speed against separation.", "More figures",
         "Velocity map.", "Patterns of each stream.", "Main speed with other choices.",

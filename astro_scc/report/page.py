@@ -356,6 +356,7 @@ def write_report(
         title=title or result.cube.meta.get("object") or "Velocity components",
         components=shown,
         headline=answer.headline(components),
+        aligned=bool(np.any(components["pm_err_alignment"] > 0)),
         tables=component_tables(shown),
         zip=zip,
         features=feature_rows(features),
