@@ -31,6 +31,9 @@ LARGEST_REDSHIFT = 30
 SOURCE = "redshift", "cosmology", "distance"
 #: Quantiles that bound the central 68%.
 CENTRAL = [0.16, 0.84]
+#: Speeds of sources within this distance are also in km/s.
+NEAR = 1 * u.Mpc
+KM_S = u.km / u.s
 _PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
 
@@ -215,7 +218,8 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     Return a copy of a table of proper motions with speeds in units of c.
 
     ``beta_app`` and ``beta_app_err`` follow from the columns ``pm`` and
-    ``pm_err``, see `apparent_speed`.  The redshift and the cosmology, or the
+    ``pm_err``, see `apparent_speed`; of sources within 1 Mpc, ``v_app`` and its error
+    are the same in km/s.  The redshift and the cosmology, or the
     distance, are in its meta.  The cosmology is a dictionary that any reader of
     ECSV understands and that `to_cosmology` takes.
     """
@@ -226,6 +230,9 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     table = table.copy()
     for name in ("", "_err"):
         table[f"beta_app{name}"] = apparent_speed(table[f"pm{name}"], **how)
+    if how.get("distance", NEAR) < NEAR:
+        for name in ("", "_err"):
+            table[f"v_app{name}"] = (table[f"beta_app{name}"] * constants.c).to(KM_S)
     describe(table, "added")
     if "cosmology" in how:
         plain = how["cosmology"].to_format("mapping", cosmology_as_str=True)

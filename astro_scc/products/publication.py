@@ -117,10 +117,10 @@ def facts_of(meta):
     if "beam" in meta:
         facts.append(f"Beam {meta['beam']}.")
     if "distance" in meta:
-        facts.append(f"Speeds in c are for a distance of {meta['distance']:g}.")
+        facts.append(f"Apparent speeds are for a distance of {meta['distance']:g}.")
     elif "redshift" in meta:
         facts.append(
-            f"Speeds in c are for a redshift of {meta['redshift']:g} and "
+            f"Apparent speeds are for a redshift of {meta['redshift']:g} and "
             f"{cosmology_text(meta['cosmology'])}."
         )
     return facts

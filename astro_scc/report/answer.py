@@ -22,11 +22,13 @@ AGREE = 2
 #: Features that would have to be seen so many times as long are out of reach.
 MOST_SPANS = 10
 #: Columns of components, features and profiles.
-COMPONENTS = "component kind pm pm_pa beta_app dispersion p_global n_features".split()
-FEATURES = (
-    "feature component dates n_epochs separation pm pm_pa beta_app p_false".split()
+COMPONENTS = (
+    "component kind pm pm_pa beta_app v_app dispersion p_global n_features".split()
 )
-PROFILE = "bin pm_parallel pm beta_app p_global p_fdr n_ssp remark".split()
+FEATURES = (
+    "feature component dates n_epochs separation pm pm_pa beta_app v_app p_false"
+).split()
+PROFILE = "bin pm_parallel pm beta_app v_app p_global p_fdr n_ssp remark".split()
 #: Formats of numbers whose errors are not shown.
 FORMATS = dict.fromkeys(("dispersion", "p_global", "p_fdr", "p_false"), ".2g")
 FORMATS |= {"pm_pa": ".0f", "separation": ".3g"}
@@ -89,7 +91,9 @@ def headline(components):
 def _speed(row):
     """Return the speed of a row with its error, in units of c too if it has them."""
     text = f"{cell(row, 'pm', '+-')} {unit_name(row['pm'].unit)}"
-    if "beta_app" in row.colnames:
+    if "v_app" in row.colnames:
+        text += f" ({cell(row, 'v_app', '+-')} km/s)"
+    elif "beta_app" in row.colnames:
         text += f" ({cell(row, 'beta_app', '+-')} c)"
     return text
 
@@ -287,6 +291,8 @@ def _followed(features):
     ]
     if not np.any(shown["component"]):
         shown.remove_column("component")
+    if "v_app" in shown.colnames:
+        shown.remove_column("beta_app")
     return shown
 
 

@@ -30,15 +30,18 @@ from astro_scc.visualization.speeds import LARGE_ERROR, population
 from astro_scc.writing import make_folder
 
 #: Columns of components that come first, in their order: what is quoted, the rest.
-QUOTED = "component kind pm beta_app pm_pa dispersion p_global n_features n_ssp n_pairs"
+QUOTED = (
+    "component kind pm beta_app v_app pm_pa dispersion p_global n_features n_ssp "
+    "n_pairs"
+)
 OTHERS = (
     "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat coefficient "
     "z_score pm_err_jitter pm_err_alignment p_local p_distinct p_smallest"
 )
 #: Columns of features.
 FEATURES = (
-    "feature component n_epochs first last separation position_angle pm beta_app t_ej "
-    "p_false"
+    "feature component n_epochs first last separation position_angle pm beta_app v_app "
+    "t_ej p_false"
 )
 #: Largest number of features that are shown at once.
 MOST = 20

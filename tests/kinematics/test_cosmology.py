@@ -8,6 +8,7 @@ from astropy import constants
 from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18, default_cosmology
 from astropy.cosmology import units as cu
 from astropy.table import Column, MaskedColumn, QTable
+from astropy.tests.helper import assert_quantity_allclose
 from astropy.utils.masked import Masked
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -270,3 +271,13 @@ WRONG = [([-1.0], [0.1]), ([np.nan], [0.1]), ([1.0, 2.0], [0.1, -0.1]),
 def test_flows_and_jets_that_are_refused(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_speeds_of_near_sources_are_in_km_per_s_too():
+    table = QTable({"pm": [10.0] * u.mas / u.yr, "pm_err": [1.0] * u.mas / u.yr})
+    near = table_in_c(table, distance=400 * u.pc)
+    # 4.74 km/s for an arcsecond a year at a parsec.
+    assert_quantity_allclose(near["v_app"], [18.962] * u.km / u.s, rtol=1e-4)
+    assert_quantity_allclose(near["v_app_err"], [1.8962] * u.km / u.s, rtol=1e-4)
+    assert "v_app" not in table_in_c(table, distance=2 * u.Mpc).colnames
+    assert "v_app" not in table_in_c(table, redshift=0.1).colnames
