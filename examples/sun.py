@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 
 import astropy.units as u
 import numpy as np
-from astropy.constants import c
 from astropy.io import fits
 from astropy.time import Time
 from common import brief, run
@@ -72,7 +71,7 @@ def measure(n_trials=200):
     table["west"] = table["pm_lon_coslat"].to(u.arcsec / u.hour)
     table["north"] = table["pm_lat"].to(u.arcsec / u.hour)
     for name in ("", "_err"):
-        table[f"speed{name}"] = (table[f"beta_app{name}"] * c).to(u.km / u.s)
+        table[f"speed{name}"] = table[f"v_app{name}"]
     columns = "west", "north", "speed", "speed_err", "p_global", "n_features"
     table = brief(table, "kind", *columns)
     return table, result.plot("members", max_panels=1)
