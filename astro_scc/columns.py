@@ -200,8 +200,15 @@ def cells(table, names, *, sign="±", forms=None):
     return {
         name: [cell(row, name, sign, forms.get(name)) for row in table]
         for name in names
-        if name in table.colnames
+        if name in table.colnames and _says_something(table, name)
     }
+
+
+def _says_something(table, name):
+    """Return whether a column belongs in print: speeds in km/s stand for those in c."""
+    if name == "beta_app":
+        return "v_app" not in table.colnames
+    return not name.startswith("acc_") or bool(np.any(np.isfinite(table[name])))
 
 
 def headed(table, names, *, own=None, terminal=False, forms=None):

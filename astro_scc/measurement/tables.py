@@ -38,8 +38,9 @@ FEW = 3
 #: Columns of a table in a paper, in their order.
 PAPER = (
     "source redshift feature component r_min r_max kind scale n_epochs first last "
-    "separation position_angle pm beta_app v_app pm_pa published published_pm "
-    "dispersion t_ej p_false p_global p_fdr n_features n_pairs secure"
+    "separation position_angle pm beta_app v_app pm_pa acc_parallel "
+    "acc_perpendicular published published_pm dispersion t_ej p_false p_global p_fdr "
+    "n_features n_pairs secure"
 ).split()
 
 
@@ -140,13 +141,11 @@ def printed(table):
     0
     """
     core = np.isin(table["component"], table.meta.get("core", ()))
-    shown = table.copy()
-    if "v_app" in table.colnames:
-        shown.remove_columns(["beta_app", "beta_app_err"])
     if "n_features" not in table.colnames:
+        shown = table.copy()
         shown["component"][core] = 0
         return shown
-    shown = shown[~(core & (table["kind"] == "stationary"))]
+    shown = table[~(core & (table["kind"] == "stationary"))]
     shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
     return shown
 

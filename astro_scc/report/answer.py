@@ -291,8 +291,6 @@ def _followed(features):
     ]
     if not np.any(shown["component"]):
         shown.remove_column("component")
-    if "v_app" in shown.colnames:
-        shown.remove_column("beta_app")
     return shown
 
 
