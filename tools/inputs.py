@@ -207,7 +207,7 @@ def _beam_table(i):
 each("beam in an AIPS CG table")(_beam_table)
 each(
     "no beam at all",
-    "note: the epochs have no beams: three pixels count as one (--beam)",
+    "note: the epochs have no beams: three pixels count as one",
 )(lambda i: NO_BEAM)
 refused("no beam in one epoch", "e1.fits: no beam where other epochs have one; write")(
     lambda folder: series(folder, lambda i: NO_BEAM if i == 1 else {})

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -333,16 +334,17 @@ def problems(planes, peaks, check=True):
     brightness out of scale need only a warning; ``peaks`` are the largest values.
     Without ``check``, only units are refused, and dates are warned of.
     """
-    found = [*_same_dates(planes, check), *_wrong_dates(planes)]
-    if check:
-        found += [*_strangers(planes), *_mirrored(planes), *_out_of_scale(peaks)]
+    found = [*_strangers(planes), *_mirrored(planes)] if check else []
+    # What is of another object may be of the same date.
+    found += [*_same_dates(planes, check), *_wrong_dates(planes)]
+    found += _out_of_scale(peaks) if check else ()
     first = planes[0].unit
     for i, plane in enumerate(planes):
         if not plane.unit.is_equivalent(first):
             own, other = (unit.to_string() or "none" for unit in (plane.unit, first))
             what = f"its unit is {own}, that of others is {other}"
             found.append(Problem(i, what, "leave one out"))
-    return sorted(found, key=lambda problem: (problem.index, problem.what))
+    return sorted(found, key=lambda problem: problem.index)
 
 
 def _same_dates(planes, check):
@@ -368,9 +370,11 @@ def _wrong_dates(planes):
     """Yield images of dates at which none was taken."""
     now = Time.now().jyear
     for i, plane in enumerate(planes):
-        if plane.time is None or FIRST_IMAGES < plane.time.jyear < now + 1 / 365:
-            continue
-        date = plane.time.to_value("iso", subfmt="date")
+        # ERFA warns of years whose leap seconds are unknown.
+        with warnings.catch_warnings(action="ignore"):
+            if plane.time is None or FIRST_IMAGES < plane.time.jyear < now + 1 / 365:
+                continue
+            date = plane.time.to_value("iso", subfmt="date")
         what = f"is of {date}, when no image can have been taken"
         yield Problem(i, what, "correct its date, or leave it out", refused=False)
 

@@ -6,9 +6,10 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import signal
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +93,11 @@ def product_folder(
         with writing.partial_folder(*(inside if exists else outside)) as folder:
             _refuse_others(path, outside, inside, own=folder)
             yield folder
-            if exists:
-                _move(folder, target, stale)
-            else:
-                folder.rename(target)
+            with _undisturbed():
+                if exists:
+                    _move(folder, target, stale)
+                else:
+                    folder.rename(target)
     except BaseException as error:
         for parent in made:
             with suppress(OSError):
@@ -134,6 +136,19 @@ def _refuse_others(path, *places, own=None):
                 MeasurementWarning,
                 stacklevel=4,
             )
+
+
+@contextmanager
+def _undisturbed():
+    """Ignore interrupts while files that are complete are moved."""
+    with ExitStack() as stack:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            # Only the main thread has handlers.
+            with suppress(TypeError, ValueError):
+                before = signal.signal(number, signal.SIG_IGN)
+                stack.callback(signal.signal, number, before or signal.SIG_DFL)
+        yield
 
 
 def _move(folder, target, stale=()):

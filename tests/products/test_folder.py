@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Folders that are complete or not there, tables and maps that others can read."""
 
+import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -301,3 +303,19 @@ def test_the_fits_file_holds_the_diagram(result, radial):
     assert ("radial" in header.comments["CNAME2"]) == radial
     angle = image.meta["position_angle"]
     assert header.get("DISPPA") == (None if radial else angle.value)
+
+
+def test_an_interrupt_while_files_are_moved_comes_too_late(tmp_path, monkeypatch):
+    real = os.replace
+
+    def replace(old, new):
+        os.kill(os.getpid(), signal.SIGINT)
+        real(old, new)
+
+    monkeypatch.setattr("astro_scc.products.folder.os.replace", replace)
+    (tmp_path / "out").mkdir()
+    with product_folder(tmp_path / "out") as folder:
+        for name in "abc":
+            (folder / name).touch()
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b", "c"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
