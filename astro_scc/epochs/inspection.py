@@ -16,10 +16,11 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.components.tables import NO_IMAGE, kind_of
+from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images.beam import Beam
 from astro_scc.images.fits import find_files, looks_like_mask, read_plane
 from astro_scc.images.positions import readable_angle, resolution
-from astro_scc.images.series import ImageSeries, measure_noise
+from astro_scc.images.series import ImageSeries
 from astro_scc.images.validation import as_beams, as_times, order_of
 from astro_scc.units import speed_unit
 

@@ -18,7 +18,7 @@ from astropy.wcs import WCS
 from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
-from astro_scc.decomposition.wavelet import MAD_TO_SIGMA
+from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
 from astro_scc.images import positions, validation
 from astro_scc.images.beam import Beam
@@ -34,11 +34,6 @@ EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_
 FIELDS = (
     "unit", "mask", "beams", "noise", "labels", "epoch_wcs", "epoch_meta", "meta",
 )  # fmt: skip
-# Of the noise: pixels further from the median, in standard deviations, are left out.
-CLIP = 3.0
-MAX_ITERATIONS = 50
-# Images with a larger fraction of exact zeros have been blanked with zeros.
-BLANKED = 0.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -381,56 +376,3 @@ class ImageSeries:
         """
         y, x = np.indices(self.shape[1:])
         return self.pixel_to_offset(x, y)
-
-
-def measure_noise(image: np.ndarray, mask: np.ndarray) -> float:
-    """
-    Return the root mean square of the noise of an image, away from the source.
-
-    With the median m and ``s = 1.4826 median|I - m|`` (from the median absolute
-    deviation, MAD), pixels with ``|I - m| > 3 s`` are left out, and m and s are
-    computed again until no more pixels are left out.  Noise that the beam
-    correlates has the same distribution of values as white noise of the same
-    rms, so it needs no correction.  Pixels that are exactly zero count as
-    blanked if they are more than a tenth of the image.  If the MAD is still
-    zero, the standard deviation is returned.
-
-    The source should cover less than half of the image.
-
-    Parameters
-    ----------
-    image : `~numpy.ndarray`, shape (ny, nx)
-    mask : `~numpy.ndarray` of bool, shape (ny, nx)
-        True marks bad pixels.
-
-    Returns
-    -------
-    float
-        In the unit of the image; 0 if no valid pixel is left.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.images.series import measure_noise
-    >>> image = np.random.default_rng(0).normal(scale=2.0, size=(128, 128))
-    >>> image[50:70, 50:70] += 1000
-    >>> round(measure_noise(image, np.zeros(image.shape, bool)), 1)
-    2.0
-    """
-    image = np.asarray(image, dtype=float)
-    kept = image[np.isfinite(image) & ~mask]
-    n_zero = kept.size - np.count_nonzero(kept)
-    if n_zero and n_zero / kept.size > BLANKED:
-        kept = kept[kept != 0]
-    if kept.size == 0:
-        return 0.0
-    # Images may be large, so this median sorts in place.
-    for _ in range(MAX_ITERATIONS):
-        middle = np.median(kept, overwrite_input=True)
-        deviation = np.abs(kept - middle)
-        sigma = MAD_TO_SIGMA * float(np.median(deviation))
-        inside = deviation <= CLIP * sigma
-        if sigma == 0 or inside.all():
-            break
-        kept = kept[inside]
-    return sigma if sigma > 0 else float(np.std(kept))

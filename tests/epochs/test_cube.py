@@ -16,11 +16,11 @@ from astropy.wcs import WCS, Sip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import measure_noise
 
 DATES = ["2001-01-01", "2000-01-01", "2000-06-01"]
 JY_BEAM = u.Jy / u.beam
