@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from astro_scc import parallel
 from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_table import survey_of
 from astro_scc.columns import table_lines
-from astro_scc.correlation import parallel
 from astro_scc.images.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.matching import select_ssps

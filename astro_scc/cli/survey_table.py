@@ -19,9 +19,9 @@ from astro_scc.cli import images
 from astro_scc.cli.survey_sources import folder_names, read_survey
 from astro_scc.components.lists import read_sources
 from astro_scc.components.restoring import suited
-from astro_scc.correlation.parallel import in_order
 from astro_scc.images.beam import Beam
 from astro_scc.images.headers import first_line
+from astro_scc.parallel import in_order
 from astro_scc.writing import replace_when_complete
 
 #: Folder of the images in that of the survey, and the file that names them.

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.correlation.parallel import in_order
 from astro_scc.correlation.targets import PairBlock, Patterns, TargetStack
 from astro_scc.correlation.zncc import fft_shape, find_peaks
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.parallel import in_order
 from astro_scc.quantities import CORRELATION, named
 
 COLUMNS = {

@@ -9,7 +9,6 @@ from astropy.nddata import NDData
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
-from astro_scc.correlation.parallel import machine_memory
 from astro_scc.epochs import ndcubes
 from astro_scc.epochs.inspection import UNCHECKED, problems, separation
 from astro_scc.exceptions import warn
@@ -19,6 +18,7 @@ from astro_scc.images.cutout import box, crop_line
 from astro_scc.images.grid import ONE_SHIFT, grid_step, pixel_area, regrid, shared_grid
 from astro_scc.images.headers import get, read_header, some
 from astro_scc.images.positions import readable_angle
+from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
 
 # Reference pixels further apart than this fraction of the image exceed the

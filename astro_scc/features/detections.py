@@ -10,10 +10,10 @@ import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.correlation.parallel import in_order
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.images import positions
+from astro_scc.parallel import in_order
 from astro_scc.progress import progress
 
 #: Distance from the origin within which the core lies if the epochs are not aligned,

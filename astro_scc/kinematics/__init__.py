@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Kinematics: axes of motion, apparent speeds, and relativistic flows."""
+"""Kinematics: frames, ridge lines, apparent speeds, and relativistic flows."""
 
 from astro_scc.kinematics.cosmology import (
     apparent_speed,

@@ -17,7 +17,6 @@ from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Matches, all_pairs
-from astro_scc.correlation.parallel import in_order, workers_of
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
@@ -27,6 +26,7 @@ from astro_scc.features import Features, find_features
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.matching.plan import scales_of_pixels
+from astro_scc.parallel import in_order, workers_of
 from astro_scc.progress import progress
 from astro_scc.settings import require
 from astro_scc.writing import versions

@@ -12,7 +12,7 @@ from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement.axes import frame_positions, turned
 from astro_scc.stacking.velocities import VelocitySamples
-from astro_scc.streams.features import Feature
+from astro_scc.streams.chains import Feature
 from astro_scc.streams.search_settings import DEFAULT
 
 #: SSPs and detections as near to each other as this, in beams, are of one emission.

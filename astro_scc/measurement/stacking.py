@@ -8,6 +8,7 @@ from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.matching.plan import SearchPlan, flow_direction, map_grid
 from astro_scc.measurement import sensitivity
 from astro_scc.measurement.result import SCCResult
+from astro_scc.measurement.search import search_matches
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
 from astro_scc.settings import require
@@ -76,7 +77,7 @@ def stack_matches(
     pairs, max_speed, fwhm = plan.pairs, plan.max_speed, plan.fwhm
     with progress(None, "Searching", show=progress_bar):
         of = matched, settings, plan
-        found = sensitivity.search_matches(*of, n_trials=n_trials, rng=search_rng)
+        found = search_matches(*of, n_trials=n_trials, rng=search_rng)
         choices = sensitivity.sensitivity_rows(found, *of, choice_rng, n_workers)
     search, velocities, samples = found.search, found.velocities, found.samples
     frame = found.frame

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from astro_scc.streams.chains import Feature
 from astro_scc.streams.dispersion import Population
-from astro_scc.streams.features import Feature
 
 #: Largest share of static jets of any kind with a secure feature that moves by
 #: ``least_motion`` or more (``benchmarks/features.py simulated``).

@@ -208,7 +208,7 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.streams.features import Feature
+    >>> from astro_scc.streams.chains import Feature
     >>> from astro_scc.streams.dispersion import separate_streams
     >>> epoch = np.arange(4)
     >>> features = [

@@ -20,6 +20,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams.chains import (
+    clear_of,
+    different,
+    find_chains,
+    standing_features,
+)
 from astro_scc.streams.classification import Stream, classify, with_secure
 from astro_scc.streams.diagram import SHORT, Diagram, Rays, fit_mixture
 from astro_scc.streams.dispersion import (
@@ -27,12 +33,6 @@ from astro_scc.streams.dispersion import (
     feature_speeds,
     random_effects,
     separate_streams,
-)
-from astro_scc.streams.features import (
-    clear_of,
-    different,
-    find_features,
-    standing_features,
 )
 from astro_scc.streams.permutations import EpochPermutations, persistence
 from astro_scc.streams.search_settings import SearchSettings
@@ -270,7 +270,7 @@ class _Axis:
         """
         samples, settings = self.samples, self.settings
         mixture = fit_mixture(samples, speeds, self.rays)
-        chains, taken = find_features(samples, mixture, settings)
+        chains, taken = find_chains(samples, mixture, settings)
         if self.followed is None:
             own = []
         else:

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracking: SSPs linked from epoch to epoch within limits of speed (WISE)."""
+"""Tracking: SSPs linked within limits of speed; the command follows features."""
 
 from astro_scc.tracking.tracker import FeatureTracker
 

@@ -252,7 +252,7 @@ def test_nothing_is_left_of_what_was_not_begun(resumed, here, monkeypatch):
     assert "no.reg" in err
     assert resumed("-o", "out", "--baseline", "7 yr 8 yr")[0] == 2
     pytest.importorskip("distributed")
-    monkeypatch.setattr("astro_scc.correlation.parallel.TIMEOUT", 0.2)
+    monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
     status, err = resumed("-o", "out", "--scheduler", "tcp://127.0.0.1:9")
     assert status == 2
     assert "scheduler tcp://127.0.0.1:9: cannot be reached" in err

@@ -14,14 +14,14 @@ from contextlib import contextmanager
 import pytest
 
 from astro_scc.correlation import Correlator, all_pairs
-from astro_scc.correlation.parallel import (
+from astro_scc.decomposition import Decomposer
+from astro_scc.parallel import (
     _result,
     as_done,
     in_order,
     open_client,
     workers_of,
 )
-from astro_scc.decomposition import Decomposer
 from astro_scc.simulation import simulate_two_fluid
 
 
@@ -123,7 +123,7 @@ def threads(number):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr("astro_scc.correlation.parallel.FIRST_WORKERS", 0.1)
+    monkeypatch.setattr("astro_scc.parallel.FIRST_WORKERS", 0.1)
     with threads(0) as client:
         for work in (in_order, as_done):
             with pytest.raises(OSError, match="has had no workers for 0.1 s; start"):
@@ -131,7 +131,7 @@ def test_a_scheduler_without_workers(monkeypatch):
 
 
 def test_workers_that_are_lost_between_two_stages(monkeypatch):
-    monkeypatch.setattr("astro_scc.correlation.parallel.WITHOUT_WORKERS", 0.1)
+    monkeypatch.setattr("astro_scc.parallel.WITHOUT_WORKERS", 0.1)
     with threads(1) as client:
         assert list(in_order(operator.neg, [1], client)) == [-1]
         # By their addresses, and again: the scheduler keeps those that seem busy, or
@@ -193,6 +193,6 @@ def test_without_dask(monkeypatch):
 )
 def test_a_scheduler_that_is_not_there(monkeypatch, address, message):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("astro_scc.correlation.parallel.TIMEOUT", 0.2)
+    monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
     with pytest.raises(OSError, match=message):
         list(in_order(operator.neg, [1], address))

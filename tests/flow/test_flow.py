@@ -31,8 +31,8 @@ from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.tables import component_table
 from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 from astro_scc.streams import SearchSettings
+from astro_scc.streams.chains import Feature
 from astro_scc.streams.dispersion import feature_speeds, random_effects, scattered_fit
-from astro_scc.streams.features import Feature
 
 PM = u.mas / u.yr
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from astro_scc.streams import SearchSettings
+from astro_scc.streams.chains import Feature
 from astro_scc.streams.classification import Stream
 from astro_scc.streams.dispersion import (
     ONE_DISPERSIONS,
@@ -17,7 +18,6 @@ from astro_scc.streams.dispersion import (
     random_effects,
     separate_streams,
 )
-from astro_scc.streams.features import Feature
 
 SEARCH = SearchSettings()
 

@@ -12,10 +12,10 @@ from scipy.stats import combine_pvalues
 
 import astro_scc.streams.search as module
 from astro_scc.streams import SearchSettings, find_streams
+from astro_scc.streams.chains import Feature
 from astro_scc.streams.classification import P_SECURE, classify, with_secure
 from astro_scc.streams.diagram import Diagram, Rays
 from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
-from astro_scc.streams.features import Feature
 from astro_scc.streams.permutations import EpochPermutations
 
 SEARCH = SearchSettings()

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from astro_scc.streams import SearchSettings, find_streams
-from astro_scc.streams.diagram import Rays, fit_mixture
-from astro_scc.streams.dispersion import feature_speeds, separate_streams
-from astro_scc.streams.features import (
+from astro_scc.streams.chains import (
     PULL,
     Feature,
     _on_line,
     clear_of,
-    find_features,
+    find_chains,
     standing_features,
 )
+from astro_scc.streams.diagram import Rays, fit_mixture
+from astro_scc.streams.dispersion import feature_speeds, separate_streams
 
 SEARCH = SearchSettings()
 #: Uneven: followers differ from features by the dates.
@@ -26,7 +26,7 @@ YEARS = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4, 4.6, 5.2])
 
 def follow(d, speeds=(0.3, 0.8), years=None):
     rays = Rays.of(d.years if years is None else years, 1.5, SEARCH)
-    return find_features(d, fit_mixture(d, speeds, rays), SEARCH)[0]
+    return find_chains(d, fit_mixture(d, speeds, rays), SEARCH)[0]
 
 
 def by_place(features):
@@ -285,7 +285,7 @@ class TestClearOf:
     def test_they_count_where_too_few_are_left(
         self, samples, moving, standing, monkeypatch
     ):
-        monkeypatch.setattr("astro_scc.streams.features.PULL", 3.0)
+        monkeypatch.setattr("astro_scc.streams.chains.PULL", 3.0)
         (found,) = clear_of([moving], [standing], samples, SEARCH)
         assert (found.speed, found.error) == (moving.speed, moving.error)
         assert found.pulled

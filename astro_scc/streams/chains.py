@@ -68,7 +68,7 @@ class Feature:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.streams.features import Feature
+    >>> from astro_scc.streams.chains import Feature
     >>> years = np.array([0.0, 1.0, 2.0])
     >>> place = np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]])
     >>> Feature.through(np.arange(3), np.arange(3), years, place).speed
@@ -161,7 +161,7 @@ class Feature:
         )
 
 
-def find_features(samples, mixture, settings):
+def find_chains(samples, mixture, settings):
     """
     Find features that move, each with its own speed.
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from astro_scc.correlation.parallel import (
+from astro_scc.parallel import (
     WAITING,
     as_done,
     in_order,
@@ -126,15 +126,15 @@ def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
     names = [str(tmp_path / name) for name in ("v1", "v2", "none")]
     (tmp_path / "v1").write_text("max\n")
     (tmp_path / "v2").write_text("12345\n")
-    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", names[::2])
+    monkeypatch.setattr("astro_scc.parallel.CONTROL_GROUPS", names[::2])
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
     assert machine_memory() >= whole
-    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", names)
+    monkeypatch.setattr("astro_scc.parallel.CONTROL_GROUPS", names)
     assert machine_memory() == 12345
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1234, -1))
     assert machine_memory() == 1234
     # As on Windows.
-    monkeypatch.setattr("astro_scc.correlation.parallel.CONTROL_GROUPS", ())
+    monkeypatch.setattr("astro_scc.parallel.CONTROL_GROUPS", ())
     monkeypatch.setitem(sys.modules, "resource", None)
     monkeypatch.delattr("os.sysconf")
     assert machine_memory() == math.inf
@@ -142,7 +142,7 @@ def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
 
 UNENDING = """
 import multiprocessing, sys, time
-from astro_scc.correlation.parallel import in_order
+from astro_scc.parallel import in_order
 
 def nap(value):
     time.sleep(0.05)
@@ -221,7 +221,7 @@ def test_a_pool_that_is_found_broken_with_the_next_piece():
 
 UNGUARDED = """
 import multiprocessing, operator
-from astro_scc.correlation.parallel import as_done, in_order
+from astro_scc.parallel import as_done, in_order
 multiprocessing.set_start_method({context!r}, force=True)
 try:
     print(list({name}(operator.neg, [1, 2], 2)))
@@ -251,7 +251,7 @@ import multiprocessing, os, random, sys, threading, time
 from multiprocessing.util import Finalize
 
 from astro_scc.cli import main, track
-from astro_scc.correlation.parallel import in_order
+from astro_scc.parallel import in_order
 
 when, context, n = sys.argv[1], sys.argv[2], int(sys.argv[3])
 since = None
