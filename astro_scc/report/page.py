@@ -41,7 +41,7 @@ OTHERS = (
 #: Columns of features.
 FEATURES = (
     "feature component n_epochs first last separation position_angle pm beta_app v_app "
-    "acc_parallel acc_perpendicular t_ej p_false"
+    "acc_parallel t_ej p_false"
 )
 #: Largest number of features that are shown at once.
 MOST = 20
