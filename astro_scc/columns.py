@@ -221,7 +221,7 @@ def headed(table, names, *, own=None, terminal=False, forms=None):
     found, sign = {}, "+-" if terminal else "±"
     for name, texts in cells(table, names, sign=sign, forms=forms).items():
         about = table[name].info
-        unit = about.unit if terminal else unit_name(about.unit or "").replace("2", "²")
+        unit = about.unit if terminal else unit_name(about.unit or "")
         text = heading_of(name, unit, own, terminal=terminal)
         found[name] = text, about.description or "", texts
     return found

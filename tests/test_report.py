@@ -20,7 +20,7 @@ from astro_scc.measurement.tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, feature_lines, headline, notes
-from astro_scc.report.page import feature_rows
+from astro_scc.report.page import acceleration_text, feature_rows
 from astro_scc.simulation import simulate_static
 from astro_scc.units import PM_UNIT
 
@@ -517,3 +517,14 @@ def test_published_speeds_are_in_the_page(result, words_of, tmp_path):
     words = words_of(result, published=published)
     n = int(np.sum(result.features["secure"]))
     assert f"{n} of {n} secure features are published ones, of which {n} have" in words
+
+
+def test_accelerations_are_in_the_page(result, words_of):
+    table = result.features
+    assert "Accelerations along" not in words_of(result)
+    table["acc_parallel"][:] = np.nan
+    k = np.flatnonzero(table["secure"])[0]
+    unit = table["acc_parallel"].unit
+    table["acc_parallel"][k], table["acc_parallel_err"][k] = 1.25 * unit, 0.31 * unit
+    number = table["feature"][k]
+    assert acceleration_text(table) == f"{number}: 1.25 ± 0.31 mas/yr²"

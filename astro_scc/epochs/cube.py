@@ -118,7 +118,8 @@ class EpochCube(ImageSeries):
         hdu : int or str, optional
             Extension of the image, by default the first image.
         check : bool
-            Refuse files of another object or band, and files that look like masks.
+            Refuse files of another object or band, of the date of another file or
+            without a beam where others have one, and files that look like masks.
         region, pad : optional
             As in `crop`: read only the bounding box of a region and ``pad`` pixels
             around it, for images that are too large or too many for the memory.

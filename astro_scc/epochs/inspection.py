@@ -220,13 +220,13 @@ class IntervalPlan:
         low, high = self.consecutive
         leaves = ""
         if self.fastest is not None:
-            leaves = f"; faster than {self.fastest:.3g} leaves the image"
+            leaves = f"; what is faster than {self.fastest:.3g} leaves the image"
         lines = [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
-            f"Slower than {self.slowest:.2g} moves less than a beam, and is not "
-            f"searched{leaves}.",
+            f"What is slower than {self.slowest:.2g} moves by less than a beam and is "
+            f"not searched{leaves}.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
             "Slower features show in pairs of epochs that are further apart, which "
             "are used for them.",

@@ -41,7 +41,7 @@ OTHERS = (
 #: Columns of features.
 FEATURES = (
     "feature component n_epochs first last separation position_angle pm beta_app v_app "
-    "acc_parallel t_ej p_false"
+    "t_ej p_false"
 )
 #: Largest number of features that are shown at once.
 MOST = 20
@@ -115,6 +115,14 @@ def feature_rows(features, most=MOST):
     shown = [row for k, row in enumerate(rows) if k in first]
     others = [(row, secure[k]) for k, row in enumerate(rows) if k not in first]
     return heads, shown, others
+
+
+def acceleration_text(features):
+    """Return the secure features that accelerate, with accelerations, or ''."""
+    bent = np.isfinite(features["acc_parallel"]) & np.asarray(features["secure"], bool)
+    unit = unit_name(features["acc_parallel"].unit).replace("2", "²")
+    each = (f"{row['feature']}: {cell(row, 'acc_parallel')}" for row in features[bent])
+    return f"{', '.join(each)} {unit}" if bent.any() else ""
 
 
 def setting_text(value):
@@ -363,6 +371,7 @@ def write_report(
         tables=component_tables(shown),
         zip=zip,
         features=feature_rows(features),
+        accelerations=acceleration_text(features),
         notes=[
             *answer.notes(components, own),
             *(line.rstrip(".") for line in answer.published_lines(own)),

@@ -122,7 +122,8 @@ def test_plan_is_that_of_the_formulas():
     text = str(plan)
     assert "4 epochs over 2 yr, 0.498 to 0.999 yr apart, median 0.504 yr" in text
     assert (
-        "moves less than a beam, and is not searched; faster than 9.93 mas / yr" in text
+        "less than a beam and is not searched; what is faster than 9.93 mas / yr"
+        in text
     )
     assert "Consecutive epochs suit speeds of 0.42 to 2.1 mas / yr" in text
     assert "further apart, which are used for them." in text
