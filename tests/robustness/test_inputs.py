@@ -57,7 +57,7 @@ def test_a_file_system_that_is_read_only(epochs, measure, tmp_path, monkeypatch)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of files are of Linux")
-@pytest.mark.parametrize("limit", [100, 5000, 15000])
+@pytest.mark.parametrize("limit", [100, pytest.param(9000, marks=pytest.mark.slow)])
 def test_a_disk_that_is_full_in_the_middle(epochs, measure, tmp_path, limit):
     """No file may grow beyond a limit, as if the disk were full there."""
     before = set(tmp_path.rglob("*"))

@@ -162,6 +162,7 @@ def test_a_finished_source_of_another_content(survey, tmp_path, name, old, new):
     assert survey() is True
 
 
+@pytest.mark.slow
 def test_a_finished_source_of_other_versions(survey, monkeypatch):
     from astro_scc.writing import versions
 
