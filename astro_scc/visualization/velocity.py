@@ -326,12 +326,15 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
     factor = PM_UNIT.to(unit / time)
     for (row, kind, *_), slope in zip(scene.streams(), slopes, strict=True):
+        # A row without features has no speed.
+        if not np.isfinite(slope):
+            continue
         label = f"{row['component']}: {speed_text(row, kind)}"
         spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
         spread = 0.0 if kind == "stationary" else spread
         _draw_ray(ax, slope * factor, spread * factor, kind, label)
-    if kinds:
-        corner = "lower right" if slopes[0] >= 0 else "upper right"
+    if np.isfinite(slopes).any():
+        corner = "upper right" if slopes[0] < 0 else "lower right"
         ax.legend(loc=corner, fontsize="small", framealpha=0.85)
     ax.set_xlabel(f"Interval between epochs ({unit_name(time)})")
     ax.set_ylabel(f"{_direction(scene, image)} ({unit_name(unit)})")
@@ -406,8 +409,8 @@ def longest_interval(years, slopes, kinds, reach):
     ends = drawing.edges(years)
     for shown in ("moving", "not confirmed", "not significant"):
         own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
-        if any(own):
-            longest = BEYOND * reach / min(v for v in own if v > 0)
+        if moving := [v for v in own if v > 0]:
+            longest = BEYOND * reach / min(moving)
             # A fast stream alone would leave a single column.
             return min(max(longest, ends[: FEWEST_INTERVALS + 1][-1]), ends[-1])
     return ends[-1]
