@@ -299,7 +299,7 @@ if __name__ == "__main__":
 
 
 @posix
-@pytest.mark.parametrize("when", ["pipe", "random", "end"])
+@pytest.mark.parametrize("when", ["pipe", "random"])
 @pytest.mark.parametrize(
     ("context", "n"),
     [pytest.param(None, 1, id="once")]

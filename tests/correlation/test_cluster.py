@@ -124,7 +124,8 @@ def threads(number):
 
 
 def test_a_scheduler_without_workers(monkeypatch):
-    monkeypatch.setattr("astro_scc.parallel.FIRST_WORKERS", 0.1)
+    monkeypatch.setattr("astro_scc.parallel.WITHOUT_WORKERS", 0.1)
+    monkeypatch.setattr("astro_scc.parallel.LOOK", 0.1)
     with threads(0) as client:
         for work in (in_order, as_done):
             with pytest.raises(OSError, match="has had no workers for 0.1 s; start"):
@@ -133,6 +134,7 @@ def test_a_scheduler_without_workers(monkeypatch):
 
 def test_workers_that_are_lost_between_two_stages(monkeypatch):
     monkeypatch.setattr("astro_scc.parallel.WITHOUT_WORKERS", 0.1)
+    monkeypatch.setattr("astro_scc.parallel.LOOK", 0.1)
     with threads(1) as client:
         assert list(in_order(operator.neg, [1], client)) == [-1]
         # By their addresses, and again: the scheduler keeps those that seem busy, or

@@ -34,6 +34,20 @@ def zncc(a, b):
     return np.sum(a * b) / norm
 
 
+def segmentation(decomposition, scale):
+    """1 + the number of the SSP of each pixel on a scale, or 0."""
+    ssps = decomposition.ssps
+    labels = np.zeros(decomposition.planes.shape[1:], dtype=int)
+    for index in np.flatnonzero(ssps.scale == scale):
+        labels.flat[ssps.pixels_of(index)] = index + 1
+    return labels
+
+
+def segmented_plane(decomposition, scale):
+    plane = decomposition.planes[decomposition.scales.index(scale)]
+    return np.where(segmentation(decomposition, scale) > 0, plane, 0)
+
+
 def gaussian(x0, y0, fwhm=10.0, height=1.0, shape=(NY, NX)):
     y, x = np.mgrid[: shape[0], : shape[1]]
     sigma2 = fwhm**2 / (8 * np.log(2))
@@ -71,10 +85,10 @@ def slow_matches(decompositions, pairs, reach, kappa, target, min_overlap):
         reference, other = decompositions[first], decompositions[second]
         for index in np.flatnonzero(ssps.epoch == first):
             scale = ssps.scale[index]
-            level = reference.plane_index(scale)
+            level = reference.scales.index(scale)
             plane = other.planes[level].astype(float)
             if target == "segments":
-                plane = other.segmented_plane(scale).astype(float)
+                plane = segmented_plane(other, scale).astype(float)
             py, px = np.unravel_index(ssps.pixels_of(index), (ny, nx))
             own = reference.planes[level][py, px].astype(float)
             gamma = np.full((2 * ry + 1, 2 * rx + 1), np.nan)
@@ -350,10 +364,10 @@ def test_overlap_and_snr(masked, target, maps):
     for k in range(len(matches)):
         index, other = matches.ssp[k], epochs[matches.target[k]]
         scale = ssps.scale[index]
-        level = other.plane_index(scale)
+        level = other.scales.index(scale)
         plane = other.planes[level]
         if target == "segments":
-            plane = other.segmented_plane(scale)
+            plane = segmented_plane(other, scale)
         exists = np.ones(SHAPE, bool) if other.mask is None else ~other.mask
         plane = np.where(exists, plane, 0)
         dy, dx = matches.dy[k], matches.dx[k]
