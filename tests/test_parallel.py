@@ -104,20 +104,22 @@ def test_workers_have_one_thread_each(context):
 
 def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
     resource = pytest.importorskip("resource")
-    whole = machine_memory()
+    whole, groups = machine_memory(), "astro_scc.parallel.CONTROL_GROUPS"
     assert 1e8 < whole < 1e15
     names = [str(tmp_path / name) for name in ("v1", "v2", "none")]
     (tmp_path / "v1").write_text("max\n")
     (tmp_path / "v2").write_text("12345\n")
-    monkeypatch.setattr("astro_scc.parallel.CONTROL_GROUPS", names[::2])
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
-    assert machine_memory() >= whole
-    monkeypatch.setattr("astro_scc.parallel.CONTROL_GROUPS", names)
-    assert machine_memory() == 12345
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (1234, -1))
-    assert machine_memory() == 1234
+    unlimited = (resource.RLIM_INFINITY,) * 2
+    for own, limit, expected in (
+        (names[::2], unlimited, pytest.approx(whole)),
+        (names, unlimited, 12345),
+        (names, (1234, -1), 1234),
+    ):
+        monkeypatch.setattr(groups, own)
+        monkeypatch.setattr(resource, "getrlimit", lambda _, limit=limit: limit)
+        assert machine_memory() == expected
     # As on Windows.
-    monkeypatch.setattr("astro_scc.parallel.CONTROL_GROUPS", ())
+    monkeypatch.setattr(groups, ())
     monkeypatch.setitem(sys.modules, "resource", None)
     monkeypatch.delattr("os.sysconf")
     assert machine_memory() == math.inf
@@ -194,26 +196,24 @@ def test_a_pool_that_is_found_broken_with_the_next_piece():
 UNGUARDED = """
 import multiprocessing, operator
 from astro_scc.parallel import as_done, in_order
-multiprocessing.set_start_method({context!r}, force=True)
-try:
-    print(list({name}(operator.neg, [1, 2], 2)))
-except ChildProcessError as error:
-    print("error:", error)
+multiprocessing.set_start_method("spawn")
+for work in as_done, in_order:
+    try:
+        print(list(work(operator.neg, [1, 2], 2)))
+    except ChildProcessError as error:
+        print("error:", error)
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["as_done", "in_order"])
-@pytest.mark.parametrize("context", [c for c in STARTS if c.values != ("fork",)])
-def test_processes_that_cannot_start(tmp_path, name, context):
+def test_processes_that_cannot_start(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text(UNGUARDED.format(name=name, context=context))
-    done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, timeout=60
-    )
+    script.write_text(UNGUARDED)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
     assert done.returncode == 0
-    assert done.stdout.splitlines()[-1].startswith("error: a worker process died")
-    assert "if __name__ == '__main__'" in done.stdout
+    for line in done.stdout.splitlines()[-2:]:
+        assert line.startswith("error: a worker process died")
+        assert "if __name__ == '__main__'" in line
 
 
 #: A command whose workers are killed: while they write a result that nobody reads yet,
@@ -225,21 +225,18 @@ from astro_scc.cli import main, track
 from astro_scc.parallel import in_order
 
 when, context, n = sys.argv[1], sys.argv[2], int(sys.argv[3])
-since = None
 
 def work(_):
     time.sleep(0.01)
     return bytes(3_000_000)
 
 def kill(after):
-    global since
     time.sleep(after)
     while not (workers := multiprocessing.active_children()):
         time.sleep(0.01)
     worker = random.choice(workers)
     # By then it has replaced the handlers of the parent.
     ways = [worker.kill] if when == "random" else [worker.kill, worker.terminate]
-    since = time.monotonic()
     random.choice(ways)()
 
 def run(args, reporter):
@@ -257,9 +254,7 @@ if __name__ == "__main__":
     track.track = run
     for seed in range(n):
         random.seed(seed)
-        status = main(["track", "none.fits"])
-        left = len(multiprocessing.active_children())
-        print(status, f"{time.monotonic() - since:.2f}", left, flush=True)
+        print(main(["track", "none.fits"]), len(multiprocessing.active_children()))
 """
 METHODS = multiprocessing.get_all_start_methods()
 
@@ -281,9 +276,8 @@ def test_a_killed_worker_is_one_line(tmp_path, when, context, n):
     script.write_text(SCRIPT)
     command = [sys.executable, "-W", "ignore", script, when, context, str(n)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=40 * n)
-    found = [line.split() for line in done.stdout.splitlines()]
-    assert [(status, left) for status, _, left in found] == [("2", "0")] * n
-    assert all(float(seconds) < 10 for _, seconds, _ in found)
+    # The status, and the processes that are left.
+    assert done.stdout.splitlines() == ["2 0"] * n
     lines = done.stderr.splitlines()
     assert len(lines) == n
     says = "astro-scc track: error: a worker process died"
