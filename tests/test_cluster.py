@@ -40,7 +40,7 @@ def cluster():
         yield client
 
 
-def test_results_come_in_order_and_as_needed(cluster):
+def test_results_come_in_order_and_as_needed():
     taken = []
 
     def pieces():
@@ -48,20 +48,22 @@ def test_results_come_in_order_and_as_needed(cluster):
             taken.append(k)
             yield k
 
-    results = in_order(operator.neg, pieces(), cluster)
-    assert next(results) == 0
-    assert len(taken) < 12
-    assert list(results) == [-k for k in range(1, 12)]
-    found = dict(as_done(operator.neg, range(12), cluster))
-    assert found == {k: -k for k in range(12)}
-    # An address is as good as a client.
-    address = cluster.scheduler.address
-    assert list(in_order(operator.neg, [1, 2], address)) == [-1, -2]
-    with workers_of(cluster) as same:
-        assert same is cluster
-    assert cluster.status == "running"
+    with cluster_of(2) as cluster:
+        results = in_order(operator.neg, pieces(), cluster)
+        assert next(results) == 0
+        assert len(taken) < 12
+        assert list(results) == [-k for k in range(1, 12)]
+        found = dict(as_done(operator.neg, range(12), cluster))
+        assert found == {k: -k for k in range(12)}
+        # An address is as good as a client.
+        address = cluster.scheduler.address
+        assert list(in_order(operator.neg, [1, 2], address)) == [-1, -2]
+        with workers_of(cluster) as same:
+            assert same is cluster
+        assert cluster.status == "running"
 
 
+@pytest.mark.slow
 def test_a_killed_worker_changes_nothing(cluster, monkeypatch):
     images = simulate_two_fluid(n_epochs=3, rng=5).cube.data
     epochs = [Decomposer(scales=[1, 2])(image) for image in images]
@@ -82,6 +84,7 @@ def test_a_killed_worker_changes_nothing(cluster, monkeypatch):
     np.testing.assert_equal(vars(found), vars(serial))
 
 
+@pytest.mark.slow
 def test_a_function_that_workers_cannot_import(cluster, monkeypatch):
     # Here it is, there it is not; workers died of it, for ever.
     module = types.ModuleType("only_here")

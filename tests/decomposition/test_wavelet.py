@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.decomposition import Decomposer
@@ -209,6 +210,13 @@ def test_plane_noise_of_sources_without_sky_and_of_blanked_pixels():
     plane[::8, ::8] = 1e3
     everything = 1.4826 * np.median(np.abs(plane))
     assert plane_noise(plane, 4) == pytest.approx(everything, rel=1e-4)
+    # Beyond five sigma and a scale around, no pixel of a faint edge counts.
+    y, x = np.mgrid[-64:64, -64:64]
+    plane = rng.normal(size=y.shape) + 200 * np.exp(-(x**2 + y**2) / 2 / 15**2)
+    sigma = plane_noise(1e-3 * plane, 2) / 1e-3
+    sky = ndimage.distance_transform_edt(np.abs(plane) <= 5 * sigma) > 4
+    converged = 1.4826 * np.median(np.abs(plane[sky]))
+    assert sigma == pytest.approx(converged, rel=2e-3)
     # CLEAN maps are exactly zero outside the field: their MAD is 0.
     plane = np.zeros((128, 128))
     plane[:60, :60] = rng.normal(size=(60, 60))
@@ -232,6 +240,7 @@ def test_masked_pixels_do_not_count():
     mask[:, 32:] = True
     assert plane_noise(plane, 1, mask=mask) == pytest.approx(1, abs=0.1)
     assert plane_noise(plane, 1, mask=np.ones(plane.shape, bool)) == 0
+    assert local_noise(plane, 1, mask=mask)[:, :32] == pytest.approx(1, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -276,9 +285,13 @@ def test_shared_variance_is_that_of_what_both_images_show():
     share, chance = shared_variance(own, 1, masks=(mask, None))
     assert share < 6 * chance
     assert shared_variance([same, 0 * same], 1) == (0, np.inf)
-    images = [np.cumsum(np.cumsum(p, axis=0), axis=1) for p in planes]
-    found = Decomposer(scales=(1, 2)).shared_variance(images)
-    assert np.shape(found) == (2, 2)
+    masks = mask, mask
+    found = Decomposer(scales=(1, 2)).shared_variance(own, masks=masks)
+    pairs = zip(*(wavelet_planes(i, (1, 2), mask=mask) for i in own), strict=True)
+    each = [
+        shared_variance(p, j, masks=masks) for j, p in zip((1, 2), pairs, strict=True)
+    ]
+    np.testing.assert_allclose(found, np.transpose(each), rtol=1e-6)
 
 
 def test_noise_of_an_image():
