@@ -21,28 +21,11 @@ _PUBLIC = {
     "measure_velocities": "astro_scc.scc",
 }
 _FOLDERS = frozenset(
-    {
-        "alignment",
-        "components",
-        "correlation",
-        "decomposition",
-        "epochs",
-        "expansion",
-        "features",
-        "flow",
-        "images",
-        "kinematics",
-        "matching",
-        "measurement",
-        "products",
-        "recovery",
-        "report",
-        "simulation",
-        "stacking",
-        "streams",
-        "tracking",
-        "visualization",
-    }
+    """
+    alignment components correlation decomposition epochs expansion features flow images
+    kinematics matching measurement products recovery report simulation stacking streams
+    tracking visualization
+    """.split()
 )
 
 __all__ = ["Beam", "EpochCube", "StackedCrossCorrelation", "measure_velocities"]

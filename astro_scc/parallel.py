@@ -19,7 +19,6 @@ from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.reduction import ForkingPickler
 from numbers import Integral
 from pathlib import Path
-from weakref import WeakSet
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.
@@ -28,13 +27,9 @@ WAITING = 2
 GRACE = 2
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 15
-#: Seconds to wait for the first workers of a cluster, for others if all are lost, and
-#: between two checks.
-FIRST_WORKERS = 45
-WITHOUT_WORKERS = 6
+#: Seconds to wait for workers of a cluster that has none, and between two checks.
+WITHOUT_WORKERS = 45
 LOOK = 1
-#: Clients of clusters that have had workers: others may have to start.
-HAD_WORKERS = WeakSet()
 #: Limits of containers and of the jobs of batch systems.
 CONTROL_GROUPS = (
     "/sys/fs/cgroup/memory.max",
@@ -114,7 +109,6 @@ def in_order(function, pieces, n_workers, *, context=None):
             with closing(_Pool(workers, context)) as pool:
                 for _, future in _in_pool(pool, function, enumerate(pieces)):
                     yield _result(future.result)
-                pool.end()
         else:
             for _, get in _on_cluster(workers, function, pieces):
                 yield _result(get)
@@ -165,23 +159,27 @@ def _result(get):
         ) from None
 
 
-def _next_done(waiting, wait_for, ordered):
-    """Take the item whose future is done first or, if ordered, the first item."""
-    futures = [future for _, future in waiting]
-    wait_for(futures[:1] if ordered else futures)
-    done = (k for k, future in enumerate(futures) if ordered or future.done())
-    return waiting.pop(next(done))
+def _each_done(items, waiting, submit, wait_for, n_workers, ordered):
+    """Yield numbered pieces and their futures, once they are done."""
+
+    def next_done():
+        futures = [future for _, future in waiting]
+        wait_for(futures[:1] if ordered else futures)
+        done = (k for k, future in enumerate(futures) if ordered or future.done())
+        return waiting.pop(next(done))
+
+    for item in items:
+        waiting.append((item, submit(item[1])))
+        if len(waiting) > WAITING * n_workers():
+            yield next_done()
+    while waiting:
+        yield next_done()
 
 
 def _in_pool(pool, function, items, *, ordered=True):
-    """Yield numbered pieces and their futures, once they are done."""
-    waiting = []
-    for item in items:
-        waiting.append((item, pool.submit(function, item[1])))
-        if len(waiting) > WAITING * pool.n_workers:
-            yield _next_done(waiting, pool.wait, ordered)
-    while waiting:
-        yield _next_done(waiting, pool.wait, ordered)
+    """Yield numbered pieces and their futures, once processes have done them."""
+    how = partial(pool.submit, function), pool.wait, lambda: pool.n_workers, ordered
+    return _each_done(items, [], *how)
 
 
 def _as_done(function, items, n_workers, context):
@@ -209,23 +207,20 @@ def _as_done(function, items, n_workers, context):
 
 
 class _Worker:
-    """A process, the parent's ends of its two pipes, and the future of its task."""
+    """A process, the parent's end of its pipe, and the future of its task."""
 
     def __init__(self, context):
-        theirs, self.tasks = context.Pipe(duplex=False)
-        self.results, results = context.Pipe(duplex=False)
+        self.pipe, theirs = context.Pipe()
         self.future = None
-        self.process = context.Process(
-            target=_serve, args=(theirs, results), daemon=True
-        )
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
         # The end of the file is only seen where nobody else can write.
-        with theirs, results:
+        with theirs:
             self.process.start()
 
 
 class _Pool:
     """
-    Processes that share nothing: each has a pipe for tasks and one for results.
+    Processes that share nothing: each has a pipe for tasks and results.
 
     One that is killed, at whatever moment, ends its own message and holds no lock, as
     it would with the queues of `concurrent.futures`.  It breaks the pool: whatever is
@@ -253,10 +248,10 @@ class _Pool:
     def wait(self, futures):
         """Wait until one of the futures is done."""
         while not any(future.done() for future in futures):
-            ready = wait_for_any([worker.results for worker in self._workers])
-            for worker in [w for w in self._workers if w.results in ready]:
+            ready = wait_for_any([worker.pipe for worker in self._workers])
+            for worker in [w for w in self._workers if w.pipe in ready]:
                 try:
-                    answer = worker.results.recv_bytes()
+                    answer = worker.pipe.recv_bytes()
                 except (EOFError, OSError):
                     self._break()
                     break
@@ -280,7 +275,7 @@ class _Pool:
             for worker in self._workers:
                 if worker.future is None and self._tasks:
                     worker.future, task = self._tasks.popleft()
-                    worker.tasks.send_bytes(task)
+                    worker.pipe.send_bytes(task)
         except (ConnectionError, EOFError):
             self._break()
 
@@ -292,16 +287,6 @@ class _Pool:
             if future is not None:
                 future.set_exception(BrokenExecutor())
 
-    def end(self):
-        """End idle processes, or raise a ChildProcessError if one was killed."""
-        for worker in self._workers:
-            with suppress(ConnectionError):
-                worker.tasks.send_bytes(b"")
-        for worker in self._workers:
-            worker.process.join(GRACE)
-        if any(worker.process.exitcode for worker in self._workers):
-            raise ChildProcessError(DIED)
-
     def close(self):
         """Kill the processes, even at work."""
         for worker in self._workers:
@@ -309,17 +294,28 @@ class _Pool:
         while self._workers:
             worker = self._workers.pop()
             worker.process.join(GRACE)
-            worker.tasks.close()
-            worker.results.close()
+            worker.pipe.close()
 
 
-def _serve(tasks, results):
-    """Work in a process, until an empty task."""
-    _start()
+def _serve(pipe):
+    """Work in a process."""
+    # The parent handles the signals of its terminal, and then ends its workers.
+    for name, handler in (
+        ("SIGINT", signal.SIG_IGN),
+        ("SIGHUP", signal.SIG_IGN),
+        ("SIGTERM", signal.SIG_DFL),
+    ):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), handler)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    from threadpoolctl import threadpool_limits
+
+    # The workers already share the processor.
+    threadpool_limits(1)
     # The parent may be killed.
     with suppress(EOFError, ConnectionError):
-        while task := tasks.recv_bytes():
-            results.send_bytes(_answer(task))
+        while True:
+            pipe.send_bytes(_answer(pipe.recv_bytes()))
 
 
 def _answer(task):
@@ -334,23 +330,6 @@ def _answer(task):
         except Exception:
             error = RuntimeError(f"{type(error).__name__}: {error}")
             return ForkingPickler.dumps((error, None))
-
-
-def _start():
-    """Prepare a worker process."""
-    # The parent handles the signals of its terminal, and then ends its workers.
-    for name, handler in (
-        ("SIGINT", signal.SIG_IGN),
-        ("SIGHUP", signal.SIG_IGN),
-        ("SIGTERM", signal.SIG_DFL),
-    ):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), handler)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    from threadpoolctl import threadpool_limits
-
-    # The workers already share the processor.
-    threadpool_limits(1)
 
 
 def _end_with_parent():
@@ -419,24 +398,20 @@ def _on_cluster(client, function, pieces, *, ordered=True):
     Another worker repeats a piece whose worker dies.
     """
     _check_import(client, function)
-    waiting, wait_for = [], partial(_wait_on_cluster, client)
-
-    def done():
-        item, future = _next_done(waiting, wait_for, ordered)
-        # A worker may take a result with it when it ends.
-        return item, partial(_while_workers, client, future.result)
-
+    submit = partial(_submit, client, _one_thread, function)
+    how = submit, partial(_wait_on_cluster, client), partial(_threads, client), ordered
+    waiting = []
     try:
-        for item in enumerate(pieces):
-            waiting.append((item, _submit(client, _one_thread, function, item[1])))
-            threads = sum(_ask(client, client.nthreads).values())
-            if len(waiting) > WAITING * max(threads, 1):
-                yield done()
-        while waiting:
-            yield done()
+        for item, future in _each_done(enumerate(pieces), waiting, *how):
+            # A worker may take a result with it when it ends.
+            yield item, partial(_while_workers, client, future.result)
     finally:
         if client.status == "running":
             client.cancel([future for _, future in waiting])
+
+
+def _threads(client):
+    return max(sum(_ask(client, client.nthreads).values()), 1)
 
 
 def _check_import(client, function):
@@ -447,11 +422,8 @@ def _check_import(client, function):
         # Pickled by value, since this module may be the missing one.
         importlib.import_module(name)
 
-    if _ask(client, client.nthreads):
-        HAD_WORKERS.add(client)
     future = _submit(client, load)
     _wait_on_cluster(client, [future])
-    HAD_WORKERS.add(client)
     try:
         _result(partial(_while_workers, client, future.result))
     except ImportError as error:
@@ -502,19 +474,17 @@ def _while_workers(client, ask):
     """Ask with a timeout, again and again as long as there are workers."""
     last = time.monotonic()
     while True:
-        patience = WITHOUT_WORKERS if client in HAD_WORKERS else FIRST_WORKERS
         begin = time.monotonic()
         try:
-            return ask(timeout=min(LOOK, patience))
+            return ask(timeout=LOOK)
         except TimeoutError:
             # The function may have raised it.
-            if time.monotonic() - begin < min(LOOK, patience):
+            if time.monotonic() - begin < LOOK:
                 raise
         if _ask(client, client.nthreads):
-            HAD_WORKERS.add(client)
             last = time.monotonic()
-        elif time.monotonic() - last >= patience:
+        elif time.monotonic() - last >= WITHOUT_WORKERS:
             raise OSError(
-                f"the scheduler has had no workers for {patience} s; start some, or "
-                "see in their logs why they end"
+                f"the scheduler has had no workers for {WITHOUT_WORKERS} s; start "
+                "some, or see in their logs why they end"
             )

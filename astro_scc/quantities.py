@@ -153,13 +153,11 @@ def one_quantity(value, kind, example, positive=True):
     ValueError
         If the value is not such a quantity.
     """
-    import astropy.units as u
-
     wanted = f"must be {kind} with a unit, such as {example!r}"
-    found = to_quantity(value, u.Quantity(example).unit, wanted)
+    found = to_quantity(value, example.split()[-1], wanted)
     if not found.isscalar:
         raise ValueError(wanted)
-    if not (0 if positive else float("-inf")) < found.value < float("inf"):
+    if not (0 if positive else -math.inf) < found.value < math.inf:
         raise ValueError(f"must be finite{' and above 0' * positive}")
     return found
 

@@ -1,19 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-The settings of a measurement, each declared once, with default, check, unit and help.
+The settings of a measurement, each declared once, with type, check and default.
 
-The command line, TOML files, Python and the table in the documentation use the fields
-of `Settings`.  Quantities may be text with a unit, ``"2 mas / yr"``.
+Their commands, units for calculations and words for the help are in ``settings.csv``,
+in the order of files and help; those without a ``metavar`` are not on the command line.
+The command line, TOML files, Python and the table in the documentation use these.
+Quantities may be text with a unit, ``"2 mas / yr"``.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from functools import partial
+from importlib import resources
 from operator import le
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,17 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Settings", "read_config"]
 
-#: Commands that have the settings of each group, in the order of files and help.
-STACK = ("measure", "profile")
-ALL = (*STACK, "track")
-GROUPS = {
-    "images": ALL,
-    "distances": ("profile",),
-    "measurement": ALL,
-    "features": ("track",),
-    "trials": ALL,
-    "speeds in units of c": ALL,
-}
 #: `~astro_scc.kinematics.paper_cosmology`, as text for a file.
 PAPER_COSMOLOGY = "H0=71,Om0=0.27"
 #: Comment at the head of a settings file; the command is filled in.
@@ -73,127 +65,42 @@ def _beam(value):
 # Checks, and their arguments after the value.
 POSITIVE = (q.check_number, 0, math.inf, "must be above 0")
 BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
-SPEED = (q.one_quantity, "an angle per time", "2 mas/yr")
-ANGLE = (q.one_quantity, "an angle", "2 mas")
 
 
-def _setting(group, check, text, metavar=None, default=None, *, unit=None, only=None):
-    """
-    Declare a setting.
-
-    One without ``metavar`` is not on the command line; ``unit`` is for calculations.
-    """
-    facts = {"group": group, "help": text, "metavar": metavar, "unit": unit}
-    facts |= {"check": check if isinstance(check, tuple) else (check,)}
-    facts |= {"commands": only or GROUPS[group]}
-    return field(default=default, metadata=facts)
-
-
-_image = partial(_setting, "images")
-_measure = partial(_setting, "measurement")
-_stack = partial(_setting, "measurement", only=STACK)
-_distance_bin = partial(_setting, "distances")
-_feature = partial(_setting, "features")
-_trial = partial(_setting, "trials")
-_in_c = partial(_setting, "speeds in units of c")
+def _setting(check, *more, default=None):
+    """Declare a setting by its check and the arguments of that after the value."""
+    return field(default=default, metadata={"check": (check, *more)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
-    scales: u.Quantity | Sequence[float | str] | None = _measure(
-        q.check_scales,
-        'wavelet scales by number (j is 2^j pixels) or angle, "0.2 mas, 0.4 mas"; '
-        "by default from a quarter of the beam to two beams, without a beam up to half "
-        "of the size of the structures",
-        "1,2,3",
+    scales: u.Quantity | Sequence[float | str] | None = _setting(q.check_scales)
+    max_speed: u.Quantity | str | None = _setting(
+        q.one_quantity, "an angle per time", "2 mas/yr"
     )
-    max_speed: u.Quantity | str | None = _stack(
-        SPEED,
-        "largest proper motion; default 1.5 beams in the shorter intervals, four of "
-        "up to 20 epochs",
-        '"2 mas/yr"',
-        unit="mas / yr",
+    position_angle: Any = _setting(q.check_position_angle)
+    baseline: u.Quantity | Sequence[str] | None = _setting(
+        q.check_range, "a shortest and a longest time", "0.2 yr 1.0 yr", 0, le
     )
-    position_angle: Any = _stack(
-        q.check_position_angle,
-        "direction of the jet, north through east: velocities along and across it; fit "
-        "for that of the mean image, ridge for along its ridge line, radial for away "
-        "from the reference pixel, any for east and north; by default fit for a "
-        "one-sided jet, or else any",
-        '"65 deg"|fit|ridge|radial|any',
-        unit="deg",
+    min_error_beams: float = _setting(*BEAMS, default=0.2)
+    kappa: float = _setting(*q.CORRELATION["kappa"], default=0.6)
+    target: str = _setting(*q.CORRELATION["target"], default="segments")
+    min_overlap: float = _setting(*q.CORRELATION["min_overlap"], default=0.8)
+    wavelet: str = _setting(q.check_choice, "b1", "b3", default="b1")
+    detection: float = _setting(*POSITIVE, default=4.0)
+    segmentation: float = _setting(*POSITIVE, default=3.0)
+    noise: str = _setting(q.check_choice, *q.NOISES, default="plane")
+    alpha: float = _setting(
+        q.check_number, 0, 1, "must be between 0 and 1", default=0.05
     )
-    baseline: u.Quantity | Sequence[str] | None = _stack(
-        (q.check_range, "a shortest and a longest time", "0.2 yr 1.0 yr", 0, le),
-        "compare only epochs whose separation in time is in this range; by default "
-        "each speed has the intervals in which it moves 0.2 to 1 beam",
-        '"0.2 yr 1.0 yr"',
-        unit="yr",
+    outward: bool = _setting(q.check_boolean, default=False)
+    alignment_error: u.Quantity | Sequence[str] | None = _setting(
+        q.check_alignment_error
     )
-    min_error_beams: float = _stack(
-        BEAMS, "smallest error of a displacement, in beams; default 0.2", "0.2", 0.2
-    )
-    kappa: float = _stack(
-        q.CORRELATION["kappa"],
-        "smallest correlation of a match; default 0.6",
-        "0.6",
-        0.6,
-    )
-    target: str = _stack(
-        q.CORRELATION["target"],
-        "what a pattern is correlated with: the patterns of the other epoch or its "
-        'whole "plane"',
-        default="segments",
-    )
-    min_overlap: float = _stack(
-        q.CORRELATION["min_overlap"],
-        "part of a pattern that must lie on good pixels",
-        default=0.8,
-    )
-    wavelet: str = _measure(
-        (q.check_choice, "b1", "b3"), 'low-pass filter, or "b3"', default="b1"
-    )
-    detection: float = _measure(
-        POSITIVE, "threshold of patterns, in sigma", default=4.0
-    )
-    segmentation: float = _measure(
-        POSITIVE, "threshold of the pixels of patterns, in sigma", default=3.0
-    )
-    noise: str = _measure(
-        (q.check_choice, *q.NOISES),
-        'estimate of the noise of wavelet planes, or "local", "propagated"',
-        default="plane",
-    )
-    alpha: float = _stack(
-        (q.check_number, 0, 1, "must be between 0 and 1"),
-        "largest p_global of motion",
-        default=0.05,
-    )
-    outward: bool = _stack(
-        q.check_boolean,
-        "search only speeds away from the core, where position_angle is given",
-        "true|false",
-        False,
-    )
-    alignment_error: u.Quantity | Sequence[str] | None = _stack(
-        q.check_alignment_error,
-        'error of the alignment, "0.02 mas", or a list with one per epoch; by default '
-        "what align found",
-        unit="mas",
-    )
-    small_displacement_correction: bool = _stack(
-        q.check_boolean,
-        "shift the permuted images of the z-score by a fifth of the beam",
-        default=False,
-    )
-    common_beam: bool | None = _image(
-        q.check_boolean,
-        "convolve to the smallest beam that contains all; the default where beams "
-        "differ",
-        "true|false",
-    )
+    small_displacement_correction: bool = _setting(q.check_boolean, default=False)
+    common_beam: bool | None = _setting(q.check_boolean)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,83 +131,22 @@ class Settings(MeasurementSettings):
     (<Quantity 2. mas / yr>, 0.6, 'H0=71,Om0=0.27')
     """
 
-    epochs: Sequence[str] | None = _image(
-        q.check_paths,
-        "one image per date, a file that EpochCube.write made, or lists of components "
-        "(difmap .mod, AIPS CC, .ecsv, .mrt) to restore with --beam; in a file also "
-        "patterns",
-        "EPOCH.fits",
-    )
-    beam: str | None = _image(
-        _beam,
-        "beam of all images, instead of those in their headers, and that with which "
-        "lists of components are restored; default that of each file",
-        '"1.0 mas 0.5 mas -7 deg"',
-    )
-    after: str | None = _image(
-        q.check_date, "take epochs of this date or later", "2001-01-01"
-    )
-    before: str | None = _image(
-        q.check_date, "take epochs before this date", "2011-01-01"
-    )
-    align: str | None = _image(
-        q.check_text,
-        "align the epochs on their reference pixels (none), on the core that is fitted "
-        "in each, on one another by correlation, on their absolute coordinates (wcs; "
-        "not for VLBI), or by a table (CSV or ECSV) of dates and offsets of the core; "
-        "by default none, or core where the epochs scatter by more than 0.2 beams",
-        "none|core|correlate|wcs|TABLE",
-    )
-    crop: str | None = _image(
-        q.check_text,
-        "read no more of the images than the box around a DS9 or CRTF region, where "
-        "all are more than the memory holds",
-        "FILE.reg",
-    )
-    region: str | None = _image(
-        q.check_text, "use only patterns inside a DS9 or CRTF region", "FILE.reg"
-    )
-    bins: u.Quantity | Sequence[str] | None = _distance_bin(
-        q.check_bins,
-        "limits of the bins, distances from the core; needed here or in --config",
-        '"0.5 1.5 2.5 mas"',
-    )
-    window: u.Quantity | str | None = _distance_bin(
-        ANGLE,
-        "windows of this width about each of the --bins, instead of bins between",
-        '"2 mas"',
-    )
-    detections: str = _feature(
-        (q.check_choice, "gaussians", "ssp"),
-        "what features are made of: models of the images by gaussians, the default "
-        "where there are beams, or ssp, the patterns of all scales",
-        "gaussians|ssp",
-        "gaussians",
-    )
-    n_trials: int | None = _trial(
-        (q.check_integer, 2, 10**9),
-        "permutations of the epochs; the paper's z-score and error take 200 at most; "
-        "default 1000",
-        "1000",
-        only=STACK,
-    )
-    seed: int | None = _trial(
-        (q.check_integer, 0, 2**63 - 1),  # FITS and TOML keep integers of 64 bits
-        "of the random numbers; drawn and written down by default",
-        "N",
-    )
-    redshift: float | str | u.Quantity | None = _in_c(
-        (_of_object, "redshift"), "of the object, also in percent", "Z"
-    )
-    cosmology: str | None = _in_c(
-        _cosmology,
-        "for the redshift, as Planck18 or by parameters; default H0=71,Om0=0.27 "
-        "(Mertens & Lobanov 2016)",
-        'NAME|"H0=71,Om0=0.27"',
-    )
-    distance: u.Quantity | str | None = _in_c(
-        (_of_object, "distance"), "of a near object, without a redshift", '"16.7 Mpc"'
-    )
+    epochs: Sequence[str] | None = _setting(q.check_paths)
+    beam: str | None = _setting(_beam)
+    after: str | None = _setting(q.check_date)
+    before: str | None = _setting(q.check_date)
+    align: str | None = _setting(q.check_text)
+    crop: str | None = _setting(q.check_text)
+    region: str | None = _setting(q.check_text)
+    bins: u.Quantity | Sequence[str] | None = _setting(q.check_bins)
+    window: u.Quantity | str | None = _setting(q.one_quantity, "an angle", "2 mas")
+    detections: str = _setting(q.check_choice, "gaussians", "ssp", default="gaussians")
+    n_trials: int | None = _setting(q.check_integer, 2, 10**9)
+    # FITS and TOML keep integers of 64 bits.
+    seed: int | None = _setting(q.check_integer, 0, 2**63 - 1)
+    redshift: float | str | u.Quantity | None = _setting(_of_object, "redshift")
+    cosmology: str | None = _setting(_cosmology)
+    distance: u.Quantity | str | None = _setting(_of_object, "distance")
 
     def __post_init__(self):
         for name in OPTIONS:
@@ -378,13 +224,21 @@ def _plain(value):
     return value
 
 
-#: Metadata of each setting by its name, in the order of the groups.
-OPTIONS = {
-    one.name: one.metadata | {"default": one.default}
-    for group in GROUPS
-    for one in sorted(fields(Settings), key=lambda one: one.name != "epochs")
-    if one.metadata["group"] == group
-}
+def _read_options():
+    """Return check, default and words of each setting, in the order of the file."""
+    declared, found = {one.name: one for one in fields(Settings)}, {}
+    with resources.files("astro_scc").joinpath("settings.csv").open() as file:
+        for row in csv.DictReader(file):
+            one = declared.pop(row.pop("name"))
+            facts = {key: text or None for key, text in row.items()}
+            facts["commands"] = row["commands"].split()
+            found[one.name] = facts | {"default": one.default, **one.metadata}
+    return found
+
+
+#: What is known of each setting by its name.
+OPTIONS = _read_options()
+GROUPS = tuple(dict.fromkeys(facts["group"] for facts in OPTIONS.values()))
 
 
 def check_setting(name, value):

@@ -9,7 +9,6 @@ import secrets
 import shutil
 import time
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -226,11 +225,6 @@ def versions() -> dict[str, str]:
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
-    return dict(_versions())
-
-
-@cache
-def _versions():
     needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
     found = dict.fromkeys(needed, "unknown")
     for name in found:

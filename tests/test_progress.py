@@ -13,22 +13,19 @@ from astro_scc.progress import progress
 
 
 @pytest.mark.parametrize("notebook", [False, True])
-def test_a_terminal_and_a_notebook_show_a_bar(monkeypatch, capsys, notebook):
+def test_a_terminal_and_a_notebook_show_a_bar(monkeypatch, notebook):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: not notebook
+    monkeypatch.setattr(sys, "stderr", terminal)
     if notebook:
         monkeypatch.setitem(sys.modules, "ipykernel", sys)
-    else:
-        terminal = io.StringIO()
-        terminal.isatty = lambda: True
-        monkeypatch.setattr(sys, "stderr", terminal)
     # An error passes, and closes the bar.
     with pytest.raises(RuntimeError, match="broken"), progress(4, "First"):
         raise RuntimeError("broken")
     with progress(4, "Correlating") as done:
         done(1)
         done(3)
-    said = capsys.readouterr().err if notebook else terminal.getvalue()
-    assert "Correlating" in said
-    assert "4/4" in said
+    assert re.search("Correlating.*4/4", terminal.getvalue())
 
 
 @pytest.mark.parametrize(("total", "steps"), [(40, "3 of 40"), (None, "3 done")])
@@ -43,7 +40,7 @@ def test_lines_where_there_is_no_terminal(monkeypatch, capsys, total, steps):
         done(1)
         done(2)
         # Without another step.
-        time.sleep(0.2)
+        time.sleep(0.1)
     captured = capsys.readouterr()
     assert captured.out == ""
     lines = captured.err.splitlines()

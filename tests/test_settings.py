@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.inputs import settings_of
 from astro_scc.cli.program import build_parser
-from astro_scc.quantities import parse_quantities, to_time
+from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, require
 
 PM = u.mas / u.yr
@@ -42,8 +42,9 @@ def same(a, b):
 
 
 def test_every_setting_is_declared_once():
-    assert set(FULL) | set(OTHERS) == set(OPTIONS)
-    assert {field.name for field in fields(StackedCrossCorrelation)} <= set(OPTIONS)
+    declared = {field.name for field in fields(Settings)}
+    assert set(FULL) | set(OTHERS) == set(OPTIONS) == declared
+    assert {field.name for field in fields(StackedCrossCorrelation)} <= declared
     for name, facts in (("kappa", ("0.6", 0.6)), ("noise", (None, "plane"))):
         assert (OPTIONS[name]["metavar"], OPTIONS[name]["default"]) == facts
     # ``--outward`` is nothing but the metavar of its field.
@@ -64,16 +65,12 @@ def test_settings_survive_the_file_to_the_bit(tmp_path):
     again = Settings(**found)
     for name in OPTIONS:
         assert same(getattr(again, name), getattr(made, name)), name
-
-
-@pytest.mark.parametrize("command", ["profile", "track"])
-def test_a_command_keeps_its_own_settings(command):
-    plain = Settings(epochs="a.fits", **OTHERS).to_dict(command)
-    assert ("bins" in plain) == ("min_error_beams" in plain) == (command == "profile")
-    assert ("detections" in plain) == (command == "track")
-    assert plain["distance"] == "16.7 Mpc"
-    for name, value in Settings(**plain).to_dict(command).items():
-        assert plain[name] == value
+    # A command keeps its own settings.
+    for command in ("profile", "track"):
+        plain = Settings(epochs="a.fits", **OTHERS).to_dict(command)
+        assert ("bins" in plain) == ("kappa" in plain) == (command == "profile")
+        assert ("detections" in plain) == (command == "track")
+        assert Settings(**plain).to_dict(command) == plain
 
 
 def test_speeds_in_c_need_one_kind_of_distance():
@@ -87,7 +84,7 @@ def test_speeds_in_c_need_one_kind_of_distance():
         Settings(cosmology="Planck18")
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     value=st.floats(min_value=1e-12, max_value=1e12),
     unit=st.sampled_from(["mas/yr", "arcsec / h", "deg/d", "uas yr-1", "rad/s"]),
@@ -97,24 +94,16 @@ def test_speeds_survive_to_the_bit(value, unit):
     again = Settings(**tomllib.loads(made.to_toml()))
     assert same(again.max_speed, made.max_speed)
     # What the measurement computes with is the same, too.
-    pair = [
-        StackedCrossCorrelation.from_settings(own).max_speed for own in (made, again)
-    ]
-    assert pair[0] == pair[1]
-    assert pair[0].unit == PM
-
-
-def test_several_quantities_with_a_unit_each():
-    values = parse_quantities("-1 mas / yr 4 mas yr-1")
-    assert same(u.Quantity(values), [-1, 4] * PM)
+    scc = [StackedCrossCorrelation.from_settings(own) for own in (made, again)]
+    assert scc[0].max_speed == scc[1].max_speed
+    assert scc[0].max_speed.unit == PM
 
 
 def test_dates(tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
     found = Settings(**read_config(path)[0])
-    assert found.after == "2001-02-03"
-    assert to_time(found.before).isot == "2005-01-01T12:00:00.000"
+    assert (found.after, found.before) == ("2001-02-03", "2005-01-01T12:00:00")
     for text in (" 2011-01-01T00:00:00 ", "2011 Jan 01", "20110101", "2011-01-01Z"):
         assert to_time(text) == to_time("2011-01-01")
     assert (to_time("2011.5").jyear, to_time("2011").jyear) == (2011.5, 2011)
@@ -127,47 +116,35 @@ def test_dates(tmp_path):
         ("epochs", ["a.fits", 3], "must be text"),
         ("align", " ", "must be text"),
         ("common_beam", "yes", "true or false"),
-        ("outward", 2, "must be true or false"),
         ("kappa", "much", "must be a number"),
         ("kappa", float("nan"), "finite"),
         ("kappa", 1.0, "kappa = 1.0 must be between 0 and 1"),
-        ("alpha", 0, "between 0 and 1"),
-        ("min_error_beams", 0, "a part of the beam between 0 and 5"),
         ("min_error_beams", 5, "min_error_beams = 5 must be a part of the beam"),
-        ("min_overlap", 0.0, "min_overlap = 0.0 must be above 0, up to 1"),
         ("min_overlap", 1.1, "min_overlap = 1.1 must be above 0, up to 1"),
         ("n_trials", 1, "must be 2 to"),
         ("n_trials", 10.5, "whole number"),
         ("seed", 2**63, "must be 0 to"),
-        ("wavelet", "b2", "wavelet = 'b2' must be one of b1, b3"),
         ("noise", "none", "noise = 'none' must be one of plane, local, propagated"),
         ("max_speed", "2", "max_speed = '2' has no unit at its end; it must be an"),
         ("max_speed", "2 mas", "angle per time with a unit, such as '2 mas/yr'"),
         ("max_speed", 0 * PM, "max_speed = 0.0 mas / yr must be finite and"),
         ("max_speed", np.inf * PM, "must be finite and above 0"),
-        ("max_speed", [1, 2] * PM, "must be an angle per time with a unit"),
         ("max_speed", "1 mas 2", "no unit"),
         ("max_speed", ", mas 1", "'mas' where a number"),
-        ("max_speed", "1 parsecond", "unknown unit 'parsecond'"),
         ("max_speed", "1x2 mas", "unknown unit 'x2 mas'"),
         ("position_angle", "65", "radial, ridge, fit, any or an angle"),
         ("position_angle", "west", "has 'west' where a number is expected; it must be"),
-        ("position_angle", [1, 2] * u.deg, "must be radial, ridge"),
         ("position_angle", np.nan * u.deg, "position_angle = nan deg must be finite"),
         ("position_angle", "117 mas", "must be in degrees or radians"),
-        ("position_angle", 117 * u.uas, "must be in degrees or radians"),
         *(("baseline", value, "shortest and a longest") for value in (
             "1 yr", "2 yr 1 yr", "1 2", [1, 2], [-1, 1] * u.yr, [0, np.nan] * u.yr)),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
-        ("scales", [1.3], "of the series 0, 0.5"),
-        ("scales", "1,1", "scales = '1,1' must differ: leave out"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
         ("scales", [0.1, np.nan] * u.mas, "must be scale numbers such as"),
         ("cosmology", "standard", "is no cosmology"),
-        ("cosmology", 3, "must be text"),
         ("before", "yesterday", "is no date such as 2011-01-01"),
         ("redshift", -0.1, "above 0"),
         ("redshift", [0.1, 0.2], "must be one redshift"),
@@ -177,7 +154,6 @@ def test_dates(tmp_path):
         ("alignment_error", "-0.1 mas", "0 or above"),
         *(("alignment_error", value * u.mas, "must be an angle or a list of them")
           for value in ([1, np.nan], np.inf, np.ones((2, 2)))),
-        ("detections", "clean", "must be one of gaussians, ssp"),
     ],
 )  # fmt: skip
 def test_values_that_make_no_sense(name, value, reason):
@@ -197,7 +173,6 @@ def test_values_that_make_no_sense(name, value, reason):
         ("position_angle", "\N{MINUS SIGN}112deg", -112 * u.deg),
         ("position_angle", "ridge", "ridge"),
         ("baseline", "0.2 yr 1 yr", [0.2, 1.0] * u.yr),
-        ("baseline", "0.2yr, 1.0yr", [0.2, 1.0] * u.yr),
         ("baseline", ["0.2 yr", "365.25 d"], [0.2, 1.0] * u.yr),
         ("bins", "  .5,1.,1e1 mas ", [0.5, 1.0, 10.0] * u.mas),
         ("baseline", [0.2 * u.yr, 365.25 * u.day], [0.2, 1.0] * u.yr),

@@ -28,18 +28,20 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_folder_that_is_gone_in_the_end(tmp_path):
-    with partial_folder(tmp_path, ".part-") as folder:
-        (folder / "a").write_text("x")
-        assert folder.parent == tmp_path
-        assert folder.name.startswith(".part-")
-    assert names(tmp_path) == []
-    with pytest.raises(RuntimeError), partial_folder(tmp_path, ".part-"):
-        raise RuntimeError
+def test_a_folder_and_a_file_that_are_gone_unless_complete(tmp_path):
+    with pytest.raises(RuntimeError), partial_folder(tmp_path, ".part-") as folder:
+        raise RuntimeError((folder / "a").write_text("x"))
     assert names(tmp_path) == []
     with partial_folder(tmp_path, ".part-") as folder:
         folder.rename(tmp_path / "whole")
-    assert names(tmp_path) == ["whole"]
+    # What a killed process left goes, and nothing else.
+    left = tmp_path / f".astro_scc-{writing._machine()}-0123abcd"
+    left.mkdir()
+    (left / "a.txt").write_text("half")
+    (tmp_path / ".astro_scc-work").mkdir()
+    with replace_when_complete(tmp_path / "a.txt") as part:
+        part.write_text("complete")
+    assert names(tmp_path) == [".astro_scc-work", "a.txt", "whole"]
 
 
 def test_of_a_process_that_lives_and_of_one_that_was_killed(tmp_path):
@@ -107,13 +109,3 @@ def test_somebody_takes_it_for_left_before_it_is_held(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) != []
     assert remove_left(tmp_path, ".p-") == []
     assert names(tmp_path) == []
-
-
-def test_files_that_were_half_written(tmp_path):
-    left = tmp_path / f".astro_scc-{writing._machine()}-0123abcd"
-    left.mkdir()
-    (left / "a.txt").write_text("half")
-    (tmp_path / ".astro_scc-work").mkdir()
-    with replace_when_complete(tmp_path / "a.txt") as part:
-        part.write_text("whole")
-    assert names(tmp_path) == [".astro_scc-work", "a.txt"]

@@ -6,15 +6,13 @@ What must be refused has a ``type: ignore``, which mypy reports if it is not nee
 """
 
 from pathlib import Path
-from typing import Any, assert_type
+from typing import assert_type
 
 import astropy.units as u
 import numpy as np
-from astropy.cosmology import FlatLambdaCDM
-from astropy.nddata import CCDData, NDData
+from astropy.nddata import NDData
 from astropy.table import QTable, Table
 from astropy.time import Time
-from astropy.wcs import WCS
 from matplotlib.figure import Figure
 
 from astro_scc import (
@@ -29,83 +27,57 @@ from astro_scc import (
     flow,
     kinematics,
     matching,
-    measure_velocities,
     products,
     recovery,
     report,
     settings,
     simulation,
     tracking,
-    visualization,
 )
-from astro_scc.features.motion import Motion
 from astro_scc.matching import MatchedEpochs
 from astro_scc.measurement import SCCResult
-from astro_scc.stacking.velocities import DatePairs
 
 MAS_PER_YEAR = u.mas / u.yr
 
 
 def measure(cube: EpochCube) -> QTable:
     scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * MAS_PER_YEAR)
-    StackedCrossCorrelation(scales="0.2 mas, 0.4 mas", max_speed="2 mas/yr")
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
     StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
     assert_type(scc.plan(cube), matching.SearchPlan)
-    assert_type(scc.plan(cube).scales, tuple[float, ...])
-    assert_type(scc.decomposer(cube), decomposition.Decomposer)
-    assert_type(scc.plan(cube).pairs, DatePairs)
-    assert_type(scc.plan(cube).speed_limit(cube), u.Quantity)
     matched = scc.match(cube, region="jet.reg", n_workers=2, cache=Path("matches"))
     assert_type(matched, MatchedEpochs)
     result = scc.stack(matched, n_trials=100, rng=np.random.default_rng(1))
-    scc.stack(matched, rng="1")  # type: ignore[arg-type]
     scc.stack(cube)  # type: ignore[arg-type]
     assert_type(scc(cube, region=None, n_trials=1000, rng=1), SCCResult)
-    assert_type(measure_velocities(cube, scales=[1, 2]), QTable)
-    result.nothing  # type: ignore[attr-defined]  # noqa: B018
     return result.components
 
 
 def configure(path: Path) -> str:
     given, versions = settings.read_config(path)
     chosen = settings.Settings(**given, redshift=0.158)
-    StackedCrossCorrelation.from_settings(chosen)
     return chosen.to_toml("measure", versions=versions)
 
 
 def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
     decomposer = decomposition.Decomposer(scales=[1, 2])
-    decomposer(image, beam=2.0)  # type: ignore[call-arg]
     ssps = decomposer(image).ssps
     assert_type(ssps, decomposition.SSPs)
-    assert_type(len(ssps.select(ssps.snr > 5)), int)
     both = [decomposer(image), decomposer(image)]
     matches = correlation.Correlator(kappa=0.6)(both, correlation.all_pairs(2), 5)
-    correlation.Correlator(kappa="0.6")  # type: ignore[arg-type]
     return matches.of_ssps(np.arange(3) > 0)
 
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:
-    cosmology = FlatLambdaCDM(H0=71, Om0=0.27)  # type: ignore[call-arg]
-    speed = kinematics.apparent_speed(
-        1 * MAS_PER_YEAR, redshift="15.8 %", cosmology=cosmology
-    )
-    kinematics.apparent_speed(1.0, redshift=0.158)  # type: ignore[arg-type]
-    kinematics.viewing_angle(speed, 10)
-    kinematics.intrinsic_table([5.0, 8.0], [0.5, 0.5], rng=1)
-    jet = kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
-    jet["beta_cos"]
-    assert_type(kinematics.paper_cosmology(), FlatLambdaCDM)
+    kinematics.apparent_speed(1 * MAS_PER_YEAR, redshift="15.8 %", cosmology="Planck18")
+    kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
     assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
     return kinematics.lorentz_factor(0.9)
 
 
 def follow_the_ridge(cube: EpochCube) -> QTable:
     ridge = kinematics.find_ridge_line(cube, smoothing=0.5 * u.mas)
-    kinematics.find_ridge_line(cube, smoothing=0.5)  # type: ignore[arg-type]
-    angle, error = kinematics.fit_position_angle(cube)
-    assert_type(error, u.Quantity)
+    kinematics.fit_position_angle(cube)
     east, north = ridge.at(2 * u.mas)
     assert_type(ridge.coordinates(east, north), tuple[u.Quantity, u.Quantity])
     return ridge.to_table()
@@ -117,10 +89,7 @@ def profile(
     bins = flow.measure_profile(scc, matched, np.arange(4) * u.mas, rng=1)
     flow.measure_profile(scc, result, "0.5 1.5 2.5 mas")  # type: ignore[arg-type]
     assert_type(bins.results[0], SCCResult | None)
-    assert_type(flow.feature_profile(result), QTable)
-    fit = flow.fit_profile(bins.main["r_mid"], bins.main["pm"], bins.main["pm_err"])
-    assert_type(fit(2 * u.mas), u.Quantity)
-    flow.measure_acceleration(result).p_value + 1.0
+    flow.fit_profile(bins.main["r_mid"], bins.main["pm"], bins.main["pm_err"])
     groups = flow.scale_groups(matched, {"small": [1], "large": [2, 3]})
     assert_type(flow.compare_speeds(result, groups), QTable)
     return bins.components_in_c(redshift=0.1)
@@ -129,10 +98,7 @@ def profile(
 def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
     tracker = tracking.FeatureTracker(max_speed="2 mas/yr", position_angle="radial")
     found = tracker(cube, matched.decompositions)
-    tracker(matched)  # type: ignore[arg-type, call-arg]
-    links = tracker.link(cube, matched.decompositions)
-    assert_type(links.select(links.gap == 0).source, np.ndarray)
-    assert_type(found.motions, tuple[Motion, ...])
+    assert_type(tracker.link(cube, matched.decompositions).source, np.ndarray)
     assert_type(found.table, QTable)
     features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
@@ -140,8 +106,7 @@ def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
 
 def expand(scc: StackedCrossCorrelation, matched: MatchedEpochs) -> QTable:
     fit = expansion.fit_shell(scc, {"ring": matched, "knots": matched})
-    speed = expansion.expansion_speed(fit.rate[0], fit.radius, 3.4 * u.kpc)
-    assert_type(speed, u.Quantity)
+    expansion.expansion_speed(fit.rate[0], fit.radius, 3.4 * u.kpc)
     return expansion.measure_expansion(scc, matched, fit.centre, fit.radius, sectors=4)
 
 
@@ -157,29 +122,17 @@ def recover(cube: EpochCube, scc: StackedCrossCorrelation) -> QTable:
 def simulate() -> list[Path]:
     beam = Beam(0.8 * u.mas, 0.6 * u.mas, 10 * u.deg)
     jet = simulation.simulate_jet(
-        streams=[
-            simulation.Flow(speed=0.5),
-            simulation.Flow(positions=[1, 2], speed=0),
-        ],
-        dates=Time(["2000-01-01", "2000-07-01"]),
-        beam=beam,
-        rng=1,
-    )
-    simulation.simulate_jet(interval=0.2)  # type: ignore[arg-type]
+        streams=[simulation.Flow(positions=[1, 2], speed=0)],
+        dates=Time(["2000-01-01", "2000-07-01"]), beam=beam, rng=1,
+    )  # fmt: skip
     assert_type(jet.truth, QTable)
-    assert_type(simulation.simulate_shell().cube, EpochCube)
-    simulation.simulate_two_fluid(slow=5, fast=20 * MAS_PER_YEAR, n_epochs=5)
-    simulation.JetSimulation(streams=[simulation.Stream("a", half_width=4)]).run()
     return simulation.write_simulation(jet, "jet", overwrite=True)
 
 
 def draw(result: SCCResult) -> Figure:
     cube, components = result.cube, result.components
     cube.plot(0, result.ssps, unit="mas", vmax=1.0)
-    cube.plot("0")  # type: ignore[arg-type]
-    result.plot(0)  # type: ignore[arg-type]
     result.plot("velocity_map", components=components, which="z_score")
-    visualization.plot_profile(components, fits=[1.0])  # type: ignore[list-item]
     page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
     assert_type(page, Path)
     return result.plot("tracks", unit=u.arcsec)
@@ -187,57 +140,32 @@ def draw(result: SCCResult) -> Figure:
 
 def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
     cube = EpochCube.read(paths, times=["2000-01-01"], beams=None, region="core.reg")
-    EpochCube.read(3)  # type: ignore[arg-type]
-    EpochCube.read(Path("3c273.fits"), frames="absolute")  # type: ignore[call-arg]
-    assert_type(cube.times, Time)
-    assert_type(cube.wcs, WCS)
-    assert_type(cube.mask, np.ndarray)
     assert_type(cube.epochs, QTable)
-    assert_type(cube.pixel_scale, u.Quantity)
-    assert_type(cube.reference_pixel, tuple[float, float])
-    assert_type(cube.misalignment, float | None)
-    assert_type(cube[0], CCDData)
     assert_type(cube[1:], EpochCube)
-    assert_type([image.shape for image in cube], list[Any])
     cube = cube.to_common_beam().align("table", table=table).crop("jet.reg", pad=4)
-    cube.to_common_beam("1 mas")  # type: ignore[arg-type]
     east, north = cube.pixel_to_offset(3, [4, 5])
     assert_type(cube.offset_to_pixel(east, north), tuple[np.ndarray, np.ndarray])
-    cube.write("cube.fits", overwrite=True)
     cube.write("cube.fits", clobber=True)  # type: ignore[call-arg]
+    EpochCube.from_ndcube(cube.to_ndcube(), times=cube.times)
     return EpochCube.from_arrays(np.ones((2, 8, 8)), ["2000", "2001"], pixel_scale=east)
 
 
 def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
-    assert_type(epochs.inspect_epochs(paths), QTable)
     assert_type(epochs.plan_intervals(cube).span, u.Quantity)
-    assert_type(epochs.core_positions(cube, max_shift=2 * u.mas), QTable)
-    assert_type(epochs.distance_mask(cube, 0 * u.mas, 1 * u.mas), np.ndarray)
     epochs.distance_mask(cube, 0, 1)  # type: ignore[arg-type]
-    assert_type(cube.reproject_to(cube.wcs, cube.data.shape[1:]), EpochCube)
     beam = Beam(2 * u.mas, 1 * u.mas)
     models = epochs.read_components("jet.mod", dates=["2000-01-01"])
-    epochs.restore(models, pixel_scale=0.1 * u.mas)  # type: ignore[call-arg]
     restored = epochs.restore(models, beam=beam, pixel_scale=0.1 * u.mas, rng=1)
     assert_type(epochs.write_epochs(restored, "epochs"), list[Path])
     return models.select(after="2001-01-01")
 
 
-def exchange(cube: EpochCube) -> EpochCube:
-    return EpochCube.from_ndcube(cube.to_ndcube(), times=cube.times)
-
-
 def read_results(result: SCCResult, cube: EpochCube) -> list[Path]:
-    assert_type(result.components, QTable)
     assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
-    result.components_in_c(z=0.158)  # type: ignore[call-arg]
     assert_type(result.velocity_map("z_score"), NDData)
-    assert_type(result.plot(), Figure)
-    assert_type(result.explore("jet.html"), Path)
     result.matched.write("matches.fits")
     matched = MatchedEpochs.read("matches.fits", cube)
     inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
-    matching.select_ssps(matched, r_max=8)  # type: ignore[arg-type]
     regions = products.ssp_regions(inner.ssps, cube, 0, shape="circle")
     regions.write("ssps.reg")
     return products.write_products(result, result.components, "out")

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -159,23 +159,6 @@ class Matches:
         `~astro_scc.correlation.Matches`
         """
         return self.select(np.asarray(chosen, dtype=bool)[self.ssp])
-
-    def same_as(self, other: Matches) -> bool:
-        """
-        Return whether all fields equal those of other matches.
-
-        Parameters
-        ----------
-        other : `~astro_scc.correlation.Matches`
-
-        Returns
-        -------
-        bool
-        """
-        return all(
-            np.array_equal(getattr(self, f.name), getattr(other, f.name))
-            for f in fields(self)
-        )
 
 
 def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
@@ -353,55 +336,23 @@ class Correlator:
         array([ 6.5, -6.5], dtype=float32)
         """
         pairs, search_radius = _checked(decompositions, pairs, search_radius)
-        left = Counter(np.unique(pairs, axis=0)[:, 0].tolist())
-        columns, at_work = [], deque()
-
-        def begin():
-            for block in self.blocks(
-                decompositions, pairs, search_radius, select=select
-            ):
-                at_work.append(block.pairs[:, 0].tolist())
-                yield block
-
-        for found in in_order(match_block, begin(), n_workers):
+        left, columns = Counter(pairs[:, 0].tolist()), []
+        blocks = self._blocks(decompositions, pairs, search_radius, select)
+        for references, found in in_order(match_block, blocks, n_workers):
             columns.append(found)
-            references = at_work.popleft()
             left.subtract(references)
             for epoch in set(references):
                 if left[epoch] == 0 and progress is not None:
                     progress(1)
         return Matches.from_columns(columns, pairs, search_radius, self.kappa).sorted()
 
-    def blocks(
-        self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
-        search_radius: int | tuple[int, int], *, select: ArrayLike | None = None,
-    ) -> Iterator[PairBlock]:  # fmt: skip
+    def _blocks(self, decompositions, pairs, search_radius, select):
         """
         Divide the pairs of epochs into blocks of work, by reference epoch.
 
         The division depends only on the epochs, pairs and search radius, so that
-        any number of workers gives the same numbers.  Arguments and errors are
-        those of a call.
-
-        Parameters
-        ----------
-        decompositions : sequence of ``Decomposition``
-        pairs : array_like of int, shape (n_pairs, 2)
-        search_radius : int or tuple of int
-        select : array_like of bool, optional
-
-        Yields
-        ------
-        PairBlock
-            For ``match_block``, see `Correlator`.
-
-        Raises
-        ------
-        ValueError
-            As for a call.
+        any number of workers gives the same numbers.
         """
-        pairs, search_radius = _checked(decompositions, pairs, search_radius)
-        pairs = np.unique(pairs, axis=0)
         patterns = Patterns.of(decompositions)
         ssps, n = patterns.ssps, len(decompositions)
         chosen = np.ones(len(ssps), bool) if select is None else np.asarray(select)
@@ -435,7 +386,7 @@ class Correlator:
 
 
 def _checked(decompositions, pairs, search_radius):
-    """Return pairs as an array, and the search radius on both axes."""
+    """Return the pairs sorted, each once, and the search radius on both axes."""
     if len({(d.planes.shape, d.scales) for d in decompositions}) > 1:
         raise ValueError("all epochs must have one shape and the same scales")
     pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
@@ -445,7 +396,7 @@ def _checked(decompositions, pairs, search_radius):
     both = tuple(int(r) for r in given)
     if len(both) != 2 or min(both) < 0:
         raise ValueError(f"search radius must be one or two numbers, got {both}")
-    return pairs, both
+    return np.unique(pairs, axis=0), both
 
 
 def _all_windows(boxes, search_radius):
@@ -460,14 +411,14 @@ def _all_windows(boxes, search_radius):
 
 
 def match_block(block):
-    """Return the columns of the matches of a block."""
+    """Return the reference epochs of the pairs of a block, and columns of matches."""
     wanted = np.zeros((block.pairs.max() + 1, len(block.epochs)), dtype=bool)
     wanted[block.pairs[:, 0], np.searchsorted(block.epochs, block.pairs[:, 1])] = True
     parts = []
     for scale in np.unique(block.patterns.ssps.scale):
         patterns = block.patterns.select(block.patterns.ssps.scale == scale)
         parts += _match_scale(block, patterns, scale, wanted)
-    return tuple(join_columns(parts))
+    return block.pairs[:, 0].tolist(), tuple(join_columns(parts))
 
 
 def _match_scale(block, patterns, scale, wanted):
@@ -486,7 +437,7 @@ def _match_scale(block, patterns, scale, wanted):
         use = wanted[ssps.epoch[i]] & stack.not_empty(corner, template.window_shape)
         found = stack.coefficients(np.flatnonzero(use), corner, template)
         for targets, coefficient, overlap in found:
-            which, y, x, value = find_peaks(coefficient, block.kappa)
+            which, y, x, value = find_peaks(coefficient, block.settings.kappa)
             share = np.ones(len(which))
             if overlap is not None:
                 share = overlap.share[np.rint(y).astype(int), np.rint(x).astype(int)]

@@ -2,6 +2,7 @@
 """A block of pairs of epochs: its patterns, and the target planes around them."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -54,17 +55,16 @@ class PairBlock:
     """
     Some pairs of epochs, with everything needed to correlate them.
 
-    It can be pickled, and is all that `match_block` needs.  ``kappa`` and
-    ``min_overlap`` are those of the `Correlator`, ``patterns`` the SSPs of the
-    reference epochs.  The targets are the planes of ``epochs`` on all
-    ``scales`` in a window that may extend beyond the images of this ``shape``.  They
-    are either ``segments``, SSPs outside of which the planes are zero, or ``planes``,
-    their part in the window as it is.  ``valid`` are the pixels of the window that
-    are not missing, for each different mask, and ``mask`` numbers those of the targets.
+    It can be pickled, and is all that `match_block` needs.  ``settings`` are a
+    `Correlator`, ``patterns`` the SSPs of the reference epochs.  The targets are the
+    planes of ``epochs`` on all ``scales`` in a window that may extend beyond the images
+    of this ``shape``.  They are either ``segments``, SSPs outside of which the planes
+    are zero, or ``planes``, their part in the window as it is.  ``valid`` are the
+    pixels of the window that are not missing, for each different mask, and ``mask``
+    numbers those of the targets.
     """
 
-    kappa: float
-    min_overlap: float
+    settings: Any
     pairs: np.ndarray
     search_radius: tuple
     patterns: Patterns
@@ -95,8 +95,7 @@ class PairBlock:
         segments = settings.target == "segments"
         ssps = patterns.ssps
         return cls(
-            kappa=settings.kappa,
-            min_overlap=settings.min_overlap,
+            settings=settings,
             pairs=pairs,
             search_radius=search_radius,
             patterns=patterns.select(chosen & np.isin(ssps.epoch, pairs[:, 0])),
@@ -183,7 +182,7 @@ class TargetStack:
             alike, overlap = targets[whole], None
             if k is not None:
                 alike, pixels = targets[number == k], valid[k, y : y + h, x : x + w]
-                overlap = template.overlap(pixels, self.block.min_overlap)
+                overlap = template.overlap(pixels, self.block.settings.min_overlap)
             for start in range(0, len(alike), batch):
                 some = alike[start : start + batch]
                 windows = self.values[some, y : y + h, x : x + w].astype(float)

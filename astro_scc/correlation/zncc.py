@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import fft
 
 from astro_scc.decomposition.segmentation import quadratic_peak
@@ -16,37 +15,6 @@ from astro_scc.decomposition.segmentation import quadratic_peak
 VARIANCE_FLOOR = 5e-15
 #: Patterns that vary by less than this, relative to their values, are flat.
 FLAT = 1e-14
-
-
-def zncc(a: ArrayLike, b: ArrayLike) -> float:
-    r"""
-    Return the zero-mean normalised cross-correlation of two sets of pixels.
-
-    .. math:: C = \frac{\sum \bar a_i \bar b_i}
-                       {\sqrt{\sum \bar a_i^2 \sum \bar b_i^2}},
-
-    where bars mark values minus their mean (Mertens & Lobanov 2016, Eq. 3;
-    Giachetti 2000).  This function is the definition; `correlate_windows` is
-    equivalent to it.
-
-    Parameters
-    ----------
-    a, b : array_like, same shape
-
-    Returns
-    -------
-    float
-        Between -1 and 1; 0 if either has no variance.
-
-    Examples
-    --------
-    >>> from astro_scc.correlation.zncc import zncc
-    >>> round(zncc([1, 2, 3, 5], [2, 4, 6, 10]), 6)
-    1.0
-    """
-    a, b = _zero_mean(a), _zero_mean(b)
-    norm = np.sqrt(np.sum(a * a) * np.sum(b * b))
-    return float(np.sum(a * b) / norm) if norm > 0 else 0.0
 
 
 def _zero_mean(values):
@@ -177,12 +145,18 @@ def correlate_windows(
     search_radius: tuple[int, int], *, valid: np.ndarray | None = None,
     min_overlap: float = 0.8,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """
+    r"""
     Correlate a masked pattern with windows at every displacement.
 
-    This is `zncc` of the pattern's own pixels with the pixels that they fall
-    on, for each displacement.  It is computed with real Fourier transforms in
-    double precision.
+    Each coefficient is that of the pattern's own pixels a with the pixels b that they
+    fall on,
+
+    .. math:: C = \frac{\sum \bar a_i \bar b_i}
+                       {\sqrt{\sum \bar a_i^2 \sum \bar b_i^2}},
+
+    where bars mark values minus their mean (Mertens & Lobanov 2016, Eq. 3;
+    Giachetti 2000), and 0 if either has no variance.  It is computed with real
+    Fourier transforms in double precision.
 
     Parameters
     ----------

@@ -43,10 +43,8 @@ class Decomposition:
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> image = simulate_two_fluid(n_epochs=2, rng=1).cube.data[0]
     >>> decomposition = Decomposer(scales=[1, 2])(image)
-    >>> decomposition.planes.shape, decomposition.plane_index(2)
-    ((2, 128, 256), 1)
-    >>> decomposition.segmentation(2).shape
-    (128, 256)
+    >>> decomposition.planes.shape, decomposition.scales
+    ((2, 128, 256), (1.0, 2.0))
     """
 
     scales: tuple[float, ...]
@@ -58,52 +56,6 @@ class Decomposition:
     def __repr__(self):
         ny, nx = self.planes.shape[1:]
         return f"<Decomposition of {nx} x {ny} px: {self.ssps!r}>"
-
-    def plane_index(self, scale: float) -> int:
-        """
-        Return the index of a scale in ``planes``.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        int
-        """
-        return self.scales.index(scale)
-
-    def segmentation(self, scale: float) -> np.ndarray:
-        """
-        Return 1 + index in ``ssps`` of the SSP of each pixel on a scale, or 0.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        `~numpy.ndarray` of int, shape (ny, nx)
-        """
-        labels = np.zeros(self.planes.shape[1:], dtype=np.int32)
-        for index in np.flatnonzero(self.ssps.scale == scale):
-            labels.flat[self.ssps.pixels_of(index)] = index + 1
-        return labels
-
-    def segmented_plane(self, scale: float) -> np.ndarray:
-        """
-        Return the plane of a scale, zero outside its SSPs.
-
-        Parameters
-        ----------
-        scale : float
-
-        Returns
-        -------
-        `~numpy.ndarray`, shape (ny, nx)
-        """
-        plane = self.planes[self.plane_index(scale)]
-        return np.where(self.segmentation(scale) > 0, plane, np.float32(0))
 
 
 @dataclass(frozen=True)

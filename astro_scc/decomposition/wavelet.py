@@ -44,7 +44,7 @@ def scale_size(scale: float) -> float:
     return 2.0 ** int(scale) * (1.5 if scale % 1 else 1.0)
 
 
-def scale_kernel(scale, kernel="b1"):
+def scale_kernel(scale, kernel):
     """
     Return the filter and the level of the transform that give a scale.
 

@@ -14,9 +14,11 @@ matches = Correlator(kappa=0.7)(epochs, [(0, 1)], radius)
 ssps = epochs[0].ssps
 ssp = ssps.snr.argmax()
 scale, (y0, x0, y1, x1) = ssps.scale[ssp], ssps.bbox[ssp]
-own = epochs[0].segmentation(scale) == ssp + 1
-number = epochs[0].plane_index(scale)
-target = epochs[1].segmented_plane(scale)
+number = epochs[0].scales.index(scale)
+own, target = np.zeros(cube.data.shape[1:], bool), np.zeros(cube.data.shape[1:])
+own.flat[ssps.pixels_of(ssp)] = True
+inside = epochs[1].ssps.select(epochs[1].ssps.scale == scale).pixels
+target.flat[inside] = epochs[1].planes[number].flat[inside]
 dy, dx = radius
 window = (slice(y0 - dy, y1 + dy), slice(x0 - dx, x1 + dx))
 extent = np.array([x0 - dx, x1 + dx, y0 - dy, y1 + dy]) - 0.5
