@@ -19,17 +19,13 @@ from astro_scc.kinematics import (
     doppler_factor,
     intrinsic_table,
     lorentz_factor,
+    maximum_viewing_angle,
+    minimum_lorentz_factor,
     paper_cosmology,
     two_sided_jet,
     viewing_angle,
 )
-from astro_scc.kinematics.cosmology import (
-    cosmology_text,
-    maximum_viewing_angle,
-    minimum_lorentz_factor,
-    table_in_c,
-    to_cosmology,
-)
+from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
 
 MU, DAY, MPC = 1 * u.mas / u.yr, u.mas / u.day, u.Mpc
 MASKED = MaskedColumn([0.1], mask=[True])
