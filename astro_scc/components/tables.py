@@ -57,12 +57,8 @@ EXPLANATIONS = {
 }
 # Units of the numbers that describe a component.
 UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
-# Advice for files without a date.
-UNDATED = {
-    "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
-    "give dates",
-    "aips-cc": "no DATE-OBS in the header; write it there, or give dates",
-}
+# Where files of a format have their date.
+DATED = {"difmap": "date in the file's name", "aips-cc": "DATE-OBS in the header"}
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
 #: What is wrong with a list where images are wanted.
@@ -98,7 +94,7 @@ def read_fields(path, kind, source, origin, date=None):
     table, own_date = FORMATS[kind][0](path)
     date = date or own_date
     if date == "":
-        raise ValueError(f"{path}: {UNDATED[kind]}")
+        raise ValueError(f"{path}: no {DATED[kind]}; write 2006-03-09 there, or dates=")
     columns = _find_columns(table)
     table = _select_source(table, columns, source, path)
     if len(table) == 0:
@@ -108,10 +104,8 @@ def read_fields(path, kind, source, origin, date=None):
     if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
     if missing := sorted(needed - columns.keys()):
-        raise ValueError(
-            f"{path}: no column for {', '.join(missing)}; the table has "
-            f"{', '.join(table.colnames)}"
-        )
+        lacks, has = (", ".join(names) for names in (missing, table.colnames))
+        raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
     values = {
         what: numbers(table[columns[what]], unit, path)
         for what, (unit, _) in COLUMNS.items()
@@ -209,8 +203,7 @@ def _select_source(table, columns, source, path):
         if source is None and len(names) > 1:
             raise ValueError(
                 f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
-                "say which one with --source NAME of astro-scc restore (source= in "
-                "Python)"
+                "say which, with --source NAME of astro-scc restore or source="
             )
         if source is not None:
             same = [name for name in names if _plain(name) == _plain(source)]
@@ -252,10 +245,8 @@ def _sizes(values, path):
     minor = np.where(np.isnan(minor), major, minor)
     types = values.get("type", zeros + 1)
     for i in np.flatnonzero(~np.isin(types, (0, 1))):
-        raise ValueError(
-            f"{path}, row {i + 1}: component type {types[i]:g} is neither a point (0) "
-            "nor a Gaussian (1); replace it by one of these"
-        )
+        what = f"component type {types[i]:g} is neither a point (0) nor a Gaussian (1)"
+        raise ValueError(f"{path}, row {i + 1}: {what}; replace it by one of these")
     sizes = {"major": major, "minor": minor, "pa": values.get("pa", zeros)}
     return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
 
@@ -296,9 +287,8 @@ def _opened(path, kind, state, **options):
         with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
             return Table.read(path, format=kind, **options), None
     except Exception as error:  # astropy's parsers raise errors of many kinds
-        raise OSError(
-            f"{path}: not a readable {kind} table: {first_line(error)}"
-        ) from None
+        what = f"not a readable {kind} table: {first_line(error)}"
+        raise OSError(f"{path}: {what}") from None
 
 
 def _open_mrt(path):
@@ -308,10 +298,8 @@ def _open_mrt(path):
             return _open_ascii(path, "ascii.mrt")
     readme = path.parent / "ReadMe"
     if not readme.is_file():
-        raise OSError(
-            f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
-            "beside it"
-        )
+        what = "has no byte-by-byte description; lay the ReadMe of CDS beside it"
+        raise OSError(f"{path}: {what}")
     return _open_ascii(path, "ascii.cds", readme=str(readme))
 
 
@@ -350,10 +338,9 @@ def _difmap_row(text, where):
     except ValueError:
         raise ValueError(f"{where}: not numbers: {text!r}") from None
     if len(row) not in (3, 6, 7) or not np.all(np.isfinite(row)):
-        raise ValueError(
-            f"{where}: expected 3, 6 or 7 finite values (flux, radius, theta, major, "
-            f"ratio, phi, type), got {len(row)}"
-        )
+        wanted = "(flux, radius, theta, major, ratio, phi, type)"
+        what = f"expected 3, 6 or 7 finite values {wanted}, got {len(row)}"
+        raise ValueError(f"{where}: {what}")
     row += [0.0] * (6 - len(row))
     # Without a type, a component with a size is a Gaussian.
     return row if len(row) == 7 else [*row, float(row[3] > 0)]
@@ -372,14 +359,10 @@ def _open_aips(path):
                 tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
                 record = read_header(header, tables)
         except Exception as error:  # a damaged file can fail anywhere
-            raise OSError(
-                f"{path}: not a readable FITS file: {first_line(error)}"
-            ) from None
+            what = f"not a readable FITS file: {first_line(error)}"
+            raise OSError(f"{path}: {what}") from None
     if table is None:
-        raise ValueError(
-            f"{path}: no AIPS CC table in the file; it is no list of components, leave "
-            "it out"
-        )
+        raise ValueError(f"{path}: no AIPS CC table in the file; leave it out")
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
     centre = {}

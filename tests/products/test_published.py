@@ -10,7 +10,7 @@ from astropy.time import Time
 from astro_scc.epochs import ComponentList
 from astro_scc.exceptions import EpochWarning
 from astro_scc.features import find_features
-from astro_scc.products.published import published_positions, with_published
+from astro_scc.products.publication import published_positions, with_published
 from astro_scc.report.answer import published_lines
 from astro_scc.simulation import simulate_jet
 
@@ -93,7 +93,7 @@ def test_speeds_are_those_of_straight_lines(features, shared_data):
     with pytest.warns(EpochWarning, match="source is 3C 273, that of the images jet"):
         published = published_positions(table, features.cube)
     wanted = QTable.read(shared_data / "mojave_xviii" / "1226+023.linear-fits.csv")
-    from astro_scc.products.published import speed_of
+    from astro_scc.products.publication import speed_of
 
     for row in wanted[:5]:
         own = published[published["published"] == row["feature"]]
