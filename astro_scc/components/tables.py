@@ -21,40 +21,33 @@ from astro_scc.images.validation import as_times, naming, numbers
 from astro_scc.quantities import parse_date
 
 CORE = 0  # feature number of the core
-# Content of a column -> its unit, and its labels in tables.
+# Content of a column -> its unit, its labels in tables, and a pattern for what machine-
+# readable tables explain of it, which tells what labels such as ID mean.
 COLUMNS = {
-    "source": (None, "name source iau iauname"),
-    "feature": (u.one, "feature id comp component featureid"),
-    "epoch": (None, "epoch date obsdate obs"),
-    "year": (None, "obsy year obsyear"),
-    "month": (None, "obsm month obsmonth"),
-    "day": (None, "obsd day obsday"),
-    "flux": (u.Jy, "flux i s fluxdensity"),
-    "separation": (u.mas, "separation sep r dist distance radius"),
-    "east": (u.mas, "east x dra deltax"),
-    "north": (u.mas, "north y ddec deltay"),
-    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax"),
-    "minor": (u.mas, "minorfwhm min minor minaxis minorax"),
-    "ratio": (u.one, "axialratio ratio axratio"),
-    "pa": (u.deg, "majorpa majpa pamaj phi posangle"),
-    "position_angle": (u.deg, "positionangle pa theta"),
-    "type": (u.one, "typeobj"),
-    "excluded": (None, "excludedfromfit excluded fid ffeature ff"),
-}
-# Content of a column -> a pattern for its explanation in a machine-readable table,
-# which tells what labels such as ID mean.
-EXPLANATIONS = {
-    "source": "source name|IAU name|.*coordinate identifier",
-    "feature": "(feature|component) (identification|number|ID)",
-    "epoch": "(observation|observing) (date|epoch)|date of observation|epoch",
-    "flux": "flux density",
-    "separation": "position offset|separation|distance from",
-    "major": "FWHM( of)?( the)? major|major axis FWHM",
-    "ratio": "axial ratio",
-    "pa": "major axis position angle|position angle of( the)? major",
-    "position_angle": "position angle",
-    "excluded": ".*not used in",
-}
+    "source": (None, "name source iau iauname",
+               "source name|IAU name|.*coordinate identifier"),
+    "feature": (u.one, "feature id comp component featureid",
+                "(feature|component) (identification|number|ID)"),
+    "epoch": (None, "epoch date obsdate obs",
+              "(observation|observing) (date|epoch)|date of observation|epoch"),
+    "year": (None, "obsy year obsyear", None),
+    "month": (None, "obsm month obsmonth", None),
+    "day": (None, "obsd day obsday", None),
+    "flux": (u.Jy, "flux i s fluxdensity", "flux density"),
+    "separation": (u.mas, "separation sep r dist distance radius",
+                   "position offset|separation|distance from"),
+    "east": (u.mas, "east x dra deltax", None),
+    "north": (u.mas, "north y ddec deltay", None),
+    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax",
+              "FWHM( of)?( the)? major|major axis FWHM"),
+    "minor": (u.mas, "minorfwhm min minor minaxis minorax", None),
+    "ratio": (u.one, "axialratio ratio axratio", "axial ratio"),
+    "pa": (u.deg, "majorpa majpa pamaj phi posangle",
+           "major axis position angle|position angle of( the)? major"),
+    "position_angle": (u.deg, "positionangle pa theta", "position angle"),
+    "type": (u.one, "typeobj", None),
+    "excluded": (None, "excludedfromfit excluded fid ffeature ff", ".*not used in"),
+}  # fmt: skip
 # Units of the numbers that describe a component.
 UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
 # Where files of a format have their date.
@@ -108,7 +101,7 @@ def read_fields(path, kind, source, origin, date=None):
         raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
     values = {
         what: numbers(table[columns[what]], unit, path)
-        for what, (unit, _) in COLUMNS.items()
+        for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
     dates = _dates(table, columns, date, path)
@@ -179,12 +172,12 @@ def _dates(table, columns, date, path):
 def _find_columns(table):
     """Return the names of the table's columns, keyed by their content."""
     found = {}
-    for what, pattern in EXPLANATIONS.items():
-        for name in table.colnames:
+    for what, (*_, pattern) in COLUMNS.items():
+        for name in table.colnames if pattern else ():
             explanation = table[name].info.description or ""
             if name not in found.values() and re.match(pattern, explanation, re.I):
                 found.setdefault(what, name)
-    for what, (_, labels) in COLUMNS.items():
+    for what, (_, labels, _) in COLUMNS.items():
         for name in table.colnames:
             label = re.sub(r"[^a-z]", "", name.lower())
             if name not in found.values() and label in labels.split():
