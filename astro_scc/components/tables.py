@@ -50,8 +50,11 @@ COLUMNS = {
 }  # fmt: skip
 # Units of the numbers that describe a component.
 UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
-# Where files of a format have their date.
-DATED = {"difmap": "date in the file's name", "aips-cc": "DATE-OBS in the header"}
+# Advice for files without a date.
+UNDATED = {
+    "difmap": "date in the file's name; rename it like source_2006-03-09.mod",
+    "aips-cc": "DATE-OBS in the header; write it there",
+}
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
 #: What is wrong with a list where images are wanted.
@@ -87,7 +90,7 @@ def read_fields(path, kind, source, origin, date=None):
     table, own_date = FORMATS[kind][0](path)
     date = date or own_date
     if date == "":
-        raise ValueError(f"{path}: no {DATED[kind]}; write 2006-03-09 there, or dates=")
+        raise ValueError(f"{path}: no {UNDATED[kind]}, or give dates")
     columns = _find_columns(table)
     table = _select_source(table, columns, source, path)
     if len(table) == 0:

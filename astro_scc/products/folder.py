@@ -109,7 +109,8 @@ def product_folder(
         elif error.filename2 == str(target):
             what = "cannot be made: another run has written there; choose another"
         elif error.errno in DISK_ERRORS:
-            what = f"cannot be written: {error.strerror}; make room or choose another"
+            why = f"{error.strerror}; make room there or choose another folder"
+            what = f"cannot be written: {why}"
         else:
             raise
         raise OSError(f"{path}: {what}") from None
@@ -121,8 +122,8 @@ def _refuse_others(path, *places, own=None):
         if left == own:
             continue
         if writing.is_held(left):
-            what = "another run is at work for this folder; wait, or choose another"
-            raise BlockingIOError(f"{path}: {what}")
+            what = "another run is at work for this folder; wait for it, or choose "
+            raise BlockingIOError(f"{path}: {what}another folder")
         if own is None:
             warnings.warn(
                 f"{left}: is of another run, which goes on or was killed; delete it "
