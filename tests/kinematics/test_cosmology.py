@@ -221,7 +221,7 @@ def test_two_sided_jet_there_and_back(beta, theta):
     motions = rate / (1 - cos), rate / (1 + cos)
     found = two_sided_jet(*motions, d, n_trials=2)
     assert found["beta"][0] == pytest.approx(beta, rel=1e-9)
-    assert found["angle"][0].value == pytest.approx(theta, rel=1e-9)
+    assert found["angle"][0].to_value(u.deg) == pytest.approx(theta, rel=1e-9)
     assert found["beta_cos"][0] == pytest.approx(cos, rel=1e-9)
     assert found["beta_max_distance"] > d
     at = two_sided_jet(*motions, found["beta_max_distance"], n_trials=2)
