@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import astropy.units as u
@@ -114,10 +115,10 @@ def fit_shell(
     >>> bool(abs(fit.rate[0] - 0.11 * u.percent / u.yr) < 0.02 * u.percent / u.yr)
     True
     """
-    names, parts = _parts(matched, groups)
-    cube = parts[0].cube
+    parts = _parts(matched, groups)
+    cube = next(iter(parts.values())).cube
     limit = scc.plan(cube).speed_limit(cube).to_value(PM_UNIT)
-    samples, first, weight = _samples_of(scc, names, parts, limit)
+    samples, first, weight = _samples_of(scc, parts, limit)
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
     max_rate = limit / np.median(np.hypot(*(x - x.mean(axis=0)).T))
@@ -131,30 +132,25 @@ def fit_shell(
     error = np.sqrt(np.diag(covariance))
     per_year = 100 * u.percent / u.yr
     return ShellFit(
-        groups=names,
-        rate=fit.place[:-2] * per_year,
-        rate_err=error[:-2] * per_year,
-        centre=fit.place[-2:] * u.mas,
-        centre_err=error[-2:] * u.mas,
+        groups=tuple(parts), rate=fit.place[:-2] * per_year,
+        rate_err=error[:-2] * per_year, centre=fit.place[-2:] * u.mas,
+        centre_err=error[-2:] * u.mas, covariance=covariance,
         radius=float(np.mean(np.hypot(*(x - fit.place[-2:]).T))) * u.mas,
-        covariance=covariance,
-    )
+    )  # fmt: skip
 
 
 def _parts(matched, groups):
-    """Return the names of the groups, and the matches of each."""
-    if not hasattr(matched, "matches"):
-        if groups is not None:
-            raise ValueError("several matches are groups already: give no groups")
-        parts = list(matched.values())
-        dates = [part.cube.times.mjd for part in parts]
-        if any(not np.array_equal(dates[0], other) for other in dates[1:]):
-            raise ValueError("the matches of a shell must be of the same dates")
-        return tuple(matched), parts
-    groups = {"all": matched.select} if groups is None else groups
-    return tuple(groups), [
-        replace(matched, select=matched.select & chosen) for chosen in groups.values()
-    ]
+    """Return the matches of each group by their names."""
+    if hasattr(matched, "matches"):
+        every = {"all": matched.select} if groups is None else groups
+        chosen = {name: matched.select & own for name, own in every.items()}
+        return {name: replace(matched, select=own) for name, own in chosen.items()}
+    if groups is not None:
+        raise ValueError("several matches are groups already: give no groups")
+    first, *others = (part.cube.times.mjd for part in matched.values())
+    if not all(np.array_equal(first, dates) for dates in others):
+        raise ValueError("the matches of a shell must be of the same dates")
+    return dict(matched)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,12 +176,12 @@ class Samples:
         return Samples(*(column[keep] for column in vars(self).values()))
 
 
-def _samples_of(scc, names, parts, limit):
+def _samples_of(scc, parts, limit):
     """Return velocity samples, and the earlier date and the weight of each."""
     # Use east and north, as radial axes need the centre.
     sky = replace(scc, position_angle=None)
     columns = []
-    for k, part in enumerate(parts):
+    for k, part in enumerate(parts.values()):
         displacements, _ = sky.displacements(part)
         s = displacements.within(scc.plan(part.cube).pairs, (limit, limit))
         columns.append(
@@ -196,12 +192,10 @@ def _samples_of(scc, names, parts, limit):
     numbers = [len(column[0]) for column in columns]
     if not any(numbers):
         raise ValueError("no pattern has a match: there is nothing to fit a centre to")
-    for name, n in zip(names, numbers, strict=True):
+    for name, n in zip(parts, numbers, strict=True):
         if n < FEWEST:
-            raise ValueError(
-                "an expansion needs ten velocity samples of each group or more, "
-                f"{name} has {n}"
-            )
+            what = f"{FEWEST} velocity samples of each group or more, {name} has {n}"
+            raise ValueError(f"an expansion needs {what}")
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     return Samples(*joined[:5], _kinds(*joined[4:7])), *joined[7:]
 
@@ -459,10 +453,16 @@ def measure_expansion(
             tables[low, high] = stacked.components
     if not tables:
         raise ValueError("no SSP lies in any sector: there is nothing to stack")
-    rows = [
-        _in_sector(table, low, high, frame)
-        for (low, high), table in false_discovery_rate(tables).items()
-    ]
+    rows = []
+    for limits, table in false_discovery_rate(tables).items():
+        columns = {
+            name: np.full(len(table), limit) * u.deg
+            for name, limit in zip(("pa_min", "pa_max"), limits, strict=True)
+        }
+        for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
+            for end in ("", "_err"):
+                columns[name + end] = frame.rate(table[of + end])
+        rows.append(QTable(columns | {name: table[name] for name in KEPT}))
     joined = stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})
     if distance is not None:
         for name, of in (("speed", "rate"), ("speed_err", "rate_err")):
@@ -479,18 +479,8 @@ def _limits(sectors):
             raise ValueError(f"the limits of sectors must increase, got {sectors}")
         if edges[-1] - edges[0] > 360 * (1 + 1e-12):
             raise ValueError("sectors must not overlap: they cover more than a turn")
+    elif int(sectors) != sectors or sectors < 1:
+        raise ValueError(f"sectors must be a whole number above 0, got {sectors}")
     else:
-        if int(sectors) != sectors or sectors < 1:
-            raise ValueError(f"sectors must be a whole number above 0, got {sectors}")
         edges = np.linspace(0, 360, int(sectors) + 1)
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
-
-
-def _in_sector(table, low, high, frame):
-    """Return the components of a sector as rates of expansion and rotation."""
-    limits = {"pa_min": low, "pa_max": high}
-    columns = {name: np.full(len(table), a) * u.deg for name, a in limits.items()}
-    for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
-        for end in ("", "_err"):
-            columns[name + end] = frame.rate(table[of + end])
-    return QTable(columns | {name: table[name] for name in KEPT})
+    return list(pairwise(edges.tolist()))

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import islice, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -46,16 +45,12 @@ NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class FeaturePaths:
+class FeaturePaths(NamedTuple):
     """Positions of features at each epoch of a cube, see `draw_paths`."""
 
     x: np.ndarray
     y: np.ndarray
     inside: np.ndarray
-
-    def __len__(self):
-        return len(self.x)
 
 
 def draw_paths(
@@ -218,14 +213,12 @@ def inject(
     else:
         raise ValueError(NO_BEAMS)
     value = u.Quantity(peak, cube.unit).to_value(cube.unit)
-    data = cube.data.copy()
+    data, pixels = cube.data.copy(), np.stack([paths.x, paths.y])
     for epoch, covariance in enumerate(covariances):
-        x, y = paths.x[:, epoch], paths.y[:, epoch]
-        there = np.isfinite(x)
-        x, y = x[there], y[there]
-        shape = np.broadcast_to(to_pixels @ covariance @ to_pixels.T, (len(x), 2, 2))
-        add_gaussians(data[epoch], x, y, np.full(len(x), value), shape)
-    return cube.with_step(f"{len(paths)} simulated features added", data=data)
+        x, y = pixels[:, np.isfinite(paths.x[:, epoch]), epoch]
+        shape = [to_pixels @ covariance @ to_pixels.T] * len(x)
+        add_gaussians(data[epoch], x, y, [value] * len(x), shape)
+    return cube.with_step(f"{len(paths.x)} simulated features added", data=data)
 
 
 def completeness(
@@ -350,18 +343,16 @@ def completeness(
         )
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     plan = scc.plan(cube)
-    if fwhm is not None:
-        how = q.one_quantity, fwhm, "an angle", "1 mas"
-        width = q.named("fwhm", *how).to_value(u.mas)
-    elif cube.beams is not None:
-        width = plan.fwhm
-    else:
+    if fwhm is None and cube.beams is None:
         raise ValueError(NO_BEAMS)
+    width, about = plan.fwhm, ("an angle", "1 mas")
+    if fwhm is not None:
+        width = q.named("fwhm", q.one_quantity, fwhm, *about).to_value(u.mas)
+    about = "a proper motion", "2 mas/yr"
     if tolerance is None:
-        tolerance = TOLERANCE * width / np.median(plan.pairs.interval)
-    else:
-        how = q.one_quantity, tolerance, "a proper motion", "2 mas/yr"
-        tolerance = q.named("tolerance", *how).to_value(PM_UNIT)
+        tolerance = TOLERANCE * width / np.median(plan.pairs.interval) * PM_UNIT
+    tolerance = q.named("tolerance", q.one_quantity, tolerance, *about)
+    tolerance = tolerance.to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
     limit = plan.speed_limit(cube).to_value(PM_UNIT)
     speeds = _positive("speeds", speeds, PM_UNIT)
@@ -393,20 +384,19 @@ def completeness(
     axis = velocity_along(bare.frame, position_angle)
     flow = {"position_angle": position_angle, "n_features": n_features}
     flow["scatter"] = scatter * width * u.mas
-    rule = {"tolerance": tolerance, "fwhm": width}
 
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
-        how = {"speed": speed * PM_UNIT, "rng": path_rng}
-        paths = draw_paths(cube, area, **flow, **how)
+        paths = draw_paths(cube, area, speed=speed * PM_UNIT, rng=path_rng, **flow)
         fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
-        result, velocity = measure(fuller, trial_rng), speed * axis
-        number = recovered(result, own, velocity, paths=paths, **rule)
+        result, rule = measure(fuller, trial_rng), {"tolerance": tolerance}
+        rule |= {"paths": paths, "fwhm": width}
+        number = recovered(result, own, speed * axis, **rule)
         if number is None:
             return None
-        velocity, error = result.velocities[number - 1], np.inf
-        if np.all(np.isfinite(velocity.covariance)):
-            error = np.sqrt(axis @ velocity.covariance @ axis)
+        velocity = result.velocities[number - 1]
+        variance = axis @ velocity.covariance @ axis
+        error = np.sqrt(variance) if np.isfinite(variance) else np.inf
         return axis @ velocity.value - speed, error
 
     cells = list(product(speeds.tolist(), peaks))
@@ -414,23 +404,16 @@ def completeness(
     rows = []
     for (speed, peak), found in zip(cells, outcomes, strict=True):
         snr = peak / noise if noise > 0 else None
-        away = np.hypot(*(own - speed * axis).T)
-        row = {"speed": speed, "snr": snr, **_counted(found)}
-        rows.append(row | {"own": bool(np.any(away <= tolerance))})
+        there = _nearest(dict(enumerate(own)), speed * axis, tolerance) is not None
+        rows.append({"speed": speed, "snr": snr, **_counted(found), "own": there})
     peaks = np.array([peak for _, peak in cells]) * cube.unit
     table = build_table("completeness", rows, flux=peaks)
     table.meta = {
-        "settings": scc.to_dict(),
-        "position_angle": position_angle,
-        "tolerance": tolerance * PM_UNIT,
-        "alpha": scc.alpha,
-        "n_features": n_features,
-        "n_trials": n_trials,
-        "scatter": scatter,
-        "own_velocities": own * PM_UNIT,
-        "seed": seed,
-        "versions": versions(),
-    }
+        "settings": scc.to_dict(), "position_angle": position_angle,
+        "tolerance": tolerance * PM_UNIT, "alpha": scc.alpha, "n_features": n_features,
+        "n_trials": n_trials, "scatter": scatter, "own_velocities": own * PM_UNIT,
+        "seed": seed, "versions": versions(),
+    }  # fmt: skip
     return table
 
 
@@ -442,13 +425,12 @@ def _direction(position_angle, axis):
     if not (radial or axis is None or isinstance(axis, u.Quantity)):
         raise ValueError(
             "features move on straight lines, so the measurement needs velocity axes "
-            f"of one direction, or 'radial', not {axis}: give StackedCrossCorrelation "
-            "an angle as position_angle"
+            f"of one direction, or 'radial', not {axis}: give it an angle"
         )
     if given is None or radial != wanted:
         raise ValueError(
             f"position_angle {given} does not go with that of the measurement, {axis}: "
-            "give the direction in which features move, an angle, or both 'radial'"
+            "give an angle, or both 'radial'"
         )
     if radial:
         return given, 1.0
@@ -461,10 +443,8 @@ def _peaks(fluxes, unit, noise):
     """Return peaks of features in the unit of a cube."""
     if not isinstance(fluxes, u.Quantity):
         if noise == 0:
-            raise ValueError(
-                "fluxes in multiples of the noise need epochs with noise, theirs is 0: "
-                "give fluxes in the unit of the cube"
-            )
+            what = "fluxes in multiples of the noise need epochs with noise"
+            raise ValueError(f"{what}: give fluxes in the unit of the cube")
         fluxes = np.asarray(fluxes, dtype=float) * noise * unit
     elif (fluxes / u.beam).unit.is_equivalent(unit):
         # The flux density of a feature of the size of the beam equals its peak.
@@ -475,35 +455,25 @@ def _peaks(fluxes, unit, noise):
 def _positive(name, value, unit):
     """Return one or more positive quantities as numbers in a unit."""
     wanted = f"must be one or more positive numbers in a unit like {unit}"
-
-    def check(value):
-        found = np.atleast_1d(q.finite_quantities(value, unit, wanted).to_value(unit))
-        if not np.all(found > 0):
-            raise ValueError(wanted)
-        return found
-
-    return q.named(name, check, value)
+    found = q.named(name, q.finite_quantities, value, unit, wanted).to_value(unit)
+    if not np.all(found > 0):
+        raise ValueError(f"{name} = {value} {wanted}")
+    return np.atleast_1d(found)
 
 
 def _counted(outcomes):
     """Return how many injections were found, and how well (None if unknown)."""
     found = [outcome for outcome in outcomes if outcome is not None]
-    n = len(found)
-    of = n, len(outcomes), CONFIDENCE
-    low, high = binom_conf_interval(*of, interval="jeffreys").tolist()
+    n, of = len(found), len(outcomes)
+    low, high = binom_conf_interval(n, of, CONFIDENCE, interval="jeffreys").tolist()
     off, error = np.array(found).reshape(-1, 2).T
     spread = float(off.std(ddof=1)) if n > 1 else None
     return {
-        "n_injected": len(outcomes),
-        "n_found": n,
-        "fraction": n / len(outcomes),
-        "fraction_low": low,
-        "fraction_high": high,
-        "bias": float(off.mean()) if n else None,
-        "bias_err": spread / np.sqrt(n) if n > 1 else None,
-        "scatter": spread,
+        "n_injected": of, "n_found": n, "fraction": n / of, "fraction_low": low,
+        "fraction_high": high, "bias": float(off.mean()) if n else None,
+        "bias_err": spread / np.sqrt(n) if n > 1 else None, "scatter": spread,
         "coverage": float(np.mean(np.abs(off) <= error)) if n else None,
-    }
+    }  # fmt: skip
 
 
 def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):

@@ -14,7 +14,7 @@ import numpy as np
 from astropy.constants import c
 from astropy.coordinates import EarthLocation
 
-from astro_scc.components.restoring import add_gaussians
+from astro_scc.components.restoring import add_gaussians, in_pixels
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam, beam_of
 from astro_scc.simulation.jets import SimulatedJet
 
@@ -118,7 +118,7 @@ def observe(
         model = _clean(image, psf, window, STOP * noise, n_iterations)
         beams.append(beam or _fitted_beam(psf, setup.pixel_scale))
         at_y, at_x = np.nonzero(model)
-        shapes = [setup.covariance(beams[i])] * len(at_x)
+        shapes = [in_pixels(beams[i], setup.pixel_scale)] * len(at_x)
         images.append(add_gaussians(image, at_x, at_y, model[at_y, at_x], shapes))
     line = f"observed with {len(STATIONS)} antennas"
     data = np.array(images)

@@ -18,7 +18,7 @@ from astro_scc.images.cutout import refuse_pixels
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.headers import first_line
 from astro_scc.matching import plan
-from astro_scc.products.published import published_positions
+from astro_scc.products.publication import published_positions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
 from astro_scc.writing import versions

@@ -16,7 +16,7 @@ from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
 from astro_scc.products import write_epoch_regions, write_products
 from astro_scc.products.folder import product_folder
-from astro_scc.products.published import with_published
+from astro_scc.products.publication import with_published
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, published_lines
 from astro_scc.report.page import PRODUCTS, flow_lines

@@ -30,8 +30,11 @@ from astro_scc.columns import table_lines
 from astro_scc.images.cutout import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.matching import select_ssps
-from astro_scc.products.publication import FOLDER, write_publication
-from astro_scc.products.published import published_positions
+from astro_scc.products.publication import (
+    FOLDER,
+    published_positions,
+    write_publication,
+)
 from astro_scc.progress import progress
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation

@@ -12,8 +12,7 @@ from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
 from astro_scc.matching.matched import decompose_epochs
 from astro_scc.products.folder import product_folder, write_files, write_tables
-from astro_scc.products.publication import write_publication
-from astro_scc.products.published import with_published
+from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report.answer import feature_lines, published_lines, speed_lines
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import plot_separation, plot_tracks

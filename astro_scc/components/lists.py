@@ -145,9 +145,8 @@ class ComponentList:
     def __repr__(self):
         days = self.times.strftime("%Y-%m-%d")
         span = f", {days[0]} to {days[-1]}" if len(days) else ""
-        return (
-            f"<ComponentList: {len(self)} components at {self.n_epochs} epochs{span}>"
-        )
+        what = f"{len(self)} components at {self.n_epochs} epochs{span}"
+        return f"<ComponentList: {what}>"
 
     def select(
         self, *, after: Time | str | None = None, before: Time | str | None = None,
@@ -183,10 +182,8 @@ class ComponentList:
             keep &= np.isin(self.feature, features)
         if not keep.any():
             days = self.times.strftime("%Y-%m-%d")
-            raise ValueError(
-                f"no component is left of {len(self)} between {days[0]} and "
-                f"{days[-1]}; widen the selection"
-            )
+            what = f"{len(self)} between {days[0]} and {days[-1]}; widen the selection"
+            raise ValueError(f"no component is left of {what}")
         epochs, epoch = np.unique(self.epoch[keep], return_inverse=True)
         return replace(
             self,
@@ -371,8 +368,7 @@ def read_sources(
     found, table = {}, FORMATS[_kind_of(path)][0](path)[0]
     for name in source_names(table) or (None,):
         try:
-            own = read_components(path, source=name, **options)
-            found[name or path.stem] = own
+            found[name or path.stem] = read_components(path, source=name, **options)
         except ValueError as error:
             reason = error
             warn(f"{error}; the source {name or path.stem} is left out")
@@ -384,10 +380,8 @@ def read_sources(
 def _kind_of(path):
     """Return the format of a file, which its suffix tells."""
     suffix = path.suffix.lower()
-    kind = next((k for k, (_, own) in FORMATS.items() if suffix in own), None)
-    if kind is None:
-        raise ValueError(
-            f"{path}: the suffix {path.suffix!r} tells no format; give one of "
-            f"{', '.join(FORMATS)}"
-        )
-    return kind
+    for kind, (_, own) in FORMATS.items():
+        if suffix in own:
+            return kind
+    what = f"the suffix {path.suffix!r} tells no format"
+    raise ValueError(f"{path}: {what}; give one of {', '.join(FORMATS)}")

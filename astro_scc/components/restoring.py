@@ -159,18 +159,11 @@ def restore(
     if position is None:
         position = components.meta.get("position")
     return cls.from_arrays(
-        data,
-        components.times,
-        pixel_scale=pixel_scale,
-        reference_pixel=reference_pixel,
-        position=position,
-        unit=unit,
-        beams=beams,
-        noise=noise,
-        labels=components.labels,
-        epoch_meta=[facts] * n_epochs,
+        data, components.times, pixel_scale=pixel_scale, position=position,
+        reference_pixel=reference_pixel, unit=unit, beams=beams, noise=noise,
+        labels=components.labels, epoch_meta=[facts] * n_epochs,
         meta={**components.meta, "history": [line]},
-    )
+    )  # fmt: skip
 
 
 def restore_files(cls, files, *, times=None, beams=None):

@@ -21,47 +21,39 @@ from astro_scc.images.validation import as_times, naming, numbers
 from astro_scc.quantities import parse_date
 
 CORE = 0  # feature number of the core
-# Content of a column -> its unit, and its labels in tables.
+# Content of a column -> its unit, its labels in tables, and a pattern for what machine-
+# readable tables explain of it, which tells what labels such as ID mean.
 COLUMNS = {
-    "source": (None, "name source iau iauname"),
-    "feature": (u.one, "feature id comp component featureid"),
-    "epoch": (None, "epoch date obsdate obs"),
-    "year": (None, "obsy year obsyear"),
-    "month": (None, "obsm month obsmonth"),
-    "day": (None, "obsd day obsday"),
-    "flux": (u.Jy, "flux i s fluxdensity"),
-    "separation": (u.mas, "separation sep r dist distance radius"),
-    "east": (u.mas, "east x dra deltax"),
-    "north": (u.mas, "north y ddec deltay"),
-    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax"),
-    "minor": (u.mas, "minorfwhm min minor minaxis minorax"),
-    "ratio": (u.one, "axialratio ratio axratio"),
-    "pa": (u.deg, "majorpa majpa pamaj phi posangle"),
-    "position_angle": (u.deg, "positionangle pa theta"),
-    "type": (u.one, "typeobj"),
-    "excluded": (None, "excludedfromfit excluded fid ffeature ff"),
-}
-# Content of a column -> a pattern for its explanation in a machine-readable table,
-# which tells what labels such as ID mean.
-EXPLANATIONS = {
-    "source": "source name|IAU name|.*coordinate identifier",
-    "feature": "(feature|component) (identification|number|ID)",
-    "epoch": "(observation|observing) (date|epoch)|date of observation|epoch",
-    "flux": "flux density",
-    "separation": "position offset|separation|distance from",
-    "major": "FWHM( of)?( the)? major|major axis FWHM",
-    "ratio": "axial ratio",
-    "pa": "major axis position angle|position angle of( the)? major",
-    "position_angle": "position angle",
-    "excluded": ".*not used in",
-}
+    "source": (None, "name source iau iauname",
+               "source name|IAU name|.*coordinate identifier"),
+    "feature": (u.one, "feature id comp component featureid",
+                "(feature|component) (identification|number|ID)"),
+    "epoch": (None, "epoch date obsdate obs",
+              "(observation|observing) (date|epoch)|date of observation|epoch"),
+    "year": (None, "obsy year obsyear", None),
+    "month": (None, "obsm month obsmonth", None),
+    "day": (None, "obsd day obsday", None),
+    "flux": (u.Jy, "flux i s fluxdensity", "flux density"),
+    "separation": (u.mas, "separation sep r dist distance radius",
+                   "position offset|separation|distance from"),
+    "east": (u.mas, "east x dra deltax", None),
+    "north": (u.mas, "north y ddec deltay", None),
+    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax",
+              "FWHM( of)?( the)? major|major axis FWHM"),
+    "minor": (u.mas, "minorfwhm min minor minaxis minorax", None),
+    "ratio": (u.one, "axialratio ratio axratio", "axial ratio"),
+    "pa": (u.deg, "majorpa majpa pamaj phi posangle",
+           "major axis position angle|position angle of( the)? major"),
+    "position_angle": (u.deg, "positionangle pa theta", "position angle"),
+    "type": (u.one, "typeobj", None),
+    "excluded": (None, "excludedfromfit excluded fid ffeature ff", ".*not used in"),
+}  # fmt: skip
 # Units of the numbers that describe a component.
 UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
 # Advice for files without a date.
 UNDATED = {
-    "difmap": "no date in the file's name; rename it like source_2006-03-09.mod, or "
-    "give dates",
-    "aips-cc": "no DATE-OBS in the header; write it there, or give dates",
+    "difmap": "date in the file's name; rename it like source_2006-03-09.mod",
+    "aips-cc": "DATE-OBS in the header; write it there",
 }
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
@@ -98,7 +90,7 @@ def read_fields(path, kind, source, origin, date=None):
     table, own_date = FORMATS[kind][0](path)
     date = date or own_date
     if date == "":
-        raise ValueError(f"{path}: {UNDATED[kind]}")
+        raise ValueError(f"{path}: no {UNDATED[kind]}, or give dates")
     columns = _find_columns(table)
     table = _select_source(table, columns, source, path)
     if len(table) == 0:
@@ -108,13 +100,11 @@ def read_fields(path, kind, source, origin, date=None):
     if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
     if missing := sorted(needed - columns.keys()):
-        raise ValueError(
-            f"{path}: no column for {', '.join(missing)}; the table has "
-            f"{', '.join(table.colnames)}"
-        )
+        lacks, has = (", ".join(names) for names in (missing, table.colnames))
+        raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
     values = {
         what: numbers(table[columns[what]], unit, path)
-        for what, (unit, _) in COLUMNS.items()
+        for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
     dates = _dates(table, columns, date, path)
@@ -185,12 +175,12 @@ def _dates(table, columns, date, path):
 def _find_columns(table):
     """Return the names of the table's columns, keyed by their content."""
     found = {}
-    for what, pattern in EXPLANATIONS.items():
-        for name in table.colnames:
+    for what, (*_, pattern) in COLUMNS.items():
+        for name in table.colnames if pattern else ():
             explanation = table[name].info.description or ""
             if name not in found.values() and re.match(pattern, explanation, re.I):
                 found.setdefault(what, name)
-    for what, (_, labels) in COLUMNS.items():
+    for what, (_, labels, _) in COLUMNS.items():
         for name in table.colnames:
             label = re.sub(r"[^a-z]", "", name.lower())
             if name not in found.values() and label in labels.split():
@@ -209,8 +199,7 @@ def _select_source(table, columns, source, path):
         if source is None and len(names) > 1:
             raise ValueError(
                 f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
-                "say which one with --source NAME of astro-scc restore (source= in "
-                "Python)"
+                "say which, with --source NAME of astro-scc restore or source="
             )
         if source is not None:
             same = [name for name in names if _plain(name) == _plain(source)]
@@ -252,10 +241,8 @@ def _sizes(values, path):
     minor = np.where(np.isnan(minor), major, minor)
     types = values.get("type", zeros + 1)
     for i in np.flatnonzero(~np.isin(types, (0, 1))):
-        raise ValueError(
-            f"{path}, row {i + 1}: component type {types[i]:g} is neither a point (0) "
-            "nor a Gaussian (1); replace it by one of these"
-        )
+        what = f"component type {types[i]:g} is neither a point (0) nor a Gaussian (1)"
+        raise ValueError(f"{path}, row {i + 1}: {what}; replace it by one of these")
     sizes = {"major": major, "minor": minor, "pa": values.get("pa", zeros)}
     return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
 
@@ -296,9 +283,8 @@ def _opened(path, kind, state, **options):
         with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
             return Table.read(path, format=kind, **options), None
     except Exception as error:  # astropy's parsers raise errors of many kinds
-        raise OSError(
-            f"{path}: not a readable {kind} table: {first_line(error)}"
-        ) from None
+        what = f"not a readable {kind} table: {first_line(error)}"
+        raise OSError(f"{path}: {what}") from None
 
 
 def _open_mrt(path):
@@ -308,10 +294,8 @@ def _open_mrt(path):
             return _open_ascii(path, "ascii.mrt")
     readme = path.parent / "ReadMe"
     if not readme.is_file():
-        raise OSError(
-            f"{path}: has no byte-by-byte description; lay the file ReadMe of CDS "
-            "beside it"
-        )
+        what = "has no byte-by-byte description; lay the ReadMe of CDS beside it"
+        raise OSError(f"{path}: {what}")
     return _open_ascii(path, "ascii.cds", readme=str(readme))
 
 
@@ -350,10 +334,9 @@ def _difmap_row(text, where):
     except ValueError:
         raise ValueError(f"{where}: not numbers: {text!r}") from None
     if len(row) not in (3, 6, 7) or not np.all(np.isfinite(row)):
-        raise ValueError(
-            f"{where}: expected 3, 6 or 7 finite values (flux, radius, theta, major, "
-            f"ratio, phi, type), got {len(row)}"
-        )
+        wanted = "(flux, radius, theta, major, ratio, phi, type)"
+        what = f"expected 3, 6 or 7 finite values {wanted}, got {len(row)}"
+        raise ValueError(f"{where}: {what}")
     row += [0.0] * (6 - len(row))
     # Without a type, a component with a size is a Gaussian.
     return row if len(row) == 7 else [*row, float(row[3] > 0)]
@@ -372,14 +355,10 @@ def _open_aips(path):
                 tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
                 record = read_header(header, tables)
         except Exception as error:  # a damaged file can fail anywhere
-            raise OSError(
-                f"{path}: not a readable FITS file: {first_line(error)}"
-            ) from None
+            what = f"not a readable FITS file: {first_line(error)}"
+            raise OSError(f"{path}: {what}") from None
     if table is None:
-        raise ValueError(
-            f"{path}: no AIPS CC table in the file; it is no list of components, leave "
-            "it out"
-        )
+        raise ValueError(f"{path}: no AIPS CC table in the file; leave it out")
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
     centre = {}

@@ -18,7 +18,7 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
 from astro_scc.images.positions import beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
-from astro_scc.kinematics.ridge_line import mean_width
+from astro_scc.kinematics.frames import mean_width
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.stacking import velocities
 from astro_scc.streams.diagram import Rays

@@ -23,8 +23,7 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement.extensions import velocity_hdus
 from astro_scc.measurement.result import SCCResult
-from astro_scc.products.publication import write_publication
-from astro_scc.products.published import with_published
+from astro_scc.products.publication import with_published, write_publication
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
@@ -108,9 +107,7 @@ def product_folder(
         if folder is None:
             what = f"cannot be made or used: {error.strerror}"
         elif error.filename2 == str(target):
-            what = (
-                "cannot be made: another run has written there; choose another folder"
-            )
+            what = "cannot be made: another run has written there; choose another"
         elif error.errno in DISK_ERRORS:
             why = f"{error.strerror}; make room there or choose another folder"
             what = f"cannot be written: {why}"
@@ -125,10 +122,8 @@ def _refuse_others(path, *places, own=None):
         if left == own:
             continue
         if writing.is_held(left):
-            raise BlockingIOError(
-                f"{path}: another run is at work for this folder; wait for it, or "
-                "choose another folder"
-            )
+            what = "another run is at work for this folder; wait for it, or choose "
+            raise BlockingIOError(f"{path}: {what}another folder")
         if own is None:
             warnings.warn(
                 f"{left}: is of another run, which goes on or was killed; delete it "
@@ -189,7 +184,7 @@ def write_products(
         The same settings as TOML, for ``config.toml``.
     published : `~astropy.table.QTable`, optional
         Published features, see
-        ``astro_scc.products.published.published_positions``, of which the table of
+        ``astro_scc.products.publication.published_positions``, of which the table of
         features has columns.
     archives : bool, optional
         Write the folder ``publication``.
@@ -237,13 +232,10 @@ def write_products(
     epochs, used = result.cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
     epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
     tables = {
-        "components": components,
-        "features": features,
-        "positions": result.feature_positions,
-        "sensitivity": result.sensitivity,
-        "epochs": describe(epochs, "epochs"),
-        "ssps": result.ssps,
-    }
+        "components": components, "features": features,
+        "positions": result.feature_positions, "sensitivity": result.sensitivity,
+        "epochs": describe(epochs, "epochs"), "ssps": result.ssps,
+    }  # fmt: skip
     settings = {"configuration": configuration, "text": text}
     tables, paths = write_tables(tables, directory, meta, **settings)
     paths.append(directory / "scc.fits")

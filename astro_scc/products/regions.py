@@ -86,7 +86,11 @@ def ssp_regions(
 
     if shape not in ("outline", "circle"):
         raise ValueError(f"shape must be 'outline' or 'circle', got {shape!r}")
-    wcs = _wcs(cube, epoch, frame)
+    if frame not in ("cube", "epoch"):
+        raise ValueError(f"frame must be 'cube' or 'epoch', got {frame!r}")
+    if frame == "epoch" and cube.epoch_wcs is None:
+        raise ValueError("the cube was not read from files; there is no frame 'epoch'")
+    wcs = cube.wcs if frame == "cube" else cube.epoch_wcs[epoch]
     make = _outline if shape == "outline" else _circle
     colors = {s: COLORS[k % len(COLORS)] for k, s in enumerate(np.unique(ssps.scale))}
     found = Regions([])
@@ -205,16 +209,6 @@ def _chosen(ssps, cube, epoch, scales):
     if scales is not None:
         here &= np.isin(ssps.scale, list(scales))
     return np.flatnonzero(here)
-
-
-def _wcs(cube, epoch, frame):
-    if frame == "cube":
-        return cube.wcs
-    if frame != "epoch":
-        raise ValueError(f"frame must be 'cube' or 'epoch', got {frame!r}")
-    if cube.epoch_wcs is None:
-        raise ValueError("the cube was not read from files; there is no frame 'epoch'")
-    return cube.epoch_wcs[epoch]
 
 
 def _outline(ssps, index, cube, wcs):

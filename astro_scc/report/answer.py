@@ -250,7 +250,7 @@ def published_lines(features):
     Parameters
     ----------
     features : `~astropy.table.QTable`
-        See ``astro_scc.products.published.with_published``.
+        See ``astro_scc.products.publication.with_published``.
 
     Returns
     -------

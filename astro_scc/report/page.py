@@ -20,7 +20,7 @@ from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import printed
 from astro_scc.products.folder import write_files
-from astro_scc.products.published import with_published
+from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
 from astro_scc.report import answer
 from astro_scc.stacking.stack import number_of_permutations
@@ -325,7 +325,7 @@ def write_report(
         with letters of 8 pt.
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
-        ``astro_scc.products.published.published_positions``.
+        ``astro_scc.products.publication.published_positions``.
 
     Returns
     -------

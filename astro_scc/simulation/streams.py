@@ -14,8 +14,6 @@ from scipy.special import ndtri
 
 from astro_scc.quantities import check_choice, named
 
-DISTRIBUTIONS = ("normal", "lognormal", "uniform")
-MOTIONS = ("steady", "random", "unrelated")
 # Slowest feature, as a fraction of the mean: slower ones would stay for ever.
 SLOWEST = 0.1
 # Length in beams over which features move off the axis, and fade at the end.
@@ -37,20 +35,19 @@ class Features(NamedTuple):
     fwhm: np.ndarray
 
 
-def check_not_negative(owner, names, whose=""):
+def check_not_negative(values, names=None, whose=""):
     """
     Refuse negative and infinite parameters.
 
-    ``names`` are attributes, separated by blanks; None is accepted.  ``whose`` is
-    the beginning of the message of the ValueError.
+    ``values`` are parameters by their names; ``names`` those that are checked, by
+    default all, separated by blanks.  None is accepted.  ``whose`` is the beginning of
+    the message of the ValueError.
     """
-    for name in names.split():
-        value = getattr(owner, name)
-        for number in np.atleast_1d([] if value is None else value):
+    for name in values if names is None else names.split():
+        for number in np.ravel([] if values[name] is None else values[name]):
             if not 0 <= number < np.inf:
-                raise ValueError(
-                    f"{whose}{name} must be zero or positive, got {number}"
-                )
+                what = f"{whose}{name} must be zero or positive, got {number}"
+                raise ValueError(what)
 
 
 @dataclass(frozen=True)
@@ -115,29 +112,24 @@ class Stream:
 
     def __post_init__(self):
         whose = f"stream {self.name!r}"
-        named(f"{whose}: motion", check_choice, self.motion, *MOTIONS)
+        motions = "steady", "random", "unrelated"
+        named(f"{whose}: motion", check_choice, self.motion, *motions)
         if (self.half_width is None) == (self.sigma is None):
-            raise ValueError(
-                f"{whose} needs one of half_width and sigma, the width over which "
-                "features start"
-            )
-        check_not_negative(self, "density half_width sigma jitter", f"{whose}: ")
+            raise ValueError(f"{whose} needs one of half_width and sigma, its width")
+        names = "density half_width sigma jitter"
+        check_not_negative(vars(self), names, f"{whose}: ")
         for name in ("fwhm", "peak"):
-            low, high = getattr(self, name)
+            low, high = given = getattr(self, name)
             if not 0 <= low <= high < np.inf:
-                raise ValueError(
-                    f"{whose}: {name} must be two limits 0 <= low <= high, "
-                    f"got {getattr(self, name)}"
-                )
+                wanted = "must be two limits 0 <= low <= high"
+                raise ValueError(f"{whose}: {name} {wanted}, got {given}")
         for name in ("dx", "dy"):
             value = getattr(self, name)
             # What a function returns is not known here.
             limits = 0 if callable(value) else getattr(value, "value", value)
             if np.size(limits) > 2 or not np.all(np.isfinite(limits)):
-                raise ValueError(
-                    f"{whose}: {name} must be a number, two limits or a function of "
-                    f"(x, y), got {value}"
-                )
+                wanted = "must be a number, two limits or a function of (x, y)"
+                raise ValueError(f"{whose}: {name} {wanted}, got {value}")
 
     def features(self, jet: Any, rng: np.random.Generator) -> Features:
         """
@@ -290,7 +282,8 @@ class Flow:
 
     def __post_init__(self):
         whose = f"flow {self.name!r}: "
-        named(f"{whose}distribution", check_choice, self.distribution, *DISTRIBUTIONS)
+        distributions = "normal", "lognormal", "uniform"
+        named(f"{whose}distribution", check_choice, self.distribution, *distributions)
         if self.positions is not None:
             positions = tuple(float(p) for p in self.positions)
             if self.speed != 0 or not all(p >= 0 for p in positions):
@@ -300,7 +293,7 @@ class Flow:
                 )
             vars(self).update(positions=positions, n_features=len(positions))
         names = "speed dispersion n_features acceleration flux flux_scatter fading size"
-        check_not_negative(self, f"{names} widening width", whose)
+        check_not_negative(vars(self), f"{names} widening width", whose)
         if self.acceleration == 0:
             raise ValueError(f"{whose}acceleration must be positive")
 
@@ -339,7 +332,7 @@ class Flow:
         -------
         Features
         """
-        times, length = jet.times, jet.length
+        times, length = jet.times, np.ptp(jet.extent) / jet.beam_length
         if self.speed != 0:
             s = self._moving(times, length, rng)
         else:

@@ -24,8 +24,7 @@ from astro_scc.features.tracks import Track
 from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
-from astro_scc.kinematics.frames import frame_displacements
-from astro_scc.kinematics.ridge_line import mean_width
+from astro_scc.kinematics.frames import frame_displacements, mean_width
 from astro_scc.progress import progress
 from astro_scc.settings import BEAMS, require
 from astro_scc.tracking import likelihood

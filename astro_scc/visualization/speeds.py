@@ -11,7 +11,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.features.trust import MOST_FALSE
-from astro_scc.kinematics.ridge_line import mean_width
+from astro_scc.kinematics.frames import mean_width
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import drawing, style
 from astro_scc.visualization.tracks import feature_look

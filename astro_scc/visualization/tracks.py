@@ -118,7 +118,7 @@ def plot_separation(
         speeds beside their numbers.
     published : `~astropy.table.QTable`, optional
         Features to compare with, in grey, see
-        ``astro_scc.products.published.published_positions``.
+        ``astro_scc.products.publication.published_positions``.
     ax : `matplotlib.axes.Axes`, optional
         Axes to draw on instead of a new figure, without residuals.
     unit : `~astropy.units.Unit`, optional

@@ -60,7 +60,7 @@ def write(table, path, **meta):
 # The list itself --------------------------------------------------------------
 
 
-def test_epochs_are_sorted_units_unified_and_sizes_optional():
+def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_path):
     components = ComponentList(**columns(beams=[BEAM, Beam(2 * u.mas, 1 * u.mas)]))
     assert components.times.isot.tolist()[0] == "2006-01-01T00:00:00.000"
     assert components.epoch.tolist() == [1, 0, 0]
@@ -70,35 +70,13 @@ def test_epochs_are_sorted_units_unified_and_sizes_optional():
     assert components.major.value.tolist() == [0.3, 0.0, 0.8]
     assert components.pa.value.tolist() == [0, 0, 60]
     assert "3 components at 2 epochs" in repr(components)
-    arcsec = ComponentList(**columns(east=[0.4e-3, 0, 2e-3] * u.arcsec, minor=None))
-    assert_allclose(arcsec.east.value, components.east.value)
-    assert_array_equal(arcsec.minor, arcsec.major)
+    round_ = ComponentList(**columns(east=[0.4e-3, 0, 2e-3] * u.arcsec, minor=None))
+    assert_allclose(round_.east.value, components.east.value)
+    assert_array_equal(round_.minor, round_.major)
     names = ("times", "epoch", "flux", "east", "north")
     points = ComponentList(**{k: columns()[k] for k in names})
     assert not points.major.value.any()
     assert points.feature.tolist() == [-1, -1, -1]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"flux": [1, 2] * u.Jy}, "flux has shape"),
-        ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
-        ({"minor": [0.4, 0, 0] * u.mas}, "component 1 of 3: axes must be"),
-        ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
-        ({"epoch": [0, 1, 2]}, "indices into an array of times"),
-        ({"times": Time("2006-01-01")}, "indices into an array of times"),
-        ({"labels": ("one",)}, "2 epochs need 2 labels, got 1"),
-        ({"east": [1, 2, 3] * u.Jy}, "not convertible"),
-    ],
-)
-def test_bad_lists(changes, message):
-    with pytest.raises((ValueError, u.UnitConversionError), match=message):
-        ComponentList(**columns(**changes))
-
-
-def test_selection():
-    components = ComponentList(**columns(beams=[BEAM, Beam(2 * u.mas, 1 * u.mas)]))
     assert components.select(before="2006-07-01").feature.tolist() == [0, 1]
     last = components.select(after=Time("2006-07-01"))
     assert (last.labels, last.beams) == (("2006-07-01",), (BEAM,))
@@ -108,18 +86,30 @@ def test_selection():
     assert (kept.n_epochs, kept.epoch.tolist()) == (1, [0, 0])
     with pytest.raises(ValueError, match="no component is left of 3 between"):
         components.select(after="2010-01-01")
+    # There and back, with one beam or with none.
+    for beams in (None, BEAM):
+        own = ComponentList(**columns(meta={"name": "3C 273"}, beams=beams))
+        back = read_components(write(own.to_table(), tmp_path / "list.ecsv"))
+        assert (back.meta, back.beams) == ({"object": "3C 273"}, own.beams)
+        assert np.all(back.times == own.times)
+        for name in ("epoch", *COLUMNS):
+            assert_allclose(getattr(back, name), getattr(own, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize("beams", [None, BEAM])
-def test_round_trip_through_ecsv(tmp_path, beams):
-    meta = {"name": "3C 273", "redshift": 0.158}
-    components = ComponentList(**columns(meta=meta, beams=beams))
-    back = read_components(write(components.to_table(), tmp_path / "list.ecsv"))
-    assert back.meta == {"object": "3C 273", "redshift": 0.158}
-    assert np.all(back.times == components.times)
-    assert back.beams == components.beams
-    for name in ("epoch", *COLUMNS):
-        assert_allclose(getattr(back, name), getattr(components, name), rtol=1e-12)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"flux": [1, 2] * u.Jy}, "flux has shape"),
+        ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
+        ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
+        ({"epoch": [0, 1, 2]}, "indices into an array of times"),
+        ({"times": Time("2006-01-01")}, "indices into an array of times"),
+        ({"east": [1, 2, 3] * u.Jy}, "not convertible"),
+    ],
+)
+def test_bad_lists(changes, message):
+    with pytest.raises((ValueError, u.UnitConversionError), match=message):
+        ComponentList(**columns(**changes))
 
 
 # Tables -----------------------------------------------------------------------
@@ -161,31 +151,19 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     assert components.meta == {"object": "S4", "frequency": 15.4e9}
 
 
-def test_date_and_beam_may_be_given(tmp_path):
-    path = write(mojave(epoch=None, feature=None), tmp_path / "t.ecsv")
-    components = read_components(path, dates="2010-01-01", beams=BEAM)
-    assert (components.labels, components.beams) == (("t.ecsv",), (BEAM,))
-
-
 @pytest.mark.parametrize(
     ("changes", "options", "message"),
     [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
         ({"flux": None}, {}, "no column for flux; the table has epoch"),
         ({"epoch": None}, {}, "no column for epoch"),
-        ({"separation": None}, {}, "no column for separation"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
         ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
-        ({"flux": list("abcd")}, {}, "column 'flux' is not numeric"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
         ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: separation or posi"),
-        ({"position_angle": [1, np.inf, 1, 1] * u.deg}, {}, "2: position_angle is inf"),
-        ({"major_fwhm": [1, -np.inf, 1, 1] * u.mas}, {}, "2: major_fwhm is infinite"),
-        ({"axial_ratio": [1, 1e999, 1, 1]}, {}, "row 2: axial_ratio is infinite"),
         ({"feature": [0, np.nan, 0, 1.0]}, {}, "component 2 of 4: feature is blank"),
         ({"feature": [0, 0, 0, 1]}, {}, "2 core components .* on 2006-03-09"),
         ({"feature": [0, 1, 3, 2]}, {"origin": "map"}, "no core component .* 2006-12"),
-        ({"axial_ratio": [0.5, 1, 1, 1.5]}, {}, "component 4 of 4: axes must be"),
         ({"source": ["a", "a", "b", "b"]}, {}, r"2 sources in the table \(a, b\)"),
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
         ({}, {"origin": "jet"}, "origin = .jet. must be"),
@@ -204,6 +182,9 @@ def test_bad_tables(tmp_path, changes, options, message):
 def test_sources_of_a_table(tmp_path):
     path = write(mojave(source=["a", "a", "b", "b"]), tmp_path / "t.ecsv")
     assert read_components(path, source="b").meta["object"] == "b"
+    own = write(mojave(epoch=None, feature=None), tmp_path / "own.ecsv")
+    given = read_components(own, dates="2010-01-01", beams=BEAM)
+    assert (given.labels, given.beams) == (("own.ecsv",), (BEAM,))
     with pytest.raises(ValueError, match="no components in the file"):
         read_components(write(mojave()[:0], tmp_path / "t.ecsv"))
     names = [f"{k:04d}+{k:03d}" for k in range(100, 130)]
@@ -217,8 +198,7 @@ def test_sources_of_a_table(tmp_path):
     with pytest.raises(ValueError, match=r"'0129\+12'; did you mean 0129\+129"):
         read_components(path, source="0129+12")
     path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
-    for name in ("3C 273", "3c273", "1226+023"):
-        assert read_components(path, source=name).n_epochs == 2
+    assert read_components(path, source="3c273").n_epochs == 2
     with pytest.raises(ValueError, match="09.mod: no source 'M87'; it does not say"):
         read_components(model(tmp_path), source="M87")
 
@@ -226,8 +206,6 @@ def test_sources_of_a_table(tmp_path):
 #: As the journals print tables of jet features of many sources.
 JOURNAL = """\
 Title: Kinematics of made-up jets
-Authors: Nobody N.
-Table: Fitted Jet Features
 ================================================================================
 Byte-by-byte Description of file: table4.dat
 --------------------------------------------------------------------------------
@@ -263,11 +241,8 @@ def test_machine_readable_tables_with_their_description_or_beside_it(tmp_path):
     assert days == ["2006-03-09", "2006-12-01"]
     assert components.feature.tolist() == [0, 1, 0, 1]
     assert components.excluded.tolist() == [False, True, False, False]
-    assert components.flux[0] == 0.489 * u.Jy
     assert components.major.value.tolist() == [0.23, 0, 0.25, 1.63]
-    assert components.minor[0].value == pytest.approx(0.23 * 0.33)
     assert components.east[1].value == pytest.approx(3.98 * np.sin(np.radians(121.8)))
-    assert components.meta["object"] == "0000+000"
     # As CDS keeps them.
     head, line, rows = JOURNAL.rpartition("-" * 80 + "\n")
     (tmp_path / "table4.dat").write_text(rows)
@@ -285,25 +260,14 @@ def test_machine_readable_tables_with_their_description_or_beside_it(tmp_path):
 
 def test_mojave_xviii(shared_data):
     folder = shared_data / "mojave_xviii"
-    components = read_components(folder / "1228+126.ecsv")
-    assert (components.n_epochs, len(components)) == (37, 295)
-    core = components.feature == 0
-    assert core.sum() == components.n_epochs
-    assert not components.east[core].value.any()
-    assert (
-        read_components(folder / "1228+126.ecsv", origin="map").east[core].value.any()
-    )
-    # Its label ID is the source, and F the feature.
-    table = folder / "apjac230ft4_mrt.txt"
-    found = read_components(table, source="0003+380")
     own = read_components(folder / "0003+380.ecsv")
-    assert len(found.times) == len(own.times) == 10
-    assert_array_equal(found.feature, own.feature)
-    assert_array_equal(found.excluded, own.excluded)
-    for name in ("flux", "east", "north", "major"):
+    core = own.feature == 0
+    assert core.sum() == own.n_epochs == 10
+    assert not own.east[core].value.any()
+    # Its label ID is the source, and F the feature.
+    found = read_components(folder / "apjac230ft4_mrt.txt", source="0003+380")
+    for name in COLUMNS:
         assert u.allclose(getattr(found, name), getattr(own, name))
-    with pytest.raises(ValueError, match="67 sources in the table"):
-        read_components(table)
 
 
 # difmap -----------------------------------------------------------------------
@@ -344,15 +308,9 @@ def test_difmap_model(tmp_path):
     # A size without a type is that of a Gaussian.
     path = model(tmp_path, "1 0 0 0.5 1 0\n", "2006-03-09.model")
     assert read_components(path, format="difmap").major[0] == 0.5 * u.mas
-    with pytest.raises(ValueError, match="the suffix '.model' tells no format"):
-        read_components(path)
-
-
-def test_difmap_models_of_many_epochs(tmp_path):
     names = "s_20070101.mod", "2005-489_2006-01-01.mod", "J1229.2006.06.05.mod"
     paths = [model(tmp_path, name=name) for name in names]
-    components = read_components(paths)
-    days = components.times.strftime("%Y-%m-%d").tolist()
+    days = read_components(paths).times.strftime("%Y-%m-%d").tolist()
     assert days == ["2006-01-01", "2006-06-05", "2007-01-01"]
     dates = ["2001-01-01", "2002-01-01", "2003-01-01"]
     given = read_components(paths, dates=dates, beams=[BEAM, BEAM, BEAM])
@@ -361,28 +319,36 @@ def test_difmap_models_of_many_epochs(tmp_path):
 
 
 NAME = "1226+023.u.2006_03_09.mod"
+BAD = [
+    (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
+    (NAME, b"! x\n1 2 nan\n", {}, "line 2: expected 3, 6 or 7 finite values"),
+    (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
+    (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
+    (NAME, b"1 2 3 4 1.5 0 1\n", {}, "component 1 of 1: axes must be"),
+    (NAME, b"! nothing\n", {}, "no components in the file"),
+    (NAME, b"1 2 3\n", {"origin": "core"}, "no core component .* expected one"),
+    (NAME, b"\xff\xfe\x00", {}, "it is not text"),
+    ("jet.mod", b"1 2 3\n", {}, "no date in the file's name"),
+    ("jet.mod", b"1 2 3\n", {"dates": ["then"]}, "'then' is no date"),
+    ("jet.model", b"1 2 3\n", {}, "the suffix '.model' tells no format"),
+    ("t.ecsv", b"<html>not found</html>\n", {}, "not a readable ascii.ecsv"),
+    ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
+    # Options of a FITS file with an AIPS CC table.
+    ("a.fits", {"tables": 0}, {}, "no AIPS CC table"),
+    ("a.fits", {"drop": ("DELTAX",)}, {}, "no column for position_angle, sep"),
+    ("a.fits", {"FLUX": [1, np.nan]}, {}, "component 2 of 2: flux is blank"),
+    ("a.fits", {"TYPE OBJ": [0, 3]}, {}, "row 2: component type 3"),
+    ("a.fits", {"header": {"DATE-OBS": "never"}}, {}, "'never' is no date"),
+    ("a.fits", {"header": {"DATE-OBS": None}}, {}, "no DATE-OBS in the header"),
+]
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "options", "message"),
-    [
-        (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
-        (NAME, b"! x\n1 2 nan\n", {}, "line 2: expected 3, 6 or 7 finite values"),
-        (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
-        (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
-        (NAME, b"1 2 3 4 1.5 0 1\n", {}, "component 1 of 1: axes must be"),
-        (NAME, b"1 2 3 -4 1 0 1\n", {}, "component 1 of 1: axes must be"),
-        (NAME, b"! nothing\n", {}, "no components in the file"),
-        (NAME, b"1 2 3\n", {"origin": "core"}, "no core component .* expected one"),
-        (NAME, b"\xff\xfe\x00", {}, "it is not text"),
-        ("jet.mod", b"1 2 3\n", {}, "no date in the file's name"),
-        ("jet.mod", b"1 2 3\n", {"dates": ["then"]}, "'then' is no date"),
-        ("t.ecsv", b"<html>not found</html>\n", {}, "not a readable ascii.ecsv"),
-        ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "options", "message"), BAD)
 def test_bad_files(tmp_path, name, content, options, message):
-    (tmp_path / name).write_bytes(content)
+    if isinstance(content, dict):
+        aips(tmp_path / name, **content)
+    else:
+        (tmp_path / name).write_bytes(content)
     with pytest.raises((ValueError, OSError), match=message) as error:
         read_components(tmp_path / name, **options)
     assert str(error.value).startswith(str(tmp_path / name))
@@ -436,35 +402,6 @@ def test_aips_table(tmp_path):
     with pytest.warns(EpochWarning, match="files are of 0506\\+056, 3C 273"):
         both = read_components([tmp_path / "a.fits", path], dates=[None, "2010-01-07"])
     assert "object" not in both.meta
-    with fits.open(tmp_path / "a.fits", mode="update") as hdus:
-        hdus[2].header["TUNIT2"] = "ARCSEC"
-        hdus[1].header["TUNIT2"] = "ARCSEC"
-    with pytest.raises(ValueError, match="column 'DELTAX' has the unit ARCSEC"):
-        read_components(tmp_path / "a.fits")
-
-
-NONE = dict.fromkeys(
-    ("FLUX", "DELTAX", "DELTAY", "MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ"), []
-)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"tables": 0}, "no AIPS CC table"),
-        (NONE, "no components in the file"),
-        ({"drop": ("DELTAX",)}, "no column for position_angle, sep"),
-        ({"FLUX": [1, np.nan]}, "component 2 of 2: flux is blank"),
-        ({"TYPE OBJ": [0, 3]}, "row 2: component type 3"),
-        ({"MINOR AX": [0, 1.0]}, "component 2 of 2: axes must be"),
-        ({"header": {"DATE-OBS": "never"}}, "'never' is no date"),
-        ({"header": {"DATE-OBS": None}}, "no DATE-OBS in the header"),
-    ],
-)
-def test_bad_aips_tables(tmp_path, options, message):
-    path = aips(tmp_path / "a.fits", **options)
-    with pytest.raises(ValueError, match=f"a.fits.*{message}"):
-        read_components(path)
 
 
 # Lists that are given where images are expected ---------------------------------
@@ -494,27 +431,24 @@ def test_difmap_models_are_restored(models):
         again = EpochCube.read(models[::-1], beams=[BEAM, BEAM])
     assert_array_equal(again.data, cube.data)
     assert read_components(models).beams == ()
-
-
-def test_aips_tables_without_and_beside_an_image(tmp_path):
+    # So are tables of FITS files that hold no image.
     beam = {"BMAJ": 1.0 * MAS, "BMIN": 0.5 * MAS, "BPA": -7.0}
-    path = aips(tmp_path / "cc.fits", image=False, header=beam)
+    path = aips(models[0].parent / "cc.fits", image=False, header=beam)
     with pytest.warns(EpochWarning, match=RESTORED):
         cube = EpochCube.read(path)
     assert (cube.beams, cube.meta["object"]) == ((BEAM,), "0506+056")
-    path = aips(tmp_path / "image.fits", header={"CTYPE1": None})
-    with pytest.raises(ValueError, match="image.fits: .*coordinates"):
-        EpochCube.read(path)
 
 
 def test_lists_that_cannot_be_images(models, tmp_path, make_fits):
     image, bare = make_fits(), aips(tmp_path / "bare.fits", image=False)
+    beside = aips(tmp_path / "image.fits", header={"CTYPE1": None})
     wrong = read_components(models[0], beams=BEAM).to_table()
     write(wrong, tmp_path / "w.ecsv", beam="1 mas 0.5 mas")
     negative = model(tmp_path, "-0.1v 1v 0v 0.2v 1 0 1\n", "n_2006-09-09.mod")
     calls = [
         (models, None, r"09.mod: is a list of components without a beam .*; give --be"),
         (bare, None, r"bare.fits: .* without a beam"),
+        (beside, None, r"image.fits: .*coordinates"),
         ([image, *models], None, r"09.mod: is a list of components and no im"),
         ([*models, image], BEAM, r"a.fits: no AIPS CC table .* leave it out"),
         (tmp_path / "w.ecsv", None, "w.ecsv, beam in its meta: is no beam: has"),

@@ -88,17 +88,24 @@ def test_flux_is_kept_and_covariances_add(axes):
     expected = FLIP @ (total / PIXEL**2).to_value(u.one) @ FLIP
     assert_allclose(covariance, expected, rtol=1e-4, atol=1e-3)
     assert (cube.unit, cube.beams, cube.noise) == (JY_BEAM, (BEAM,), None)
-    if not axes[0]:
-        x, y = cube.reference_pixel
-        assert cube.data[0, int(y), int(x)] == pytest.approx(2.0)
 
 
-def test_positions_through_the_wcs():
-    position = SkyCoord("12h29m06.7s", "2d03m08.6s")
-    cube = restored(components(), position=position)
+def test_positions_facts_and_a_beam_for_each_epoch():
+    position, facts = SkyCoord("12h29m06.7s", "2d03m08.6s"), {"object": "3C 273"}
+    beams = [BEAM, Beam(2 * u.mas, 1 * u.mas)]
+    source = components(meta=facts | {"redshift": 0.158})
+    cube = restored(source, beam=beams, position=position, unit=MJY_BEAM)
     sky = cube.wcs.pixel_to_world(*moments(cube.data[1])[0])
     offsets = u.Quantity(position.spherical_offsets_to(sky)).to_value(u.mas)
     assert_allclose(offsets, [0.4, 0.2], atol=1e-3)
+    assert cube.data[0].max() == pytest.approx(1000, rel=0.01)
+    assert (cube.beams, cube.epoch_meta[0]) == (tuple(beams), facts)
+    assert cube.meta["redshift"] == 0.158
+    assert "restored 3 components" in cube.meta["history"][0]
+    grid = {"shape": cube.shape[1:], "reference_pixel": cube.reference_pixel}
+    one_epoch = components().select(after="2006-03-01")
+    alone = restored(one_epoch, beam=beams[1], unit=MJY_BEAM, **grid)
+    assert_array_equal(cube.data[1], alone.data[0])
 
 
 def test_grids():
@@ -117,15 +124,6 @@ def test_grids():
         restored(components(), shape=(40, 20), reference_pixel=(5, 20))
 
 
-def test_a_beam_for_each_epoch():
-    beams = [BEAM, Beam(2 * u.mas, 1 * u.mas)]
-    cube = restored(components(), beam=beams)
-    assert cube.beams == tuple(beams)
-    grid = {"shape": cube.shape[1:], "reference_pixel": cube.reference_pixel}
-    alone = restored(components().select(after="2006-03-01"), beam=beams[1], **grid)
-    assert_array_equal(cube.data[1], alone.data[0])
-
-
 def test_noise_and_seeds():
     options = {"noise": 3 * MJY_BEAM, "rng": 1}
     clean, noisy = restored(components()), restored(components(), **options)
@@ -136,16 +134,6 @@ def test_noise_and_seeds():
     each = restored(components(), noise=[3, 0] * MJY_BEAM, rng=np.random.default_rng(1))
     assert_array_equal(each.data[0], noisy.data[0])
     assert_array_equal(each.data[1], clean.data[1])
-
-
-def test_units_facts_and_history():
-    facts = {"object": "3C 273", "redshift": 0.158, "frequency": 15.4e9}
-    cube = restored(one(meta=facts), unit=MJY_BEAM)
-    assert cube.data.max() == pytest.approx(2000)
-    assert cube.epoch_meta[0] == {"object": "3C 273", "frequency": 15.4e9}
-    assert cube.meta["redshift"] == 0.158
-    assert "restored 1 components" in cube.meta["history"][0]
-    assert cube.labels == ("2006-01-01",)
 
 
 @pytest.mark.parametrize(
@@ -194,60 +182,36 @@ def noises(n, beam, shape=(60, 80), rms=1.0):
     return np.array([correlated_noise(shape, **options) for _ in range(n)])
 
 
-LONG = Beam(1.5 * u.mas, 0.4 * u.mas, 30 * u.deg)
-
-
-@pytest.mark.parametrize("beam", [ROUND, LONG, Beam(PIXEL / 2, PIXEL / 2)], ids=str)
-def test_rms_is_the_theoretical_one_everywhere(beam):
-    noise = noises(400, beam, rms=2.0)
-    assert np.sqrt(np.mean(noise**2)) == pytest.approx(2.0, rel=0.02)
+@settings(max_examples=8)
+@given(
+    shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    major=st.floats(0.05, 1.5), ratio=st.floats(0.2, 1), pa=st.floats(-180, 180),
+)  # fmt: skip
+def test_rms_is_the_theoretical_one_everywhere(shape, major, ratio, pa):
+    beam = Beam(major * u.mas, major * ratio * u.mas, pa * u.deg)
+    noise = noises(200, beam, shape, rms=2.0)
+    assert noise.shape == (200, *shape)
     # Edges included: nothing of the Fourier grid is seen.
-    for part in (noise[:, :3], noise[:, :, -3:]):
-        assert np.sqrt(np.mean(part**2)) == pytest.approx(2.0, rel=0.1)
+    for part in (noise, noise[:, :3], noise[:, :, -3:]):
+        assert np.sqrt(np.mean(part**2)) == pytest.approx(2.0, rel=0.3)
 
 
 def test_correlation_is_that_of_white_noise_seen_with_the_beam():
-    noise = noises(300, ROUND)
+    noise = noises(150, ROUND)
     for lag in (3, 6, 10):
         expected = np.exp(-4 * np.log(2) * lag**2 / (2 * 10**2))
         along_x = np.mean(noise[:, :, :-lag] * noise[:, :, lag:])
         along_y = np.mean(noise[:, :-lag] * noise[:, lag:])
-        assert [along_x, along_y] == pytest.approx([expected] * 2, abs=0.03)
+        assert [along_x, along_y] == pytest.approx([expected] * 2, abs=0.05)
     # Towards north-east: up and to the left.
-    noise = noises(200, Beam(1.5 * u.mas, 0.4 * u.mas, 45 * u.deg))
+    noise = noises(100, Beam(1.5 * u.mas, 0.4 * u.mas, 45 * u.deg))
     up_left = np.mean(noise[:, :-5, 5:] * noise[:, 5:, :-5])
     up_right = np.mean(noise[:, :-5, :-5] * noise[:, 5:, 5:])
     # Exponents d^2 / (2 * 2 sigma^2) of d^2 = 50 px^2.
     expected = np.exp(-50 / 4 * 8 * np.log(2) / np.array([15, 4]) ** 2)
-    assert [up_left, up_right] == pytest.approx(expected, abs=0.05)
+    assert [up_left, up_right] == pytest.approx(expected, abs=0.07)
     noise = noises(600, ROUND, shape=(20, 20))
     assert abs(np.mean(noise[:, 0] * noise[:, -1])) < 0.06
-
-
-def test_units_and_no_noise():
-    options = {"rms": 2 * u.mJy, "beam": ROUND, "rng": 3}
-    one = correlated_noise((8, 9), pixel_scale=PIXEL, **options)
-    arcsec = correlated_noise((8, 9), pixel_scale=1e-4 * u.arcsec, **options)
-    assert u.allclose(one, arcsec)
-    assert not correlated_noise((8, 9), rms=0, beam=ROUND, pixel_scale=PIXEL).any()
-
-
-@pytest.mark.parametrize("size", [0, -1, np.nan])
-def test_noise_on_pixels_without_a_size(size):
-    with pytest.raises(ValueError, match="must be finite and above 0"):
-        correlated_noise((8, 9), rms=1, beam=BEAM, pixel_scale=size * u.mas)
-
-
-@settings(max_examples=30)
-@given(
-    shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
-    major=st.floats(0.05, 3), ratio=st.floats(0.05, 1), pa=st.floats(-180, 180),
-)  # fmt: skip
-def test_noise_is_always_of_the_right_shape_and_finite(shape, major, ratio, pa):
-    beam = Beam(major * u.mas, major * ratio * u.mas, pa * u.deg)
-    noise = correlated_noise(shape, rms=1, beam=beam, pixel_scale=PIXEL, rng=1)
-    assert noise.shape == shape
-    assert np.all(np.isfinite(noise))
 
 
 # One FITS image an epoch ------------------------------------------------------
@@ -256,11 +220,17 @@ def test_noise_is_always_of_the_right_shape_and_finite(shape, major, ratio, pa):
 def test_written_epochs(tmp_path):
     facts = {"object": "3C 273", "frequency": 15.4e9}
     cube = restored(components(meta=facts), noise=1 * MJY_BEAM, rng=1)
+    data = cube.data.copy()
+    data[0, 3, 4] = np.nan
+    cube = cube.with_step("blanked", data=data, mask=np.isnan(data))
     folder = tmp_path / "new" / "folder"
     paths = write_epochs(cube, folder)
     names = ["3C_273_00_2006-01-01.fits", "3C_273_01_2006-07-01.fits"]
     assert [p.name for p in paths] == names
+    with pytest.raises(OSError, match="exists; choose"):
+        write_epochs(cube, folder)
     assert sorted(folder.iterdir()) == sorted(paths)
+    assert np.argwhere(np.isnan(fits.getdata(paths[0]))).tolist() == [[3, 4]]
     with fits.open(paths[1]) as hdus:
         header, image = hdus[0].header, hdus[0].data
         assert_allclose(image, cube.data[1], atol=1e-6)
@@ -270,19 +240,3 @@ def test_written_epochs(tmp_path):
     assert header["DATE-OBS"].startswith("2006-07-01")
     assert header["BMAJ"] * u.deg.to(u.mas) == pytest.approx(1.0)
     assert "restored" in str(header["HISTORY"])
-
-
-def test_written_masks_are_nan_and_existing_files_stay(tmp_path):
-    cube = restored(one(), unit=MJY_BEAM)
-    data = cube.data.copy()
-    data[0, 3, 4] = np.nan
-    cube = cube.with_step("blanked", data=data, mask=np.isnan(data))
-    (path,) = write_epochs(cube, tmp_path, prefix="a b/c")
-    assert path.name == "a_b_c_00_2006-01-01.fits"
-    assert np.argwhere(np.isnan(fits.getdata(path))).tolist() == [[3, 4]]
-    assert u.Unit(fits.getheader(path)["BUNIT"]) == MJY_BEAM
-    with pytest.raises(OSError, match="exists; choose"):
-        write_epochs(cube, tmp_path, prefix="a b/c")
-    assert write_epochs(cube, tmp_path, prefix="a b/c", overwrite=True) == [path]
-    assert list(tmp_path.iterdir()) == [path]
-    assert write_epochs(cube, tmp_path)[0].name.startswith("epoch_00")

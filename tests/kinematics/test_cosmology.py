@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy import constants
-from astropy.cosmology import FlatLambdaCDM, LambdaCDM, Planck18, default_cosmology
+from astropy.cosmology import LambdaCDM, Planck18, default_cosmology
 from astropy.cosmology import units as cu
 from astropy.table import Column, MaskedColumn, QTable
 from astropy.tests.helper import assert_quantity_allclose
@@ -19,17 +19,13 @@ from astro_scc.kinematics import (
     doppler_factor,
     intrinsic_table,
     lorentz_factor,
+    maximum_viewing_angle,
+    minimum_lorentz_factor,
     paper_cosmology,
     two_sided_jet,
     viewing_angle,
 )
-from astro_scc.kinematics.cosmology import (
-    cosmology_text,
-    maximum_viewing_angle,
-    minimum_lorentz_factor,
-    table_in_c,
-    to_cosmology,
-)
+from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
 
 MU, DAY, MPC = 1 * u.mas / u.yr, u.mas / u.day, u.Mpc
 MASKED = MaskedColumn([0.1], mask=[True])
@@ -40,6 +36,23 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         beta = apparent_speed(MU, redshift=redshift, cosmology=paper_cosmology())
         assert beta.unit == u.dimensionless_unscaled
         assert beta.value == pytest.approx(speed, rel=5e-4)
+    # As people give them, whatever the default of astropy is.
+    for own in ("0.158", "15.8 %", 0.158 * cu.redshift, Column([0.158])[0]):
+        with default_cosmology.set(Planck18):
+            beta = apparent_speed(MU, redshift=own)
+        assert beta.value == pytest.approx(10.20, rel=5e-4)
+    for cosmology in (Planck18, "Planck18", "H0=67.66, Om0=0.30966"):
+        beta = apparent_speed(MU, redshift=0.158, cosmology=cosmology)
+        assert beta.value == pytest.approx(10.65, abs=0.01)
+    assert to_cosmology("H0=70,Om0=0.3,Ode0=0.6") == LambdaCDM(70, 0.3, 0.6)
+    distances = (16.7 * MPC, "16.7 Mpc"), (MU, "1 mas/yr")
+    one, text = (apparent_speed(m, distance=d) for d, m in zip(*distances, strict=True))
+    assert one == text
+    motion = Masked([1, 2] * MU, mask=[True, False])
+    column = MaskedColumn([1.0, 2.0], mask=[True, False], unit="mas/yr")
+    for speed in (apparent_speed(m, redshift=0.158) for m in (motion, column)):
+        assert speed.mask.tolist() == [True, False]
+        assert speed.unmasked[1].value == pytest.approx(20.40, rel=5e-4)
     cosmology = LambdaCDM(H0=65, Om0=0.3, Ode0=0.5)
     beta = apparent_speed(3 * MU, redshift=1.3, cosmology=cosmology)
     metres = cosmology.angular_diameter_distance(1.3).to_value(u.m)
@@ -53,27 +66,21 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
     [
         ({}, "either a redshift, of which the cosmology may be given, or a distance"),
         ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
-        ({"cosmology": "Planck18"}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
         ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
-        ({"redshift": 229}, "redshift = 229 must be below 30"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
-        ({"redshift": "0.1 0.2"}, "must be a redshift, a number such as 0.158"),
         ({"redshift": MASKED}, "must be a redshift"),
         ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         ({"redshift": 47367 * u.km / u.s},
          "redshift = 47367.0 km / s is a velocity, which may be defined in three "
          "ways; give the redshift, 0.158 if it is c z"),
         ({"redshift": 600 * MPC}, "redshift = 600.0 Mpc is a length; give it as the"),
-        ({"redshift": 0.1, "cosmology": "Planck"}, "cosmology = 'Planck' is no"),
         ({"redshift": 0.1, "cosmology": 0.27}, "cosmology = 0.27 is no cosmology;"),
         ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
         *(({"redshift": 0.1, "cosmology": text}, "is no cosmology; give H0=71,.*Pla")
-          for text in ("", "H0=71", "H0=71,Om0", "H0=71,Om0=0.3,w=1", "H0=0,Om0=0.3",
-                       "H0=1e999,Om0=0.3")),
+          for text in ("Planck", "H0=71", "H0=71,Om0", "H0=0,Om0=1", "H0=1e999,Om0=1")),
         ({"distance": 0 * MPC}, "distance = 0.0 Mpc must be finite and above 0"),
-        ({"distance": np.nan * MPC}, "distance = nan Mpc must be finite and above"),
         ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, as"),
         ({"distance": 1 * u.s}, "distance = 1.0 s must be a length"),
         ({"distance": 1 * MPC, "cosmology": "Planck18"}, "needs no cosmology"),
@@ -86,45 +93,7 @@ def test_what_is_missing_or_too_much(options, message):
         apparent_speed(**{"proper_motion": MU, **options})
 
 
-@pytest.mark.parametrize(
-    "redshift",
-    ["0.158", "15.8 %", 15.8 * u.percent, 0.158 * cu.redshift, 0.158 * u.one,
-     np.float32(0.158), Column([0.158])[0]],
-)  # fmt: skip
-def test_redshifts_as_people_give_them(redshift):
-    assert apparent_speed(MU, redshift=redshift).value == pytest.approx(10.20, rel=5e-4)
-
-
-def test_distances_as_text_and_what_is_masked():
-    expected = apparent_speed(MU, distance=16.7 * MPC)
-    assert apparent_speed("1 mas/yr", distance="16.7 Mpc") == expected
-    table = QTable({"pm": [1] * MU, "pm_err": [1] * MU})
-    # astropy reads 16 x 7 Mpc.
-    with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
-        table_in_c(table, distance="16 7 Mpc")
-    for motion in (
-        MaskedColumn([1.0, 2.0], mask=[True, False], unit="mas/yr"),
-        Masked([1, 2] * MU, mask=[True, False]),
-    ):
-        speed = apparent_speed(motion, redshift=0.158)
-        assert speed.mask.tolist() == [True, False]
-        assert speed.unmasked[1].value == pytest.approx(20.40, rel=5e-4)
-
-
-def test_one_cosmology_without_another():
-    """Whatever the default of astropy is."""
-    expected = apparent_speed(MU, redshift=0.158, cosmology="H0=71,Om0=0.27")
-    with default_cosmology.set(Planck18):
-        assert apparent_speed(MU, redshift=0.158) == expected
-    for cosmology in (Planck18, "Planck18", "H0=67.66, Om0=0.30966"):
-        speed = apparent_speed(MU, redshift=0.158, cosmology=cosmology)
-        assert speed.value == pytest.approx(10.65, abs=0.01)
-    flat = FlatLambdaCDM(H0=70, Om0=0.3)
-    assert to_cosmology(" H0 = 70 , Om0 = .3 ") == flat
-    assert to_cosmology("H0=70,Om0=0.3,Ode0=0.6") == LambdaCDM(70, 0.3, 0.6)
-
-
-@pytest.mark.parametrize("cosmology", [None, Planck18, "H0=65,Om0=0.3,Ode0=0.5"])
+@pytest.mark.parametrize("cosmology", [Planck18, "H0=65,Om0=0.3,Ode0=0.5"])
 def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     table = QTable({"pm": [1, 2] * MU, "pm_err": [0.1, np.inf] * MU}, meta={"seed": 1})
     found = table_in_c(table, redshift="15.8 %", cosmology=cosmology)
@@ -142,6 +111,16 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     again = table_in_c(table, redshift=read.meta["redshift"], cosmology=own)
     assert np.all(again["beta_app"] == expected)
     assert cosmology_text(own) == cosmology_text(cosmology)
+    near = table_in_c(table, distance=400 * u.pc)
+    # 4.74 km/s for an arcsecond a year at a parsec.
+    kms = u.km / u.s
+    assert_quantity_allclose(near["v_app"], [1.8962, 3.7924] * kms, rtol=1e-4)
+    assert_quantity_allclose(near["v_app_err"][0], 0.18962 * kms, rtol=1e-4)
+    far = table_in_c(table, distance=2 * u.Mpc)
+    assert "v_app" not in far.colnames + found.colnames
+    # astropy reads 16 x 7 Mpc.
+    with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
+        table_in_c(table, distance="16 7 Mpc")
 
 
 # -- flows behind apparent speeds -------------------------------------------------
@@ -159,7 +138,7 @@ def test_numbers_at_15_degrees_and_speeds_that_are_none():
     assert np.isnan(lorentz_factor([1.0, -1.0, 2.0])).all()
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(beta=st.floats(0.01, 0.9999), angle=st.floats(0.1, 179))
 def test_everything_comes_back(beta, angle):
     cos, angle = np.cos(np.radians(angle)), angle * u.deg
@@ -233,7 +212,7 @@ def test_errors_of_a_two_sided_jet_are_those_of_small_changes():
     np.testing.assert_allclose(found[:, 1], np.hypot(*changes), rtol=0.03)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(beta=st.floats(0.1, 0.999), theta=st.floats(1, 89))
 def test_two_sided_jet_there_and_back(beta, theta):
     t, d = np.radians(theta), 10 * u.kpc
@@ -242,7 +221,7 @@ def test_two_sided_jet_there_and_back(beta, theta):
     motions = rate / (1 - cos), rate / (1 + cos)
     found = two_sided_jet(*motions, d, n_trials=2)
     assert found["beta"][0] == pytest.approx(beta, rel=1e-9)
-    assert found["angle"][0].value == pytest.approx(theta, rel=1e-9)
+    assert found["angle"][0].to_value(u.deg) == pytest.approx(theta, rel=1e-9)
     assert found["beta_cos"][0] == pytest.approx(cos, rel=1e-9)
     assert found["beta_max_distance"] > d
     at = two_sided_jet(*motions, found["beta_max_distance"], n_trials=2)
@@ -250,8 +229,7 @@ def test_two_sided_jet_there_and_back(beta, theta):
 
 
 JET = {"approaching": 17.6 * DAY, "receding": 9.0 * DAY}
-WRONG = [([-1.0], [0.1]), ([np.nan], [0.1]), ([1.0, 2.0], [0.1, -0.1]),
-         ([1.0, 2.0], [0.1, np.nan]), ([1.0, np.inf], [0.1, 0.1])]  # fmt: skip
+WRONG = [([-1.0], [0.1]), ([1.0, 2.0], [0.1, np.nan]), ([np.inf], [0.1])]
 
 
 @pytest.mark.parametrize(
@@ -271,13 +249,3 @@ WRONG = [([-1.0], [0.1]), ([np.nan], [0.1]), ([1.0, 2.0], [0.1, -0.1]),
 def test_flows_and_jets_that_are_refused(call, words):
     with pytest.raises(ValueError, match=words):
         call()
-
-
-def test_speeds_of_near_sources_are_in_km_per_s_too():
-    table = QTable({"pm": [10.0] * u.mas / u.yr, "pm_err": [1.0] * u.mas / u.yr})
-    near = table_in_c(table, distance=400 * u.pc)
-    # 4.74 km/s for an arcsecond a year at a parsec.
-    assert_quantity_allclose(near["v_app"], [18.962] * u.km / u.s, rtol=1e-4)
-    assert_quantity_allclose(near["v_app_err"], [1.8962] * u.km / u.s, rtol=1e-4)
-    assert "v_app" not in table_in_c(table, distance=2 * u.Mpc).colnames
-    assert "v_app" not in table_in_c(table, redshift=0.1).colnames

@@ -32,7 +32,12 @@ def test_outlines_hold_the_pixels(matched, tmp_path):
     ssps, cube = matched.ssps, matched.cube
     path = tmp_path / "ssps.reg"
     here = indices(ssps, 2, 1)
-    assert write_ssp_regions(ssps, cube, 2, path, scales=[1]) == len(here)
+    assert write_ssp_regions(SSPs.empty(), cube, 2, path) == 0
+    assert len(Regions.read(path, format="ds9")) == 0
+    with pytest.raises(OSError, match=r"ssps\.reg: exists"):
+        write_ssp_regions(ssps, cube, 2, path)
+    how = {"scales": [1], "overwrite": True}
+    assert write_ssp_regions(ssps, cube, 2, path, **how) == len(here)
     read = Regions.read(path, format="ds9")
     assert len(read) == len(here) > 3
     for index, region in zip(here, read, strict=True):
@@ -95,23 +100,14 @@ def test_what_is_refused(call, error, words):
         call(SSPs.empty(), cube)
 
 
-def test_files_are_not_replaced_unasked(matched, tmp_path):
-    path = tmp_path / "ssps.reg"
-    assert write_ssp_regions(SSPs.empty(), matched.cube, 0, path) == 0
-    assert len(Regions.read(path, format="ds9")) == 0
-    with pytest.raises(OSError, match=r"ssps\.reg: exists"):
-        write_ssp_regions(matched.ssps, matched.cube, 0, path)
-
-
 def test_a_file_for_every_epoch(matched, tmp_path):
     ssps, cube = matched.ssps, matched.cube
     labels = ["jet.fits", "../../up.fits", "-", "a" * 99, *cube.labels[4:]]
-    paths = write_epoch_regions(ssps, replace(cube, labels=labels), tmp_path)
+    how = {"scales": [3], "shape": "circle"}
+    paths = write_epoch_regions(ssps, replace(cube, labels=labels), tmp_path, **how)
     names = [path.name for path in paths[:4]]
     assert names == ["00_jet.reg", "01_up.reg", "02_-.reg", f"03_{'a' * 60}.reg"]
     assert sorted((tmp_path / "ssp_regions").iterdir()) == paths
     for i, path in enumerate(paths):
-        index = np.flatnonzero(ssps.epoch == i)
         read = Regions.read(path)
-        assert [int(region.meta["text"]) for region in read] == index.tolist()
-    assert write_epoch_regions(ssps, cube, tmp_path, scales=[], shape="circle")
+        assert [int(region.meta["text"]) for region in read] == [*indices(ssps, i, 3)]
