@@ -286,7 +286,7 @@ class EpochCube(ImageSeries):
         `matplotlib.figure.Figure`
         """
         # It imports this module.
-        figures = import_module("astro_scc.visualization.epochs")
+        figures = import_module("astro_scc.visualization.images")
         if epoch is None:
             return figures.plot_epochs(self, ssps, **kwargs)
         return figures.plot_epoch(self, epoch, ssps, **kwargs)

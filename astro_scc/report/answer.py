@@ -73,11 +73,10 @@ def headline(components):
         why = f"p_global {row['p_global']:.2g}, but {row['caution']}"
         speed = f"{_speed(row)} with " if row["n_features"] else ""
         return f"Motion not confirmed: {speed}{why}."
-    searched, unit = "", rows["pm"].unit
-    if "fastest_searched" in components.meta:
-        ends = (components.meta[f"{k}_searched"] for k in ("slowest", "fastest"))
-        low, high = (f"{end.to_value(unit):.2g}" for end in ends)
-        searched = f" between {low} and {high} {unit_name(unit)}"
+    unit = rows["pm"].unit
+    ends = (components.meta[f"{k}_searched"] for k in ("slowest", "fastest"))
+    low, high = (f"{end.to_value(unit):.2g}" for end in ends)
+    searched = f" between {low} and {high} {unit_name(unit)}"
     if len(some := rows[kinds == "not significant"]):
         return (
             f"No significant motion: the strongest peak{searched} has p_global "
@@ -100,14 +99,12 @@ def _speed(row):
 
 def _motion(row):
     """Return the motion of a stream in words."""
-    n, angle = row["n_features"], row["pm_pa"].value
-    mean = _speed(row)
+    n, angle, mean = row["n_features"], row["pm_pa"].value, _speed(row)
+    towards = " outward" if row["pm_parallel"] > 0 else " inward"
     if np.isfinite(angle):
         towards = f" towards PA {angle:.0f} deg"
         if "towards the core" in row["caution"]:
             towards += ", which is towards the core"
-    else:
-        towards = " outward" if row["pm_parallel"] > 0 else " inward"
     spread, slow, fast = (row[k].value for k in ("dispersion", "pm_min", "pm_max"))
     # The features differ by more than their errors.
     if n > 1 and spread > 2 * row["dispersion_err"].value:
@@ -134,8 +131,8 @@ def notes(components, features):
     """
     lines, rows, said = [], printed(components), headline(components)
     for row in rows:
-        own = features[features["component"] == row["component"]]
         limit, number = row["pm_limit"], row["component"]
+        own = features[features["component"] == number]
         if row["caution"] != "-" and row["caution"] not in said:
             lines.append(f"Stream {number} ({row['kind']}): {row['caution']}")
         if len(own) and own["pm"].max() <= limit:
@@ -165,17 +162,17 @@ def scale_lines(of_scales):
     list of str
         Without pairs of groups of which one has fewer than two features.
     """
-    lines = []
-    for row in of_scales[np.isfinite(of_scales["p_value"])]:
-        speeds = [
-            f"{cell(row, f'{k}_speed', '+-')} ({row[f'{k}_n_features']} features)"
-            for k in ("first", "second")
-        ]
-        lines.append(
-            f"Speeds of the {row['first']} and {row['second']} scales: {speeds[0]} and "
-            f"{speeds[1]} {unit_name(row['first_speed'].unit)}, p {row['p_value']:.2g}"
-        )
-    return lines
+
+    def speed(row, k):
+        return f"{cell(row, f'{k}_speed', '+-')} ({row[f'{k}_n_features']} features)"
+
+    unit = unit_name(of_scales["first_speed"].unit)
+    return [
+        f"Speeds of the {row['first']} and {row['second']} scales: "
+        f"{speed(row, 'first')} and {speed(row, 'second')} {unit}, "
+        f"p {row['p_value']:.2g}"
+        for row in of_scales[np.isfinite(of_scales["p_value"])]
+    ]
 
 
 # -- on the terminal -----------------------------------------------------------------
@@ -183,9 +180,8 @@ def scale_lines(of_scales):
 
 def column_lines(table, names):
     """Return those of the columns that there are, with headings, as aligned lines."""
-    heads, _, texts = zip(
-        *headed(table, names, terminal=True, forms=FORMATS).values(), strict=True
-    )
+    columns = headed(table, names, terminal=True, forms=FORMATS).values()
+    heads, _, texts = zip(*columns, strict=True)
     rows = zip(*texts, strict=True)
     return table_lines([dict(zip(heads, row, strict=True)) for row in rows])
 
@@ -207,10 +203,10 @@ def component_lines(components, features):
     """
     followed = feature_lines(table_in_c_as(printed(features), components))
     lines, rows = [headline(components)], printed(components)
-    if len(components) == 0:
-        lines.append(NOTHING)
-    elif len(rows):
+    if len(rows):
         lines += ["", *column_lines(rows, COMPONENTS), *EXPLANATION]
+    elif len(components) == 0:
+        lines.append(NOTHING)
     lines += notes(components, features)
     return [*lines, *followed, *meta_lines(components.meta)]
 
@@ -266,16 +262,16 @@ def published_lines(features):
     pm, unit = own["published_pm"].unmasked, unit_name(own["pm"].unit)
     error = np.hypot(own["pm_err"], own["published_pm_err"].unmasked)
     differs = np.abs(own["pm"] - pm) > AGREE * error
-    text = (
-        f"{len(own)} of {secure.sum()} secure features are published ones, of which "
-        f"{np.sum(~differs)} have the published speed within {AGREE} errors"
-    )
-    others = [
+    others = ", ".join(
         f"{row['feature']} ({cell(row, 'pm', '+-')}, published "
         f"{cell(row, 'published_pm', '+-')} {unit})"
         for row in own[differs]
+    )
+    return [
+        f"{len(own)} of {secure.sum()} secure features are published ones, of which "
+        f"{np.sum(~differs)} have the published speed within {AGREE} errors"
+        f"{'; not ' if others else ''}{others}."
     ]
-    return [f"{text}; not {', '.join(others)}." if others else f"{text}."]
 
 
 def _followed(features):
@@ -285,10 +281,8 @@ def _followed(features):
     # Of less than some days, the times.
     days = (shown["last"] - shown["first"]).to_value("day")
     letters = 10 if days.max() > SOME_DAYS else 16
-    shown["dates"] = [
-        f"{first[:letters]} to {last[:letters]}"
-        for first, last in zip(shown["first"].isot, shown["last"].isot, strict=True)
-    ]
+    ends = zip(shown["first"].isot, shown["last"].isot, strict=True)
+    shown["dates"] = [" to ".join(date[:letters] for date in pair) for pair in ends]
     if not np.any(shown["component"]):
         shown.remove_column("component")
     return shown
@@ -298,23 +292,19 @@ def _lacking(features):
     """Return what makes a feature secure, and what the nearest to it lacks."""
     if len(features) == 0:
         return ["No detections of four epochs or more are in steady motion."]
-    motion = features["motion"].value
+    motion, false = features["motion"].value, features["p_false"]
     errors = (features["pm"] / features["pm_err"]).value
-    true = MOST_FALSE / features["p_false"]
-    shares = true, motion / LEAST_MOTION, errors / SIGNIFICANT
+    shares = MOST_FALSE / false, motion / LEAST_MOTION, errors / SIGNIFICANT
     best = np.argmax(np.minimum.reduce(shares))
-    short = np.argmin(shares, axis=0)[best] == 1 and shares[1][best] > 1 / MOST_SPANS
-    row = features[best]
-    number, false = row["feature"], row["p_false"]
+    share, row = shares[1][best], features[best]
     text = (
-        f"The nearest to that is feature {number}: p_false {false:.2g}, motion "
-        f"{motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
+        f"The nearest to that is feature {row['feature']}: p_false {false[best]:.2g}, "
+        f"motion {motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
     )
-    if short and motion[best] < LEAST_MOTION:
+    if 1 / MOST_SPANS < share < 1 and share == np.min(shares, axis=0)[best]:
         time = row["pm"].unit.bases[1]
-        span = (row["last"] - row["first"]).to_value(time)
-        needed = f"{span * LEAST_MOTION / motion[best]:.2g} {time}"
-        text += f"; at its speed it would have to be seen for {needed}"
+        needed = (row["last"] - row["first"]).to_value(time) / share
+        text += f"; at its speed it would have to be seen for {needed:.2g} {time}"
     return [
         f"A secure feature has a p_false of at most {MOST_FALSE:g} and moves by at "
         f"least {LEAST_MOTION:.1f} beams and {SIGNIFICANT:g} standard errors.",
@@ -335,7 +325,7 @@ def profile_lines(components):
     -------
     list of str
     """
-    rows = printed(components)
+    rows, unit = printed(components), components["r_min"].unit
     ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
     rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
     tested = set(rows["bin"])
@@ -344,10 +334,9 @@ def profile_lines(components):
         return ["No velocity could be tested in any bin."]
     rows["remark"] = np.where(rows["kind"] == "moving", "", rows["kind"])
     lines = column_lines(rows, PROFILE)
-    unit, shown = rows["r_min"].unit, set(rows["bin"])
-    for low, high in (components.meta.get("bins", ()) * u.mas).to_value(unit):
+    for low, high in (components.meta["bins"] * u.mas).to_value(unit):
         name = f"{low:g} to {high:g}"
-        if name not in shown:
+        if name not in rows["bin"]:
             why = "no velocity exceeds its error" if name in tested else "no matches"
             lines.append(f"{name} {unit_name(unit)}: {why}")
     return [*lines, PROFILE_EXPLANATION, *meta_lines(components.meta)]

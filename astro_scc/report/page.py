@@ -33,16 +33,16 @@ from astro_scc.writing import make_folder
 QUOTED = (
     "component kind pm beta_app v_app pm_pa dispersion p_global n_features n_ssp "
     "n_pairs"
-)
+).split()
 OTHERS = (
     "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat coefficient "
     "z_score pm_err_jitter pm_err_alignment p_local p_distinct p_smallest"
-)
+).split()
 #: Columns of features.
 FEATURES = (
     "feature component n_epochs first last separation position_angle pm beta_app v_app "
     "t_ej p_false"
-)
+).split()
 #: Largest number of features that are shown at once.
 MOST = 20
 #: Columns of the page of a survey.
@@ -51,16 +51,18 @@ OVERVIEW = (
     "same profile"
 ).split()
 #: Columns that name the part of a survey.
-PART = ("source", "region", "scale_group")
+PART = ["source", "region", "scale_group"]
 #: Kinds of a source that has components of several, the first of those there are.
 OF_SOURCE = (
-    "moving",
-    "not confirmed",
-    "not significant",
-    "stationary",
-    "empty",
-    "failed",
-)
+    "moving", "not confirmed", "not significant", "stationary", "empty", "failed",
+)  # fmt: skip
+#: Products of a measurement beside report and figures, in the order of the page.
+PRODUCTS = (
+    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
+    "ssps.ecsv scc.fits publication config.toml"
+).split()
+#: Speeds above this fraction of the largest one searched are pointed out.
+EDGE = 0.9
 #: Width and height of a small profile.
 SPARK = (144, 34)
 
@@ -79,19 +81,12 @@ def component_tables(components):
         Heading, meaning and cells of each column.  The first table has the main
         columns, the second the others; both are narrow enough for paper.
     """
-    first, others = QUOTED.split(), OTHERS.split()
     # The notes say these in words.
-    listed = {"caution", "pm_limit", *first, *others}
+    listed = {"caution", "pm_limit", *QUOTED, *OTHERS}
     listed |= {f"{name}_err" for name in listed}
     rest = (name for name in components.colnames if name not in listed)
-    others += [name for name in rest if components[name].ndim == 1]
-    return [
-        [
-            (heading, _in_words(meaning), texts)
-            for heading, meaning, texts in headed(components, names).values()
-        ]
-        for names in (first, ["component", *others])
-    ]
+    others = "component", *OTHERS, *(k for k in rest if components[k].ndim == 1)
+    return [list(headed(components, names).values()) for names in (QUOTED, others)]
 
 
 def _in_words(meaning):
@@ -102,18 +97,18 @@ def _in_words(meaning):
 
 def feature_rows(features, most=MOST):
     """
-    Return headings, rows of secure features, and other rows, and which are secure.
+    Return headings, and rows to show and others, each with whether it is secure.
 
     Of more than ``most`` secure features, the first are those seen in most epochs.
     """
-    columns = headed(features, FEATURES.split(), own="features").values()
+    columns = headed(features, FEATURES, own="features").values()
     heads, _, columns = zip(*columns, strict=True)
-    rows = list(zip(*columns, strict=True))
     secure = np.asarray(features["secure"], bool)
     first = np.argsort(-(secure * features["n_epochs"]), kind="stable")[:most]
     first = set(first[secure[first]])
-    shown = [row for k, row in enumerate(rows) if k in first]
-    others = [(row, secure[k]) for k, row in enumerate(rows) if k not in first]
+    shown, others = [], []
+    for k, row in enumerate(zip(*columns, strict=True)):
+        (shown if k in first else others).append((row, secure[k]))
     return heads, shown, others
 
 
@@ -133,8 +128,8 @@ def setting_text(value):
         case bool() | np.bool_():
             return "yes" if value else "no"
         case u.Quantity():
-            numbers = (f"{v:.6g}" for v in np.atleast_1d(value.value))
-            return f"{', '.join(numbers)} {unit_name(value.unit)}"
+            numbers = setting_text(np.atleast_1d(value.value).tolist())
+            return f"{numbers} {unit_name(value.unit)}"
         case list() | tuple():
             return ", ".join(map(setting_text, value))
         case float():
@@ -168,27 +163,23 @@ def overview(table, features, parts, folder, published):
     for row in table:
         kind = "kind" if row["status"] == "measured" else "status"
         every_kind[row["source"]].add(row[kind])
-    first = {tuple(row[list(PART)]): row for row in table[::-1]}
+    first = {tuple(row[PART]): row for row in table[::-1]}
     of_part = defaultdict(list)
-    for k, names in enumerate(features[list(PART)] if len(features) else ()):
+    for k, names in enumerate(features[PART] if len(features) else ()):
         of_part[tuple(names)].append(k)
     rows = []
     for part in parts:
-        names = part.source, part.region, part.scale_group
+        names = tuple(getattr(part, name) for name in PART)
         own = first[names], features[of_part[names]]
         rows.append(_part_cells(part, *own, unit, published[part.source], folder))
     moving = [cells for cells in rows if cells["kind"] == "moving"]
-    speeds = [cells["speed"] for cells in moving if "speed" in cells]
-    if speeds:
-        middle, *ends = (f"{f(speeds):.2g}" for f in (np.median, np.min, np.max))
-        speeds = f"{' to '.join(ends)} {unit_name(unit)}, median {middle}"
+    if speeds := [cells["speed"] for cells in moving if "speed" in cells]:
+        low, middle, high = (f"{v:.2g}" for v in np.quantile(speeds, [0, 0.5, 1]))
+        speeds = f"{low} to {high} {unit_name(unit)}, median {middle}"
+    shown = [name for name in OVERVIEW if any(cells[name] for cells in rows)]
     return {
         "rows": rows,
-        "columns": {
-            name: heading_of(name, unit_name(unit), "overview")
-            for name in OVERVIEW
-            if any(cells[name] for cells in rows)
-        },
+        "columns": {k: heading_of(k, unit_name(unit), "overview") for k in shown},
         "kinds": {k: min(v, key=OF_SOURCE.index) for k, v in every_kind.items()},
         "speeds": speeds,
         "compared": [abs(k["difference"]) for k in moving if "difference" in k],
@@ -222,10 +213,8 @@ def _part_cells(part, row, features, unit, published, folder):
             cells["difference"] = difference
             more["published"] = f"{difference:+.1f} standard errors"
         if "beta_app" in row.colnames:
-            beta = cell(row, "beta_app")
-            cells["beta_app"] = "" if beta == "-" else beta
-    for name in ("p_global", "p_fdr"):
-        cells[name] = cell(row, name, form=".2g")
+            cells["beta_app"] = cell(row, "beta_app").removeprefix("-")
+    cells |= {name: cell(row, name, form=".2g") for name in ("p_global", "p_fdr")}
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""
     cells["profile"] = _small_profile(features, unit)
@@ -272,15 +261,6 @@ def _small_profile(features, unit):
         "range": f"{far * u.mas.to(lengths):.2g} {unit_name(lengths)}, "
         f"{high if high > -low else low:.2g} {unit_name(unit)}",
     }
-
-
-#: Products of a measurement beside report and figures, in the order of the page.
-PRODUCTS = (
-    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
-    "ssps.ecsv scc.fits publication config.toml"
-).split()
-#: Speeds above this fraction of the largest one searched are pointed out.
-EDGE = 0.9
 
 
 def write_report(
@@ -349,15 +329,14 @@ def write_report(
     >>> path.name
     'report.html'
     """
-    directory = Path(directory)
+    directory, own = Path(directory), result.features
     components = result.components if components is None else components
     make_folder(directory, directory)
-    how = {"every": all_figures, "pdf": pdf, "published": published}
     shown = printed(components)
     # Of all rows that the figures mark they need the places.
     jet = components[np.isin(components["component"], shown["component"])]
+    how = {"every": all_figures, "pdf": pdf, "published": published}
     files = draw_figures(result, jet, **how)
-    own = result.features
     if published is not None:
         own = with_published(own, result.tracked_features, published)
     features = table_in_c_as(printed(own), components)
@@ -369,7 +348,6 @@ def write_report(
         headline=answer.headline(components),
         aligned=bool(np.any(components["pm_err_alignment"] > 0)),
         tables=component_tables(shown),
-        zip=zip,
         features=feature_rows(features),
         accelerations=acceleration_text(features),
         notes=[
@@ -406,6 +384,7 @@ def _template(name):
         lstrip_blocks=True,
     )
     environment.filters |= {
+        "in_words": _in_words,
         "address": lambda png: f"data:image/png;base64,{b64encode(png).decode()}",
         "listed": _listed,
         "plural": lambda word, n: word if n == 1 else f"{word}s",
@@ -475,16 +454,14 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
     options = {"diagram": rows}
     if len(result.features):
         own = {"component": printed(result.features)["component"]}
-        options["speeds"] = {"profile": feature_profile(result), **per_pm, **own}
+        options["speeds"] = own | per_pm | {"profile": feature_profile(result)}
         own["published"] = published
         options |= {"tracks": own, "separation": own | per_pm}
     if every:
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
         options |= {"epochs": {}, "intervals": {}}
-    if every and len(components):
-        options["members"] = rows
-    if every and len(result.sensitivity):
-        options["sensitivity"] = per_pm
+        options |= {"members": rows} if len(components) else {}
+        options |= {"sensitivity": per_pm} if len(result.sensitivity) else {}
     figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}
     return style.figure_files(figures, pdf=pdf)
 

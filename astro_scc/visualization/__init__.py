@@ -8,7 +8,7 @@ Those of a measurement and of images are drawn by `SCCResult.plot
 """
 
 from astro_scc.visualization import tracks, velocity
-from astro_scc.visualization.epochs import plot_epochs, plot_intervals
+from astro_scc.visualization.images import plot_epochs, plot_intervals
 from astro_scc.visualization.speeds import (
     plot_feature_speeds,
     plot_profile,

@@ -14,7 +14,7 @@ from astro_scc.images.positions import sky_columns
 from astro_scc.streams.dispersion import error_of_speed
 from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
-from astro_scc.visualization import drawing, style, velocity
+from astro_scc.visualization import images, style, velocity
 from astro_scc.writing import replace_when_complete
 
 try:
@@ -27,9 +27,9 @@ try:
 except ImportError:
     raise ImportError("explore needs bokeh; pip install bokeh") from None
 
-#: Pixels of the images of all epochs, a byte each, and the largest number of features:
-#: with them a page stays below 5 MB, of which 2 MB are the library.
-PIXELS, FEATURES = 2_200_000, 1000
+#: Pixels of the images of all epochs, a byte each: with them a page of up to some
+#: thousand features stays below 5 MB, of which 2 MB are the library.
+PIXELS = 2_200_000
 #: Number of columns of the diagram, which is resampled to equal intervals.
 COLUMNS = 240
 #: Markers of the streams in turn, so that colour is not all that tells them apart.
@@ -40,6 +40,8 @@ DASHES = {kind: DASH[sign.line] for kind, sign in style.KINDS.items()}
 #: Milliseconds for which each of two epochs is shown; the accessibility guidelines
 #: WCAG 2.3.1 allow at most three flashes a second.
 BLINK = 600
+#: Names of the panels in explore.html.
+PANELS = "choose", "velocity", "sky", "diagram", "time", "table"
 #: Height of a panel in CSS pixels; opacity of what is not selected.
 HEIGHT, FADED = 400, 0.07
 YEAR = u.yr.to(u.ms)
@@ -79,12 +81,11 @@ def write_explore(path, components, features, hdus, *, cube=None, notes=()):
     page = Page(components, features, hdus, cube)
     document = page.document()
     name = hdus[0].header.get("OBJECT", "")
-    template = resources.files("astro_scc.visualization").joinpath("explore.html")
     title = f"{name}: features and velocities" if name else "Features and velocities"
-    variables = {"notes": [*notes, *page.notes], "has_images": cube is not None}
+    template = resources.files("astro_scc.visualization").joinpath("explore.html")
     text = file_html(
         document, INLINE, title, template=template.read_text(encoding="utf-8"),
-        template_variables=variables,
+        template_variables={"notes": [*notes, *page.notes], "cube": cube},
     )  # fmt: skip
     path = Path(path)
     with replace_when_complete(path, overwrite=True) as part:
@@ -104,23 +105,15 @@ class Page:
         self.kinds = components["kind"].tolist()
         self.angle = hdus["DIAGRAM"].header.get("DISPPA")
         self.slopes = velocity.ray_slopes(components, self.kinds, self.angle)
-        seen = QTable.read(hdus["FEATURES"])
-        if len(features) > FEATURES:
-            longest = np.argsort(-features["n_epochs"], kind="stable")[:FEATURES]
-            n = f"{FEATURES} of {len(features)}"
-            self.notes.append(f"the {n} features that were seen in most epochs")
-            features = features[np.sort(longest)]
-            seen = seen[np.isin(seen["feature"], features["feature"])]
-        self.table, self.seen = features, seen
+        self.table, self.seen = features, QTable.read(hdus["FEATURES"])
         #: Row in the table of each point.
-        self.row = np.searchsorted(features["feature"], seen["feature"])
+        self.row = np.searchsorted(features["feature"], self.seen["feature"])
         self.pm_unit = components["pm"].unit
         #: Where longitude and latitude increase, as the columns describe it.
         about = [components[k].info.description for k in sky_columns(components)]
         self.words = [re.sub(r"^.* to (the )?", "", text or "") for text in about]
         #: Offsets in mas, shape (2, n).
-        self.place = drawing.sky_place(seen)
-        self.sky_unit = offset_unit(np.abs(self.place).max(initial=0.0) or 1.0)
+        self.place = images.sky_place(self.seen)
         self.length = offset_unit(np.hypot(*self.place).max(initial=0.0) or 1.0)
         own = np.asarray(features["component"])
         #: Rows of the features of each component.
@@ -129,8 +122,8 @@ class Page:
         self.features = models.ColumnDataSource(self._feature_columns(points))
         self.points = models.ColumnDataSource(points)
         if cube is not None:
-            self.dates = drawing.epoch_names(cube.times)
-            self.points.data["date"] = [self.dates[k] for k in seen["epoch"]]
+            self.dates = images.epoch_names(cube.times)
+            self.points.data["date"] = [self.dates[k] for k in self.seen["epoch"]]
             #: Selects what belongs to the epoch that is shown.
             self.here = models.GroupFilter(column_name="date", group=self.dates[0])
 
@@ -146,34 +139,30 @@ class Page:
         }
 
     def _feature_columns(self, points):
-        table, seen = self.table, self.seen
-        motion = np.stack(
-            [table[name].to_value(PM_UNIT) for name in sky_columns(table)]
-        )
+        table = self.table
+        motion = np.stack([table[k].to_value(PM_UNIT) for k in sky_columns(table)])
         # One row of each feature has its velocity on the axes of the map.
-        first = np.searchsorted(self.row, np.arange(len(table)))
-        on_map = {f"pm_axis{k}": seen[f"pm_axis{k}"][first] for k in (1, 2)}
+        own = self.seen[np.searchsorted(self.row, np.arange(len(table)))]
         if self.angle is None:
-            along = on_map["pm_axis1"].to_value(PM_UNIT)
+            along = own["pm_axis1"].to_value(PM_UNIT)
         else:
-            along = np.sin(np.radians(self.angle)), np.cos(np.radians(self.angle))
-            along = np.array(along) @ motion
+            angle = np.radians(self.angle)
+            along = np.array([np.sin(angle), np.cos(angle)]) @ motion
         to_length = u.mas.to(self.length)
         columns = {name: [] for name in ("xs", "ys", "ts", "ds", "lt", "ld", "ry")}
         for k, ray in enumerate(along):
-            own = self.row == k
-            x, y, t, d = (points[name][own] for name in "xytd")
+            at = self.row == k
+            x, y, t, d = (points[name][at] for name in "xytd")
             years = (t - t[0]) / YEAR
             moved = motion[:, k, None] * years
             # Outliers are not of the line.
-            start = np.median(self.place[:, own] - moved, axis=1)
+            start = np.median(self.place[:, at] - moved, axis=1)
             line = np.hypot(*(start[:, None] + moved)) * to_length
             parts = x, y, t, d, t, line, ray * years[[0, -1]] * to_length
             for name, values in zip(columns, parts, strict=True):
                 columns[name].append(np.round(values, 5).tolist())
-        for name in ("pm", "pm_err"):
-            columns[name] = table[name].to_value(self.pm_unit)
-        columns |= {name: on_map[name].to_value(self.pm_unit) for name in on_map}
+        speeds = {"pm": table, "pm_err": table, "pm_axis1": own, "pm_axis2": own}
+        columns |= {k: of[k].to_value(self.pm_unit) for k, of in speeds.items()}
         # As the features of a stream have it.
         formal = columns["pm_err"] / DEFAULT.error_inflation
         columns["error"] = error_of_speed(columns["pm"], formal)
@@ -188,10 +177,9 @@ class Page:
         return columns | self._look(table["component"])
 
     def _point_columns(self):
-        x, y = (self.place * u.mas).to_value(self.sky_unit)
+        x, y = (self.place * u.mas).to_value(self.length)
         time = np.array(self.seen["date"], "datetime64[ms]").astype(float)
-        separation = np.hypot(*self.place) * u.mas.to(self.length)
-        columns = {"row": self.row, "x": x, "y": y, "t": time, "d": separation}
+        columns = {"row": self.row, "x": x, "y": y, "t": time, "d": np.hypot(x, y)}
         return columns | self._look(self.table["component"][self.row])
 
     # -- parts of panels -----------------------------------------------------------
@@ -230,14 +218,13 @@ class Page:
     def _tools(self, plot, hovered, boxed=None):
         """Let a box select, and say what is under the pointer."""
         speed = f"@pm{{0.000}} ± @pm_err{{0.000}} {unit_name(self.pm_unit)}"
-        tips = {
-            "feature": "@feature of stream @component",
-            "seen": "@n_epochs times, @first to @last",
-            "speed": speed,
-            "secure": "@secure, p_false @p_false{0.00}",
-        }
-        hover = models.HoverTool(renderers=[hovered], tooltips=list(tips.items()))
-        plot.add_tools(hover)
+        tips = [
+            ("feature", "@feature of stream @component"),
+            ("seen", "@n_epochs times, @first to @last"),
+            ("speed", speed),
+            ("secure", "@secure, p_false @p_false{0.00}"),
+        ]
+        plot.add_tools(models.HoverTool(renderers=[hovered], tooltips=tips))
         if boxed is not None:
             box = models.BoxSelectTool(renderers=[boxed])
             plot.add_tools(box)
@@ -258,20 +245,13 @@ class Page:
         points.selected.js_on_change("indices", self._call("toFeatures", **both))
         features.selected.js_on_change("indices", self._call("toPoints", **both))
         text, unit = models.Div(), unit_name(self.pm_unit)
-        prior = DEFAULT.lone_dispersion
-        of = {"features": features, "text": text, "unit": unit, "prior": prior}
-        summary = self._call("summary", **of)
+        of = {"features": features, "text": text, "unit": unit}
+        summary = self._call("summary", **of, prior=DEFAULT.lone_dispersion)
         features.selected.js_on_change("indices", summary)
         document.js_on_event("document_ready", summary)
-        panels = {
-            "choose": self._choose(text),
-            "velocity": self._velocity(),
-            "sky": self._sky(),
-            "diagram": self._diagram(),
-            "time": self._time(),
-            "table": self._features_table(),
-        }
-        for name, panel in panels.items():
+        panels = [self._choose(text), self._velocity(), self._sky(), self._diagram()]
+        panels += [self._time(), self._features_table()]
+        for name, panel in zip(PANELS, panels, strict=True):
             panel.name = name
             document.add_root(panel)
         return document
@@ -283,9 +263,8 @@ class Page:
             label = f"{row['component']}: {velocity.speed_text(row, kind)}"
             buttons[models.Button(label=label, disabled=not own)] = own
         for button, own in buttons.items():
-            args = {"selected": self.features.selected, "rows": own}
-            code = "selected.indices = rows"
-            button.js_on_event("button_click", models.CustomJS(args=args, code=code))
+            how = {"features": self.features, "rows": own}
+            button.js_on_event("button_click", self._call("choose", **how))
         row = models.Row(*buttons, stylesheets=[":host {flex-wrap: wrap}"], **WIDE)
         return models.Column(row, text, **WIDE)
 
@@ -293,9 +272,8 @@ class Page:
         header = self.hdus[0].header
         axes = [header[f"CNAME{k}"] for k in (1, 2)]
         labels = velocity.velocity_labels(axes, self.words, self.pm_unit)
-        names, on_sky = ("pm_parallel", "pm_transverse"), axes[0] in ("east", "lon")
-        if on_sky:
-            names = sky_columns(self.components)
+        on_sky = axes[0] in velocity.SKY
+        names = velocity.axis_columns(self.components, on_sky=on_sky)
         plot = self._figure(*labels, on_sky=on_sky, match_aspect=True)
         data = np.round(np.nan_to_num(self.hdus[0].data), 3).astype(np.float32)
         highest = float(data.max()) if data.max() > 0 else 1.0
@@ -304,17 +282,16 @@ class Page:
         corners = WCS(header).wcs_pix2world(corners, 0) * PM_UNIT
         (x, y), (right, top) = corners.to_value(self.pm_unit)
         plot.image([data], x=x, y=y, dw=right - x, dh=top - y, color_mapper=mapper)
-        bar = models.ColorBar(
-            color_mapper=mapper, height=8, title=velocity.MAP_LABELS["coefficient"],
-            title_text_font_style="normal",
-        )  # fmt: skip
-        plot.add_layout(bar, "above")
+        look = {"height": 8, "title_text_font_style": "normal"}
+        look |= {"title": velocity.MAP_LABELS["coefficient"], "color_mapper": mapper}
+        plot.add_layout(models.ColorBar(**look), "above")
         rest = plot.scatter([0], [0], marker="cross", size=12, line_color="white")
         dots = self._dots(plot, "pm_axis1", "pm_axis2", 8, self.features)
         for glyph in (dots.glyph, dots.selection_glyph):
             glyph.update(line_color="white", line_width=0.8)
-        columns = {"rows": self.rows, "dash": [DASHES[kind] for kind in self.kinds]}
-        columns["number"] = [str(n) for n in self.components["component"]]
+        numbers = [str(n) for n in self.components["component"]]
+        dash = [DASHES[kind] for kind in self.kinds]
+        columns = {"rows": self.rows, "dash": dash, "number": numbers}
         for field, width, name in zip(("v1", "v2"), "wh", names, strict=True):
             columns[field] = self.components[name].to_value(self.pm_unit)
             error = self.components[f"{name}_err"].to_value(self.pm_unit)
@@ -340,7 +317,7 @@ class Page:
 
     def _sky(self):
         """Return the images with the features, and the sliders."""
-        labels = drawing.axis_labels("Offset", self.words, self.sky_unit)
+        labels = images.axis_labels("Offset", self.words, self.length)
         plot = self._figure(*labels, on_sky=True, match_aspect=True)
         plot.x_range.range_padding = plot.y_range.range_padding = 0.02
         image = None if self.cube is None else self._draw_images(plot)
@@ -351,10 +328,9 @@ class Page:
         plot.x_range.renderers = plot.y_range.renderers = [image or dots]
         if image is None:
             return plot
-        ends = {"Epoch": self.dates[0], "Other epoch": self.dates[-1]}
         first, second = (
             models.CategoricalSlider(title=k, categories=self.dates, value=date, **WIDE)
-            for k, date in ends.items()
+            for k, date in (("Epoch", self.dates[0]), ("Other epoch", self.dates[-1]))
         )
         first.js_link("value", self.here, "group")
         toggle = models.Toggle(label="blink", width=80, align="center")
@@ -364,23 +340,19 @@ class Page:
         return models.Column(plot, sliders, **WIDE)
 
     def _draw_images(self, plot):
-        near = None
-        if len(self.seen):
-            ends = np.stack([self.place.min(axis=1), self.place.max(axis=1)], axis=1)
-            near = {"place": ends, "weight": np.ones(2)}
-        limits = drawing.image_limits(self.cube, near)
-        planes, sides, n_bins = drawing.image_planes(self.cube, limits, PIXELS)
+        near = {"place": self.place, "weight": np.ones(len(self.seen))}
+        limits = images.image_limits(self.cube, near, 0.0)
+        planes, sides, n_bins = images.image_planes(self.cube, limits, PIXELS)
         if n_bins > 1:
             self.notes.append(f"the images are binned by {n_bins} x {n_bins} pixels")
-        sides = (sides * u.mas).to_value(self.sky_unit)
+        sides = (sides * u.mas).to_value(self.length)
         (x, y), (width, height) = sides[:, 0], np.diff(sides)[:, 0]
-        greys = (drawing.MASKED, *Greys256[:0:-1])
+        greys = (images.MASKED, *Greys256[:0:-1])
         mapper = models.LinearColorMapper(greys, low=0, high=255)
-        images = {"image": list(planes), "date": self.dates}
+        source = models.ColumnDataSource({"image": list(planes), "date": self.dates})
         return plot.image(
             "image", x=x, y=y, dw=width, dh=height, color_mapper=mapper,
-            source=models.ColumnDataSource(images),
-            view=models.CDSView(filter=self.here),
+            source=source, view=models.CDSView(filter=self.here),
         )  # fmt: skip
 
     def _diagram(self):
@@ -404,16 +376,15 @@ class Page:
         life = [u.ms.to(time, t[-1] - t[0]) for t in self.features.data["ts"]]
         self.features.data["rx"] = [[0, v] for v in life]
         lines = self._lines(plot, "rx", "ry")
-        for number, slope, kind in zip(
-            self.components["component"], self.slopes, self.kinds, strict=True
-        ):
+        middle = {"text_align": "center", "text_baseline": "middle"}
+        numbers = self.components["component"]
+        for number, slope, kind in zip(numbers, self.slopes, self.kinds, strict=True):
             end = min(longest, half / abs(slope)) if slope else longest
             ray = np.array([u.yr.to(time, end), u.mas.to(self.length, slope * end)])
             look = {"line_color": "black", "line_dash": DASHES[kind]}
             plot.line(*np.outer(ray, [0, 1]), line_width=2.5, **look)
             at = 0.88 * ray[:, None]
             plot.scatter(*at, size=19, fill_color="white", line_color="black")
-            middle = {"text_align": "center", "text_baseline": "middle"}
             plot.text(*at, [str(number)], text_font_size="13px", **middle)
         self._tools(plot, lines)
         return plot

@@ -13,7 +13,7 @@ import numpy as np
 from astro_scc.features.trust import MOST_FALSE
 from astro_scc.kinematics.frames import mean_width
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
-from astro_scc.visualization import drawing, style
+from astro_scc.visualization import images, style
 from astro_scc.visualization.tracks import feature_look
 from astro_scc.visualization.velocity import draw_map
 
@@ -39,16 +39,14 @@ def plot_feature_speeds(
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
     component = table["component"] if component is None else component
-    separation = table["separation"].to_value(u.mas)
+    separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
     unit = offset_unit(separation.max(initial=1.0))
     speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
-    speeds = table["pm"].unit
-    if len(error):
-        error = np.minimum(error, LARGE_ERROR * np.median(error))
+    largest = LARGE_ERROR * np.median(error) if len(error) else 0.0
     for k, place in enumerate(separation * u.mas.to(unit)):
         look = feature_look(result.tracked_features, k, component)
         look |= {"ms": 4, "lw": 0.8, "linestyle": "", "marker": "o"}
-        ax.errorbar(place, speed[k], error[k], **look)
+        ax.errorbar(place, speed[k], min(error[k], largest), **look)
     if profile is not None and len(profile):
         look = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
         look["label"] = "mean of bin"
@@ -77,16 +75,13 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
     unit = table["pm"].unit
     speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
-    ax.axvspan(
-        speed[0] - error[0], speed[0] + error[0], color=style.GREY, alpha=0.2, lw=0
-    )
+    ends = speed[0] - error[0], speed[0] + error[0]
+    ax.axvspan(*ends, color=style.GREY, alpha=0.2, lw=0)
     ax.axvline(speed[0], color=style.GREY, lw=0.8)
     row, large = np.arange(len(table)), np.asarray(table["significant"])
-    looks = (~large, style.BLUE, "o"), (large, style.VERMILION, "s")
-    for own, color, marker in looks:
-        if own.any():
-            look = {"fmt": marker, "color": color, "ms": 4, "lw": 1}
-            ax.errorbar(speed[own], row[own], xerr=error[own], **look)
+    for own, color, sign in ((~large, style.BLUE, "o"), (large, style.VERMILION, "s")):
+        look = {"fmt": sign, "color": color, "ms": 4, "lw": 1}
+        ax.errorbar(speed[own], row[own], xerr=error[own], **look)
     ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
     ax.tick_params(axis="y", labelsize="small", length=0)
     ax.set_ylim(len(table) - 0.5, -0.5)
@@ -131,23 +126,22 @@ def population(features):
         value, error = (_plain(features[k]) for k in (name, f"{name}_err"))
         return value / error
 
-    speed, radial = ratio("pm"), ratio("pm_radial")
+    speed = ratio("pm")
     change = [np.abs(ratio(f"acc_{k}")) for k in ("parallel", "perpendicular")]
     moving = np.asarray(features["secure"], dtype=bool) & (speed >= SIGNIFICANT)
     often = np.asarray(features["n_epochs"]) >= EPOCHS
     true = np.asarray(features["p_false"]) <= MOST_FALSE
-    judged = moving & often
     return {
         "moving": moving,
         "at rest": often & true & (speed < SIGNIFICANT),
-        "inward": moving & (radial <= -SIGNIFICANT),
-        "judged": judged,
+        "inward": moving & (ratio("pm_radial") <= -SIGNIFICANT),
+        "judged": moving & often,
         # Only of those whose motion is better described so is it measured.
-        "accelerated": judged & (np.max(change, axis=0) >= SIGNIFICANT),
+        "accelerated": moving & often & (np.max(change, axis=0) >= SIGNIFICANT),
     }
 
 
-def fastest_of(features, column="pm"):
+def fastest_of(features, column):
     """Return the largest value of the moving features of each source."""
     moving, largest = features[population(features)["moving"]], {}
     for source, value in zip(moving["source"], _plain(moving[column]), strict=True):
@@ -283,13 +277,10 @@ def plot_profile(
         ax = figure.add_subplot()
     speeds = table[column].unit
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
-    for name, *values in others:
-        r, speed, error = (
-            u.Quantity(value).to_value(unit)
-            for value, unit in zip(values, (u.mas, speeds, speeds), strict=True)
-        )
+    for name, r, *speed in others:
+        r = u.Quantity(r).to_value(u.mas)
         look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
-        ax.errorbar(r, speed, error, label=name, **look)
+        ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **look)
         far = max(far, float(np.max(r, initial=0)))
     _draw_components(ax, table, column)
     grid = np.linspace(0, far, 200)[1:] * u.mas
@@ -352,12 +343,12 @@ def _draw_strip(ax, cube, line, far):
     strip = np.ma.masked_invalid(map_coordinates(image, [y, x], order=1, cval=np.nan))
     ax.imshow(
         strip, origin="lower", extent=(0, far, -half, half), aspect="auto",
-        cmap="Greys", norm=drawing.plotting_norm(cube, strip),
+        cmap="Greys", norm=images.plotting_norm(cube, strip),
     )  # fmt: skip
     ax.set_ylabel("Across\n(mas)")
 
 
-def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), unit=PM_UNIT):
+def plot_scale_maps(maps, grid, *, axis_names, unit=PM_UNIT):
     """
     Draw the stacks of several groups of scales side by side.
 
@@ -367,7 +358,7 @@ def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), unit=P
         The stacks, by the names of the groups.
     grid : ``VelocityGrid``
         In mas/yr.
-    axis_names : (str, str), optional
+    axis_names : (str, str)
     unit : `~astropy.units.Unit`, optional
         Unit of the axes.
 
@@ -381,12 +372,12 @@ def plot_scale_maps(maps, grid, *, axis_names=("parallel", "transverse"), unit=P
     >>> from astro_scc.stacking.velocities import VelocityGrid
     >>> from astro_scc.visualization.speeds import plot_scale_maps
     >>> grid = VelocityGrid.covering(2.0, 0.5)
-    >>> figure = plot_scale_maps({"scale 1": np.ones(grid.shape)}, grid)
+    >>> names = ("parallel", "transverse")
+    >>> figure = plot_scale_maps({"1": np.ones(grid.shape)}, grid, axis_names=names)
     >>> figure.axes[0].get_title()
-    'scale 1'
+    '1'
     """
-    columns = min(len(maps), 2)
-    rows = -(-len(maps) // columns)
+    columns, rows = min(len(maps), 2), -(-len(maps) // 2)
     figure = style.new_figure((style.WIDTH, 2.9 * rows))
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (name, values) in zip(axes.flat, maps.items(), strict=False):

@@ -3,10 +3,9 @@
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
 
 from astro_scc.units import offset_unit, unit_name
-from astro_scc.visualization import drawing, style
+from astro_scc.visualization import images, style
 from astro_scc.visualization.velocity import speed_text
 
 #: How features are drawn that are secure, and that are not.
@@ -64,9 +63,10 @@ def plot_members(result, *, figure=None, components=None, max_panels=4, unit=Non
     # The core is seen, too: the most significant SSP.
     core = result.ssps["snr"].argsort()[-1:]
     own = np.unique(np.concatenate([core, *own]) if own else result.ssps["ssp"])
-    view, figure, axes = drawing.mean_image_panels(
-        result.cube, result.ssps[own], max(len(panels), 1), figure=figure, unit=unit,
-        edge=0.0 if panels else drawing.EDGE,
+    points = images.ssp_points(result.cube, result.ssps[own])
+    view, figure, axes = images.mean_image_panels(
+        result.cube, points, max(len(panels), 1), figure=figure, unit=unit,
+        edge=0.0 if panels else images.EDGE,
     )  # fmt: skip
     for ax, (number, kind) in zip(axes, panels, strict=False):
         _draw_members(ax, view, result, number, kind)
@@ -81,21 +81,19 @@ def _draw_members(ax, view, result, number, kind):
     member = member[d.target[member] > d.reference[member]]
     member = member[np.argsort(d.target[member], kind="stable")]
     owner, first = np.unique(d.ssp[member], return_index=True)
-    member = member[first]
-    place = drawing.sky_place(result.ssps[owner])
-    axes = result.frame.matrix(*place)
+    place = images.sky_place(result.ssps[owner])
+    motion = np.stack([d.d1, d.d2])[:, member[first]]
     # The matrix is orthogonal, so its transpose leads back to the sky.
-    motion = np.stack([d.d1[member], d.d2[member]], axis=-1)
-    motion = np.einsum("nai,na->in", axes, motion) * view.factor
+    motion = np.einsum("nai,an->in", result.frame.matrix(*place), motion) * view.factor
     ax.quiver(
         *place * view.factor, *motion, angles="xy",
         scale_units="xy", scale=1, color=style.component_color(number),
         width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
     )  # fmt: skip
-    corner = drawing.empty_corners(view, ax.images[0].get_array())[1]
+    corner = images.empty_corners(view, ax.images[0].get_array())[1]
     speed = speed_text(result.components[number - 1], kind)
     text = f"{number}: {speed}, {n_ssp} SSPs".replace("\n", " ")
-    drawing.panel_text(ax, text, corner)
+    images.panel_text(ax, text, corner)
 
 
 def plot_separation(
@@ -138,13 +136,12 @@ def plot_separation(
         figure = style.new_figure((style.WIDTH, 5.4))
         ax, lower = figure.subplots(2, 1, sharex=True, height_ratios=(7, 3))
     figure, ax = style.figure_and_axes(ax, None)
-    d = features.detections
+    d, ejected = features.detections, _ejections(features)
     distance = np.hypot(*d.place.T)
     unit = offset_unit(distance.max(initial=1.0), unit)
     factor = u.mas.to(unit)
     outward = d.place / np.maximum(distance, 1e-30)[:, None]
     error, ends = np.hypot(*(outward * d.place_error).T), []
-    ejected = _ejections(features)
     earliest = min((date for date, _ in ejected.values()), default=None)
     room = 0.32 if beta_per_pm and len(features) <= CROWDED else 0.12
     on_axis = style.date_axis(lower or ax, features.cube, earliest, room)
@@ -179,10 +176,7 @@ def plot_separation(
         lower.axhline(0, color=style.GREY, lw=0.6, zorder=0)
         lower.set_ylabel(f"Residual ({unit_name(unit)})")
         figure.align_ylabels()
-    _write_numbers(ax, features, ends, beta_per_pm)
-    if lower is not None:
-        # The numbers stand where the axes are now, and a second layout takes time.
-        figure.set_layout_engine("none")
+    _write_numbers(ax, features, ends, beta_per_pm, own=lower is not None)
     return figure
 
 
@@ -201,9 +195,8 @@ def _named(features):
     """Return the features with numbers, first the secure ones and of most epochs."""
     n = [len(track) for track in features.tracks]
     order = sorted(range(len(n)), key=lambda k: (~features.secure[k], -n[k]))
-    if len(order) <= CROWDED:
-        return order
-    return [k for k in order[:NAMED] if features.secure[k]]
+    crowded = len(order) > CROWDED
+    return [k for k in order[:NAMED] if features.secure[k]] if crowded else order
 
 
 def _draw_published(ax, published, cube, place):
@@ -235,7 +228,7 @@ def feature_look(features, number, component=None):
     return {"color": color, "label": f"stream {own}" if own else style.NONE, **look}
 
 
-def _write_numbers(ax, features, ends, beta_per_pm=None):
+def _write_numbers(ax, features, ends, beta_per_pm=None, *, own):
     """
     Write the numbers of features beside places, given with colours.
 
@@ -243,13 +236,15 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
     number covers as few positions as possible; if it covers another, it is left out.
     """
     # Numbers need the final place of the axes; nothing need be drawn for that.
-    if engine := ax.get_figure().get_layout_engine():
-        engine.execute(ax.get_figure())
+    figure = ax.get_figure()
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
+    if own:
+        # A second layout takes time.
+        figure.set_layout_engine("none")
     frame, taken = ax.get_window_extent(), []
-    drawn = [line.get_xydata() for line in ax.lines]
-    points = (
-        ax.transData.transform(np.concatenate(drawn)) if drawn else np.empty((0, 2))
-    )
+    drawn = [np.empty((0, 2)), *(line.get_xydata() for line in ax.lines)]
+    points = ax.transData.transform(np.concatenate(drawn))
     for k in _named(features):
         place, color = ends[k]
         name = f"{features.number[k]}"
@@ -261,16 +256,15 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
             path_effects=style.outline(1.5),
         )  # fmt: skip
         found = []
-        for number, (side, *shift) in enumerate(BESIDE):
+        for side, *shift in BESIDE:
             text.set(ha=side, position=shift)
             box = text.get_window_extent()
             inside = frame.x0 < box.x0 and box.x1 < frame.x1
             inside &= frame.y0 < box.y0 and box.y1 < frame.y1
             if inside and not any(box.overlaps(other) for other in taken):
-                found.append((box.count_contains(points), number, box))
+                found.append((box.count_contains(points), side, shift, box))
         if found:
-            _, number, box = min(found, key=lambda one: one[:2])
-            side, *shift = BESIDE[number]
+            _, side, shift, box = min(found, key=lambda one: one[0])
             text.set(ha=side, position=shift)
             taken.append(box)
         else:
@@ -308,32 +302,27 @@ def plot_tracks(features, *, component=None, published=None, figure=None, unit=N
         If the unit is not an angle.
     """
     d, own = features.detections, figure is None
-    east, north = np.concatenate([d.place, features.core.place]).T * u.mas
-    n = len(east)
-    points = QTable({"east": east, "north": north, "epoch": np.zeros(n, dtype=int),
-                     "scale": np.ones(n), "snr": np.ones(n)})  # fmt: skip
-    view, figure, (ax,) = drawing.mean_image_panels(
+    place = np.concatenate([d.place, features.core.place]).T
+    points = {"place": place, "weight": np.ones(len(place.T))}
+    view, figure, (ax,) = images.mean_image_panels(
         features.cube, points, 1, figure=figure, unit=unit, edge=0.0
     )
-    drawing.draw_contours(ax, view)
+    images.draw_contours(ax, view)
     if published is not None:
         _draw_published(
-            ax, published, features.cube, lambda p: drawing.sky_place(p) * view.factor
+            ax, published, features.cube, lambda p: images.sky_place(p) * view.factor
         )
     head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
-    last = []
+    head, last = head | {"linewidth": 0.9}, []
     for number, track in enumerate(features.tracks):
         look = feature_look(features, number, component)
         place = view.factor * d.place[track.detection].T
         dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0}
         ax.plot(*place, linewidth=0.9, **dots, **look)
-        arrow = head | {k: v for k, v in look.items() if k != "label"}
-        arrow["linewidth"] = 0.9
-        ends = {"xy": place[:, -1], "xytext": place[:, -2]}
-        ax.annotate("", arrowprops=arrow, annotation_clip=True, **ends)
+        look.pop("label", None)
+        ends, arrow = place.T[-1:-3:-1], head | look
+        ax.annotate("", *ends, arrowprops=arrow, annotation_clip=True)
         last.append((place[:, -1], look["color"]))
     style.legend_above(ax)
-    _write_numbers(ax, features, last)
-    if own:
-        figure.set_layout_engine("none")
+    _write_numbers(ax, features, last, own=own)
     return figure

@@ -12,7 +12,7 @@ import numpy as np
 from astro_scc.columns import cell
 from astro_scc.images.positions import axis_words, sky_columns
 from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
-from astro_scc.visualization import drawing, style
+from astro_scc.visualization import images, style
 from astro_scc.visualization.style import BLACK, GREY, KINDS
 
 AXIS_LABELS = {
@@ -20,10 +20,9 @@ AXIS_LABELS = {
     "transverse": "Transverse proper motion",
     "radial": "Radial proper motion",
 }
-MAP_LABELS = {
-    "coefficient": "Stacked correlation coefficient",
-    "z_score": "z-score",
-}
+#: First axes of velocities on the sky.
+SKY = "east", "lon"
+MAP_LABELS = {"coefficient": "Stacked correlation coefficient", "z_score": "z-score"}
 #: Corners for the legend (the first preferred) and for the arrow (the second).
 CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
 CORNERS |= {"upper left": (0, 1), "lower right": (1, 0)}
@@ -64,13 +63,12 @@ class Scene:
     """
 
     def __init__(self, result, figsize, ax=None, components=None, unit=None):
-        self.result, self.unit = result, result.cube.speed_unit
-        if unit is not None:
-            wanted = "an angle over a time, such as 'mas/yr'"
-            self.unit = unit_like(PM_UNIT, unit, wanted)
+        self.result, wanted = result, "an angle over a time, such as 'mas/yr'"
+        unit = result.cube.speed_unit if unit is None else unit
+        self.unit = unit_like(PM_UNIT, unit, wanted)
         self.components = result.components if components is None else components
         self.kinds = self.components["kind"].tolist()
-        self.on_sky = tuple(result.frame.axis_names) == ("east", "north")
+        self.on_sky = result.frame.axis_names[0] in SKY
         self.words = axis_words(result.cube)
         self.figure, self.ax = style.figure_and_axes(ax, figsize)
 
@@ -106,14 +104,13 @@ def plot_velocity_map(
     drawn = draw_map(ax, image.data, result.grid, scene.unit)
     if scene.on_sky and scene.words[2]:
         ax.invert_xaxis()
-    across, up = scene.labels
-    ax.set(xlabel=across, ylabel=up)
+    ax.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
     place = _draw_components(scene)
-    crowd = {
-        name: np.sum(np.all(np.abs(place - corner) < CORNER_SIZE, axis=1))
-        for name, corner in CORNERS.items()
-    }
-    first, second, *_ = sorted(CORNERS, key=crowd.get)
+
+    def crowd(corner):
+        return np.sum(np.all(np.abs(place - CORNERS[corner]) < CORNER_SIZE, axis=1))
+
+    first, second, *_ = sorted(CORNERS, key=crowd)
     if scene.kinds:
         ax.legend(loc=first, fontsize="small", facecolor="0.3", labelcolor="white")
     _draw_jet(scene, CORNERS[second])
@@ -125,7 +122,7 @@ def plot_velocity_map(
 
 def draw_map(ax, values, grid, unit):
     """Draw a map of velocities."""
-    sides = [PM_UNIT.to(unit, drawing.edges(v)[[0, -1]]) for v in (grid.v1, grid.v2)]
+    sides = [PM_UNIT.to(unit, images.edges(v)[[0, -1]]) for v in (grid.v1, grid.v2)]
     values = np.ma.masked_invalid(values)
     drawn = ax.imshow(
         values, origin="lower", extent=np.ravel(sides), cmap="cividis", vmin=0.0,
@@ -139,19 +136,21 @@ def draw_map(ax, values, grid, unit):
 
 def velocity_labels(names, words, unit):
     """Return the labels of the axes of velocities, of the sky by where they point."""
-    if names[0] in ("east", "lon"):
-        return drawing.axis_labels("Proper motion", words, unit)
-    names = (AXIS_LABELS.get(name, f"Proper motion, {name}") for name in names)
-    return [f"{name} ({unit_name(unit)})" for name in names]
+    if names[0] in SKY:
+        return images.axis_labels("Proper motion", words, unit)
+    return [f"{AXIS_LABELS[name]} ({unit_name(unit)})" for name in names]
+
+
+def axis_columns(components, *, on_sky):
+    """Return the columns of the velocities on the axes of a result."""
+    return sky_columns(components) if on_sky else ("pm_parallel", "pm_transverse")
 
 
 def _draw_components(scene):
     """Draw the components; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
-    names = ("pm_parallel", "pm_transverse")
-    if scene.on_sky:
-        names = sky_columns(scene.components)
+    names = axis_columns(scene.components, on_sky=scene.on_sky)
     columns = *names, *(f"{name}_err" for name in names)
     ax, effects, places = scene.ax, style.outline(2.5, BLACK), np.zeros((0, 2))
     for row, kind, strong, (x, y, *error) in scene.streams(*columns):
@@ -184,14 +183,14 @@ def _draw_components(scene):
 
 def _draw_jet(scene, corner):
     """Draw an arrow with the jet's direction in a corner of the axes."""
-    direction, result = np.array([1.0, 0.0]), scene.result
+    direction = np.array([1.0, 0.0])
     if scene.on_sky:
-        angle = result.position_angle.to_value(u.rad)
+        angle = scene.result.position_angle.to_value(u.rad)
         side = -1 if scene.words[2] else 1
         direction = np.array([side * np.sin(angle), np.cos(angle)])
     centre = 0.17 + 0.66 * np.array(corner)
     scene.ax.annotate(
-        "outward" if result.frame.axis_names[0] == "radial" else "jet",
+        "outward" if scene.result.frame.axis_names[0] == "radial" else "jet",
         centre + 0.09 * direction, centre - 0.09 * direction,
         xycoords="axes fraction", textcoords="axes fraction", color="white",
         fontsize="small", ha="center", va="center", gid="jet",
@@ -213,22 +212,38 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     speed, axis, highest = _along_jet(scene)
     speed = PM_UNIT.to(unit, speed)
     ax.axhline(0, color=GREY, linewidth=0.6)
-    look = {"color": GREY, "linewidth": 0.8, "label": "highest, any transverse speed"}
-    ax.plot(speed, highest, **look)
-    look = {"color": style.BLUE, "linewidth": 1.6, "label": "at zero transverse speed"}
-    ax.plot(speed, axis, **look)
-    _mark_significance(scene)
+    for values, color, width, label in (
+        (highest, GREY, 0.8, "highest, any transverse speed"),
+        (axis, style.BLUE, 1.6, "at zero transverse speed"),
+    ):
+        ax.plot(speed, values, color=color, linewidth=width, label=label)
+    names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
+    least = PM_UNIT.to(unit, max(result.grid.step))
+    for row, kind, strong, numbers in scene.streams(*names):
+        along, error, across, across_error = numbers
+        on_axis = abs(across) <= 3 * max(across_error, least)
+        color = style.VERMILION if strong else GREY
+        ax.errorbar(
+            along, row["z_score"], xerr=error if np.isfinite(error) else 0.0,
+            fmt=KINDS[kind].on_slice, color=color, markersize=5,
+            markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
+        )  # fmt: skip
+        ax.annotate(
+            f"{row['component']}", (along, row["z_score"]), xytext=(0, 6),
+            textcoords="offset points", ha="center", color=color,
+            fontweight="bold" if strong else "normal", path_effects=style.outline(),
+            clip_on=True,
+        )  # fmt: skip
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), *scene.components["z_score"], 1.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
     label = scene.labels[0]
     if scene.on_sky:
-        angle = result.position_angle.to_value(u.deg) % 360
-        label = f"Proper motion along position angle {angle:.0f} deg"
-        label = f"{label} ({unit_name(unit)})"
+        angle = f"{result.position_angle.to_value(u.deg) % 360:.0f} deg"
+        label = f"Proper motion along position angle {angle} ({unit_name(unit)})"
     ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
-    columns = style.legend_columns(2)
-    ax.legend(loc="upper left", fontsize="small", ncols=columns, frameon=False)
+    how = {"ncols": style.legend_columns(2), "frameon": False}
+    ax.legend(loc="upper left", fontsize="small", **how)
     style.add_speed_axis(ax, unit, beta_per_pm)
     return scene.figure
 
@@ -261,26 +276,6 @@ def _along_jet(scene):
         at = [(north - grid.v2[0]) / grid.step[1], (east - grid.v1[0]) / grid.step[0]]
         rows = map_coordinates(rows, at, order=1, cval=np.nan)
     return speed, rows[middle], np.fmax.reduce(rows)
-
-
-def _mark_significance(scene):
-    names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
-    least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
-    for row, kind, strong, numbers in scene.streams(*names):
-        along, error, across, across_error = numbers
-        on_axis = abs(across) <= 3 * max(across_error, least)
-        color = style.VERMILION if strong else GREY
-        scene.ax.errorbar(
-            along, row["z_score"], xerr=error if np.isfinite(error) else 0.0,
-            fmt=KINDS[kind].on_slice, color=color, markersize=5,
-            markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
-        )  # fmt: skip
-        scene.ax.annotate(
-            f"{row['component']}", (along, row["z_score"]), xytext=(0, 6),
-            textcoords="offset points", ha="center", color=color,
-            fontweight="bold" if strong else "normal", path_effects=style.outline(),
-            clip_on=True,
-        )  # fmt: skip
 
 
 def speed_text(row, kind):
@@ -317,15 +312,15 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     time = scene.unit.bases[1]
     highest = highest_excess(years, excess, longest)
     drawn = ax.pcolormesh(
-        u.yr.to(time, drawing.edges(years)),
-        u.mas.to(unit, drawing.edges(displacement)), excess, cmap="RdBu_r",
+        u.yr.to(time, images.edges(years)),
+        u.mas.to(unit, images.edges(displacement)), excess, cmap="RdBu_r",
         vmin=-highest, vmax=highest, rasterized=True, gid="excess",
     )  # fmt: skip
     ax.axhline(0, color=GREY, linewidth=0.6)
     top = u.mas.to(unit, displacement[-1])
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
     factor = PM_UNIT.to(unit / time)
-    for (row, kind, *_), slope in zip(scene.streams(), slopes, strict=True):
+    for row, kind, slope in zip(scene.components, kinds, slopes, strict=True):
         # A row without features has no speed.
         if not np.isfinite(slope):
             continue
@@ -372,11 +367,10 @@ def _direction(scene, image):
     if not scene.on_sky:
         jet = scene.result.frame.axis_names[0] == "parallel"
         return f"Displacement {'along the jet' if jet else 'outward'}"
-    angle = image.meta["position_angle"].to_value(u.deg)
+    angle = f"{image.meta['position_angle'].to_value(u.deg):.0f}°"
     axis, _, to_the_left = scene.words
-    if to_the_left:
-        return f"Displacement towards PA {angle:.0f}°"
-    return f"Displacement {angle:.0f}° from north to {axis}"
+    where = f"towards PA {angle}" if to_the_left else f"{angle} from north to {axis}"
+    return f"Displacement {where}"
 
 
 def ray_slopes(components, kinds, angle):
@@ -406,11 +400,11 @@ def ray_slopes(components, kinds, angle):
 
 def longest_interval(years, slopes, kinds, reach):
     """Return the longest interval that is shown, in years."""
-    ends = drawing.edges(years)
+    ends = images.edges(years)
     for shown in ("moving", "not confirmed", "not significant"):
-        own = [abs(v) for v, kind in zip(slopes, kinds, strict=True) if kind == shown]
-        if moving := [v for v in own if v > 0]:
-            longest = BEYOND * reach / min(moving)
+        own = np.abs(slopes[np.array(kinds) == shown])
+        if (own > 0).any():
+            longest = BEYOND * reach / own[own > 0].min()
             # A fast stream alone would leave a single column.
             return min(max(longest, ends[: FEWEST_INTERVALS + 1][-1]), ends[-1])
     return ends[-1]
@@ -427,7 +421,7 @@ def diagram_levels(years, excess, longest, n):
 
     The shortest intervals, which no two epochs have, are zero.
     """
-    ends = drawing.edges(years)
+    ends = images.edges(years)
     column = np.searchsorted(ends, (np.arange(n) + 0.5) / n * longest) - 1
     level = np.clip(excess / highest_excess(years, excess, longest), -1, 1)[:, column]
     return np.where(column < 0, 0, np.round(127 * level)).astype(np.int8)

@@ -41,15 +41,13 @@ def table():
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("beams", [True, False])
-def test_components_fits_and_others_have_names(table, cube, beams):
+def test_components_fits_and_others_have_names(table, cube):
     def fit(r):
         return np.full(len(r), 1.0) * PM
 
     fit.model = "constant"
     figure = plot_profile(
-        table, cube=cube if beams else replace(cube, beams=None), line=WEST,
-        fits=[fit], beta_per_pm=2.0,
+        table, cube=replace(cube, beams=None), line=WEST, fits=[fit], beta_per_pm=2.0,
         others=[("MOJAVE", [4] * u.mas, [1] * PM, [0.1] * PM)],
     )  # fmt: skip
     strip, ax = figure.axes
@@ -77,7 +75,8 @@ def test_maps_have_their_peaks():
     grid = VelocityGrid.covering(2.0, 0.5)
     values = np.zeros(grid.shape)
     values[1, 2] = 1.0
-    figure = plot_scale_maps({"a": values, "b": values, "c": 0 * values}, grid)
+    maps = {"a": values, "b": values, "c": 0 * values}
+    figure = plot_scale_maps(maps, grid, axis_names=("parallel", "transverse"))
     lines = [line for ax in figure.axes for line in ax.lines]
     marks = [line for line in lines if line.get_marker() == "+"]
     assert len(marks) == 2
@@ -105,7 +104,7 @@ def test_the_features_of_many_sources():
         "moving": [0, 1, 3], "at rest": [2], "inward": [1], "judged": [1, 3],
         "accelerated": [3],
     }  # fmt: skip
-    assert fastest_of(table).tolist() == [2.0, 3.0]
+    assert fastest_of(table, "pm").tolist() == [2.0, 3.0]
     left, right, *in_c = plot_population(table).axes
     # The bars of inward ones are on top of those of the others.
     heights = [sum(bar.get_height() for bar in ax.patches) for ax in (left, right)]

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Draw images and their SSPs in offsets from the reference pixel."""
+"""Figures of images with their SSPs, in offsets, and a figure of their dates."""
 
 import astropy.units as u
 import numpy as np
@@ -7,6 +7,7 @@ import numpy as np
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.positions import axis_words, ssp_offsets
+from astro_scc.images.validation import epoch_index
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 
@@ -20,6 +21,10 @@ LOWEST = 3.0
 CORNER = 0.25
 #: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
 EDGE = 0.015
+#: Letters of a date to the millisecond, the second, the minute and the day.
+DATES = 23, 19, 16, 10
+LEGEND = {"fontsize": "small", "frameon": False, "columnspacing": 1.0}
+LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
 
 
 # -- limits, units and colours -----------------------------------------------------
@@ -32,7 +37,8 @@ class View:
     Parameters
     ----------
     cube : `~astro_scc.EpochCube`
-    ssps : see `ssp_points`
+    points : dict or None
+        See `ssp_points`.
     image : `numpy.ma.MaskedArray`
         One or more images, which decide on the colours.
     zoom : bool, optional
@@ -46,27 +52,30 @@ class View:
 
     Attributes
     ----------
-    points : dict or None
-        See `ssp_points`.
-    place : `~numpy.ndarray`, shape (2, n)
-        Offsets of the points in the unit: east, then north.
     limits : `~numpy.ndarray`, shape (2, 2)
         Offsets that are shown, in the unit: east, then north.
     factor : float
         Converts mas to the unit.
     """
 
-    def __init__(self, cube, ssps, image, *, zoom=True, edge=EDGE, unit=None, **colors):
-        self.cube, self.points = cube, ssp_points(cube, ssps)
-        limits = image_limits(cube, self.points if zoom else None, edge)
+    def __init__(self, cube, points, image, zoom=True, edge=EDGE, unit=None, **colors):
+        self.cube, self.points = cube, points
+        limits = image_limits(cube, points if zoom else None, edge)
         self.unit = offset_unit(np.ptp(limits, axis=1).max(), unit)
         self.factor = u.mas.to(self.unit)
         self.limits = limits * self.factor
-        self.place = None if ssps is None else self.points["place"] * self.factor
         self.norm = plotting_norm(cube, image, **colors)
-        self.words = axis_words(cube)
-        self.to_the_left = self.words[2]
-        self.labels = axis_labels("Offset", self.words, self.unit)
+        *words, self.to_the_left = axis_words(cube)
+        self.labels = axis_labels("Offset", words, self.unit)
+
+    @property
+    def to_offsets(self):
+        """The transform of pixels to offsets in the unit."""
+        from matplotlib.transforms import Affine2D
+
+        matrix, to_offset = self.cube.pixel_matrix.to_value(self.unit), np.eye(3)
+        to_offset[:2] = np.c_[matrix, -matrix @ self.cube.reference_pixel]
+        return Affine2D(to_offset)
 
     def add_colorbar(self, drawn, **place):
         """Add the bar of an image's brightness, with ticks that are easy to read."""
@@ -155,7 +164,7 @@ def draw_image(ax, view, image, epoch=None, corner=None):
     greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
     drawn = ax.imshow(
         image, origin="lower", norm=view.norm, cmap=greys,
-        transform=_to_offsets(view) + ax.transData,
+        transform=view.to_offsets + ax.transData,
     )  # fmt: skip
     ax.set(xlim=view.limits[0, :: -1 if view.to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
@@ -172,29 +181,15 @@ def empty_corners(view, image):
     sides = np.linspace(0, CORNER, 12)
     light = {}
     noise = 2 * LOWEST * np.median(view.cube.noise_rms().value)
-    for right, top in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        east = 1 - sides if right != view.to_the_left else sides
-        north = 1 - sides if top else sides
-        place = [low + (high - low) * f for (low, high), f in
-                 zip(view.limits, (east, north), strict=True)]  # fmt: skip
-        x, y = view.cube.offset_to_pixel(
-            place[0] * view.unit, place[1][:, None] * view.unit
-        )
-        ny, nx = image.shape
-        x = np.clip(np.rint(x).astype(int), 0, nx - 1)
-        y = np.clip(np.rint(y).astype(int), 0, ny - 1)
-        light[right, top] = max(noise, float(np.ma.filled(image[y, x], 0.0).max()))
+    low, size = view.limits[:, :1], np.ptp(view.limits, axis=1, keepdims=True)
+    for right, top in np.ndindex(2, 2):
+        ends = right != view.to_the_left, top
+        east, north = low + size * [1 - sides if end else sides for end in ends]
+        x, y = view.cube.offset_to_pixel(east * view.unit, north[:, None] * view.unit)
+        pixels = tuple(np.rint([y, x]).astype(int))
+        pixels = np.ravel_multi_index(pixels, image.shape, mode="clip")
+        light[right, top] = max(noise, np.ma.filled(image, 0.0).flat[pixels].max())
     return sorted(light, key=light.get)
-
-
-def _to_offsets(view):
-    """Return the transform of pixels to offsets in the unit of the view."""
-    from matplotlib.transforms import Affine2D
-
-    matrix = view.cube.pixel_matrix.to_value(view.unit)
-    to_offset = np.eye(3)
-    to_offset[:2] = np.c_[matrix, -matrix @ view.cube.reference_pixel]
-    return Affine2D(to_offset)
 
 
 def draw_beam(ax, view, epoch, corner):
@@ -206,18 +201,14 @@ def draw_beam(ax, view, epoch, corner):
     beam = view.cube.beams[epoch]
     half = beam.fwhm_along([90, 0] * u.deg).to_value(view.unit) / 2
     half += 0.03 * np.ptp(view.limits, axis=1).min()
-    east, top = corner[0] != view.to_the_left, corner[1]
-    ellipse = Ellipse(
-        (
-            view.limits[0, int(east)] + (-half[0] if east else half[0]),
-            view.limits[1, top] + (-half[1] if top else half[1]),
-        ),
+    side = np.array([corner[0] != view.to_the_left, corner[1]], dtype=int)
+    ax.add_patch(Ellipse(
+        view.limits[[0, 1], side] + half * (1 - 2 * side),
         width=beam.minor.to_value(view.unit), height=beam.major.to_value(view.unit),
         # matplotlib's angle and the position angle have opposite senses.
         angle=-beam.pa.to_value(u.deg), facecolor="white", edgecolor=style.BLACK,
         hatch="////", linewidth=0.8, zorder=4, gid="beam",
-    )  # fmt: skip
-    ax.add_patch(ellipse)
+    ))  # fmt: skip
 
 
 def axis_labels(what, words, unit):
@@ -260,11 +251,11 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     return figure, grid.flat[:n]
 
 
-def mean_image_panels(cube, ssps, n, *, figure, unit, **zoom):
+def mean_image_panels(cube, points, n, *, figure, unit, edge):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
-    view = View(cube, ssps, image, unit=unit, **zoom)
+    view = View(cube, points, image, unit=unit, edge=edge)
     figure, axes = image_panels(view, n, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     for ax in axes:
@@ -282,12 +273,12 @@ def draw_contours(ax, view):
     ax.contour(
         np.ma.filled(image, np.nan), colors=style.GREY, linewidths=0.4,
         levels=lowest * 2.0 ** np.arange(np.log2(peak)),
-        transform=_to_offsets(view) + ax.transData,
+        transform=view.to_offsets + ax.transData,
     )  # fmt: skip
 
 
-def panel_text(ax, text, corner=(0, 1)):
-    """Write text into a corner of a panel, by default the upper left one."""
+def panel_text(ax, text, corner):
+    """Write text into a corner of a panel."""
     right, top = corner
     ax.text(
         0.97 if right else 0.03, 0.96 if top else 0.04, text, transform=ax.transAxes,
@@ -322,13 +313,10 @@ def image_planes(cube, limits, most):
     step = cube.pixel_scale.value
     n_bins = np.sqrt(len(cube) * np.prod(np.ptp(limits, axis=1) / step) / most)
     n_bins = max(1, int(np.ceil(n_bins)))
-    step *= n_bins
-    n = np.maximum(np.ptp(limits, axis=1) // step, 1)
-    east, north = (
-        (low + step * (np.arange(k) + 0.5)) * u.mas
-        for low, k in zip(limits[:, 0], n, strict=True)
-    )
-    pixels = cube.offset_to_pixel(east, north[:, None])[::-1]
+    step, low = step * n_bins, limits[:, :1]
+    n = np.maximum(np.ptp(limits, axis=1, keepdims=True) // step, 1)
+    east, north = (k + step * (np.arange(m) + 0.5) for k, m in np.c_[low, n])
+    pixels = cube.offset_to_pixel(east * u.mas, north[:, None] * u.mas)[::-1]
     norm = plotting_norm(cube, np.ma.masked_array(cube.data, cube.mask))
     planes = np.zeros((len(cube), len(north), len(east)), np.uint8)
     for plane, image, hidden in zip(planes, cube.data, cube.mask, strict=True):
@@ -336,14 +324,14 @@ def image_planes(cube, limits, most):
         level = norm(map_coordinates(image, pixels, order=0))
         known = map_coordinates((~hidden).astype(np.uint8), pixels, order=0)
         plane[:] = known * np.clip(np.round(1 + 254 * level), 1, 255)
-    return planes, limits[:, :1] + step * n[:, None] * [0, 1], n_bins
+    return planes, low + step * n * [0, 1], n_bins
 
 
 def epoch_names(times):
     """Return the shortest date of each epoch that no other epoch has."""
     dates = [date.replace("T", " ") for date in times.isot]
     names = [f"{date} ({k})" for k, date in enumerate(dates)]
-    for length in (23, 19, 16, 10):
+    for length in DATES:
         short = [date[:length] for date in dates]
         own = [short.count(name) == 1 for name in short]
         names = np.where(own, short, names).tolist()
@@ -365,41 +353,45 @@ def ssp_points(cube, ssps):
     Return what is drawn of SSPs as a dictionary of arrays, or None for None.
 
     It has the ``place``, offsets in mas of shape (2, n), ``epoch``, ``scale``, whether
-    SSPs are ``used``, and a ``weight`` that is small for SSPs close to the noise.
+    SSPs are ``used``, a ``weight`` that is small for SSPs close to the noise, and the
+    ``ssps``.
     """
     if ssps is None:
         return None
-    used = np.ones(len(ssps), bool)
+    used, names = np.ones(len(ssps), bool), ("epoch", "scale", "snr")
     if isinstance(ssps, SSPs):
         place = np.stack(ssp_offsets(ssps, cube))
-        epoch, scale, snr = ssps.epoch, ssps.scale, ssps.snr
+        points = {name: getattr(ssps, name) for name in names}
     else:
         place = sky_place(ssps)
-        epoch, scale, snr = (np.asarray(ssps[n]) for n in ("epoch", "scale", "snr"))
+        points = {name: np.asarray(ssps[name]) for name in names}
         if "in_region" in ssps.colnames:
             used = np.asarray(ssps["in_region"], bool)
+    snr = points["snr"]
     weight = 0.05 + np.log(snr / snr.min(initial=np.inf))
-    points = {"place": place, "epoch": epoch, "scale": scale}
-    return points | {"used": used, "weight": weight}
+    return points | {"ssps": ssps, "place": place, "used": used, "weight": weight}
 
 
-def draw_ssps(ax, view, ssps, epoch, size=1.0):
+def draw_ssps(ax, view, epoch, size=1.0):
     """Draw the SSPs of an epoch, with labels for all scales of the cube."""
-    if ssps is None:
+    if view.points is None:
         return
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
     points = view.points
     colors = style.scale_colors(points["scale"])
     for rank, (scale, color) in enumerate(colors.items()):
         here = (points["epoch"] == epoch) & (points["scale"] == scale)
-        label = _scale_label(view, scale, rank == 0, rank == len(colors) - 1)
-        if isinstance(ssps, SSPs):
+        extent = (scale_size(scale) * view.cube.pixel_scale).to_value(view.unit)
+        words = "" if rank else "SSPs of scale "
+        unit = "" if rank < len(colors) - 1 else f" {unit_name(view.unit)}"
+        label = f"{words}{extent:.2g}{unit}"
+        if isinstance(points["ssps"], SSPs):
             line = {"color": color, "linewidth": 0.7 + 0.4 * rank, "label": label}
-            _draw_outlines(ax, view, ssps, np.flatnonzero(here), **line)
+            _draw_outlines(ax, view, np.flatnonzero(here), **line)
             continue
         for used, alpha in ((True, 1.0), (False, 0.3)):
             ax.plot(
-                *view.place[:, here & (points["used"] == used)],
+                *view.factor * points["place"][:, here & (points["used"] == used)],
                 markersize=(4.0 + 3.0 * rank) * size, markeredgecolor=color,
                 markeredgewidth=1.1, alpha=alpha, gid=f"ssps {scale:g}",
                 label=label if used else None, **hollow,
@@ -409,22 +401,14 @@ def draw_ssps(ax, view, ssps, epoch, size=1.0):
         ax.plot([], [], ms=6.25 * size, **pale, **hollow)
 
 
-def _scale_label(view, scale, first, last):
-    """Return the label of a scale: its size, with words if first, a unit if last."""
-    size = (scale_size(scale) * view.cube.pixel_scale).to_value(view.unit)
-    words = ["SSPs of scale"] * first + [f"{size:.2g}"]
-    return " ".join(words + [unit_name(view.unit)] * last)
-
-
-def _draw_outlines(ax, view, ssps, indices, **line):
+def _draw_outlines(ax, view, indices, **line):
     """Draw the outlines of SSPs along the edges of their pixels, each edge once."""
     from matplotlib.collections import LineCollection
 
-    _, ny, nx = view.cube.shape
-    label = np.zeros(ny * nx, dtype=int)
+    label = np.zeros(view.cube.shape[1:], dtype=int)
     for index in indices:
-        label[ssps.pixels_of(index)] = index + 1
-    label = np.pad(label.reshape(ny, nx), 1)
+        label.flat[view.points["ssps"].pixels_of(index)] = index + 1
+    label = np.pad(label, 1)
     edges = []
     for axis, back in enumerate(np.eye(2)):
         end = np.argwhere(np.diff(label, axis=axis))[:, ::-1] - 0.5
@@ -432,3 +416,171 @@ def _draw_outlines(ax, view, ssps, indices, **line):
     offsets = view.cube.pixel_to_offset(*np.moveaxis(np.concatenate(edges), -1, 0))
     lines = np.stack(offsets, axis=-1).to_value(view.unit)
     ax.add_collection(LineCollection(lines, gid="outlines", **line), autolim=False)
+
+
+# -- figures -------------------------------------------------------------------------
+
+
+def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
+    """
+    Draw one epoch in offsets from the reference pixel, east to the left.
+
+    Solar images have west to the right.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    epoch : int
+        Index of the epoch.
+    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+        The SSPs of all epochs: a table (``result.ssps``) is drawn as
+        circles, larger for larger scales and pale if the SSP is outside the
+        region that was measured; a catalogue (``result.matched.ssps``) is
+        drawn as outlines.
+    ax : `matplotlib.axes.Axes`, optional
+        Axes to draw on instead of a new figure.
+    unit : `~astropy.units.Unit`, optional
+        Unit of the offsets.
+    stretch : {"asinh", "log", "linear"}
+        "asinh" is linear up to three times the noise and logarithmic above.
+    vmin, vmax : float, optional
+        Brightness at the ends of the colours, in the unit of the cube.
+    zoom : bool, optional
+        Show only the part of the image that holds SSPs, except the outermost,
+        which may be noise.
+    colorbar : bool, optional
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If the stretch is unknown, or the unit is not an angle.
+    IndexError
+        If there is no such epoch.
+    """
+    index = epoch_index(epoch, len(cube))
+    image = np.ma.masked_array(cube.data[index], cube.mask[index])
+    view = View(cube, ssp_points(cube, ssps), image, epochs=[index], **view)
+    width, height = np.ptp(view.limits, axis=1)
+    height = float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
+    drawn = draw_image(ax, view, image, index)
+    draw_ssps(ax, view, index)
+    _label_masked(ax, view, image.mask)
+    ax.set(xlabel=view.labels[0], ylabel=view.labels[1])
+    handles, _ = ax.get_legend_handles_labels()
+    # The date is above the line with the legend.
+    ax.set_title(epoch_names(cube.times)[index], pad=22.0 if handles else None)
+    if handles:
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+        ax.legend(markerscale=0.8, **place, **LEGEND)
+    if colorbar:
+        view.add_colorbar(drawn, cax=style.beside(ax))
+    return figure
+
+
+def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
+    """
+    Draw up to ``max_panels`` epochs, evenly selected, with the same colours.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+        As in `plot_epoch`.
+    figure : `matplotlib.figure.Figure`, optional
+        Figure to draw on instead of a new one.
+    max_panels : int, optional
+        If there are more epochs, the first, the last and others evenly between
+        them are drawn.
+    **view
+        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, see `plot_epoch`.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+
+    Raises
+    ------
+    ValueError
+        If ``max_panels`` is below 1, the stretch is unknown, or the unit is
+        not an angle.
+    """
+    if max_panels < 1:
+        raise ValueError(f"max_panels must be at least 1, got {max_panels}")
+    n = len(cube)
+    chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
+    images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
+    view = View(cube, ssp_points(cube, ssps), images, epochs=chosen, **view)
+    figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
+    dates = epoch_names(cube.times)
+    of_beam, of_date, *_ = empty_corners(view, images.max(axis=0))
+    for ax, index, image in zip(axes, chosen, images, strict=True):
+        drawn = draw_image(ax, view, image, index, of_beam)
+        draw_ssps(ax, view, index, size=0.5)
+        panel_text(ax, dates[index], of_date)
+    view.add_colorbar(drawn, ax=figure.axes, pad=0.02, aspect=40)
+    _label_masked(ax, view, images.mask.any(axis=0))
+    handles, _ = ax.get_legend_handles_labels()
+    if handles:
+        place = {"loc": "outside upper center", "markerscale": 1.6}
+        figure.legend(handles=handles, **place, **LEGEND)
+    return figure
+
+
+def plot_intervals(cube, pairs, *, ax=None):
+    """
+    Draw the dates of the epochs, and the pairs of epochs that are compared.
+
+    Each pair is a bar from its first to its second date, drawn at the height of
+    the interval between them, over which motion is measured.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    pairs : ``DatePairs``
+        For example ``result.pairs``.
+    ax : `matplotlib.axes.Axes`, optional
+        Axes to draw on instead of a new figure.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+    """
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 2.6))
+    longest = pairs.interval.max(initial=0.0) or 1.0
+    unit = next((v for v in (u.yr, u.d, u.h) if longest >= v.to(u.yr)), u.min)
+    height = u.yr.to(unit, pairs.interval)
+    dates = cube.times.plot_date
+    first, second = dates[pairs.first], dates[pairs.second]
+    many = len(pairs) > 60
+    width, alpha = (0.8, 0.4) if many else (1.8, 0.9)
+    bar = {"colors": style.BLUE, "linewidths": width, "alpha": alpha}
+    ax.hlines(height, first, second, gid="pairs", **bar)
+    if not many:
+        ends = np.stack([first, second])
+        ax.plot(ends, [height, height], "o", color=style.BLUE, markersize=3)
+    top = 1.15 * height.max(initial=0.0) or 1.0
+    ax.vlines(dates, -0.12 * top, -0.02 * top, color=style.BLACK, linewidth=1.2)
+    ax.axhline(0, color=style.BLACK, linewidth=0.6)
+    margin = 0.03 * np.ptp(dates) or 1.0
+    ax.set(xlim=(dates[0] - margin, dates[-1] + margin), ylim=(-0.14 * top, top))
+    locator = AutoDateLocator(minticks=3, maxticks=8)
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    ax.set(xlabel="Date of observation", ylabel=f"Time between epochs ({unit})")
+    return figure
+
+
+def _label_masked(ax, view, mask):
+    """Give masked pixels a label for the legend, if any is seen."""
+    row, column = np.nonzero(mask)
+    offset = u.Quantity(view.cube.pixel_to_offset(column, row)).to_value(view.unit)
+    low, high = view.limits.T[..., None]
+    if np.any(np.all((offset > low) & (offset < high), axis=0)):
+        ax.fill([], [], color=MASKED, label="masked")
