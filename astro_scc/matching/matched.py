@@ -8,12 +8,12 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Matches, all_pairs
@@ -33,15 +33,6 @@ from astro_scc.writing import versions
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
-#: Words for parts in messages, where their names are not clear.
-NAMES = {
-    "data": "images",
-    "mask": "masks",
-    "wcs": "coordinates",
-    "decomposition": "settings of the decomposition",
-    "correlation": "settings of the correlation",
-    "reach": "largest displacement",
-}
 #: Apparent noise is structure if more than this share of it is in other epochs too...
 SHARED = 0.5
 #: ... and more than this many times the share by chance.  The largest correlation of
@@ -97,10 +88,9 @@ class MatchedEpochs:
     region: np.ndarray | None = None
 
     def __repr__(self):
-        return (
-            f"<MatchedEpochs: {len(self.cube)} epochs, "
-            f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
-        )
+        n, n_ssps = len(self.cube), np.count_nonzero(self.select)
+        matches = len(self.matches)
+        return f"<MatchedEpochs: {n} epochs, {n_ssps} SSPs, {matches} matches>"
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -136,8 +126,8 @@ class MatchedEpochs:
         `~astro_scc.features.Features`
         """
         if "features" not in vars(self):
-            of = {"ssps": self.ssps, "region": self.region}
-            vars(self)["features"] = find_features(self.cube, **of, **how)
+            how |= {"ssps": self.ssps, "region": self.region}
+            vars(self)["features"] = find_features(self.cube, **how)
         return vars(self)["features"]
 
     def part(self, select: np.ndarray) -> MatchedEpochs:
@@ -226,7 +216,7 @@ class MatchedEpochs:
             wanted = {**image_provenance(cube), "versions": versions()}
         stale = [name for name, value in wanted.items() if found.get(name) != value]
         if stale:
-            what = ", ".join(NAMES.get(name, name) for name in stale)
+            what = ", ".join(stale)
             raise ValueError(f"{path}: is of other {what}; match the epochs again")
         return replace(parts, cube=cube)
 
@@ -257,9 +247,8 @@ def match_epochs(
     cache, found = kept_matches(cache, cube, provenance)
     if found is None:
         with workers_of(n_workers) as workers:
-            decompositions = decompose_epochs(
-                cube, decomposer, n_workers=workers, progress_bar=progress_bar
-            )
+            how = {"n_workers": workers, "progress_bar": progress_bar}
+            decompositions = decompose_epochs(cube, decomposer, **how)
             ssps = SSPs.of_epochs(decompositions)
             select = centroids_inside(ssps, cube, inside)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
@@ -268,8 +257,8 @@ def match_epochs(
                 matches = correlator(*work, select=select, **how)
         provenance["selected"] = selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
-        of = cube, decomposer, ssps, select, matches, provenance, inside
-        found = MatchedEpochs(*of)
+        of = decomposer, ssps, select, matches, provenance, inside
+        found = MatchedEpochs(cube, *of)
         if cache is not None:
             cache.parent.mkdir(parents=True, exist_ok=True)
             found.write(cache, overwrite=True)
@@ -333,14 +322,12 @@ def image_provenance(cube):
     # The dates are of the first epoch, and the pixel coordinates do not need them.
     wcs = without_dates(cube.wcs.to_header(relax=True))
     cards = [f"{card.keyword}={card.value!r}" for card in wcs.cards]
-    beams = [
-        tuple(float(axis.value) for axis in (beam.major, beam.minor, beam.pa))
-        for beam in cube.beams or ()
-    ]
+    each = ((beam.major, beam.minor, beam.pa) for beam in cube.beams or ())
+    beams = [tuple(float(axis.value) for axis in axes) for axes in each]
     return {
-        "data": _of_array(cube.data),
-        "mask": _of_array(np.packbits(cube.mask)),
-        "wcs": _of_text(cards, cube.pixel_matrix.value.tolist()),
+        "images": _of_array(cube.data),
+        "masks": _of_array(np.packbits(cube.mask)),
+        "coordinates": _of_text(cards, cube.pixel_matrix.value.tolist()),
         "beams": _of_text(beams),
     }
 
@@ -368,10 +355,10 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     noise = noise_facts(cube, decomposer)
     made = {
         **image_provenance(cube),
-        "decomposition": asdict(decomposer),
-        "correlation": asdict(correlator),
+        "settings of the decomposition": asdict(decomposer),
+        "settings of the correlation": asdict(correlator),
         "noise": _of_text([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
-        "reach": list(reach),
+        "largest displacement": list(reach),
         "region": "everything" if inside is None else _of_array(np.packbits(inside)),
         "versions": versions(),
     }
@@ -466,8 +453,10 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     """
     facts = noise_facts(cube, decomposer)
     work = (
-        (decomposer, image, cube.mask[k], *own)
-        for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
+        partial(decomposer, image, mask=mask, rms=rms, beam_covariance=covariance)
+        for image, mask, (rms, covariance) in zip(
+            cube.data, cube.mask, facts, strict=True
+        )
     )
     found = []
     with progress(len(cube), "Decomposing", show=progress_bar) as done:
@@ -475,6 +464,11 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
             found.append(decomposition)
             done(1)
     return tuple(found)
+
+
+def _decompose(task):
+    """Do a task, in a process that can import this module."""
+    return task()
 
 
 def noise_facts(cube, decomposer):
@@ -499,12 +493,6 @@ def noise_facts(cube, decomposer):
         inverse = np.linalg.inv(cube.pixel_matrix.value)
         covariances = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
     return list(zip(rms, covariances, strict=True))
-
-
-def _decompose(epoch):
-    """Decompose one epoch, given as the arguments of one task."""
-    decomposer, image, mask, rms, beam_covariance = epoch
-    return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)
 
 
 def centroids_inside(ssps, cube, region):
@@ -559,7 +547,7 @@ def ssp_distances(matched, *, origin=None, ridge=None):
 def select_ssps(
     matched: MatchedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
     r_max: u.Quantity | None = None, scales: ArrayLike | None = None,
-    origin: u.Quantity | SkyCoord | None = None, ridge: RidgeLine | None = None,
+    origin: u.Quantity | None = None, ridge: RidgeLine | None = None,
 ) -> MatchedEpochs:  # fmt: skip
     """
     Return the matches of the SSPs in a part of the jet and on some scales.

@@ -11,7 +11,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.features.diffusion import measure_diffusion, random_walk
 from astro_scc.matching import select_ssps
 from astro_scc.measurement.axes import AxisProjection
-from astro_scc.measurement.followed import FollowedFeatures
+from astro_scc.measurement.search import FollowedFeatures
 from astro_scc.measurement.sensitivity import (
     largest_difference,
     sensitivity_line,

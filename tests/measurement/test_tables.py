@@ -153,14 +153,15 @@ def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
     np.testing.assert_array_equal(table["n_pixels"], np.diff(ssps.starts))
     select = np.arange(len(ssps)) % 3 == 0
     np.testing.assert_array_equal(
-        ssp_table(ssps, cube, select=select)["in_region"], select
+        ssp_table(replace(sky_result.matched, select=select))["in_region"], select
     )
 
 
 @pytest.mark.parametrize("beams", [True, False])
 def test_an_empty_ssp_table_has_all_columns(sky_result, beams):
     cube = sky_result.cube if beams else replace(sky_result.cube, beams=None)
-    empty = ssp_table(SSPs.empty(), cube)
+    none = {"ssps": SSPs.empty(), "select": np.zeros(0, bool)}
+    empty = ssp_table(replace(sky_result.matched, cube=cube, **none))
     assert len(empty) == 0
     assert empty.colnames == sky_result.ssps.colnames
     for name in empty.colnames:

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from astro_scc.stacking.pair_maps import PairMaps, _Stretch
 from astro_scc.stacking.stack import (
+    PairMaps,
+    _Stretch,
     gaussian_sum,
     number_of_permutations,
     number_of_ssps,
@@ -123,14 +124,14 @@ def test_gaussian_sum_in_blocks_is_the_same(monkeypatch):
 GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
 
 
-def all_stacks(maps, pairs, grid, orders, **kwargs):
-    return np.concatenate(list(maps.stacks(pairs, grid, orders, **kwargs)))
+def all_stacks(maps, orders, **kwargs):
+    return np.concatenate(list(maps.stacks(orders, **kwargs)))
 
 
-def check(maps, pairs, grid, orders, shift=(0.0, 0.0)):
-    found = all_stacks(maps, pairs, grid, orders, shift=shift)
+def check(d, pairs, orders, shift=(0.0, 0.0)):
+    grid = GRID
+    found = all_stacks(PairMaps(d, pairs, grid), orders, shift=shift)
     assert found.shape == (len(orders), *grid.shape)
-    d = maps.samples
     moved = replace(d, d1=d.d1 + shift[0], d2=d.d2 + shift[1])
     for one, order in zip(found, orders, strict=True):
         exact = stack(moved, pairs, grid, order=order)
@@ -144,20 +145,16 @@ def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, ever
     d = random_displacements(rng, 5, 120, s1=(0.2, 0.8), s2=(0.4, 1.5))
     years = np.cumsum(rng.uniform(0.2, 1.5, 5))
     pairs = baseline_pairs(years, 0.0, 9.0) if every_pair else consecutive_pairs(years)
-    maps = PairMaps.of(d, GRID.v_max, pairs.interval.max())
-    check(maps, pairs, GRID, random_permutations(5, 4, rng))
+    check(d, pairs, random_permutations(5, 4, rng))
     shift = rng.uniform(-0.5, 0.5, 2)
-    check(maps, pairs, GRID, random_permutations(5, 4, rng), shift=shift)
+    check(d, pairs, random_permutations(5, 4, rng), shift=shift)
 
 
 def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
     rng = np.random.default_rng(0)
     d = random_displacements(rng, 6, 200)
     pairs = consecutive_pairs(0.7 * np.arange(6))
-    maps = PairMaps.of(d, GRID.v_max, 0.7)
-    # Few orders add the maps first and stretch once; many stretch each map first.
-    for n_orders in (2, 40):
-        check(maps, pairs, GRID, random_permutations(6, n_orders, rng))
+    check(d, pairs, random_permutations(6, 9, rng))
 
 
 def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeypatch):
@@ -165,12 +162,12 @@ def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeyp
     d = random_displacements(rng, 6, 200)
     pairs = consecutive_pairs(np.cumsum(rng.uniform(0.4, 0.7, 6)))
     orders = random_permutations(6, 12, rng)
-    maps = PairMaps.of(d, GRID.v_max, 0.7)
-    whole = all_stacks(maps, pairs, GRID, orders)
+    maps = PairMaps(d, pairs, GRID)
+    whole = all_stacks(maps, orders)
     for n_maps in (0, 1, 7):
         limit = n_maps * maps.map_bytes
-        monkeypatch.setattr(f"{PairMaps.__module__}.MAP_BYTES", limit)
-        again = all_stacks(replace(maps), pairs, GRID, orders)
+        monkeypatch.setitem(gaussian_sum.__globals__, "MAP_BYTES", limit)
+        again = all_stacks(PairMaps(d, pairs, GRID), orders)
         np.testing.assert_allclose(again, whole, atol=1e-6)
 
 
@@ -180,24 +177,18 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
     rng = np.random.default_rng(9)
     d = random_displacements(rng, 14, 900, reach=5.0, s1=(0.4, 0.8), s2=(0.5, 1.0))
     pairs = baseline_pairs(np.cumsum(rng.uniform(0.1, 0.3, 14)), 0.0, 1.2)
-    stretch = _Stretch(PairMaps.of(d, GRID.v_max, 1.2), pairs, GRID, (0.0, 0.0))
+    stretch = _Stretch(PairMaps(d, pairs, GRID), (0.0, 0.0))
     assert len(stretch.share) < 0.7 * len(pairs)
     np.testing.assert_allclose(stretch.share.sum(axis=0), pairs.weight, rtol=1e-5)
-    check(
-        PairMaps.of(d, GRID.v_max, pairs.interval.max()),
-        pairs,
-        GRID,
-        random_permutations(14, 4, rng),
-        shift=shift,
-    )
+    check(d, pairs, random_permutations(14, 4, rng), shift=shift)
 
 
 def test_without_matches(random_displacements):
     rng = np.random.default_rng(4)
     none = random_displacements(rng, 3, 10).select(slice(0, 0))
     pairs = consecutive_pairs([0.0, 1.0, 3.0])
-    maps = PairMaps.of(none, GRID.v_max, 2.0)
-    found = all_stacks(maps, pairs, GRID, random_permutations(3, 5, rng))
+    maps = PairMaps(none, pairs, GRID)
+    found = all_stacks(maps, random_permutations(3, 5, rng))
     assert found.shape == (5, *GRID.shape)
     np.testing.assert_array_equal(found, 0.0)
 
@@ -207,10 +198,11 @@ def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(
     random_displacements, farthest
 ):
     d = random_displacements(np.random.default_rng(7), reach=farthest)
-    maps = PairMaps.of(d, (4.0, 3.0), 0.5)
+    pairs = consecutive_pairs(0.5 * np.arange(4.0))
+    maps = PairMaps(d, pairs, GRID)
     assert len(maps.axis1) >= 15
     assert maps.axis1[-1] <= min(4.0 * 0.5, farthest) + 5 * d.s1.max()
-    check(maps, consecutive_pairs(0.5 * np.arange(4.0)), GRID, [[0, 1, 2, 3]])
+    check(d, pairs, np.array([[0, 1, 2, 3]]))
 
 
 # -- permutations of the epochs ---------------------------------------------------
@@ -258,8 +250,7 @@ YEARS = [0.0, 0.4, 1.2, 1.5, 2.6]
 
 @pytest.fixture(scope="module")
 def maps(random_displacements):
-    d = random_displacements(np.random.default_rng(0), 5, 300)
-    return PairMaps.of(d, GRID.v_max, 1.1)
+    return random_displacements(np.random.default_rng(0), 5, 300)
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +276,7 @@ def test_orders_are_permutations_and_all_of_them_occur_equally_often():
 def test_mean_and_std_are_those_of_the_stacks_of_the_orders(maps, pairs):
     found = run(maps, pairs)
     orders = random_permutations(5, 30, np.random.default_rng(1))
-    d = maps.samples
+    d = maps
     stacks = np.array([stack(d, pairs, GRID, order=order) for order in orders])
     tolerance = 1e-3 * stacks.max()
     np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
@@ -298,7 +289,7 @@ def test_mean_and_std_are_those_of_the_stacks_of_the_orders(maps, pairs):
 def test_a_shift_is_added_in_four_directions_in_turn(maps, pairs):
     found = run(maps, pairs, shift=(0.3, 0.2))
     orders = random_permutations(5, 30, np.random.default_rng(1))
-    d = maps.samples
+    d = maps
     moved = [
         replace(d, d1=d.d1 + 0.3),
         replace(d, d1=d.d1 - 0.3),
@@ -335,9 +326,9 @@ def test_small_standard_deviations_are_floored(maps, pairs):
 
 
 def test_without_any_correlation_the_z_score_is_zero(maps, pairs):
-    d = maps.samples
+    d = maps
     none = replace(d, weight=np.zeros(len(d)))
-    found = run(PairMaps.of(none, GRID.v_max, 1.1), pairs)
+    found = run(none, pairs)
     np.testing.assert_array_equal(found.std, 0.0)
     np.testing.assert_array_equal(found.z_score(np.ones(GRID.shape)), 0.0)
 

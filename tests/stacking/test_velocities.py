@@ -110,18 +110,10 @@ def test_small_and_large_grids():
     grid = VelocityGrid.covering(2.0, 0.5)
     assert (grid.shape, grid.step) == ((9, 9), (0.5, 0.5))
     # The spacing grows where there would be too many points.
-    grid = VelocityGrid.covering((10.0, 1.0), 1e-6, max_size=101)
-    assert (grid.shape, grid.v_max) == ((101, 101), (10.0, 1.0))
+    grid = VelocityGrid.covering((10.0, 1.0), 1e-6)
+    assert (grid.shape, grid.v_max) == ((601, 601), (10.0, 1.0))
     # A step beyond the largest velocity leaves three.
     assert VelocityGrid.covering(1.0, 5.0).v1.tolist() == [-1.0, 0.0, 1.0]
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf, (1.0, 0.0)])
-def test_numbers_must_be_positive_and_finite(wrong):
-    with pytest.raises(ValueError, match="largest velocity must be positive"):
-        VelocityGrid.covering(wrong, 0.1)
-    with pytest.raises(ValueError, match="velocity step must be positive"):
-        VelocityGrid.covering(1.0, wrong)
 
 
 dates = st.lists(
@@ -175,14 +167,6 @@ def test_edges_of_a_baseline_are_inside():
     month = 30 / 365.25
     assert len(baseline_pairs([0.0, month], 0.082, 0.082)) == 1
     assert len(baseline_pairs([0.0, month], 0.084, 1.0)) == 0
-
-
-@pytest.mark.parametrize(
-    "limits", [(1.0, 0.5), (-0.5, 1.0), (0.0, 0.0), (np.nan, 1.0), (0.5, np.nan)]
-)
-def test_a_baseline_must_be_a_range(limits):
-    with pytest.raises(ValueError, match="a baseline needs 0 <= shortest <= longest"):
-        baseline_pairs([0.0, 1.0], *limits)
 
 
 def test_images_of_an_order_and_of_many():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
-from astro_scc.measurement.extensions import velocity_hdus
+from astro_scc.measurement.result import velocity_hdus
 from astro_scc.streams.dispersion import random_effects
 from astro_scc.visualization import drawing, explore
 
