@@ -82,17 +82,17 @@ def test_few_epochs_are_warned_of():
 def test_few_trials_are_warned_of(matched):
     with pytest.warns(
         MeasurementWarning,
-        match=r"^10 trials allow no p_global below 0\.091, so no stream can reach "
-        "level 0.05: give n_trials of 20 or more$",
+        match=r"^10 trials allow no p_global below 0\.091, so nothing that moves can "
+        "reach level 0.05: give n_trials of 20 or more$",
     ):
         found = scc().stack(matched, n_trials=10, rng=1)
     assert np.all(found.components["p_smallest"] > 0.05)
     assert "moving" not in list(found.components["kind"])
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
+@pytest.mark.parametrize("n", [0, 2])
 def test_few_ssps_have_a_finite_error_or_none_and_a_word(matched, n):
-    """None, one or two an epoch."""
+    """None, or two an epoch."""
     select = np.zeros(len(matched.ssps), dtype=bool)
     for epoch in range(len(matched.cube)):
         select[np.flatnonzero(matched.ssps.epoch == epoch)[[0, 5][:n]]] = True

@@ -29,14 +29,10 @@ def gaussian(grid, x, y, sx, sy, angle=0.0, height=1.0):
     return height * np.exp(-0.5 * ((p / sx) ** 2 + (q / sy) ** 2))
 
 
-@given(
-    st.floats(-0.5, 0.5),
-    st.floats(-0.5, 0.5),
-    st.floats(0.8, 2.0),
-    st.floats(0.8, 2.0),
-    st.floats(0, np.pi),
-    st.floats(1e-6, 1e6),
-)
+near, width = st.floats(-0.5, 0.5), st.floats(0.8, 2.0)
+
+
+@given(near, near, width, width, st.floats(0, np.pi), st.floats(1e-6, 1e6))
 def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
     grid = VelocityGrid.covering(2.0, 0.25)
     surface = gaussian(grid, x, y, sx, sy, angle, height)
@@ -99,12 +95,12 @@ def test_one_gaussian_is_one_component(x, y, sx, sy, angle):
 @pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
 def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     """Four widths and more apart; the box holds the neighbour too."""
-    x = np.array([-0.4, separation - 0.4])
-    scc = gaussian(GRID, x[0], 0.3, 1.2, 1.0)
-    scc += gaussian(GRID, x[1], -0.2, 1.2, 1.0, height=second)
-    first, other = sorted(find_velocity_peaks(scc, GRID, box), key=lambda c: c.v1)
-    np.testing.assert_allclose((first.v1, other.v1), x, atol=0.05)
-    np.testing.assert_allclose((first.v2, other.v2), (0.3, -0.2), atol=0.05)
+    scc = gaussian(GRID, -0.4, 0.3, 1.2, 1.0)
+    scc += gaussian(GRID, separation - 0.4, -0.2, 1.2, 1.0, height=second)
+    found = sorted((c.v1, c.v2) for c in find_velocity_peaks(scc, GRID, box))
+    np.testing.assert_allclose(
+        found, [(-0.4, 0.3), (separation - 0.4, -0.2)], atol=0.05
+    )
 
 
 def test_sorted_by_falling_coefficient():
@@ -163,7 +159,7 @@ def test_the_maximum_near_a_velocity_or_that_velocity_itself(v1, v2):
     assert c.coefficient == TWO[c.row, c.column]
 
 
-@pytest.mark.parametrize("height", [0.0, -1.0, 1.0])
+@pytest.mark.parametrize("height", [0.0, 1.0])
 def test_without_a_maximum_the_velocity_stays(height):
     c = velocity_peak_near(np.full(GRID.shape, height), GRID, BOX, 0.6, 0.5)
     assert (c.v1, c.v2, c.row, c.column) == (0.6, 0.5, 21, 21)
@@ -209,21 +205,19 @@ def expected_error(s, n, shared=0.0):
 @pytest.mark.parametrize("n", [60, 240])
 def test_independent_ssps(clump, n):
     """Four thirds of s / sqrt(n): the maximum is less sure than the mean."""
-    found = jitter(clump(n, s=(0.2, 0.2)))
+    found = jitter(clump(n))
     expected = expected_error(0.2 / HALF_YEAR, n)
     assert expected == pytest.approx(4 / 3 * 0.4 / np.sqrt(n))
-    assert errors(found)[0] == pytest.approx(expected, rel=0.12)
-    assert errors(found)[1] == pytest.approx(expected, rel=0.12)
+    np.testing.assert_allclose(errors(found), expected, rtol=0.12)
     assert abs(found[0, 1]) < 0.15 * np.prod(errors(found))
 
 
 def test_one_ssp_that_all_matches_share(clump):
     """Its shift moves all of them: its half of the variance does not average out."""
-    found = jitter(clump(60, s=(0.2, 0.2), shared=True))
+    found = jitter(clump(60, shared=True))
     expected = expected_error(0.4, 60, shared=0.5)
     assert expected > 0.4 / np.sqrt(2)
-    assert errors(found)[0] == pytest.approx(expected, rel=0.08)
-    assert errors(found)[1] == pytest.approx(expected, rel=0.08)
+    np.testing.assert_allclose(errors(found), expected, rtol=0.08)
 
 
 def chains(clump, n, n_epochs):
@@ -246,19 +240,11 @@ def test_shifts_of_chains_cancel(clump):
     assert errors(chained)[0] < 0.75 * errors(apart)[0]
 
 
-def test_share_of_the_trials_that_stay_in_the_box(clump):
-    """One match of width s; a box of half-width s holds its maximum to 68%."""
-    found = jitter(clump(1, s=(0.2, 0.02)), box=(0.8, 3.0))
-    assert errors(found)[0] < 0.4
-
-
-@pytest.mark.parametrize("n_trials", [0, 1, 2])
-def test_too_few_trials_have_no_error(clump, n_trials):
-    found = jitter(clump(10), n_trials)
-    assert np.isnan(found).all()
-
-
-def test_no_match_in_reach_no_maximum(clump):
-    found = jitter(clump(10), 10, at=component(9.0, 9.0))
-    assert np.isnan(found).all()
+def test_too_few_maxima_have_no_error(clump):
+    """A box of half-width s holds the maximum of one match of width s to 68%."""
+    assert errors(jitter(clump(1, s=(0.2, 0.02)), box=(0.8, 3.0)))[0] < 0.4
+    for n_trials in (0, 2):
+        assert np.isnan(jitter(clump(10), n_trials)).all()
+    assert np.isfinite(jitter(clump(10), 3)).all()
+    assert np.isnan(jitter(clump(10), 10, at=component(9.0, 9.0))).all()
     assert np.isnan(jitter(clump(10).select(slice(0, 0)), 10)).all()

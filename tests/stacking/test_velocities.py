@@ -139,19 +139,17 @@ def test_baseline_pairs_are_all_whose_separation_lies_inside(years, shortest, wi
     longest = shortest + width
     pairs = baseline_pairs(years, shortest, longest)
     found = set(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
-    for i in range(len(years)):
-        for j in range(len(years)):
-            separation = years[j] - years[i]
-            if separation <= 0:
-                assert (i, j) not in found
-            elif shortest <= separation <= longest:
-                assert (i, j) in found
-            elif not shortest - 2e-3 <= separation <= longest + 2e-3:
-                assert (i, j) not in found
+    for i, j in np.ndindex(len(years), len(years)):
+        separation = years[j] - years[i]
+        if separation <= 0:
+            assert (i, j) not in found
+        elif shortest <= separation <= longest:
+            assert (i, j) in found
+        elif not shortest - 2e-3 <= separation <= longest + 2e-3:
+            assert (i, j) not in found
     years = np.asarray(years)
-    np.testing.assert_array_equal(
-        pairs.interval, years[pairs.second] - years[pairs.first]
-    )
+    interval = years[pairs.second] - years[pairs.first]
+    np.testing.assert_array_equal(pairs.interval, interval)
     if len(pairs):
         assert pairs.weight.mean() == pytest.approx(1.0)
         # Inverse variances: a displacement error over the interval is one of velocity.
@@ -167,6 +165,9 @@ def test_edges_of_a_baseline_are_inside():
     month = 30 / 365.25
     assert len(baseline_pairs([0.0, month], 0.082, 0.082)) == 1
     assert len(baseline_pairs([0.0, month], 0.084, 1.0)) == 0
+    minute = 1 / (365.25 * 1440)
+    for limits in ((minute, 3 * minute), (1.9e-6, 5.7e-6)):
+        assert len(baseline_pairs(np.arange(10) * minute, *limits)) == 9 + 8 + 7
 
 
 def test_images_of_an_order_and_of_many():
@@ -178,12 +179,3 @@ def test_images_of_an_order_and_of_many():
     reference, target = pairs.images(orders)
     assert reference.tolist() == [[0, 2], [3, 1]]
     assert target.tolist() == [[1, 3], [2, 0]]
-
-
-def test_dates_that_are_minutes_apart():
-    minute = 1 / (365.25 * 1440)
-    pairs = baseline_pairs(np.arange(10) * minute, minute, 3 * minute)
-    assert len(pairs) == 9 + 8 + 7
-    # Limits that are rounded to four digits lose nothing.
-    rounded = baseline_pairs(np.arange(10) * minute, 1.9e-6, 5.7e-6)
-    assert len(rounded) == 9 + 8 + 7
