@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.correlation import Matches, all_pairs
+from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
@@ -57,9 +57,9 @@ class MatchedEpochs:
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
         The SSPs of the region.
     matches : `~astro_scc.correlation.Matches`
-    provenance : dict
-        What determined the matches, see
-        ``match_provenance``; `write` needs it.
+    correlator : `~astro_scc.correlation.Correlator`
+    reach : tuple of int
+        Largest displacement along (y, x), in pixels.
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
         The pixels of the region; None for all.
 
@@ -84,7 +84,8 @@ class MatchedEpochs:
     ssps: SSPs
     select: np.ndarray
     matches: Matches
-    provenance: dict = field(default_factory=dict)
+    correlator: Correlator
+    reach: tuple[int, int]
     region: np.ndarray | None = None
 
     def __repr__(self):
@@ -162,24 +163,20 @@ class MatchedEpochs:
         OSError
             If the file exists and ``overwrite`` is False, or cannot be
             written.
-        ValueError
-            If these matches have no ``provenance``.
 
         Notes
         -----
         The file holds neither the images nor their wavelet planes, which are
         quickly computed again.
         """
-        if not self.provenance:
-            raise ValueError(
-                "these matches have no provenance and cannot be written: get them from "
-                "StackedCrossCorrelation.match"
-            )
-        provenance, selected = self.provenance, selection_digest(self.select)
-        if provenance["selected"] != selected:
+        made = match_provenance(
+            self.cube, self.decomposer, self.correlator, self.reach, self.region
+        )
+        inside = centroids_inside(self.ssps, self.cube, self.region)
+        if not np.array_equal(self.select, inside):
             # No region that can be requested gives SSPs that were selected later.
-            provenance = provenance | {"region": "chosen SSPs", "selected": selected}
-        parts = replace(self, cube=None, provenance=provenance)
+            made["region"] = "chosen SSPs"
+        parts = {"matched": replace(self, cube=None), "provenance": made}
         write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
@@ -211,14 +208,14 @@ class MatchedEpochs:
             If it was made from other images, or by other settings or versions.
         """
         parts = read_object(path, creator=MATCHES)
-        found = parts.provenance
+        found = parts["provenance"]
         if wanted is None:
             wanted = {**image_provenance(cube), "versions": versions()}
         stale = [name for name, value in wanted.items() if found.get(name) != value]
         if stale:
             what = ", ".join(stale)
             raise ValueError(f"{path}: is of other {what}; match the epochs again")
-        return replace(parts, cube=cube)
+        return replace(parts["matched"], cube=cube)
 
 
 def match_epochs(
@@ -243,8 +240,9 @@ def match_epochs(
     `MatchedEpochs`
     """
     inside = None if region is None else cube.region_mask(region)
-    provenance = match_provenance(cube, decomposer, correlator, reach, inside)
-    cache, found = kept_matches(cache, cube, provenance)
+    found, of = None, (cube, decomposer, correlator, reach, inside)
+    if cache is not None:
+        cache, found = kept_matches(cache, cube, match_provenance(*of))
     if found is None:
         with workers_of(n_workers) as workers:
             how = {"n_workers": workers, "progress_bar": progress_bar}
@@ -255,9 +253,8 @@ def match_epochs(
                 work = decompositions, all_pairs(len(cube)), reach
                 how = {"n_workers": workers, "progress": done}
                 matches = correlator(*work, select=select, **how)
-        provenance["selected"] = selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
-        of = decomposer, ssps, select, matches, provenance, inside
+        of = decomposer, ssps, select, matches, correlator, reach, inside
         found = MatchedEpochs(cube, *of)
         if cache is not None:
             cache.parent.mkdir(parents=True, exist_ok=True)
@@ -282,7 +279,7 @@ def kept_matches(path, cube, provenance):
 
     Parameters
     ----------
-    path : path or None
+    path : path
         A FITS file, or a folder for files of many provenances.
     cube : `~astro_scc.epochs.EpochCube`
     provenance : dict
@@ -290,7 +287,7 @@ def kept_matches(path, cube, provenance):
 
     Returns
     -------
-    path : `~pathlib.Path` or None
+    path : `~pathlib.Path`
     matched : `MatchedEpochs` or None
 
     Warns
@@ -298,8 +295,6 @@ def kept_matches(path, cube, provenance):
     `~astro_scc.exceptions.MeasurementWarning`
         If there is a file but it cannot be used.
     """
-    if path is None:
-        return None, None
     path, matched = Path(path), None
     if path.suffix.lower() != ".fits":
         digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
@@ -364,11 +359,6 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     }
     # Give it the types that it will have when it is read.
     return json.loads(json.dumps(made))
-
-
-def selection_digest(select):
-    """Return a short digest of a selection of SSPs."""
-    return _of_array(np.asarray(select, dtype=bool))[:16]
 
 
 def _of_array(array):
