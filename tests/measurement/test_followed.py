@@ -194,6 +194,7 @@ def test_every_part_of_a_steady_flow_has_its_speed(result):
     assert table["pm"][0] == result.components["pm"][0]
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_parts(matched, result):
     again = SCC.stack(matched, n_trials=99, rng=1, n_workers=2).sensitivity
     for name in again.colnames:
