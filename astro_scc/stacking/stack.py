@@ -201,7 +201,7 @@ class VelocityPeak:
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
     >>> round(peak.v1, 1), round(peak.coefficient, 2)
-    (1.1, 0.99)
+    (1.1, 1.0)
     """
 
     v1: float

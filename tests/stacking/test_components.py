@@ -142,7 +142,7 @@ TWO = gaussian(GRID, -3.0, 1.0, 0.6, 0.6)
 TWO += gaussian(GRID, 2.0, -2.0, 0.6, 0.6, height=0.3)
 
 
-@given(st.floats(-10, 10), st.floats(-8, 8))
+@given(st.floats(-6, 5), st.floats(-4, 3))
 def test_the_maximum_near_a_velocity_or_that_velocity_itself(v1, v2):
     """Distance is in units of the box; beyond half of it there is no maximum."""
     box = (4.0, 2.0)
