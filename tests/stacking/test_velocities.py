@@ -87,6 +87,11 @@ def test_a_selection_selects_every_column():
     some = replace(d, epoch=np.arange(5)).of_ssps(np.arange(5) == 2)
     np.testing.assert_array_equal(some.ssp, d.ssp[keep])
     assert some.n_ssps.tolist() == [0, 0, 1, 0, 0]
+    # Within a range of epochs, SSPs and epochs have new numbers.
+    d = replace(d, epoch=np.arange(5), scale=np.ones(5))
+    part, alone = d.of_epochs(slice(1, 4)), every_pair((0, 0), (1, 2), YEARS[1:4])
+    for name in ("d1", "reference", "target", "ssp", "target_ssp", "years", "n_ssps"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(alone, name))
 
 
 speed = st.floats(0.01, 100.0)
