@@ -22,10 +22,9 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
-from astro_scc.measurement.stacking import seeded
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
-from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.scc import StackedCrossCorrelation, seeded
 from astro_scc.settings import require
 from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.units import PM_UNIT

@@ -7,29 +7,48 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from threadpoolctl import threadpool_limits
 
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.correlation import Correlator
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
+from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
 from astro_scc.matching import MatchedEpochs, SearchPlan
 from astro_scc.matching.matched import allow_for_structure, match_epochs
-from astro_scc.matching.plan import scale_numbers
+from astro_scc.matching.plan import flow_direction, map_grid, scale_numbers
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.stacking import stack_matches
+from astro_scc.measurement.search import prepared_search
+from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
+from astro_scc.progress import progress
+from astro_scc.quantities import random_generator
 from astro_scc.settings import MeasurementSettings, Settings, require
-from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.stacking import stack as paper
+from astro_scc.stacking.velocities import VelocitySamples, baseline_pairs
+from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import comparable
+from astro_scc.writing import versions
 
 if TYPE_CHECKING:
     from distributed import Client
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
+
+#: Shift of the paper's correction for small displacements, in beams.
+SMALL_SHIFT = 0.2
+#: Extent of the map, in units of the largest speed found.
+MAP_SPEEDS = 3.0
+#: Most permutations for the paper's z-score and trials for its error: they are standard
+#: deviations, known to 5% from 200.
+PAPER_TRIALS = 200
+#: Fewest pairs of dates of a map.
+FEWEST_PAIRS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,13 +158,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         return cls(**own)
 
     def _decomposer(self, scales):
-        return Decomposer(
-            scales=scales,
-            kernel=self.wavelet,
-            detection=self.detection,
-            segmentation=self.segmentation,
-            noise=self.noise,
-        )
+        names = "detection", "segmentation", "noise"
+        own = {name: getattr(self, name) for name in names}
+        return Decomposer(scales=scales, kernel=self.wavelet, **own)
 
     def plan(self, cube: EpochCube) -> SearchPlan:
         """
@@ -178,8 +193,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `~astro_scc.decomposition.Decomposer`
         """
-        numbers = scale_numbers(cube, self.scales)
-        return allow_for_structure(cube, self._decomposer(numbers))
+        scales = scale_numbers(cube, self.scales)
+        return allow_for_structure(cube, self._decomposer(scales))
 
     def match(
         self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
@@ -233,16 +248,11 @@ class StackedCrossCorrelation(MeasurementSettings):
             require_common_beam(cube)
         warn_of_misalignment(cube)
         plan = self.plan(cube)
-        return match_epochs(
-            cube,
-            allow_for_structure(cube, self._decomposer(plan.scales)),
-            Correlator(self.kappa, self.target, self.min_overlap),
-            plan.reach(cube),
-            region=region,
-            n_workers=n_workers,
-            cache=cache,
-            progress_bar=progress_bar,
-        )
+        decomposer = allow_for_structure(cube, self._decomposer(plan.scales))
+        correlator = Correlator(self.kappa, self.target, self.min_overlap)
+        how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
+        work = cube, decomposer, correlator, plan.reach(cube)
+        return match_epochs(*work, region=region, **how)
 
     def stack(
         self, matched: MatchedEpochs, *, n_trials: int = 1000,
@@ -257,7 +267,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         matched : `~astro_scc.matching.MatchedEpochs`
         n_trials : int, optional
             Number of permutations of the epochs.  The paper's z-score and error take
-            at most 200, which give a standard deviation to 5%.
+            at most 200, which give a standard deviation to 5%.  Without a baseline, if
+            the first stream moves, its stack is of the pairs of dates in which it moves
+            0.2 to 1 beam.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         n_workers : int, str or `dask.distributed.Client`, optional
@@ -272,19 +284,98 @@ class StackedCrossCorrelation(MeasurementSettings):
         ------
         ValueError
             If ``n_trials`` is below 2.
-        """
-        from threadpoolctl import threadpool_limits
 
+        Warns
+        -----
+        `~astro_scc.exceptions.MeasurementWarning`
+            If there are so few trials or epochs that no ``p_global`` can be as
+            small as ``alpha``.
+        """
+        n_trials = require("n_trials", n_trials)
+        rng, seed = seeded(rng)
+        paper_rng, search_rng, error_rng, choice_rng = random_generator(rng).spawn(4)
+        cube, plan = matched.cube, self.plan(matched.cube)
+        samples, frame = matched_displacements(matched, self)
+        angle = flow_direction(matched, frame)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1):
-            return stack_matches(
-                matched,
-                self,
-                n_trials=n_trials,
-                rng=rng,
-                n_workers=n_workers,
-                progress_bar=progress_bar,
-            )
+            with progress(None, "Searching", show=progress_bar):
+                of = matched, self, plan, samples, frame
+                found = prepared_search(*of, n_trials=n_trials, rng=search_rng)()
+                choices = sensitivity_rows(found, *of, choice_rng, n_workers)
+            search, velocities = found
+            if choices:
+                velocities = with_choices(velocities[0], choices), *velocities[1:]
+            smallest = search.permutations.smallest_p
+            _warn_of_limits(smallest, len(cube), n_trials, self.alpha)
+            pairs = self._pairs_of_map(cube, plan, search.streams, velocities)
+            of = samples, pairs, velocities, plan, min(n_trials, PAPER_TRIALS)
+            rngs = paper_rng, error_rng
+            stacked = self._stack_as_in_paper(*of, *rngs, progress_bar)
+        return SCCResult(
+            matched=matched,
+            frame=frame,
+            position_angle=angle,
+            pairs=pairs,
+            displacements=samples,
+            search=search,
+            velocities=velocities,
+            choices=choices,
+            meta={
+                "settings": self.to_dict(),
+                "n_trials": int(n_trials),
+                "seed": seed,
+                "versions": versions(),
+                "jet_position_angle": angle,
+                "misalignment_beams": cube.misalignment,
+            },
+            **stacked,
+        )
+
+    def _pairs_of_map(self, cube, plan, streams, velocities):
+        """Return the pairs of dates of the paper's stack."""
+        moves = any(stream.kind == "moving" for stream in streams[:1])
+        if self.baseline is not None or not moves:
+            return plan.pairs
+        # Without a baseline, those in which the first stream moves 0.2 to 1 beam.
+        years = plan.fwhm / np.hypot(*velocities[0].value)
+        limits = DEFAULT.nearest * years, DEFAULT.farthest * years
+        found = baseline_pairs(cube.years.to_value(u.yr), *limits)
+        return found if len(found) >= FEWEST_PAIRS else plan.pairs
+
+    def _stack_as_in_paper(
+        self, samples, pairs, velocities, plan, n_trials, rng, error_rng, progress_bar
+    ):  # fmt: skip
+        """Return the paper's stack, its z-score, and its peaks with their errors."""
+        fwhm, limit = plan.fwhm, plan.max_speed
+        fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
+        if limit is None:
+            limit = plan.radius * fwhm / np.median(pairs.interval)
+            limit = min(limit, MAP_SPEEDS * fastest) if fastest > 0 else limit
+        grid = map_grid(samples, pairs, max(limit, 1.2 * fastest))
+        shift = (
+            (SMALL_SHIFT * fwhm,) * 2 if self.small_displacement_correction else None
+        )
+        with progress(n_trials, "Permuting", show=progress_bar) as done:
+            how = {"rng": rng, "shift": shift, "progress": done}
+            permuted = paper.permute_stacks(samples, pairs, grid, n_trials, **how)
+        scc = paper.stack(samples, pairs, grid)
+        box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
+        peaks = tuple(
+            paper.velocity_peak_near(scc, grid, box, *v.value) for v in velocities
+        )
+        errors = tuple(
+            paper.jitter_positions(samples, pairs, peak, box, n_trials, rng=own)
+            for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
+        )
+        return {
+            "grid": grid,
+            "coefficient": scc,
+            "z_score": permuted.z_score(scc),
+            "permuted": permuted,
+            "maxima": peaks,
+            "jitters": errors,
+        }
 
     def displacements(self, matched: MatchedEpochs) -> tuple[VelocitySamples, Any]:
         """
@@ -386,3 +477,26 @@ def measure_velocities(
     return scc(
         cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
     ).components
+
+
+def seeded(rng):
+    """Return ``rng``, or a random seed for None, and the seed if it is an integer."""
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
+
+
+def _warn_of_limits(smallest, n_epochs, n_trials, level):
+    """Warn if no p-value can be as small as the level."""
+    if smallest <= level:
+        return
+    what, least = f"{n_trials} trials", f"{smallest:.2g}"
+    more = f"give n_trials of {int(np.ceil(1 / level))} or more"
+    if 1 / paper.number_of_permutations(n_epochs) > level:
+        what, least = f"{n_epochs} epochs", f"{least} (2/N!)"
+        more = "measure more epochs"
+    warn(
+        f"{what} allow no p_global below {least}, so nothing that moves can reach "
+        f"level {level:g}: {more}",
+        MeasurementWarning,
+    )

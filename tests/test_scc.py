@@ -32,9 +32,8 @@ def moving(velocity=(3.0, 1.0), n_epochs=5, seed=0, shape=(72, 96), rms=0.01):
          rng.uniform(-4, 4), rng.uniform(0.5, 1.5)) for r in range(3) for c in range(3)
     ]  # fmt: skip
     images = np.zeros((n_epochs, ny, nx))
-    for image, step in zip(
-        images, np.arange(n_epochs) - (n_epochs - 1) / 2, strict=True
-    ):
+    for k, image in enumerate(images):
+        step = k - (n_epochs - 1) / 2
         for x0, y0, height in start:
             r2 = (x - x0 - velocity[0] * step) ** 2 + (y - y0 - velocity[1] * step) ** 2
             image += height * np.exp(-4 * np.log(2) * r2 / 6.0**2)
@@ -67,21 +66,11 @@ def in_pixels(table):
     return np.stack(columns, axis=1) * [-1, 1]
 
 
-def maxima(result):
-    """Maxima of the stack by falling coefficient, as `in_pixels`."""
-    box = (6 * PIXEL).value
-    found = find_velocity_peaks(result.coefficient, result.grid, (box, box))
-    sky = np.array([result.frame.matrix().T @ (c.v1, c.v2) for c in found])
-    return sky * [-1, 1] / PIXEL.value
-
-
 def strongest(result):
-    """The highest maximum of the stack, significant or not."""
-    return maxima(result)[0]
-
-
-def nearest(motions, x, y=0.0):
-    return motions[np.hypot(motions[:, 0] - x, motions[:, 1] - y).argmin()]
+    """The highest maximum of the stack, significant or not, as `in_pixels`."""
+    box = (6 * PIXEL).value
+    peak = find_velocity_peaks(result.coefficient, result.grid, (box, box))[0]
+    return result.frame.matrix().T @ (peak.v1, peak.v2) * [-1, 1] / PIXEL.value
 
 
 def check_motion(result, velocity, atol=0.15):
@@ -105,7 +94,7 @@ def result(cube):
     return measure(cube)
 
 
-# What cannot be meant ------------------------------------------------------------
+# Settings ------------------------------------------------------------------------
 
 
 def test_settings_are_kept_in_the_units_of_the_package():
@@ -115,13 +104,10 @@ def test_settings_are_kept_in_the_units_of_the_package():
         baseline=[0, 365.25] * u.day,
         position_angle=np.pi * u.rad,
     )
-    assert scc.scales == (2.0,)
-    assert scc.max_speed == 1 * PM
-    assert scc.baseline.unit == u.yr
-    assert scc.position_angle == 180 * u.deg
+    assert (scc.scales, scc.max_speed) == ((2.0,), 1 * PM)
+    assert (scc.baseline.unit, scc.position_angle) == (u.yr, 180 * u.deg)
     assert scc.to_dict()["scales"] == [2.0]
-    again = StackedCrossCorrelation(**scc.to_dict())
-    assert again.min_error_beams == scc.min_error_beams
+    assert StackedCrossCorrelation(**scc.to_dict()) == scc
     assert StackedCrossCorrelation(max_speed="2 mas/yr").max_speed == 2 * PM
 
 
@@ -132,6 +118,9 @@ def test_settings_are_kept_in_the_units_of_the_package():
         (lambda scc, cube: scc(cube, n_trials="many"), "'many' must be a whole"),
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least two epochs"),
+        (lambda scc, cube: scc.stack(None, rng="abc"), "^rng must be a seed"),
+        (lambda scc, cube: scc.stack(None, rng=-1), "^rng must be a seed"),
+        (lambda scc, cube: scc.stack(None, rng=True), "^rng must be a seed"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(cube, call, words):
@@ -139,22 +128,15 @@ def test_what_cannot_be_meant_is_refused(cube, call, words):
         call(make_scc(), cube)
 
 
-# Scales and speeds ---------------------------------------------------------------
-
-
-def speed_limit(scc, cube):
-    return scc.plan(cube).speed_limit(cube)
-
-
 def test_the_largest_speed_that_is_searched(data):
     """Four beams in the median interval, and the scatter of displacements."""
     scc, cube = make_scc(max_speed=None), make_cube(data, steps=[0, 1, 2, 3, 6])
-    month = (DAYS * u.day).to_value(u.yr)
-    assert speed_limit(scc, cube).to_value(PM) == pytest.approx(4.36 * 0.6 / month)
     # Pairs of epochs that are further apart do not show as much.
-    far = speed_limit(replace(scc, baseline=[80, 100] * u.day), cube)
-    assert far.to_value(PM) == pytest.approx(4.36 * 0.6 / (3 * month))
-    assert speed_limit(make_scc(max_speed=3 * PM), cube) == 3 * PM
+    far = replace(scc, baseline=[80, 100] * u.day)
+    one = 4.36 * 0.6 / (DAYS * u.day).to_value(u.yr)
+    for own, speed in ((scc, one), (far, one / 3), (make_scc(max_speed=3 * PM), 3)):
+        limit = own.plan(cube).speed_limit(cube)
+        assert limit.to_value(PM) == pytest.approx(speed)
 
 
 # The motion that is there --------------------------------------------------------
@@ -162,8 +144,7 @@ def test_the_largest_speed_that_is_searched(data):
 
 def test_finds_the_motion(result):
     (only,) = result.components
-    assert only["kind"] == "moving"
-    assert only["n_features"] == 9
+    assert (only["kind"], only["n_features"]) == ("moving", 9)
     check_motion(result, (3, 1), atol=0.1)
     np.testing.assert_allclose(in_pixels(result.components)[0], (3, 1), atol=0.02)
     assert result.coefficient.max() > 0.5
@@ -171,6 +152,7 @@ def test_finds_the_motion(result):
     assert result.z_score[row, column] > 2
 
 
+@pytest.mark.slow
 def test_finds_what_does_not_move():
     found = measure(make_cube(moving((0.0, 0.0), seed=2)))
     np.testing.assert_allclose(strongest(found), (0, 0), atol=0.15)
@@ -196,9 +178,8 @@ def test_finds_it_with_other_settings(cube, settings):
 
 def test_a_region_without_ssps_is_told(cube, tmp_path):
     scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    path = tmp_path / "corner.reg"
+    path, cache = tmp_path / "corner.reg", tmp_path / "m.fits"
     path.write_text("image\ncircle(3,3,2)\n")
-    cache = tmp_path / "m.fits"
     line = (
         f"^{path}: no significant pattern has its centroid inside, \\d+ in the rest of "
         "the images: check where it lies, or make it larger$"
@@ -227,8 +208,7 @@ def test_missing_pixels(data):
     mask[3, 50, :] = True
     mask[:, :, :3] = True
     found = measure(make_cube(np.where(mask, np.nan, data)))
-    assert np.isfinite(found.coefficient).all()
-    assert np.isfinite(found.z_score).all()
+    assert np.isfinite([found.coefficient, found.z_score]).all()
     check_motion(found, (3, 1), atol=0.2)
     # Whatever values stand under a mask.
     masked = measure(make_cube(np.where(mask, 1e6, data), mask=mask))
@@ -243,31 +223,24 @@ def test_pixels_that_are_not_square():
     wcs.wcs.cunit = ["mas", "mas"]
     wcs.wcs.crpix = [64.0, 36.0]
     wcs.wcs.cdelt = [-0.05, 0.2]
-    cube = EpochCube(
-        data=data, times=dates(range(3)), wcs=wcs, beams=Beam(0.3 * u.mas, 0.3 * u.mas)
-    )
+    beam = Beam(0.3 * u.mas, 0.3 * u.mas)
+    cube = EpochCube(data=data, times=dates(range(3)), wcs=wcs, beams=beam)
     with pytest.warns(MeasurementWarning, match="3 epochs allow no p_global below"):
-        found = measure(cube, max_speed=6 * PIXEL)
+        found = measure(cube, scales=[1], max_speed=6 * PIXEL)
     # Half of 0.1 mas each.
     np.testing.assert_allclose(strongest(found), (5, 0), atol=0.15)
 
 
-def test_other_units_of_angle_and_time():
+@pytest.mark.slow
+def test_other_units_of_angle_and_time(data):
     """Arcseconds and hours, as of the Sun."""
-    cube = EpochCube.from_arrays(
-        moving(),
-        Time("2000-01-01") + np.arange(5) * u.hour,
-        pixel_scale=2 * u.arcsec,
-        beams=None,
-    )
+    times = Time("2000-01-01") + np.arange(5) * u.hour
+    cube = EpochCube.from_arrays(data, times, pixel_scale=2 * u.arcsec, beams=None)
     unit = 2 * u.arcsec / u.hour
     found = measure(cube, scales=[4, 8] * u.arcsec, max_speed=8 * unit)
     motion = strongest(found) * (PIXEL / unit).to_value(u.one)
     np.testing.assert_allclose(motion, (3, 1), atol=0.15)
     assert found.components["pm"].unit == u.arcsec / u.hour
-
-
-# Nothing there -------------------------------------------------------------------
 
 
 NO_SSP = (
@@ -277,12 +250,8 @@ NO_SSP = (
 )
 
 
-@pytest.mark.parametrize(
-    ("value", "position_angle"), [(0.0, None), (1.0, "radial"), (1.0, 30 * u.deg)]
-)
-def test_flat_images_have_no_components(result, tmp_path, value, position_angle):
-    scc = make_scc(position_angle=position_angle)
-    flat = make_cube(np.full((5, 48, 48), value))
+def test_flat_images_have_no_components(result, tmp_path):
+    scc, flat = make_scc(position_angle="radial"), make_cube(np.ones((5, 48, 48)))
     with pytest.raises(ValueError, match=NO_SSP):
         scc(flat, n_trials=20)
     found = scc.stack(scc.match(flat), n_trials=20, rng=1)
@@ -290,19 +259,11 @@ def test_flat_images_have_no_components(result, tmp_path, value, position_angle)
     assert found.search.streams == found.velocities == ()
     # The products have all columns and units, and no row but those of the epochs.
     paths = write_products(found, found.components_in_c(distance=1 * u.Mpc), tmp_path)
-    for path in (path for path in paths if path.suffix == ".ecsv"):
-        table = QTable.read(path)
-        assert len(table) == (len(flat) if path.stem == "epochs" else 0)
-        if path.stem == "components":
-            for name in result.components.colnames:
-                unit = getattr(result.components[name], "unit", None)
-                assert getattr(table[name], "unit", None) == unit
-
-
-def test_noise_alone():
-    # At the usual threshold some maxima of the noise are SSPs.
-    _, images = np.random.default_rng(0).normal(size=(2, 5, 64, 64))
-    assert np.isfinite(measure(make_cube(images)).z_score).all()
+    read = {p.stem: QTable.read(p) for p in paths if p.suffix == ".ecsv"}
+    assert {name for name, table in read.items() if len(table)} == {"epochs"}
+    for name in result.components.colnames:
+        unit = getattr(result.components[name], "unit", None)
+        assert getattr(read["components"][name], "unit", None) == unit
 
 
 # Seeds and records ---------------------------------------------------------------
@@ -346,18 +307,13 @@ def test_two_streams_of_a_simulated_jet(seed):
     found = measure(jet.cube, position_angle=270 * u.deg, **options)
     significant = found.components[found.components["kind"] == "moving"]
     assert len(significant) == 2
+    motions = in_pixels(significant)
     for speed, group in ((5, "slow"), (20, "fast")):
         own = table[table["group"] == group]
         own["pm_ra_cosdec"], own["pm_dec"] = own["pm_east"], own["pm_north"]
         truth = in_pixels(own).mean(axis=0)
-        motion = nearest(in_pixels(significant), speed)
-        assert abs(motion[0] - speed) < 1.0
-        assert abs(motion[0] - truth[0]) < 1.0
-        assert abs(motion[1] - truth[1]) < 1.5
+        x, y = motions[np.hypot(motions[:, 0] - speed, motions[:, 1]).argmin()]
+        assert abs(x - speed) < 1.0
+        assert abs(x - truth[0]) < 1.0
+        assert abs(y - truth[1]) < 1.5
     assert np.all(significant["p_distinct"] <= 0.05)
-
-
-@pytest.mark.parametrize("rng", [True, "abc", 1.5, -1, np.random.RandomState(1)])
-def test_what_is_no_seed_is_refused(jet_matched, rng):
-    with pytest.raises(ValueError, match="^rng must be a seed"):
-        StackedCrossCorrelation().stack(jet_matched, n_trials=20, rng=rng)

@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
 from scipy.special import chdtrc
 
-from astro_scc import matching, measurement
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
+from astro_scc.matching import MatchedEpochs, select_ssps
+from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, component_table, stack_tables
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.quantities import random_generator
@@ -153,32 +154,31 @@ def fit_profile(
     x, y, s = r.value[good], v.value[good], e.value[good]
     names = MODELS[model]
     n, k = len(x), len(names)
-    n_different = len(np.unique(x))
-    if n_different < k:
+    if (n_different := len(np.unique(x))) < k:
         raise ValueError(
             f"a {model} profile needs speeds with errors at {k} distances or more, "
             f"got {n_different}"
         )
     if model == "power-law" and not (np.all(x > 0) and np.all(y > 0)):
         raise ValueError("a power law needs distances and speeds above 0")
-    x0, values, covariance, chi2 = _solve(model, x, y, s)
+    x0, values, covariance = _solve(model, x, y, s)
+    chi2 = _chi2(y - _model(model, x, x0, values), s)
     better = _chi2(y - np.average(y, weights=1 / s**2), s) - chi2
-    p = float(chdtrc(k - 1, max(better, 0.0))) if k > 1 else 1.0
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
-
-    def named(values):
-        rate = v.unit / r.unit
-        return {m: a * units.get(m, rate) for m, a in zip(names, values, strict=True)}
-
+    units = [units.get(name, v.unit / r.unit) for name in names]
+    parameters, errors = (
+        dict(zip(names, map(u.Quantity, of, units), strict=True))
+        for of in (values, np.sqrt(np.diag(covariance)))
+    )
     return ProfileFit(
         model=model,
         r0=x0 * r.unit,
-        parameters=named(values),
-        errors=named(np.sqrt(np.diag(covariance))),
+        parameters=parameters,
+        errors=errors,
         chi2=chi2,
         n_free=n - k,
         aicc=chi2 + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
-        p_constant=p,
+        p_constant=float(chdtrc(k - 1, max(better, 0.0))) if k > 1 else 1.0,
         unit=v.unit,
     )
 
@@ -204,7 +204,7 @@ def _chi2(rest, s):
 
 
 def _solve(model, x, y, s):
-    """Return the distance of v0, and the parameters, covariance and chi-square."""
+    """Return the distance of v0, the parameters and their covariance."""
     if model == "power-law":
         return _solve_power_law(x, y, s)
     if model != "broken":
@@ -212,22 +212,19 @@ def _solve(model, x, y, s):
         return x0, *_linear(_columns(model, x, x0), y, s)
     place = np.unique(x)
     tried = np.linspace(place[1], place[-2], BREAKS)
-    fits = [_linear(_columns(model, x, at), y, s) for at in tried]
-    best = int(np.argmin([chi2 for *_, chi2 in fits]))
-    at, (values, _, chi2) = tried[best], fits[best]
+    fits = [(at, _linear(_columns(model, x, at), y, s)[0]) for at in tried]
+    at, values = min(fits, key=lambda fit: _chi2(y - _model(model, x, *fit), s))
     # The break is a fourth parameter; its derivative differs between the two sides.
     turn = np.where(x < at, -values[1], -values[2])
-    _, covariance, _ = _linear([*_columns(model, x, at), turn], y, s)
-    return at, np.array([*values, at]), covariance, chi2
+    _, covariance = _linear([*_columns(model, x, at), turn], y, s)
+    return at, np.array([*values, at]), covariance
 
 
 def _linear(columns, y, s):
-    """Return parameters, covariance and chi-square of weighted least squares."""
-    design = np.stack(columns, axis=1)
-    weighted = design / s[:, None]
+    """Return parameters and covariance of weighted least squares."""
+    weighted = np.stack(columns, axis=1) / s[:, None]
     covariance = np.linalg.pinv(weighted.T @ weighted)
-    values = covariance @ weighted.T @ (y / s)
-    return values, covariance, _chi2(y - design @ values, s)
+    return covariance @ weighted.T @ (y / s), covariance
 
 
 def _solve_power_law(x, y, s):
@@ -238,12 +235,11 @@ def _solve_power_law(x, y, s):
 
     # A difference quotient is too coarse where the index is near 0.
     def slopes(r, v0, index):
-        power = _model("power-law", r, x0, (1.0, index))
+        power = curve(r, 1.0, index)
         return np.stack([power, v0 * power * np.log(r / x0)], axis=1)
 
     how = {"p0": (np.average(y), 0.0), "sigma": s, "absolute_sigma": True}
-    values, covariance = curve_fit(curve, x, y, jac=slopes, **how)
-    return x0, values, covariance, _chi2(y - curve(x, *values), s)
+    return x0, *curve_fit(curve, x, y, jac=slopes, **how)
 
 
 def bins_of(edges, *, window=None):
@@ -294,7 +290,7 @@ class Profile(Components):
     """
 
     bins: u.Quantity
-    results: tuple[measurement.SCCResult | None, ...]
+    results: tuple[SCCResult | None, ...]
     along: str = "radius"
 
     def __len__(self) -> int:
@@ -321,7 +317,7 @@ class Profile(Components):
         tables = [
             component_table([]) if r is None else r.components for r in self.results
         ]
-        adjusted = measurement.false_discovery_rate(tables)
+        adjusted = false_discovery_rate(tables)
         placed = list(map(_in_bin, adjusted, self.bins))
         meta = dict(next((table.meta for table in tables if table.meta), {}))
         if tested := adjusted[0].meta.get("false_discovery"):
@@ -356,7 +352,7 @@ def _main(table):
 
 
 def measure_profile(
-    scc: StackedCrossCorrelation, matched: matching.MatchedEpochs | EpochCube,
+    scc: StackedCrossCorrelation, matched: MatchedEpochs | EpochCube,
     edges: u.Quantity | str, *, window: u.Quantity | str | None = None,
     ridge: RidgeLine | None = None, n_trials: int = 1000,
     rng: np.random.Generator | int | None = None, progress_bar: bool = False,
@@ -413,12 +409,11 @@ def measure_profile(
     seed = int(rng) if isinstance(rng, int | np.integer) else None
     results = [None] * len(bins)
     for k, own in enumerate(random_generator(rng).spawn(len(bins))):
-        limits = {"r_min": bins[k, 0], "r_max": bins[k, 1]}
-        part = matching.select_ssps(matched, **limits, ridge=ridge)
+        r_min, r_max = bins[k]
+        part = select_ssps(matched, r_min=r_min, r_max=r_max, ridge=ridge)
         if part.select.any():
-            results[k] = scc.stack(
-                part, n_trials=n_trials, rng=own, progress_bar=progress_bar
-            )
+            how = {"n_trials": n_trials, "rng": own, "progress_bar": progress_bar}
+            results[k] = scc.stack(part, **how)
             results[k].meta["seed"] = seed
     if not any(results):
         raise ValueError(
@@ -476,9 +471,8 @@ def write_profile(
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
-    settings = {"configuration": configuration, "text": text}
     of = {"profile": components}, directory, components.meta
-    _, paths = write_tables(*of, **settings)
+    _, paths = write_tables(*of, configuration=configuration, text=text)
     files = style.figure_files(_figures(profile, components))
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]
@@ -487,8 +481,7 @@ def write_profile(
 def _figures(profile, components):
     """Return functions that draw the figures of a profile by their names."""
     results = [result for result in profile.results if result is not None]
-    first, (maps, grid) = results[0], _scale_maps(results)
-    angles = _angles_of_scales(results)
+    first, (maps, angles, grid) = results[0], _of_scales(results)
     shown = {"line": _line_of(first, profile.bins.max()), "fits": _fits(profile.main)}
     shown |= {"cube": first.cube, "beta_per_pm": beta_per_pm(components)}
     axes = {"axis_names": tuple(first.frame.axis_names), "unit": first.cube.speed_unit}
@@ -499,29 +492,22 @@ def _figures(profile, components):
     }
 
 
-def _scale_maps(results):
-    """Return the stacks of each scale by its name, and their velocity grid."""
+def _of_scales(results):
+    """Return stacks and position angles by the name of a scale, and their grid."""
     grid = max((r.grid for r in results), key=lambda g: g.shape[0] * g.shape[1])
-    ssps = results[0].matched.ssps
-    maps = {}
-    for scale in np.unique(ssps.scale):
-        stacks = (
-            stack(d.select(ssps.scale[d.ssp] == scale), r.pairs, grid)
-            for d, r in ((r.displacements, r) for r in results)
-        )
-        maps[f"scale {scale:g}"] = sum(stacks) / len(results)
-    return maps, grid
-
-
-def _angles_of_scales(results):
-    """Return the position angles of the SSPs in the bins, by the name of the scale."""
     matched = results[0].matched
     select = np.any([r.matched.select for r in results], axis=0)
     angle = ssp_angles(matched, results[0].position_angle)
-    return {
-        f"scale {scale:g}": angle[select & (matched.ssps.scale == scale)]
-        for scale in np.unique(matched.ssps.scale)
-    }
+    maps, angles = {}, {}
+    for scale in np.unique(matched.ssps.scale):
+        own = matched.ssps.scale == scale
+        stacks = (
+            stack(d.select(own[d.ssp]), r.pairs, grid)
+            for d, r in ((r.displacements, r) for r in results)
+        )
+        maps[f"scale {scale:g}"] = sum(stacks) / len(results)
+        angles[f"scale {scale:g}"] = angle[select & own]
+    return maps, angles, grid
 
 
 def ssp_angles(matched, jet):

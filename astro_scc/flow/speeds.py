@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import combinations
 
 import astropy.units as u
@@ -238,10 +238,8 @@ def feature_profile(result: SCCResult) -> QTable:
             place = np.abs([f.place for f in own]) * beam
             speed, error = feature_speeds(own)
             mean = random_effects(np.abs(speed) * beam, error * beam)
-            rows.append(
-                (number, len(own), place.min(), place.max(), place.mean(), mean.mean,
-                 mean.error, mean.dispersion, mean.dispersion_error)
-            )  # fmt: skip
+            limits = place.min(), place.max(), place.mean()
+            rows.append((number, len(own), *limits, *astuple(mean)))
     units = dict.fromkeys(BINS[2:5], u.mas) | dict.fromkeys(BINS[5:], PM_UNIT)
     return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)
 
@@ -282,10 +280,8 @@ def scale_groups(
     >>> bool(np.all(groups["fine"] ^ groups["coarse"]))
     True
     """
-    chosen = {
-        name: select_ssps(matched, scales=scales).select
-        for name, scales in groups.items()
-    }
+    each = groups.items()
+    chosen = {name: select_ssps(matched, scales=own).select for name, own in each}
     _check_groups(chosen)
     return chosen
 
@@ -360,15 +356,15 @@ def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTabl
     streams = [s for s in result.search.streams if s.kind != "stationary"]
     features = [feature for stream in streams for feature in stream.features]
     belongs = _groups_of(features, d, matched.ssps, list(groups.values()))
-    known = {}
+    known = []
     for k, (name, member) in enumerate(groups.items()):
         found = [features[i] for i in np.flatnonzero(belongs == k)]
         n_ssp = int((matched.select & member).sum())
-        known[name] = n_ssp, len(found), *_mean(found, beam)
-    rows = []
-    for first, second in combinations(groups, 2):
-        difference = _difference(known[first][2:], known[second][2:])
-        rows.append((first, *known[first][:4], second, *known[second][:4], *difference))
+        known.append((name, n_ssp, len(found), *_mean(found, beam)))
+    rows = [
+        (*first[:5], *second[:5], *_difference(first[3:], second[3:]))
+        for first, second in combinations(known, 2)
+    ]
     speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
     return QTable(rows=rows, names=COMPARED, units=dict.fromkeys(speeds, PM_UNIT))
 

@@ -7,16 +7,16 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
-from astro_scc.correlation import Matches, all_pairs
+from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
@@ -33,15 +33,6 @@ from astro_scc.writing import versions
 
 #: What the files are, in their headers and in messages.
 MATCHES = "astro_scc matches"
-#: Words for parts in messages, where their names are not clear.
-NAMES = {
-    "data": "images",
-    "mask": "masks",
-    "wcs": "coordinates",
-    "decomposition": "settings of the decomposition",
-    "correlation": "settings of the correlation",
-    "reach": "largest displacement",
-}
 #: Apparent noise is structure if more than this share of it is in other epochs too...
 SHARED = 0.5
 #: ... and more than this many times the share by chance.  The largest correlation of
@@ -66,9 +57,9 @@ class MatchedEpochs:
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
         The SSPs of the region.
     matches : `~astro_scc.correlation.Matches`
-    provenance : dict
-        What determined the matches, see
-        ``match_provenance``; `write` needs it.
+    correlator : `~astro_scc.correlation.Correlator`
+    reach : tuple of int
+        Largest displacement along (y, x), in pixels.
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
         The pixels of the region; None for all.
 
@@ -93,14 +84,14 @@ class MatchedEpochs:
     ssps: SSPs
     select: np.ndarray
     matches: Matches
-    provenance: dict = field(default_factory=dict)
+    correlator: Correlator
+    reach: tuple[int, int]
     region: np.ndarray | None = None
 
     def __repr__(self):
-        return (
-            f"<MatchedEpochs: {len(self.cube)} epochs, "
-            f"{int(self.select.sum())} SSPs, {len(self.matches)} matches>"
-        )
+        n, n_ssps = len(self.cube), np.count_nonzero(self.select)
+        matches = len(self.matches)
+        return f"<MatchedEpochs: {n} epochs, {n_ssps} SSPs, {matches} matches>"
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -136,8 +127,8 @@ class MatchedEpochs:
         `~astro_scc.features.Features`
         """
         if "features" not in vars(self):
-            of = {"ssps": self.ssps, "region": self.region}
-            vars(self)["features"] = find_features(self.cube, **of, **how)
+            how |= {"ssps": self.ssps, "region": self.region}
+            vars(self)["features"] = find_features(self.cube, **how)
         return vars(self)["features"]
 
     def part(self, select: np.ndarray) -> MatchedEpochs:
@@ -172,24 +163,20 @@ class MatchedEpochs:
         OSError
             If the file exists and ``overwrite`` is False, or cannot be
             written.
-        ValueError
-            If these matches have no ``provenance``.
 
         Notes
         -----
         The file holds neither the images nor their wavelet planes, which are
         quickly computed again.
         """
-        if not self.provenance:
-            raise ValueError(
-                "these matches have no provenance and cannot be written: get them from "
-                "StackedCrossCorrelation.match"
-            )
-        provenance, selected = self.provenance, selection_digest(self.select)
-        if provenance["selected"] != selected:
+        made = match_provenance(
+            self.cube, self.decomposer, self.correlator, self.reach, self.region
+        )
+        inside = centroids_inside(self.ssps, self.cube, self.region)
+        if not np.array_equal(self.select, inside):
             # No region that can be requested gives SSPs that were selected later.
-            provenance = provenance | {"region": "chosen SSPs", "selected": selected}
-        parts = replace(self, cube=None, provenance=provenance)
+            made["region"] = "chosen SSPs"
+        parts = {"matched": replace(self, cube=None), "provenance": made}
         write_object(parts, path, creator=MATCHES, overwrite=overwrite)
 
     @classmethod
@@ -221,14 +208,14 @@ class MatchedEpochs:
             If it was made from other images, or by other settings or versions.
         """
         parts = read_object(path, creator=MATCHES)
-        found = parts.provenance
+        found = parts["provenance"]
         if wanted is None:
             wanted = {**image_provenance(cube), "versions": versions()}
         stale = [name for name, value in wanted.items() if found.get(name) != value]
         if stale:
-            what = ", ".join(NAMES.get(name, name) for name in stale)
+            what = ", ".join(stale)
             raise ValueError(f"{path}: is of other {what}; match the epochs again")
-        return replace(parts, cube=cube)
+        return replace(parts["matched"], cube=cube)
 
 
 def match_epochs(
@@ -253,23 +240,22 @@ def match_epochs(
     `MatchedEpochs`
     """
     inside = None if region is None else cube.region_mask(region)
-    provenance = match_provenance(cube, decomposer, correlator, reach, inside)
-    cache, found = kept_matches(cache, cube, provenance)
+    found, of = None, (cube, decomposer, correlator, reach, inside)
+    if cache is not None:
+        cache, found = kept_matches(cache, cube, match_provenance(*of))
     if found is None:
         with workers_of(n_workers) as workers:
-            decompositions = decompose_epochs(
-                cube, decomposer, n_workers=workers, progress_bar=progress_bar
-            )
+            how = {"n_workers": workers, "progress_bar": progress_bar}
+            decompositions = decompose_epochs(cube, decomposer, **how)
             ssps = SSPs.of_epochs(decompositions)
             select = centroids_inside(ssps, cube, inside)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
                 work = decompositions, all_pairs(len(cube)), reach
                 how = {"n_workers": workers, "progress": done}
                 matches = correlator(*work, select=select, **how)
-        provenance["selected"] = selection_digest(select)
         # Stacks need no planes, which are larger than everything else.
-        of = cube, decomposer, ssps, select, matches, provenance, inside
-        found = MatchedEpochs(*of)
+        of = decomposer, ssps, select, matches, correlator, reach, inside
+        found = MatchedEpochs(cube, *of)
         if cache is not None:
             cache.parent.mkdir(parents=True, exist_ok=True)
             found.write(cache, overwrite=True)
@@ -293,7 +279,7 @@ def kept_matches(path, cube, provenance):
 
     Parameters
     ----------
-    path : path or None
+    path : path
         A FITS file, or a folder for files of many provenances.
     cube : `~astro_scc.epochs.EpochCube`
     provenance : dict
@@ -301,7 +287,7 @@ def kept_matches(path, cube, provenance):
 
     Returns
     -------
-    path : `~pathlib.Path` or None
+    path : `~pathlib.Path`
     matched : `MatchedEpochs` or None
 
     Warns
@@ -309,8 +295,6 @@ def kept_matches(path, cube, provenance):
     `~astro_scc.exceptions.MeasurementWarning`
         If there is a file but it cannot be used.
     """
-    if path is None:
-        return None, None
     path, matched = Path(path), None
     if path.suffix.lower() != ".fits":
         digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
@@ -333,14 +317,12 @@ def image_provenance(cube):
     # The dates are of the first epoch, and the pixel coordinates do not need them.
     wcs = without_dates(cube.wcs.to_header(relax=True))
     cards = [f"{card.keyword}={card.value!r}" for card in wcs.cards]
-    beams = [
-        tuple(float(axis.value) for axis in (beam.major, beam.minor, beam.pa))
-        for beam in cube.beams or ()
-    ]
+    each = ((beam.major, beam.minor, beam.pa) for beam in cube.beams or ())
+    beams = [tuple(float(axis.value) for axis in axes) for axes in each]
     return {
-        "data": _of_array(cube.data),
-        "mask": _of_array(np.packbits(cube.mask)),
-        "wcs": _of_text(cards, cube.pixel_matrix.value.tolist()),
+        "images": _of_array(cube.data),
+        "masks": _of_array(np.packbits(cube.mask)),
+        "coordinates": _of_text(cards, cube.pixel_matrix.value.tolist()),
         "beams": _of_text(beams),
     }
 
@@ -368,20 +350,15 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
     noise = noise_facts(cube, decomposer)
     made = {
         **image_provenance(cube),
-        "decomposition": asdict(decomposer),
-        "correlation": asdict(correlator),
+        "settings of the decomposition": asdict(decomposer),
+        "settings of the correlation": asdict(correlator),
         "noise": _of_text([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
-        "reach": list(reach),
+        "largest displacement": list(reach),
         "region": "everything" if inside is None else _of_array(np.packbits(inside)),
         "versions": versions(),
     }
     # Give it the types that it will have when it is read.
     return json.loads(json.dumps(made))
-
-
-def selection_digest(select):
-    """Return a short digest of a selection of SSPs."""
-    return _of_array(np.asarray(select, dtype=bool))[:16]
 
 
 def _of_array(array):
@@ -466,8 +443,10 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     """
     facts = noise_facts(cube, decomposer)
     work = (
-        (decomposer, image, cube.mask[k], *own)
-        for k, (image, own) in enumerate(zip(cube.data, facts, strict=True))
+        partial(decomposer, image, mask=mask, rms=rms, beam_covariance=covariance)
+        for image, mask, (rms, covariance) in zip(
+            cube.data, cube.mask, facts, strict=True
+        )
     )
     found = []
     with progress(len(cube), "Decomposing", show=progress_bar) as done:
@@ -475,6 +454,11 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
             found.append(decomposition)
             done(1)
     return tuple(found)
+
+
+def _decompose(task):
+    """Do a task, in a process that can import this module."""
+    return task()
 
 
 def noise_facts(cube, decomposer):
@@ -499,12 +483,6 @@ def noise_facts(cube, decomposer):
         inverse = np.linalg.inv(cube.pixel_matrix.value)
         covariances = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
     return list(zip(rms, covariances, strict=True))
-
-
-def _decompose(epoch):
-    """Decompose one epoch, given as the arguments of one task."""
-    decomposer, image, mask, rms, beam_covariance = epoch
-    return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)
 
 
 def centroids_inside(ssps, cube, region):
@@ -559,7 +537,7 @@ def ssp_distances(matched, *, origin=None, ridge=None):
 def select_ssps(
     matched: MatchedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
     r_max: u.Quantity | None = None, scales: ArrayLike | None = None,
-    origin: u.Quantity | SkyCoord | None = None, ridge: RidgeLine | None = None,
+    origin: u.Quantity | None = None, ridge: RidgeLine | None = None,
 ) -> MatchedEpochs:  # fmt: skip
     """
     Return the matches of the SSPs in a part of the jet and on some scales.

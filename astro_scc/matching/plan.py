@@ -175,10 +175,8 @@ class SearchPlan:
                 for moved, which in ((least, "shortest"), (most, "longest"))
             )
             if least > MOST_MOTION * np.hypot(*(side * shape[::-1])):
-                raise ValueError(
-                    f"{short}, more than {MOST_MOTION} times the image: give a smaller "
-                    "one"
-                )
+                many = f"more than {MOST_MOTION} times the image"
+                raise ValueError(f"{short}, {many}: give a smaller one")
             if most < LEAST_MOTION * side.min():
                 raise ValueError(
                     f"{long}, less than {LEAST_MOTION:g} of a pixel: give a larger "
@@ -299,13 +297,11 @@ def pairs_of_dates(cube, baseline):
         )
     if baseline is None:
         pairs = velocities.consecutive_pairs(years)
-        why = (
-            f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-            "velocities need different dates"
-        )
+        why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
+        why += "velocities need different dates"
     else:
-        shortest, longest = baseline.to_value(u.yr)
-        pairs = velocities.baseline_pairs(years, shortest, longest)
+        limits = shortest, longest = baseline.to_value(u.yr)
+        pairs = velocities.baseline_pairs(years, *limits)
         why = (
             f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
             f"separations go from {np.diff(years).min():.3g} to "
@@ -519,14 +515,11 @@ def structure_size(cube):
     some = np.unique(np.linspace(0, len(cube) - 1, MOST_EPOCHS).astype(int))
     n = int(min(4 * BACKGROUND, *cube.shape[1:]))
     total = np.zeros((n, n))
-    middle = tuple(
-        slice(max(0, (size - MOST_PIXELS) // 2), (size + MOST_PIXELS) // 2)
-        for size in cube.shape[1:]
-    )
+    first = [max(0, (size - MOST_PIXELS) // 2) for size in cube.shape[1:]]
+    middle = tuple(slice(start, start + MOST_PIXELS) for start in first)
     for epoch in some:
         parts = (a[epoch][middle] for a in (cube.data, cube.mask))
-        image = np.ma.masked_array(*parts, dtype=float)
-        image = np.ma.masked_invalid(image)
+        image = np.ma.masked_invalid(np.ma.masked_array(*parts, dtype=float))
         image = (image - np.ma.median(image)).filled(0.0)
         image -= gaussian_filter(image, BACKGROUND)
         # Twice the size, so that the image does not meet itself at its border.
@@ -577,9 +570,8 @@ def choose_direction(cube):
         return None, "nothing is seen beyond a beam from the core"
     image = np.nan_to_num(np.asarray(cube.mean_image().data, dtype=float))
     east, north = cube.offsets()
-    width = mean_width(cube)
-    r = np.hypot(east, north).to_value(u.mas)
     offset = np.stack([east, north], axis=-1).to_value(u.mas)
+    r = np.hypot(*np.moveaxis(offset, -1, 0))
     beam = np.mean([b.covariance.to_value(u.mas**2) for b in cube.beams], axis=0)
     beams = np.einsum("...i,ij,...j", offset, np.linalg.inv(beam), offset)
     beams = np.sqrt(beams / (8 * np.log(2)))
@@ -593,14 +585,12 @@ def choose_direction(cube):
             break
     else:
         return None, "nothing is seen beyond a beam from the core"
-    weight = excess[use] / r[use]
-    if (
-        np.hypot(*(weight @ offset[use])) <= ONE_SIDED * excess[use].sum()
-        or error.value > CERTAIN
-    ):
-        return None, "the structure is not on one side of the reference pixel"
     order = np.argsort(r[use])
-    share = np.cumsum(excess[use][order]) / excess[use].sum()
-    if r[use][order][np.searchsorted(share, INNER)] > NEAR * width:
+    r, offset, excess = (a[use][order] for a in (r, offset, excess))
+    length = np.hypot(*((excess / r) @ offset))
+    if length <= ONE_SIDED * excess.sum() or error.value > CERTAIN:
+        return None, "the structure is not on one side of the reference pixel"
+    share = np.cumsum(excess) / excess.sum()
+    if r[np.searchsorted(share, INNER)] > NEAR * mean_width(cube):
         return None, "the structure does not begin at the reference pixel"
     return np.round(angle), "that of the mean image"

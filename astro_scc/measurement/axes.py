@@ -8,13 +8,7 @@ import numpy as np
 
 from astro_scc import kinematics
 from astro_scc.correlation.correlate import target_ssps
-from astro_scc.images.positions import (
-    beam_covariance,
-    beam_fwhm,
-    position_errors,
-    ssp_offsets,
-    widths_along,
-)
+from astro_scc.images import positions
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.stacking.velocities import VelocitySamples
@@ -37,7 +31,7 @@ class AxisProjection:
     def __init__(self, displacements, cube, frame, first=0):
         d = displacements
         self.displacements, self.frame = d, frame
-        self._covariance = beam_covariance(cube, d.epoch + first, d.scale)
+        self._covariance = positions.beam_covariance(cube, d.epoch + first, d.scale)
         east, north = np.ascontiguousarray(displacements.position.T)
         self._position = frame_positions(frame, east, north)
         self._axes = np.asarray(frame.matrix(east, north))
@@ -56,13 +50,13 @@ class AxisProjection:
         `~numpy.ndarray`, shape (2,)
             In mas.
         """
-        axes, d = turned(angle) @ self._axes, self.displacements
+        axes = turned(angle) @ self._axes
         known = np.isfinite(axes).all(axis=(-2, -1))
-        keep = np.broadcast_to(known, len(d.epoch))
+        keep = np.broadcast_to(known, len(self._covariance))
         if not keep.any():
             return np.ones(2)
         axes = axes if axes.ndim == 2 else axes[keep]
-        return np.mean(widths_along(self._covariance[keep], axes), axis=0)
+        return np.mean(positions.widths_along(self._covariance[keep], axes), axis=0)
 
     def __call__(self, angle):
         """
@@ -79,15 +73,9 @@ class AxisProjection:
         """
         d, turn, beam = self.displacements, turned(angle), self.beam(angle)
         along, across = (turn @ np.stack([d.d1, d.d2])) / beam[:, None]
-        return replace(
-            d,
-            d1=along,
-            d2=across,
-            s1=None,
-            s2=None,
-            motion=None,
-            position=(self._position @ turn.T) / beam,
-        )
+        place = (self._position @ turn.T) / beam
+        unknown = {"s1": None, "s2": None, "motion": None}
+        return replace(d, d1=along, d2=across, position=place, **unknown)
 
 
 def projection_of(result):
@@ -142,7 +130,7 @@ def matched_displacements(matched, settings):
     """
     cube, ssps, select = matched.cube, matched.ssps, matched.select
     frame, fraction = _frame(cube, settings.position_angle), settings.min_error_beams
-    east, north = ssp_offsets(ssps, cube)
+    east, north = positions.ssp_offsets(ssps, cube)
     axes = frame.matrix(east, north)
     # A radial frame has no axes at its origin.
     known = select & np.isfinite(axes).all(axis=(-2, -1))
@@ -153,9 +141,9 @@ def matched_displacements(matched, settings):
     position = np.stack([east[owner], north[owner]], axis=-1)
     d = frame_displacements(frame, position, sky)
     here, there = _widths(cube, ssps, axes, owner, matches.target)
-    variance = position_errors(ssps.snr[owner], here, fraction) ** 2
-    variance = variance + position_errors(matches.target_snr, there, fraction) ** 2
-    s = np.sqrt(variance)
+    ends = (ssps.snr[owner], here), (matches.target_snr, there)
+    first, second = (positions.position_errors(*end, fraction) for end in ends)
+    s = np.sqrt(first**2 + second**2)
     samples = VelocitySamples(
         d1=d[:, 0],
         d2=d[:, 1],
@@ -195,13 +183,13 @@ def _frame(cube, position_angle):
 
 def _widths(cube, ssps, axes, owner, target):
     """Return the resolution in the epochs of SSPs and of their matches, (n, 2)."""
-    here = beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
+    here = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
     if cube.beams is None:
         return here, here
     if np.ndim(axes) == 2:
         every = np.arange(len(cube))
-        return here, beam_fwhm(cube, every, every, axes)[target]
-    return here, beam_fwhm(cube, target, ssps.scale[owner], axes[owner])
+        return here, positions.beam_fwhm(cube, every, every, axes)[target]
+    return here, positions.beam_fwhm(cube, target, ssps.scale[owner], axes[owner])
 
 
 def alignment_errors(cube, error=None):
@@ -225,14 +213,11 @@ def alignment_errors(cube, error=None):
     ValueError
         If ``error`` has neither one element nor one per epoch.
     """
-    n = len(cube)
+    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
     if error is None:
         last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        names = "shift_east_err_mas", "shift_north_err_mas"
-        left = [
-            [last.get(label, {}).get(name) or 0.0 for name in names]
-            for label in cube.labels
-        ]
+        of_each = [last.get(label, {}) for label in cube.labels]
+        left = [[own.get(name) or 0.0 for name in names] for own in of_each]
         each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
     else:
         each = np.atleast_1d(error.to_value(u.mas)).astype(float)
@@ -241,4 +226,4 @@ def alignment_errors(cube, error=None):
                 f"alignment_error must be one angle or {n}, one an epoch, "
                 f"got {each.size}"
             )
-    return np.broadcast_to(each[:, None], (n, 2)).copy()
+    return np.broadcast_to(each[:, None], (n, 2))

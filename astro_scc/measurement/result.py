@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
+from astropy.io import fits
 from astropy.nddata import NDData
 from astropy.table import QTable
 from astropy.wcs import WCS
@@ -24,21 +25,33 @@ from astro_scc.images.positions import axis_words, name_by_frame
 from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.extensions import velocity_hdus
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
-from astro_scc.stacking.stack import JitteredVelocity, PermutedStacks, VelocityPeak
+from astro_scc.stacking.stack import PermutedStacks, VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
-from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
 from astro_scc.streams.search import Search
+from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, unit_name
+from astro_scc.writing import ascii_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+#: What streams are, in the order in which they are counted.
+KINDS = ("moving", "stationary", "not confirmed", "not significant")
 #: What the files of results are, in their headers and in messages.
 RESULT = "astro_scc result"
+#: What the header of the diagram says about it.
+DIAGRAM = (
+    "Matches per pattern (SSP) and beam of displacement beyond those of",
+    "permuted epochs, weighted by their correlation coefficients, and smoothed",
+    "by a Gaussian with a standard deviation of {blur:g} BEAM.  What moves at a",
+    "constant speed is at displacement = speed * interval.",
+    "INTV-LOG: interval = CRVAL1 * exp(CDELT1 * (pixel - CRPIX1) / CRVAL1).",
+    "NaN: no two dates have this interval.  The table INTERVALS has the mean",
+    "interval and the number of pairs of dates of each column.",
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,8 +80,8 @@ class SCCResult(tables.Components):
         Velocities of the streams, with their errors.
     maxima : tuple of ``VelocityPeak``
         The peak of the stack that is nearest to each velocity.
-    jitters : tuple of ``JitteredVelocity``
-        The velocity-jitter test, the paper's uncertainty.
+    jitters : tuple of `~numpy.ndarray`, shape (2, 2)
+        Covariances of these maxima in the velocity-jitter test, the paper's error.
     choices : list of dict
         Rows of `sensitivity`, as plain numbers.
     meta : dict
@@ -100,7 +113,7 @@ class SCCResult(tables.Components):
     search: Search
     velocities: tuple[StreamVelocity, ...]
     maxima: tuple[VelocityPeak, ...]
-    jitters: tuple[JitteredVelocity, ...]
+    jitters: tuple[np.ndarray, ...]
     choices: list = field(default_factory=list)
     meta: dict = field(default_factory=dict)
 
@@ -149,31 +162,25 @@ class SCCResult(tables.Components):
         table = tables.printed(self.components)
         unit = unit_name(table["pm"].unit)
         speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
-        found = ", ".join(speeds) or "no stream"
-        return f"<{self._head()}{found}, {len(self.cube)} epochs>"
+        return f"<{self._head(', '.join(speeds))}, {len(self.cube)} epochs>"
 
-    def _head(self):
-        return f"SCCResult {self.cube.meta.get('object', '')}".strip() + ": "
+    def _head(self, found):
+        name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
+        return f"{name}: {found or 'no stream'}"
 
     def _repr_html_(self):
         table = tables.printed(self.components)
-        kinds = table["kind"].tolist()
-        found = ", ".join(
-            f"{kinds.count(kind)} {kind}"
-            for kind in ("moving", "stationary", "not confirmed", "not significant")
-            if kind in kinds
-        )
+        kinds, known = table["kind"].tolist(), self.meta.get
+        counts = {kind: kinds.count(kind) for kind in KINDS}
         lines = [
-            self._head() + (found or "no stream"),
+            self._head(", ".join(f"{n} {kind}" for kind, n in counts.items() if n)),
             repr(self.cube)[1:-1],
             f"{len(self.pairs)} pairs of epochs, {np.sum(self.matched.select)} SSPs, "
-            f"{self.meta.get('n_trials')} trials, seed {self.meta.get('seed')}",
+            f"{known('n_trials')} trials, seed {known('seed')}",
         ]
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
-        if not kinds:
-            return text
-        shown = tables.paper_table(table)
-        return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
+        shown = tables.paper_table(table).pformat(max_lines=-1, max_width=-1, html=True)
+        return text + "".join(shown if kinds else ())
 
     @property
     def cube(self) -> EpochCube:
@@ -183,8 +190,7 @@ class SCCResult(tables.Components):
     @cached_property
     def ssps(self) -> QTable:
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
-        matched = self.matched
-        return tables.ssp_table(matched.ssps, self.cube, select=matched.select)
+        return tables.ssp_table(self.matched)
 
     @property
     def tracked_features(self) -> Features:
@@ -280,16 +286,16 @@ class SCCResult(tables.Components):
         """
         if which not in ("coefficient", "z_score"):
             raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
+        names = tuple(self.frame.axis_names)
+        if names == ("east", "north") and axis_words(self.cube)[0] != "east":
+            names = "lon", "lat"
         wcs = WCS(naxis=2)
-        names = list(self.frame.axis_names)
-        if names == ["east", "north"] and axis_words(self.cube)[0] != "east":
-            names = ["lon", "lat"]
         wcs.wcs.ctype = [name.upper()[:8] for name in names]
         wcs.wcs.cunit = ["mas/yr", "mas/yr"]
         wcs.wcs.crpix = [(n + 1) / 2 for n in self.grid.shape[::-1]]
         wcs.wcs.crval = [0.0, 0.0]
         wcs.wcs.cdelt = self.grid.step
-        return NDData(getattr(self, which), wcs=wcs, meta={"axes": tuple(names)})
+        return NDData(getattr(self, which), wcs=wcs, meta={"axes": names})
 
     def diagram(self) -> NDData:
         """
@@ -313,11 +319,10 @@ class SCCResult(tables.Components):
         diagram, angle = self.search.diagram, self.search.angle
         beam = projection_of(self).beam(angle)[0]
         direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-        search = SearchSettings()
         # Both patterns of a match look for each other, and each match is a Gaussian
         # whose peak is one.
         n_patterns = 2 * max(self.ssps["in_region"].sum(), 1) / len(self.cube)
-        area = np.sqrt(2 * np.pi) * search.blur
+        area = np.sqrt(2 * np.pi) * DEFAULT.blur
         excess = (diagram.excess / diagram.n_pairs[:, None]).T / (n_patterns * area)
         if self.frame.uniform:
             sky = np.linalg.solve(self.frame.matrix(0.0, 0.0), direction)
@@ -327,13 +332,13 @@ class SCCResult(tables.Components):
                 direction, excess = -direction, excess[::-1]
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
-        step = INTERVAL_STEP
         # The first bin begins at the shortest interval that was used.
         baseline, years = self.meta["settings"]["baseline"], self.cube.years
         first, second = np.triu_indices(len(years), 1)
         every = (years[second] - years[first]).to_value(u.yr)
         least = 0.0 if baseline is None else baseline[0].to_value(u.yr)
         shortest = every[(every > 0) & (every >= least)].min()
+        step = INTERVAL_STEP
         bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
         n_bins = bins[-1] + 1
         data = np.full((len(excess), n_bins), np.nan)
@@ -448,3 +453,103 @@ class SCCResult(tables.Components):
 
         tables = self.components, self.features
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
+
+
+def velocity_hdus(result, *, text=None):
+    """
+    Return the velocity map, its significance and the diagram as FITS extensions.
+
+    Parameters
+    ----------
+    result : `SCCResult`
+    text : str, optional
+        Settings, which become comments of the header.
+
+    Returns
+    -------
+    `~astropy.io.fits.HDUList`
+        The stacked correlation coefficients, and the extension ``ZSCORE``,
+        with a linear WCS in mas/yr along the velocity axes; the image
+        ``DIAGRAM`` of `SCCResult.diagram`; the table ``INTERVALS``, which
+        describes the columns of that image; and the table ``FEATURES``, which is
+        `SCCResult.feature_positions` without fluxes, with the velocity of the feature
+        on the axes of the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as
+        text.
+    """
+    hdus = []
+    for which, kind in (("coefficient", fits.PrimaryHDU), ("z_score", fits.ImageHDU)):
+        image = result.velocity_map(which)
+        header = _header(image, ("direction of the proper motion",) * 2)
+        hdus.append(kind(np.asarray(image.data, dtype=float), header))
+        hdus[-1].name = which.replace("_", "").upper()
+    primary = hdus[0].header
+    primary.update(_facts(result))
+    for line in result.cube.meta.get("history", ()):
+        primary.add_history(ascii_line(line))
+    for line in (text or "").splitlines():
+        primary.add_comment(ascii_line(line) or " ")
+    return fits.HDUList([*hdus, *_diagram_hdus(result), _features_hdu(result)])
+
+
+def _features_hdu(result):
+    features = result.feature_positions.copy()
+    features.meta.clear()
+    # The standard does not have DN, which solar images are in.
+    features.remove_column("flux")
+    # Readers of FITS know dates as text.
+    features["date"] = np.asarray(features["date"].isot, dtype="U23")
+    velocity, _ = tables.frame_velocities(result.frame, result.tracked_features)
+    row = np.searchsorted(result.tracked_features.number, features["feature"])
+    features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
+    return fits.table_to_hdu(features, name="FEATURES")
+
+
+def _diagram_hdus(result):
+    image = result.diagram()
+    along = result.frame.axis_names[0]
+    along = "DISPPA" if along == "east" else along
+    header = _header(image, ("between two dates", f"of patterns, along {along}"))
+    header["BUNIT"] = image.unit.to_string("fits")
+    header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
+    if (angle := image.meta["position_angle"]) is not None:
+        header["DISPPA"] = angle.value, "[deg] position angle of the displacement"
+    for line in DIAGRAM:
+        header.add_comment(line.format(blur=DEFAULT.blur))
+    columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
+    table = fits.table_to_hdu(columns, name="INTERVALS")
+    return fits.ImageHDU(image.data, header, name="DIAGRAM"), table
+
+
+def _header(image, comments):
+    header = image.wcs.to_header()
+    # Keywords of celestial coordinates, which these axes are not.
+    for key in ("LATPOLE", "LONPOLE", "MJDREF", "RADESYS"):
+        header.remove(key, ignore_missing=True)
+    for i, named in enumerate(zip(image.meta["axes"], comments, strict=True), start=1):
+        header[f"CNAME{i}"] = named
+    return header
+
+
+def _facts(result):
+    cube, meta = result.cube, result.meta
+    times, angle = cube.times.utc[[0, -1]], result.position_angle.to_value(u.deg)
+    versions = meta.get("versions", {})
+    creator = f"astro_scc {versions.get('astro_scc', '')}"
+    facts = {
+        "OBJECT": (ascii_line(cube.meta.get("object", ""))[:60], "name of the object"),
+        # If one form of a date is missing, readers warn that they add it.
+        "TIMESYS": ("UTC", "time scale"),
+        "DATE-BEG": (times.isot[0], "first epoch"),
+        "DATE-END": (times.isot[1], "last epoch"),
+        "MJD-BEG": (float(times.mjd[0]), "first epoch"),
+        "MJD-END": (float(times.mjd[1]), "last epoch"),
+        "NEPOCHS": (len(cube), "number of epochs"),
+        "JETPA": (float(angle), "[deg] position angle of the jet"),
+        "NTRIALS": (meta.get("n_trials"), "number of trials"),
+        "SEED": (meta.get("seed"), "seed of the trials"),
+        "CREATOR": (ascii_line(creator)[:60], "program"),
+    }
+    facts = {k: v for k, v in facts.items() if v[0] not in (None, "")}
+    for i, (name, version) in enumerate(sorted(versions.items()), start=1):
+        facts[f"VERS{i}"] = ascii_line(f"{name} {version}")[:60]
+    return facts

@@ -1,64 +1,35 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The search of matches for streams, and their velocities."""
+"""The search of matches for streams, with the secure features of images in beams."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from astro_scc import kinematics
+from astro_scc.features import motion as motions
+from astro_scc.features.diffusion import measure_diffusion
+from astro_scc.features.trust import LEAST_EPOCHS
+from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import axes
-from astro_scc.measurement.followed import FollowedFeatures
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import find_streams
-from astro_scc.streams.dispersion import StreamVelocity, velocity_of
-from astro_scc.streams.search import Search
+from astro_scc.streams.chains import Feature
+from astro_scc.streams.dispersion import velocity_of
+from astro_scc.streams.search_settings import DEFAULT
 
 #: Number of directions, over half a turn, that are searched if none is known.
 N_AXES = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """
-    The streams of a search, and their velocities.
-
-    Attributes
-    ----------
-    search : ``Search``
-    velocities : tuple of ``StreamVelocity``
-    samples : ``VelocitySamples``
-        The matches, in mas.
-    frame : frame of `astro_scc.kinematics`
-    """
-
-    search: Search
-    velocities: tuple[StreamVelocity, ...]
-    samples: VelocitySamples
-    frame: Any
-
-
-def search_matches(matched, settings, plan, *, n_trials, rng):
-    """
-    Search the matches of epochs for streams.
-
-    Parameters
-    ----------
-    matched : `~astro_scc.matching.MatchedEpochs`
-    settings : `~astro_scc.StackedCrossCorrelation`
-    plan : `~astro_scc.matching.SearchPlan`
-    n_trials : int
-    rng : `~numpy.random.Generator`
-
-    Returns
-    -------
-    ``Found``
-    """
-    samples, frame = axes.matched_displacements(matched, settings)
-    of = matched, settings, plan, samples, frame
-    search, velocities = prepared_search(*of, n_trials=n_trials, rng=rng)()
-    return Found(search, velocities, samples, frame)
+#: SSPs and detections as near to each other as this, in beams, are of one emission.
+NEAR = 0.5
+#: Scatter of the logarithm of the flux of one feature: a pair of detections counts less
+#: by the exponential of the change in this unit.
+FADING = 0.7
+#: The core is the detection of each epoch that is nearest to the origin, and as near as
+#: this, in beams.  It does not move, but what leaves it blends with it.
+CORE = 0.5
+#: All intervals between dates, in years.
+EVERY = 0.0, np.inf
 
 
 def prepared_search(
@@ -66,10 +37,27 @@ def prepared_search(
     epochs=None,
 ):  # fmt: skip
     """
-    Return a search that can be sent to another process, as it holds no images.
+    Return a search for streams, to be called; it holds no images and can be sent.
 
-    ``intervals`` are the shortest and the longest one in years, instead of those of
-    the plan, and ``epochs`` a slice, the consecutive epochs to which it is limited.
+    Parameters
+    ----------
+    matched : `~astro_scc.matching.MatchedEpochs`
+    settings : `~astro_scc.StackedCrossCorrelation`
+    plan : `~astro_scc.matching.SearchPlan`
+    samples : ``VelocitySamples``
+        The matches, in mas.
+    frame : frame of `astro_scc.kinematics`
+    n_trials : int
+    rng : `~numpy.random.Generator`
+    intervals : (float, float), optional
+        The shortest and the longest one in years, instead of those of the plan.
+    epochs : slice, optional
+        The consecutive epochs to which the search is limited.
+
+    Returns
+    -------
+    callable
+        It returns the ``Search`` and a tuple of ``StreamVelocity``.
     """
     cube, max_speed = matched.cube, plan.max_speed
     intervals = plan.intervals if intervals is None else intervals
@@ -77,7 +65,7 @@ def prepared_search(
         samples = samples.of_epochs(epochs)
     first = 0 if epochs is None else epochs.start or 0
     project = axes.AxisProjection(samples, cube, frame, first)
-    known = not isinstance(frame, kinematics.SkyFrame)
+    known = not isinstance(frame, SkyFrame)
     n_axes = 1 if known else N_AXES
     misaligned = axes.alignment_errors(cube, settings.alignment_error)
     return partial(
@@ -103,3 +91,196 @@ def _search(project, angles, radius, misaligned, **how):
         velocity_of(stream, project.beam(stream.angle), misaligned)
         for stream in search.streams
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """
+    A feature that was followed.
+
+    Its motion, with the error of a random walk, and how each position changes it if
+    not as in a straight line; its detections, the nearest SSP of each of those that
+    have one, and all SSPs of its emission.
+    """
+
+    motion: motions.Motion
+    error: np.ndarray
+    response: np.ndarray | None
+    detection: np.ndarray
+    ssp: np.ndarray
+    emission: np.ndarray
+
+
+class FollowedFeatures:
+    """
+    The secure features that move, along axes of a frame, or all of those that diffuse.
+
+    The pairs of detections of different epochs are samples of the velocities as well.
+    Nothing is known of a part of the scales, as images show all of them.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.matching.MatchedEpochs`
+    project : `~astro_scc.measurement.axes.AxisProjection`
+    radius : float
+        Largest displacement between two detections, in beams.
+    epochs : slice, optional
+        The range of epochs to which the projection is limited; the features are those
+        of all epochs, and their motion is that of their positions within the range.
+    intervals : (float, float), optional
+        Shortest and longest interval, in years, between positions that give a speed.
+
+    Attributes
+    ----------
+    diffuse : bool
+        Whether the features diffuse: a random walk cannot be distinguished from motion
+        by one of them, so it is part of the errors, and all of them count.
+    """
+
+    def __init__(self, matched, project, radius, epochs=None, intervals=EVERY):
+        self.project, self.diffuse, self.intervals = project, False, intervals
+        self.first, last, _ = (epochs or slice(None)).indices(len(matched.cube))
+        features = matched.features
+        self.detections = d = features.detections
+        inside = (matched.ssps.epoch >= self.first) & (matched.ssps.epoch < last)
+        select = matched.select[inside]
+        whole = set(matched.ssps.scale) == set(matched.ssps.scale[matched.select])
+        use = np.zeros(len(d), dtype=bool)
+        if whole and not isinstance(project.frame, ExpansionFrame):
+            use = self._find_ssps(last, select)
+        #: Detections of the same emission or of neighbours, the earlier one first.
+        moving = np.flatnonzero(use & ~d.core(CORE))
+        reach = np.hypot(radius, DEFAULT.across) * d.major
+        pairs = KDTree(d.place[moving]).query_pairs(reach, output_type="ndarray")
+        # Their detections are in the order of the epochs.
+        pairs = moving[np.sort(pairs, axis=1)]
+        self._pairs = pairs[d.epoch[pairs[:, 0]] < d.epoch[pairs[:, 1]]].T
+        diffusion = measure_diffusion(features)
+        self.diffuse = bool(use.any()) and diffusion.is_walk
+        self.found = list(self._followed(features, last, use, diffusion))
+
+    def _find_ssps(self, last, select):
+        """Find the SSPs of detections; return which are in the selected part."""
+        d, samples = self.detections, self.project.displacements
+        use, near = np.zeros(len(d), dtype=bool), [np.empty((2, 0), dtype=int)]
+        for epoch in range(self.first, last):
+            here = np.flatnonzero(d.epoch == epoch)
+            ssps = np.flatnonzero(samples.epoch == epoch - self.first)
+            if len(here) and len(ssps):
+                offset = d.place[here][:, None] - samples.position[ssps]
+                away = np.hypot(*np.moveaxis(offset, -1, 0))
+                use[here] = select[ssps[away.argmin(axis=1)]]
+                detection, ssp = np.nonzero((away <= NEAR * d.fwhm) & select[ssps])
+                # The nearest SSP of each detection comes first.
+                first = np.lexsort((away[detection, ssp], detection))
+                near.append(np.stack([here[detection], ssps[ssp]])[:, first])
+        self._near = np.concatenate(near, axis=1)
+        return use
+
+    def _followed(self, features, last, use, diffusion):
+        d, walk = self.detections, diffusion.variance if self.diffuse else 0.0
+        for track, motion, secure in zip(
+            features.tracks, features.motions, features.secure, strict=True
+        ):
+            moves = secure and motion.speed >= motions.SIGNIFICANT * motion.speed_err
+            epoch = d.epoch[track.detection]
+            own = track.detection[(epoch >= self.first) & (epoch < last)]
+            if len(own) < LEAST_EPOCHS or not (moves or self.diffuse):
+                continue
+            # It belongs to the part of the image in which it is half of the time.
+            if 2 * use[own].sum() < len(own):
+                continue
+            moving, response = motion, None
+            if len(own) < len(track.detection):
+                parts = (v[own] for v in (d.time, d.place, d.place_error))
+                moving = motions.fit_motion(*parts, d.fwhm)
+            if self.intervals != EVERY:
+                where = d.time[own], d.place[own], d.fwhm, self.intervals
+                moving, response = motions.motion_in_intervals(moving, *where)
+                if not response.any():
+                    continue
+            error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))
+            detection, ssps = self._near[:, np.isin(self._near[0], own)]
+            nearest = ssps[np.unique(detection, return_index=True)[1]]
+            yield _Followed(moving, error, response, own, nearest, ssps)
+
+    def _positions(self, angle):
+        """Return the positions of detections along an axis and across it, in beams."""
+        place = axes.frame_positions(self.project.frame, *self.detections.place.T)
+        return place @ axes.turned(angle).T / self.project.beam(angle)
+
+    def pairs(self, angle, without=()):
+        """
+        Return pairs of detections of two epochs as velocity samples.
+
+        Parameters
+        ----------
+        angle : float
+            In radians from the first axis of the frame.
+        without : sequence of ``Feature``, optional
+            Whose emission is left out.
+
+        Returns
+        -------
+        ``VelocitySamples``
+            In beams, along the axis and across it.
+        """
+        d, (here, there) = self.detections, self._pairs
+        if without and len(here):
+            lost = np.zeros(len(d), dtype=bool)
+            ssps = np.concatenate([f.ssp for f in without])
+            lost[self._near[0][np.isin(self._near[1], ssps)]] = True
+            lost[np.concatenate([f.detection for f in without])] = True
+            keep = ~(lost[here] | lost[there])
+            here, there = here[keep], there[keep]
+        position = self._positions(angle)
+        change = np.abs(np.log(d.flux[here] / d.flux[there]))
+        return VelocitySamples(
+            *(position[there] - position[here]).T,
+            weight=np.exp(-change / FADING),
+            reference=d.epoch[here] - self.first,
+            target=d.epoch[there] - self.first,
+            ssp=here,
+            target_ssp=there,
+            years=self.project.displacements.years,
+        )
+
+    def __call__(self, angle):
+        """
+        Return the features along an axis.
+
+        Parameters
+        ----------
+        angle : float
+            In radians from the first axis of the frame.
+
+        Returns
+        -------
+        features : list of ``Feature``
+        taken : `~numpy.ndarray` of bool, shape (n_ssps,)
+            SSPs of their emission, on all scales.
+        """
+        project, d, place = self.project, self.detections, self._positions(angle)
+        turn, beam = axes.turned(angle), project.beam(angle)
+        found, taken = [], np.zeros(len(project.displacements.epoch), dtype=bool)
+        for one in self.found:
+            own, motion = one.detection, one.motion
+            local = turn @ np.asarray(project.frame.matrix(*motion.place))
+            epoch = d.epoch[own] - self.first
+            line = Feature.through(one.ssp, epoch, d.time[own], place[own])
+            speed, across = local @ motion.velocity / beam
+            error, across_error = np.hypot(*(local * one.error).T) / beam
+            found.append(
+                replace(
+                    line,
+                    speed=float(speed),
+                    error=float(error) / DEFAULT.error_inflation,
+                    across=float(across),
+                    across_error=float(across_error),
+                    motion=float(abs(speed) * motion.span),
+                    response=line.response if one.response is None else one.response,
+                    detection=own,
+                )
+            )
+            taken[one.emission] = True
+        return found, taken

@@ -3,13 +3,13 @@
 
 from copy import deepcopy
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import astropy.units as u
 import numpy as np
 from scipy.special import ndtr
 
-from astro_scc.columns import build_table, cell, round_to_errors
+from astro_scc.columns import build_table, cell, round_to_errors, with_errors
 from astro_scc.matching.matched import ssp_distances
 from astro_scc.measurement.search import prepared_search
 from astro_scc.parallel import in_order
@@ -21,19 +21,22 @@ TRIALS = 99
 FEWEST_EPOCHS = 4
 #: Speeds of two parts differ if their difference is larger than so many errors.
 DIFFERENT = 2.0
+#: Speed, error and number of features of a part in which nothing is found.
+NOTHING = np.nan, np.nan, 0
 
 
-def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
+def sensitivity_rows(
+    found, matched, settings, plan, samples, frame, rng, n_workers=1
+):  # fmt: skip
     """
     Search parts of the data again, each from the matches on.
 
     Parameters
     ----------
-    found : ``Found``
-        The search in all data.
-    matched : `~astro_scc.matching.MatchedEpochs`
-    settings : `~astro_scc.StackedCrossCorrelation`
-    plan : `~astro_scc.matching.SearchPlan`
+    found : (``Search``, tuple of ``StreamVelocity``)
+        The streams in all data, and their velocities.
+    matched, settings, plan, samples, frame
+        See `~astro_scc.measurement.search.prepared_search`.
     rng : `~numpy.random.Generator`
     n_workers : int, str or `dask.distributed.Client`, optional
 
@@ -42,22 +45,18 @@ def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
     rows : list of dict
         Those of `SCCResult.sensitivity`, as plain numbers; empty if nothing moves.
     """
-    streams = found.search.streams
-    if not streams or streams[0].kind != "moving":
+    moving, streams = _moving(*found), found[0].streams
+    if not moving or streams[0].kind != "moving":
         return []
-    stream, velocity = streams[0], found.velocities[0]
-    axis = _direction(velocity)
-    main = _measured(velocity, len(stream.features), axis)
-    of_streams = _moving(streams, found.velocities)
-    speeds = np.array([axis @ own.value for own, _ in of_streams])
+    axis = _direction(moving[0][0])
+    main = _measured(*moving[0], axis)
+    speeds = np.array([axis @ velocity.value for velocity, _ in moving])
     rows = [_row("as measured", main)]
-    pairs = list(_pairs_of_parts(found, matched, stream))
-    parts = [part for pair in pairs for part in pair]
+    pairs = list(_pairs_of_parts(samples, matched, streams[0]))
 
     def searches():
-        for _, part, how in parts:
-            samples = found.samples.of_ssps(part.select)
-            of = part, settings, plan, samples, found.frame
+        for _, part, how in chain(*pairs):
+            of = part, settings, plan, samples.of_ssps(part.select), frame
             yield prepared_search(*of, n_trials=TRIALS, rng=deepcopy(rng), **how)
             # Each search spawns two generators; the next one gets others.
             rng.spawn(2)
@@ -69,13 +68,13 @@ def sensitivity_rows(found, matched, settings, plan, rng, n_workers=1):
             some = [_measured(*one, axis) for one in next(again)]
             # What is nearer to another stream is not meant.
             some = [m for m in some if np.abs(speeds - m[0]).argmin() == 0]
-            nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=None)
-            own.append(_row(name, nearest, *main[:2]))
+            nearest = min(some, key=lambda m: abs(m[0] - main[0]), default=NOTHING)
+            own.append(_row(name, nearest, main))
         # Both parts may differ from the whole, if they have other features.
         sigma = largest_difference([*own, rows[0]])
         for row in own:
-            row["change_sigma"] = sigma
-            row["p_value"] = 2 * ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
+            p = 2 * ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
+            row |= {"change_sigma": sigma, "p_value": p}
             row["significant"] = bool(sigma > DIFFERENT)
         rows += own
     return rows
@@ -164,19 +163,18 @@ def sensitivity_line(table):
     return "; ".join(lines)
 
 
-def _moving(streams, velocities):
+def _moving(search, velocities):
     """Return velocities and numbers of features of the streams that move."""
     return [
         (velocity, len(stream.features))
-        for stream, velocity in zip(streams, velocities, strict=True)
+        for stream, velocity in zip(search.streams, velocities, strict=True)
         if stream.kind == "moving"
     ]
 
 
 def _moving_of(search):
     """Search, and return what moves only: the rest is large to send."""
-    found, velocities = search()
-    return _moving(found.streams, velocities)
+    return _moving(*search())
 
 
 def _direction(velocity):
@@ -190,27 +188,25 @@ def _measured(velocity, n_features, axis):
     return float(axis @ velocity.value), float(error), n_features
 
 
-def _row(choice, measured, main=None, main_err=0.0):
-    """Return a row of the table."""
-    speed, error, number = measured or (np.nan, np.nan, 0)
-    change = 0.0 if main is None else speed - main
-    return {
+def _row(choice, measured, main=None):
+    """Return a row of the table; the whole, ``main``, does not change."""
+    speed, error, number = measured
+    change = (0.0, 0.0) if main is None else (speed - main[0], np.hypot(error, main[1]))
+    return with_errors(pm=(speed, error), change=change) | {
         "choice": choice,
         "n_features": number,
-        "pm": speed,
-        "pm_err": error,
-        "change": change,
-        "change_err": 0.0 if main is None else np.hypot(error, main_err),
         "change_sigma": 0.0,
         "p_value": 1.0,
         "significant": False,
     }
 
 
-def _pairs_of_parts(found, matched, stream):
+def _pairs_of_parts(samples, matched, stream):
     """Yield two parts of the data with their names and arguments of the search."""
-    cube, d = matched.cube, found.samples
-    limit = _middle_interval(d, stream)
+    cube, select = matched.cube, matched.select
+    dates = [samples.years[f.epoch] for f in stream.features]
+    apart = np.concatenate([np.subtract.outer(t, t).ravel() for t in dates])
+    limit = float(np.median(apart[apart > 0]))
     unit = cube.speed_unit.bases[1]
     shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
     yield (
@@ -230,26 +226,15 @@ def _pairs_of_parts(found, matched, stream):
         border = np.median(place) * u.mas
         unit = offset_unit(border.value)
         text = f"{border.to_value(unit):.3g} {unit}"
-        select = matched.select
         yield (
             (f"inner half, up to {text}", matched.part(select & (r < border)), {}),
             (f"outer half, from {text}", matched.part(select & (r >= border)), {}),
         )
-    scales = np.array(matched.scales)
-    if len(scales) > 1:
-        parts = np.array_split(scales, 2)
-        yield tuple(
-            (
-                f"{name} scales ({', '.join(f'{s:g}' for s in own)})",
-                matched.part(matched.select & np.isin(matched.ssps.scale, own)),
-                {},
-            )
-            for name, own in zip(("fine", "coarse"), parts, strict=True)
-        )
-
-
-def _middle_interval(d, stream):
-    """Return the median of the intervals between the epochs of features, in years."""
-    dates = [d.years[f.epoch] for f in stream.features]
-    apart = np.concatenate([np.subtract.outer(t, t).ravel() for t in dates])
-    return float(np.median(apart[apart > 0]))
+    if len(matched.scales) > 1:
+        halves = []
+        parts = np.array_split(matched.scales, 2)
+        for name, own in zip(("fine", "coarse"), parts, strict=True):
+            part = matched.part(select & np.isin(matched.ssps.scale, own))
+            shown = ", ".join(f"{scale:g}" for scale in own)
+            halves.append((f"{name} scales ({shown})", part, {}))
+        yield halves

@@ -11,16 +11,11 @@ import numpy as np
 from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
 
-from astro_scc.columns import (
-    build_table,
-    cells,
-    describe,
-    round_to_errors,
-    with_errors,
-)
+from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.measurement.axes import turned
 from astro_scc.stacking.stack import number_of_permutations, sample_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit
 
@@ -35,6 +30,8 @@ MEMBER_SIGMA = 2.0
 REST_SIGMA = 3.0
 #: Fewer features do not show whether a stream has more than one speed.
 FEW = 3
+#: Offsets of SSPs.
+SKY = "east", "north"
 #: Columns of a table in a paper, in their order.
 PAPER = (
     "source redshift feature component r_min r_max kind scale n_epochs first last "
@@ -194,8 +191,7 @@ def component_row(result, number):
     epochs = np.sort([member["epoch"], member["target_epoch"]], axis=0)
     p, n = stream.p_global, len(permutations.permuted)
     # What has no feature has no speed.
-    value, own = velocity.value, [velocity.covariance, jitter.covariance]
-    own.append(velocity.alignment)
+    value, own = velocity.value, [velocity.covariance, jitter, velocity.alignment]
     if not stream.features:
         value, own = np.full(2, np.nan), [np.full((2, 2), np.nan)] * 3
     # All orders of a few epochs leave nothing to chance.
@@ -205,23 +201,19 @@ def component_row(result, number):
         velocity_columns(value, covariance, result.frame, result.position_angle)
         for covariance in own
     )
-    still = stream.kind != "moving"
+    still, alpha = stream.kind != "moving", result.meta["settings"]["alpha"]
     cautions = [stream.reason, result.sensitivity_line if number == 1 else ""]
     if not still and row["pm_parallel"] < -abs(row["pm_transverse"]):
         cautions.insert(0, "moves towards the core")
     if not still and len(stream.features) < FEW:
-        one = len(stream.features) == 1
-        some = "a single feature" if one else "two features"
+        some, was = ("a single feature", "was"), ("two features", "were")
+        some, was = some if len(stream.features) == 1 else was
         if not any(f.followed for f in stream.features):
-            was = "was" if one else "were"
             some += f", which {was} matched but not followed from image to image"
         cautions.append(f"rests on {some}")
-    alpha = result.meta["settings"]["alpha"]
     if p > permutations.smallest_p and abs(p - alpha) <= 2 * p_err:
-        cautions.append(
-            f"p_global may be above or below {alpha:g} by chance: take more trials"
-        )
-    cautions = [text for text in cautions if text]
+        text = f"p_global may be above or below {alpha:g} by chance: take more trials"
+        cautions.append(text)
     return row | {
         "component": number,
         "kind": stream.kind,
@@ -243,7 +235,7 @@ def component_row(result, number):
         "pm_min": velocity.slowest,
         "pm_max": velocity.fastest,
         # ECSV reads empty text as a missing value.
-        "caution": "; ".join(cautions) or "-",
+        "caution": "; ".join(filter(None, cautions)) or "-",
     }
 
 
@@ -282,35 +274,29 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     return with_errors(**dict(zip(names, values, strict=True)), pm_pa=pa)
 
 
-def ssp_table(ssps, cube, *, select=None):
+def ssp_table(matched):
     """
     Return the catalogue of SSPs with sky positions and errors.
 
     Parameters
     ----------
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    cube : `~astro_scc.epochs.EpochCube`
-    select : array_like of bool, shape (n_ssps,), optional
-        Which SSPs were used, for the column ``in_region``.
+    matched : `~astro_scc.matching.MatchedEpochs`
 
     Returns
     -------
     `~astropy.table.QTable`
-        One row per SSP; ``date`` is a `~astropy.time.Time`.  ``east`` and
-        ``north`` are offsets of the maximum from the reference pixel, with
-        thermal errors ``beam / (sqrt(2) SNR)``.  In frames without right
-        ascension, `~astro_scc.epochs.name_by_frame` gives the column names.
+        One row per SSP; ``date`` is a `~astropy.time.Time`, and ``in_region`` says
+        which were used.  ``east`` and ``north`` are offsets of the maximum from the
+        reference pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
+        without right ascension, `~astro_scc.epochs.name_by_frame` gives the column
+        names.
     """
-    n = len(ssps)
-    select = np.ones(n, bool) if select is None else np.asarray(select, bool)
-    east, north = positions.ssp_offsets(ssps, cube)
-    centroid = positions.ssp_offsets(ssps, cube, centroid=True)
+    ssps, cube = matched.ssps, matched.cube
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
     columns = {
-        "ssp": np.arange(n),
+        "ssp": np.arange(len(ssps)),
         "epoch": ssps.epoch,
         "date": Time(cube.times[ssps.epoch], format="isot"),
         "scale": ssps.scale,
@@ -321,14 +307,12 @@ def ssp_table(ssps, cube, *, select=None):
         "coefficient_sum": ssps.flux * cube.unit,
         "snr": ssps.snr,
         "n_pixels": ssps.n_pixels,
-        "in_region": select,
+        "in_region": matched.select,
     }
-    for name, offset, own, middle in (
-        ("east", east, error[:, 0], centroid[0]),
-        ("north", north, error[:, 1], centroid[1]),
-    ):
-        columns[name], columns[f"{name}_err"] = offset * u.mas, own * u.mas
-        columns[f"{name}_centroid"] = middle * u.mas
+    for end, centroid in (("", False), ("_centroid", True)):
+        offsets = positions.ssp_offsets(ssps, cube, centroid=centroid)
+        columns |= {f"{n}{end}": o * u.mas for n, o in zip(SKY, offsets, strict=True)}
+    columns |= {f"{n}_err": e * u.mas for n, e in zip(SKY, error.T, strict=True)}
     table = build_table("ssps", **columns)
     return positions.name_by_frame(round_to_errors(table), cube)
 
@@ -368,8 +352,7 @@ def components_of(result, features):
         of_tracks = [first[f.detection[0]] for f in stream.features if f.followed]
         if stream.kind == "moving":
             members[of_tracks] = k
-        cos, sin = np.cos(stream.angle), np.sin(stream.angle)
-        turn = np.array([[cos, sin], [-sin, cos]])
+        turn = turned(stream.angle)
         covariance = turn @ (of_axes + np.nan_to_num(own.covariance)) @ turn.T
         variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
         variance += np.nan_to_num(own.dispersion) ** 2
@@ -396,10 +379,13 @@ def core_streams(result):
         return []
     near = max(beam.major for beam in result.cube.beams).to_value(u.mas) / 2
     distance = np.hypot(*positions.ssp_offsets(result.matched.ssps, result.cube))
-    kinds = enumerate([stream.kind for stream in result.search.streams], start=1)
-    standing = [n for n, kind in kinds if kind == "stationary"]
-    ssps = {n: result.displacements.ssp[_matches_of(result, n)] for n in standing}
-    return [n for n, k in ssps.items() if len(k) and distance[k].max() <= near]
+    found = []
+    for number, stream in enumerate(result.search.streams, start=1):
+        if stream.kind == "stationary":
+            ssps = result.displacements.ssp[_matches_of(result, number)]
+            if len(ssps) and distance[ssps].max() <= near:
+                found.append(number)
+    return found
 
 
 def frame_velocities(frame, features):

@@ -21,8 +21,7 @@ from astro_scc import writing
 from astro_scc.columns import describe
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.measurement.extensions import velocity_hdus
-from astro_scc.measurement.result import SCCResult
+from astro_scc.measurement.result import SCCResult, velocity_hdus
 from astro_scc.products.publication import with_published, write_publication
 
 # Errors of the disk, which do not always name a file.

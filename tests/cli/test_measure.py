@@ -224,7 +224,7 @@ def test_goes_on_and_ends_the_same(resumed, jet, done, blocks, here, monkeypatch
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("astro_scc.scc.stack_matches", interrupt)
+        patch.setattr("astro_scc.scc.prepared_search", interrupt)
         status, err = resumed("-o", "out")
     assert status == 130
     assert err.endswith("interrupted; the same command goes on from what is done\n")

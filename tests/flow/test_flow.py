@@ -46,37 +46,33 @@ def scc():
 
 @pytest.fixture(scope="module")
 def profile(scc, matched):
-    return measure_profile(scc, matched, [0, 7, 14, 90, 99] * u.mas, n_trials=20, rng=1)
+    return measure_profile(scc, matched, [0, 9, 90, 99] * u.mas, n_trials=20, rng=1)
 
 
-def test_a_bin_is_a_stack_of_its_ssps(scc, matched, profile):
+def test_a_bin_is_a_stack_of_its_ssps(matched, profile):
     inside = ssp_distances(matched).value
     for (low, high), result in zip(profile.bins.value, profile.results, strict=True):
         own = (inside >= low) & (inside < high)
-        if result is None:
-            assert not own.any()
-            continue
-        np.testing.assert_array_equal(result.matched.select, own)
-        # Nothing is correlated again.
-        assert result.matched.matches is matched.matches
-
-
-def test_columns_and_adjusted_probabilities(profile):
+        assert own.any() == (result is not None)
+        if result is not None:
+            np.testing.assert_array_equal(result.matched.select, own)
+            # Nothing is correlated again.
+            assert result.matched.matches is matched.matches
     table = profile.components
     names = table.colnames
     assert names[:3] == ["r_min", "r_max", "r_mid"]
-    assert [n for n in component_table([]).colnames if n not in names] == []
+    assert set(component_table([]).colnames) < set(names)
     assert np.all(table["p_fdr"] >= table["p_global"])
     assert table["r_mid"].unit == u.mas
     # An empty bin was searched too, and what stands still is not tested.
     moves = table["kind"] != "stationary"
     tested = [np.sum(moves & (table["r_min"] == low)) for low in profile.bins[:, 0]]
     assert table.meta["false_discovery"]["n_tests"] == np.maximum(tested, 1).sum()
-    assert table.meta["seed"] == 1
-    assert profile.results[3] is None
-    assert "4 bins from 0" in repr(profile)
+    assert (table.meta["seed"], profile.results[2]) == (1, None)
+    assert "3 bins from 0" in repr(profile)
 
 
+R, V = np.linspace(0.5, 10, 12) * u.mas, np.ones(12)
 REFUSED = [
     (lambda *_: bins_of([1.0] * u.mas), "2 distance"),
     (lambda *_: bins_of([2.0, 1.0] * u.mas), "bins = .* must be increasing distances"),
@@ -84,6 +80,10 @@ REFUSED = [
     (lambda *of: measure_profile(*of, [80, 90] * u.mas), "no SSP lies in the bins"),
     (lambda _, m: select_ssps(m, r_min=3 * u.mas, r_max=2 * u.mas), "must be below"),
     (lambda _, m: select_ssps(m, scales=[1, 4]), "scale 4 was not decomposed"),
+    (lambda *_: fit_profile(R, V, V, model="cubic"), "unknown model 'cubic'"),
+    (lambda *_: fit_profile(R[:2], V[:2], V[:2], model="broken"), "at 4 distances or"),
+    (lambda *_: fit_profile(R, -V, V, model="power-law"), "above 0"),
+    (lambda _, m: scale_groups(m, {"a": [1]}), "two groups or more, got 1"),
 ]
 
 
@@ -93,7 +93,7 @@ def test_what_makes_no_sense_is_refused(scc, matched, call, words):
         call(scc, matched)
 
 
-def test_along_a_ridge_line(scc, matched):
+def test_along_a_ridge_line_and_other_selections(scc, matched):
     # A line that begins at 5 mas: distances along it are smaller by as much.
     line = RidgeLine([-5, -25] * u.mas, [0, 0] * u.mas)
     s = ssp_distances(matched, ridge=line).value
@@ -103,19 +103,14 @@ def test_along_a_ridge_line(scc, matched):
     bins = [3, 15] * u.mas
     found = measure_profile(scc, matched, bins, ridge=line, n_trials=20, rng=1)
     assert found.components.meta["along"] == "ridge"
-
-
-def test_selections(matched):
     inner = select_ssps(matched, r_max=8 * u.mas, scales=[2])
     assert set(matched.ssps.scale[inner.select]) == {2.0}
     region = np.zeros(matched.cube.shape[1:], bool)
     region[:, :100] = True
     left = select_ssps(matched, region=region)
     assert matched.ssps.x_centroid[left.select].max() < 100
-    by_angle = select_ssps(matched, scales=[0.4] * u.mas)
-    np.testing.assert_array_equal(
-        by_angle.select, select_ssps(matched, scales=[2]).select
-    )
+    by_angle = select_ssps(matched, scales=[0.4] * u.mas).select
+    assert np.array_equal(by_angle, select_ssps(matched, scales=[2]).select)
     windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
     assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
 
@@ -123,7 +118,7 @@ def test_selections(matched):
 @pytest.fixture(scope="module")
 def accelerated():
     """Features that are three times as fast at the end of the jet, and their truth."""
-    jet = simulate_jet(n_epochs=20, acceleration=3.0, dispersion=0.05, rng=1)
+    jet = simulate_jet(n_epochs=12, acceleration=3.0, dispersion=0.05, rng=1)
     scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
     return scc(jet.cube, n_trials=30, rng=1), jet.truth
 
@@ -152,11 +147,11 @@ def test_acceleration_of_what_is_not_there(accelerated):
         measure_acceleration(result, 9)
 
 
+@pytest.mark.slow
 def test_products(profile, tmp_path):
     table = profile.components_in_c(redshift=0.1, cosmology=paper_cosmology())
-    paths = write_profile(
-        profile, table, tmp_path, configuration={"seed": 1}, text="seed = 1\n"
-    )
+    settings = {"configuration": {"seed": 1}, "text": "seed = 1\n"}
+    paths = write_profile(profile, table, tmp_path, **settings)
     assert sorted(p.name for p in paths) == sorted(p.name for p in tmp_path.iterdir())
     again = QTable.read(tmp_path / "profile.ecsv", format="ascii.ecsv")
     assert again.colnames == table.colnames
@@ -181,9 +176,6 @@ def test_bins_hold_all_features_in_order_with_their_mean_speeds(accelerated):
 
 
 # -- fits of profiles, against numpy and against what was put in ------------------
-
-
-R = np.linspace(0.5, 10, 12) * u.mas
 
 
 def test_straight_line_is_that_of_numpy():
@@ -225,26 +217,10 @@ def test_broken_line_finds_the_break():
 
 
 def test_constant_has_uniform_probabilities():
-    rng = np.random.default_rng(4)
-    p = [
-        fit_profile(R, rng.normal(2, 0.1, 12), np.full(12, 0.1)).p_constant
-        for _ in range(300)
-    ]
-    assert np.mean(np.array(p) < 0.05) < 0.09
-    assert fit_profile(R, np.ones(12), np.ones(12), model="constant").p_constant == 1
-
-
-@pytest.mark.parametrize(
-    ("r", "v", "model", "words"),
-    [
-        (R, np.ones(12), "cubic", "unknown model 'cubic'"),
-        (R[:2], np.ones(2), "broken", "at 4 distances or more, got 2"),
-        (R, -np.ones(12), "power-law", "above 0"),
-    ],
-)
-def test_fits_that_cannot_be(r, v, model, words):
-    with pytest.raises(ValueError, match=words):
-        fit_profile(r, v, np.ones(len(v)), model=model)
+    speeds = np.random.default_rng(4).normal(2, 0.1, (300, 12))
+    p = np.array([fit_profile(R, v, np.full(12, 0.1)).p_constant for v in speeds])
+    assert np.mean(p < 0.05) < 0.09
+    assert fit_profile(R, V, V, model="constant").p_constant == 1
 
 
 # -- features that speed up, that slow down, and that do neither ------------------
@@ -290,12 +266,9 @@ def test_p_values_are_at_most_even():
     """Features of 15% dispersion without acceleration."""
     rng, p = np.random.default_rng(3), []
     for _ in range(200):
-        speeds = rng.normal(0.5, 0.08, 6)
-        starts = rng.uniform(2.5, 9, 6)
-        features = [
-            feature(x, 0.0, speed=v, noise=0.05, rng=rng)
-            for x, v in zip(starts, speeds, strict=True)
-        ]
+        speeds, starts = rng.normal(0.5, 0.08, 6), rng.uniform(2.5, 9, 6)
+        how, starts = {"noise": 0.05, "rng": rng}, zip(starts, speeds, strict=True)
+        features = [feature(x, 0.0, speed=v, **how) for x, v in starts]
         p.append(fit_gradient(features, BEAM).p_value)
     # Less than even only by what is left to blends.
     assert kstest(p, "uniform", alternative="greater").pvalue > 1e-3
@@ -314,15 +287,10 @@ def test_p_values_are_at_most_even():
     ],
 )
 def test_what_few_features_tell(features, known):
-    found = fit_gradient(features, BEAM)
+    # Those within two beams are the core's: the mean place is 1.875.
+    found = fit_gradient([feature(1.7, 0.0, speed=0.05), *features], BEAM)
     assert np.isfinite(found.p_value) == known
     assert found.n_features == len(features)
-
-
-def test_features_within_two_beams_are_the_cores():
-    two = [feature(start, 0.0, speed=0.05) for start in (1.7, 1.9)]
-    # Their mean places are 1.875 and 2.075.
-    assert fit_gradient(two, BEAM).n_features == 1
 
 
 def test_the_acceleration_of_a_feature():
@@ -371,7 +339,7 @@ def sheared():
     flow = Stream(
         "flow", dx=lambda x, y: np.where(y > 64, 8.0, 4.0), half_width=25.0, density=1.5
     )
-    jet = JetSimulation([flow], n_epochs=10, extent=(20.0, 240.0))
+    jet = JetSimulation([flow], n_epochs=7, shape=(128, 150), extent=(20.0, 130.0))
     return SCC.match(jet.run(rng=2).cube)
 
 
@@ -386,7 +354,7 @@ def result(sheared):
     return SCC.stack(sheared, n_trials=20, rng=1)
 
 
-def test_sides_have_their_speeds(sides, result):
+def test_sides_have_their_speeds(sheared, sides, result):
     (row,) = compare_speeds(result, sides)
     assert row["p_value"] < 0.05
     error = row["difference_err"].value
@@ -394,44 +362,29 @@ def test_sides_have_their_speeds(sides, result):
     assert abs(row["first_speed"].value - 4 * PER_PIXEL) < 1
     assert abs(row["second_speed"].value - 8 * PER_PIXEL) < 1
     assert row["first_n_ssp"] == sides["south"].sum()
-    # Welch's test, by scipy.
-    features = [
-        f for s in result.search.streams if s.kind == "moving" for f in s.features
-    ]
-    assert row["first_n_features"] + row["second_n_features"] == len(features)
+    number = sum(len(s.features) for s in result.search.streams if s.kind == "moving")
+    assert row["first_n_features"] + row["second_n_features"] == number
+    every = sides["north"] | sides["south"]
+    (row,) = compare_speeds(result, {"all": every, "none": ~every & False})
+    assert row["second_n_features"] == 0
+    assert np.isnan([row["second_speed"].value, row["p_value"]]).all()
+    with pytest.raises(ValueError, match="'a' and 'b' share SSPs"):
+        compare_speeds(result, {"a": sheared.select, "b": sheared.select})
+    with pytest.raises(ValueError, match="direction of the flow is needed"):
+        compare_speeds(replace(result, frame=SkyFrame()), sides)
 
 
 def test_the_difference_is_that_of_welch():
     """Errors that are small beside the scatter: the test of samples."""
     rng = np.random.default_rng(2)
     samples = rng.normal(1.0, 0.1, 6), rng.normal(1.3, 0.2, 9)
-    means = [
-        _mean([SimpleNamespace(speed=v, error=1e-9, pulled=False) for v in sample], 1)
-        for sample in samples
-    ]
+    known = {"error": 1e-9, "pulled": False}
+    features = [[SimpleNamespace(speed=v, **known) for v in own] for own in samples]
     # Errors of features hold two per cent of their speeds.
-    found = _difference(*means)
+    found = _difference(*(_mean(own, 1) for own in features))
     expected = ttest_ind(*samples, equal_var=False)
     assert found[0] == pytest.approx(samples[1].mean() - samples[0].mean(), rel=0.02)
     assert found[2] == pytest.approx(expected.pvalue, rel=0.3)
-
-
-def test_what_is_not_seen_is_unknown(result, sides):
-    every = sides["north"] | sides["south"]
-    (row,) = compare_speeds(result, {"all": every, "none": ~every & False})
-    assert row["second_n_features"] == 0
-    assert np.isnan(row["second_speed"])
-    assert np.isnan(row["p_value"])
-
-
-def test_refused(sheared, sides, result):
-    everything = {"a": sheared.select, "b": sheared.select}
-    with pytest.raises(ValueError, match="'a' and 'b' share SSPs"):
-        compare_speeds(result, everything)
-    with pytest.raises(ValueError, match="two groups or more, got 1"):
-        scale_groups(sheared, {"a": [1]})
-    with pytest.raises(ValueError, match="direction of the flow is needed"):
-        compare_speeds(replace(result, frame=SkyFrame()), sides)
 
 
 def test_features_are_divided_where_their_shares_leave_a_gap():
@@ -439,9 +392,8 @@ def test_features_are_divided_where_their_shares_leave_a_gap():
     ratio = np.array([0.3, 0.25, 0.2, 0.9, 1.0, 0.95, 1.05, 1.1, 0.92, 1.0, 0.98])
     peak = np.column_stack([ratio, np.ones(11)]).ravel()
     place = np.repeat(5.0 * np.arange(12), 2)[:23]
-    d = SimpleNamespace(
-        epoch=np.zeros(23, dtype=int), position=np.column_stack([place, 0 * place])
-    )
+    position = np.column_stack([place, 0 * place])
+    d = SimpleNamespace(epoch=np.zeros(23, dtype=int), position=position)
     features = [SimpleNamespace(ssp=[2 * k]) for k in range(12)]
     fine = np.arange(23) % 2 == 0
     ssps = SimpleNamespace(peak=np.append(peak, 2.0))

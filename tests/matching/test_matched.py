@@ -34,49 +34,40 @@ BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 SCALES = (1, 2, 3, 4)
 
 
-def cube_of(images, **facts):
+def cube_of(images):
     """Epochs 0.2 yr apart, with pixels of 0.1 mas."""
     dates = Time(2000 + 0.2 * np.arange(len(images)), format="jyear")
-    facts |= {"pixel_scale": 0.1 * u.mas}
-    return EpochCube.from_arrays(np.array(images), dates, **facts)
+    return EpochCube.from_arrays(np.array(images), dates, pixel_scale=0.1 * u.mas)
 
 
-def power_law(slope, shape, rng):
-    """A Gaussian field, unit variance, power falling as k^-slope, of a beam of 3 px."""
-    k = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
-    k[0, 0] = np.inf
-    spectrum = k ** (-slope / 2) * np.exp(-2 * (np.pi * 1.3 * k) ** 2)
-    field = np.fft.irfft2(np.fft.rfft2(rng.normal(size=shape)) * spectrum, s=shape)
-    return field / field.std()
+def textured(slope, *, noise=0.1, n_epochs=5, shape=(128, 128)):
+    """
+    A texture that fills the images and moves by 2.3 px along x, with noise of its own.
 
-
-def textured(kind, *, noise=0.1, step=2.3, n_epochs=5, shape=(128, 128), **facts):
-    """A texture that fills the images and moves along x, with noise of its own."""
+    It is a Gaussian field of unit variance; its power is smooth, or falls as k^-slope
+    up to a beam of 3 px.
+    """
     rng = np.random.default_rng(0)
-    if kind == "smooth":
-        field = ndimage.gaussian_filter(rng.normal(size=shape), 2, mode="wrap")
-        field /= field.std()
+    field = rng.normal(size=shape)
+    if slope is None:
+        field = ndimage.gaussian_filter(field, 2, mode="wrap")
     else:
-        field = power_law(kind, shape, rng)
-    return cube_of(
-        [
-            ndimage.shift(field, (0, step * k), order=3, mode="grid-wrap")
-            + rng.normal(0, noise, shape)
-            for k in range(n_epochs)
-        ],
-        **facts,
-    )
+        k = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+        k[0, 0] = np.inf
+        spectrum = k ** (-slope / 2) * np.exp(-2 * (np.pi * 1.3 * k) ** 2)
+        field = np.fft.irfft2(np.fft.rfft2(field) * spectrum, s=shape)
+    field /= field.std()
+    how = {"order": 3, "mode": "grid-wrap"}
+    moved = (ndimage.shift(field, (0, 2.3 * k), **how) for k in range(n_epochs))
+    return cube_of([image + rng.normal(0, noise, shape) for image in moved])
 
 
 def noise_of(kind, n_epochs=4, shape=(128, 128)):
     rng = np.random.default_rng(3)
     if kind == "white":
         return cube_of(rng.normal(size=(n_epochs, *shape)))
-    images = [
-        correlated_noise(shape, rms=1, beam=BEAM, pixel_scale=0.1 * u.mas, rng=rng)
-        for _ in range(n_epochs)
-    ]
-    return cube_of(images, beams=BEAM if kind == "beam" else None)
+    how = {"rms": 1, "beam": BEAM, "pixel_scale": 0.1 * u.mas, "rng": rng}
+    return cube_of([correlated_noise(shape, **how) for _ in range(n_epochs)])
 
 
 def quiet(cube, decomposer):
@@ -91,15 +82,13 @@ def test_noise_is_noise(kind):
     # On scales as large as the image, epochs share more than half of it by chance.
     small = cube_of(np.random.default_rng(1).normal(size=(2, 48, 48)))
     assert quiet(small, Decomposer(scales=(2, 3, 4)))
-
-
-def test_what_is_not_measured_in_the_planes_is_as_it_was():
-    cube = textured("smooth")
+    # What is not measured in the planes, or has no other epoch, is as it was.
+    cube = textured(None)
     assert quiet(cube, Decomposer(scales=[1, 2], noise="propagated"))
     assert quiet(cube[:1], Decomposer(scales=[1, 2]))
 
 
-@pytest.mark.parametrize(("kind", "noise"), [("smooth", "local"), (3, "plane")])
+@pytest.mark.parametrize(("kind", "noise"), [(None, "local"), (3, "plane")])
 def test_the_noise_of_a_texture_is_what_its_epochs_do_not_share(kind, noise):
     cube = textured(kind, noise=0.3)
     with pytest.warns(
@@ -219,10 +208,6 @@ def test_round_trip(made, cube, tmp_path):
     np.testing.assert_array_equal(
         read.decompositions[2].planes, made.decompositions[2].planes
     )
-    loose = replace(SCC, alpha=0.5)
-    one, other = (loose.stack(m, n_trials=10, rng=1) for m in (made, read))
-    np.testing.assert_array_equal(one.coefficient, other.coefficient)
-    assert np.array_equal(one.velocities[0].value, other.velocities[0].value)
     with pytest.raises(FileExistsError):
         made.write(tmp_path / "m.fits")
     made.write(tmp_path / "m.fits", overwrite=True)
@@ -245,28 +230,21 @@ def test_dates_do_not_matter_but_images_and_versions_do(
         MatchedEpochs.read(path, cube)
 
 
-def test_files_that_are_no_matches(made, cube, tmp_path):
+def test_files_that_are_no_matches(cube, tmp_path):
     path = tmp_path / "m.fits"
     fits.PrimaryHDU(np.ones((3, 3))).writeto(path)
     with pytest.raises(OSError, match="it was not written as one"):
         MatchedEpochs.read(path, cube)
-    with pytest.raises(ValueError, match="no provenance"):
-        replace(made, provenance={}).write(tmp_path / "n.fits")
     assert [p.name for p in tmp_path.iterdir()] == ["m.fits"]
 
 
-@pytest.mark.parametrize("name", ["m.fits", "folder"])
-def test_a_cache_is_used_when_only_the_stack_changes(
-    cube, made, counted, tmp_path, name
-):
-    path = tmp_path / name
+def test_a_cache_is_used_when_only_the_stack_changes(cube, made, counted, tmp_path):
+    path = tmp_path / "folder"
     same(made, SCC.match(cube, cache=path))
     assert len(counted) == len(cube)
     again = replace(SCC, alpha=0.5, position_angle=90 * u.deg)
     same(made, again.match(cube, cache=path))
-    result = again(cube, n_trials=10, rng=1, cache=path)
     assert len(counted) == len(cube)
-    np.testing.assert_equal(vars(result.matched.matches), vars(made.matches))
     files = [p for p in tmp_path.rglob("*") if p.is_file()]
     assert len(files) == 1
     # What cannot be read is made again.

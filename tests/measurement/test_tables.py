@@ -39,28 +39,20 @@ def same(read, written):
         a, b = read[name], written[name]
         assert getattr(a, "unit", None) == getattr(b, "unit", None)
         assert a.info.description == b.info.description
+        assert isinstance(a, Time) == isinstance(b, Time)
         if isinstance(b, Time):
-            assert isinstance(a, Time)
-            assert list(a.isot) == list(b.isot)
-        elif b.dtype.kind in "US":
-            assert list(a) == list(b)
-        else:
-            np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
-            assert a.dtype.kind == b.dtype.kind
+            a, b = a.isot, b.isot
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
-@pytest.mark.parametrize("n", [0, 1, 3])
-def test_components_have_all_columns_with_units_and_descriptions(n):
+def test_components_have_all_columns_with_units_and_descriptions():
     row = dict.fromkeys(columns_of("components"), 1.0) | {"kind": "few", "caution": "-"}
-    meta = {"seed": 1, "max_speed": 2 * PM}
-    table = component_table([row] * n, meta=meta)
-    assert len(table) == n
-    for name in table.colnames:
-        assert table[name].info.description
-        if name.startswith("pm") and "_pa" not in name:
-            assert table[name].unit == PM
-    assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
-    assert table.meta == meta
+    for n in (0, 3):
+        table = component_table([row] * n, meta={"seed": 1})
+        assert (len(table), table.meta) == (n, {"seed": 1})
+        assert all(table[name].info.description for name in table.colnames)
+        assert table["pm"].unit == table["pm_err_jitter"].unit == PM
+        assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
     # A missing column is no silence.
     del row["pm_dec"]
     with pytest.raises(KeyError, match="pm_dec"):
@@ -94,18 +86,11 @@ def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_
     assert meta["versions"] == versions()
     again = StackedCrossCorrelation(**meta["settings"])
     assert again.to_dict() == sky_result.meta["settings"]
-
-
-def test_printed_columns_are_rounded_to_their_errors(sky_result):
+    # Printed columns are rounded to their errors, the numbers are whole.
     table = sky_result.components
-    least = table["pm_err"].value.min()
-    digits = decimals(least)
+    digits = decimals(table["pm_err"].value.min())
     assert table["pm"].info.format == table["pm_err"].info.format == f".{digits}f"
-    assert f"{least:.{digits}f}" in "".join(table["pm", "pm_err"].pformat())
-    # The numbers are whole.
     assert table["pm"][0].value != round(table["pm"][0].value, digits)
-    shown = table.pformat(max_width=80)[0].split()
-    assert {"kind", "pm", "pm_err", "p_global"} <= {*shown}
 
 
 def test_what_a_paper_table_cannot_know():
@@ -113,8 +98,8 @@ def test_what_a_paper_table_cannot_know():
         {
             "feature": ["2001_s2", "50% & more"],
             "first": Time(["2001-01-01", "2002-05-01"]),
-            "pm": [2.128, np.nan] * u.mas / u.yr,
-            "pm_err": [np.nan, np.nan] * u.mas / u.yr,
+            "pm": [2.128, np.nan] * PM,
+            "pm_err": [np.nan, np.nan] * PM,
             "t_ej": Masked([2000.12, 0.0] * u.yr, mask=[False, True]),
             "t_ej_err": Masked([0.1, 0.0] * u.yr, mask=[False, True]),
             "r_min": [-3.14159, 20.0] * u.mas,
@@ -134,38 +119,28 @@ def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
     table, ssps, cube = sky_result.ssps, sky_result.matched.ssps, sky_result.cube
     assert len(table) == len(ssps) > 0
     x0, y0 = cube.reference_pixel
-    for end in ("", "_centroid"):
-        x, y = getattr(ssps, f"x{end}"), getattr(ssps, f"y{end}")
-        east, north = table[f"east{end}"].value, table[f"north{end}"].value
-        np.testing.assert_allclose(east, -0.1 * (x - x0), atol=1e-9)
-        np.testing.assert_allclose(north, 0.1 * (y - y0), atol=1e-9)
     # The beam is 1 mas wide and round (Fomalont 1999).
-    expected = 1.0 / (np.sqrt(2) * table["snr"])
-    np.testing.assert_allclose(table["east_err"].to_value(u.mas), expected)
-    np.testing.assert_allclose(table["north_err"].to_value(u.mas), expected)
+    error = 1.0 / (np.sqrt(2) * table["snr"])
+    for name, axis, origin in (("east", "x", x0), ("north", "y", y0)):
+        sign = -0.1 if name == "east" else 0.1
+        np.testing.assert_allclose(table[f"{name}_err"].to_value(u.mas), error)
+        for end in ("", "_centroid"):
+            expected = sign * (getattr(ssps, f"{axis}{end}") - origin)
+            found = table[f"{name}{end}"].to_value(u.mas)
+            np.testing.assert_allclose(found, expected, atol=1e-9)
     sizes = np.unique(table["scale_size"].to_value(u.mas))
     np.testing.assert_allclose(sizes, [0.2, 0.4, 0.8])
     assert table["peak"].unit == table["coefficient_sum"].unit == cube.unit
-    for epoch in range(len(cube)):
-        dates = table["date"][table["epoch"] == epoch]
-        assert isinstance(dates, Time)
-        assert np.all(dates == cube.times[epoch])
+    assert np.all(table["date"] == cube.times[table["epoch"]])
     np.testing.assert_array_equal(table["n_pixels"], np.diff(ssps.starts))
     select = np.arange(len(ssps)) % 3 == 0
-    np.testing.assert_array_equal(
-        ssp_table(ssps, cube, select=select)["in_region"], select
-    )
-
-
-@pytest.mark.parametrize("beams", [True, False])
-def test_an_empty_ssp_table_has_all_columns(sky_result, beams):
-    cube = sky_result.cube if beams else replace(sky_result.cube, beams=None)
-    empty = ssp_table(SSPs.empty(), cube)
-    assert len(empty) == 0
-    assert empty.colnames == sky_result.ssps.colnames
-    for name in empty.colnames:
-        unit = getattr(sky_result.ssps[name], "unit", None)
-        assert getattr(empty[name], "unit", None) == unit
+    some = ssp_table(replace(sky_result.matched, select=select))
+    np.testing.assert_array_equal(some["in_region"], select)
+    none = {"ssps": SSPs.empty(), "select": np.zeros(0, bool)}
+    for of in (cube, replace(cube, beams=None)):
+        empty = ssp_table(replace(sky_result.matched, cube=of, **none))
+        assert len(empty) == 0
+        same(empty, table[:0])
 
 
 # Vectors -------------------------------------------------------------------------
@@ -178,30 +153,24 @@ correlations = st.floats(-0.95, 0.95)
 def test_on_the_sky_frame(east, north, err1, err2, correlation, pa):
     covariance = np.diag([err1, err2])
     covariance = covariance @ [[1, correlation], [correlation, 1]] @ covariance
-    row = velocity_columns(np.array([east, north]), covariance, SkyFrame(), pa * u.deg)
-    assert (row["pm_ra_cosdec"], row["pm_dec"]) == pytest.approx((east, north))
-    assert row["pm_ra_cosdec_err"] == pytest.approx(err1)
-    assert row["pm_dec_err"] == pytest.approx(err2)
-    assert row["pm"] == pytest.approx(np.hypot(east, north))
+    velocity, speed = np.array([east, north]), np.hypot(east, north)
+    row = velocity_columns(velocity, covariance, SkyFrame(), pa * u.deg)
     along = np.array([np.sin(np.radians(pa)), np.cos(np.radians(pa))])
-    across = np.array([along[1], -along[0]])
-    for name, axis in (("parallel", along), ("transverse", across)):
-        assert row[f"pm_{name}"] == pytest.approx(
-            axis @ [east, north], rel=1e-9, abs=1e-9
-        )
-        assert row[f"pm_{name}_err"] == pytest.approx(
-            np.sqrt(axis @ covariance @ axis), rel=1e-6
-        )
+    axes = {"ra_cosdec": np.array([1, 0]), "dec": np.array([0, 1]), "parallel": along}
+    axes["transverse"] = np.array([along[1], -along[0]])
+    for name, axis in axes.items():
+        expected = pytest.approx(axis @ velocity, rel=1e-9, abs=1e-9)
+        assert row[f"pm_{name}"] == expected
+        error = np.sqrt(axis @ covariance @ axis)
+        assert row[f"pm_{name}_err"] == pytest.approx(error, rel=1e-6)
+    assert row["pm"] == pytest.approx(speed)
     assert 0 <= row["pm_pa"] <= 360
-    if row["pm"] > 1e-6:
-        pa = np.radians(row["pm_pa"])
-        np.testing.assert_allclose(
-            (np.sin(pa), np.cos(pa)), np.array([east, north]) / row["pm"], atol=1e-9
-        )
-        unit = np.array([east, north]) / row["pm"]
+    if speed > 1e-6:
+        unit, pa = velocity / speed, np.radians(row["pm_pa"])
+        np.testing.assert_allclose((np.sin(pa), np.cos(pa)), unit, atol=1e-9)
         turned = np.array([-unit[1], unit[0]])
         assert row["pm_err"] == pytest.approx(np.sqrt(unit @ covariance @ unit))
-        sigma = np.sqrt(turned @ covariance @ turned) / row["pm"]
+        sigma = np.sqrt(turned @ covariance @ turned) / speed
         assert row["pm_pa_err"] == pytest.approx(min(np.degrees(sigma), 180.0))
 
 
@@ -225,16 +194,17 @@ def motion(velocity, place=(3.0, 0.0), error=0.05):
     )  # fmt: skip
 
 
-class Moving(list):
+def moving(*motions):
     """Features of which only the motions are known, with two detections each."""
 
-    @property
-    def motions(self):
-        return self
+    class Moving(list):
+        pass
 
-    @property
-    def tracks(self):
-        return [SimpleNamespace(detection=[2 * k, 2 * k + 1]) for k in range(len(self))]
+    made = Moving(motions)
+    made.motions = motions
+    every = range(len(motions))
+    made.tracks = [SimpleNamespace(detection=[2 * k, 2 * k + 1]) for k in every]
+    return made
 
 
 def part(track=None):
@@ -245,19 +215,13 @@ def part(track=None):
 
 def streams(*each, frame):
     """A result with components: kind, velocity, dispersion and, if given, features."""
-    made = [
-        (
-            SimpleNamespace(
-                kind=kind, angle=np.arctan2(*velocity[::-1]), features=own or [part()]
-            ),
-            SimpleNamespace(
-                value=np.array(velocity), covariance=np.diag([0.03, 0.03]) ** 2,
-                dispersion=dispersion,
-            ),
-        )
-        for kind, velocity, dispersion, *own in each
-    ]  # fmt: skip
-    own, velocities = zip(*made, strict=True)
+    own, velocities = [], []
+    for kind, velocity, dispersion, *features in each:
+        angle = np.arctan2(*velocity[::-1])
+        features = features or [part()]
+        own.append(SimpleNamespace(kind=kind, angle=angle, features=features))
+        known = {"value": np.array(velocity), "covariance": 0.03**2 * np.eye(2)}
+        velocities.append(SimpleNamespace(**known, dispersion=dispersion))
     search = SimpleNamespace(streams=own)
     return SimpleNamespace(search=search, velocities=velocities, frame=frame)
 
@@ -293,23 +257,20 @@ def test_a_feature_is_of_the_component_with_its_velocity(velocity, component):
     radial = RadialFrame(), motion((across, speed), place=(0.0, 5.0))
     for frame, own in (sky, west, radial):
         result = streams(*ALONG, frame=frame)
-        assert components_of(result, Moving([own])).tolist() == [component]
+        assert components_of(result, moving(own)).tolist() == [component]
 
 
-def test_the_nearest_component_in_units_of_the_errors():
+def test_the_nearest_component_in_units_of_the_errors_or_that_which_they_make():
     wide, narrow = ("moving", (2.0, 0.0), 1.0), ("moving", (3.0, 0.0), 0.0)
     result = streams(wide, narrow, frame=SkyFrame())
-    slow, fast = motion((2.85, 0.0)), motion((3.02, 0.0))
-    assert components_of(result, Moving([slow, fast])).tolist() == [1, 2]
-
-
-def test_features_that_make_a_stream_are_of_it_and_others_are_not():
-    features = [motion((v, 0.0)) for v in (2.9, 2.0, 4.0, 4.0)]
+    features = moving(motion((2.85, 0.0)), motion((3.02, 0.0)))
+    assert components_of(result, features).tolist() == [1, 2]
+    features = moving(*(motion((v, 0.0)) for v in (2.9, 2.0, 4.0, 4.0)))
     slow = "moving", (2.0, 0.0), 0.3, part(0)
     fast = "moving", (4.0, 0.0), 0.3, part(3), part()
     result = streams(slow, fast, frame=SkyFrame())
     # A chain of the second stream may be the third feature.
-    assert components_of(result, Moving(features)).tolist() == [1, 0, 2, 2]
+    assert components_of(result, features).tolist() == [1, 0, 2, 2]
 
 
 # Adjusted p-values ----------------------------------------------------------------
@@ -321,16 +282,12 @@ def table(p, **columns):
 
 def by_definition(p, method):
     """The smallest rate at which the procedure would accept each of them."""
-    p = np.asarray(p)
     m = len(p)
     factor = m * (sum(1 / k for k in range(1, m + 1)) if method == "by" else 1.0)
-    adjusted = []
-    for own in p:
-        candidates = [
-            factor * other / np.sum(p <= other) for other in p if other >= own
-        ]
-        adjusted.append(min(1.0, *candidates, np.inf))
-    return adjusted
+    return [
+        min(1.0, *(factor * other / np.sum(p <= other) for other in p if other >= own))
+        for own in p
+    ]
 
 
 probabilities = st.lists(
@@ -356,10 +313,9 @@ def test_empty_tables_are_searches_and_what_stands_still_is_none():
     assert once["a"]["p_fdr"].tolist() == pytest.approx([0.2, 1.0])
     assert once["b"]["p_fdr"].tolist() == pytest.approx([0.2])
     assert once["a"].meta["false_discovery"] == {"method": "bh", "n_tests": 20}
-    empty = once["none 1"]
-    assert len(empty) == 0
-    assert empty["p_fdr"].dtype == float
-    assert empty["p_fdr"].info.description
+    empty = once["none 1"]["p_fdr"]
+    assert (len(empty), empty.dtype) == (0, float)
+    assert empty.info.description
     # They are copies, and can be adjusted again.
     twice = false_discovery_rate(once)
     assert own["b"].colnames == ["p_global"]

@@ -15,7 +15,7 @@ from astropy.wcs import WCS
 
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import RadialFrame
-from astro_scc.measurement.extensions import velocity_hdus
+from astro_scc.measurement.result import velocity_hdus
 from astro_scc.products import folder as products
 from astro_scc.products import write_products
 from astro_scc.products.folder import product_folder

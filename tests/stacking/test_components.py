@@ -29,26 +29,15 @@ def gaussian(grid, x, y, sx, sy, angle=0.0, height=1.0):
     return height * np.exp(-0.5 * ((p / sx) ** 2 + (q / sy) ** 2))
 
 
-def marginal(sx, sy, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.hypot(c * sx, s * sy), np.hypot(s * sx, c * sy)
+near, width = st.floats(-0.5, 0.5), st.floats(0.8, 2.0)
 
 
-@given(
-    st.floats(-0.5, 0.5),
-    st.floats(-0.5, 0.5),
-    st.floats(0.8, 2.0),
-    st.floats(0.8, 2.0),
-    st.floats(0, np.pi),
-    st.floats(1e-6, 1e6),
-)
+@given(near, near, width, width, st.floats(0, np.pi), st.floats(1e-6, 1e6))
 def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
     grid = VelocityGrid.covering(2.0, 0.25)
     surface = gaussian(grid, x, y, sx, sy, angle, height)
     found = fit_gaussian(surface, grid.v1, grid.v2)
     np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
-    assert found[2] == pytest.approx(height)
-    np.testing.assert_allclose(found[3:], marginal(sx, sy, angle), rtol=1e-6)
 
 
 def test_fit_follows_the_high_values_under_noise():
@@ -95,9 +84,7 @@ def test_no_maximum_no_fit(surface):
 def test_one_gaussian_is_one_component(x, y, sx, sy, angle):
     scc = gaussian(GRID, x, y, sx, sy, angle, height=0.3)
     (c,) = find_velocity_peaks(scc, GRID, BOX)
-    assert c.fitted
     np.testing.assert_allclose((c.v1, c.v2), (x, y), atol=1e-6)
-    np.testing.assert_allclose((c.width1, c.width2), marginal(sx, sy, angle))
     assert c.row == np.abs(GRID.v2 - y).argmin()
     assert c.column == np.abs(GRID.v1 - x).argmin()
     assert c.coefficient == scc[c.row, c.column] == scc.max()
@@ -108,14 +95,12 @@ def test_one_gaussian_is_one_component(x, y, sx, sy, angle):
 @pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
 def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     """Four widths and more apart; the box holds the neighbour too."""
-    x = np.array([-0.4, separation - 0.4])
-    scc = gaussian(GRID, x[0], 0.3, 1.2, 1.0)
-    scc += gaussian(GRID, x[1], -0.2, 1.2, 1.0, height=second)
-    first, other = sorted(find_velocity_peaks(scc, GRID, box), key=lambda c: c.v1)
-    assert first.fitted
-    assert other.fitted
-    np.testing.assert_allclose((first.v1, other.v1), x, atol=0.05)
-    np.testing.assert_allclose((first.v2, other.v2), (0.3, -0.2), atol=0.05)
+    scc = gaussian(GRID, -0.4, 0.3, 1.2, 1.0)
+    scc += gaussian(GRID, separation - 0.4, -0.2, 1.2, 1.0, height=second)
+    found = sorted((c.v1, c.v2) for c in find_velocity_peaks(scc, GRID, box))
+    np.testing.assert_allclose(
+        found, [(-0.4, 0.3), (separation - 0.4, -0.2)], atol=0.05
+    )
 
 
 def test_sorted_by_falling_coefficient():
@@ -135,9 +120,6 @@ def test_too_narrow_for_a_fit_the_quadratic_serves():
     """A kernel below the grid's spacing: fewer than six points reach half."""
     scc = gaussian(GRID, 0.1, 0.0, 0.25, 0.2)
     (c,) = find_velocity_peaks(scc, GRID, BOX)
-    assert not c.fitted
-    assert np.isnan(c.width1)
-    assert np.isnan(c.width2)
     assert abs(c.v1 - 0.1) < 0.25
     assert abs(c.v2) < 0.2
 
@@ -148,21 +130,19 @@ def test_a_fit_outside_the_box_is_none(aside, times, monkeypatch):
     module = sys.modules[find_velocity_peaks.__module__]
     grid = VelocityGrid.covering(4.0, 0.25)
     place = times * np.array(aside)
-    fit = (*place, 1.0, 0.7, 0.8)
+    fit = tuple(place)
     monkeypatch.setattr(module, "fit_gaussian", lambda *args: fit)
     scc = gaussian(grid, 0, 0, 1, 1)
     (found,) = find_velocity_peaks(scc, grid, (1.8, 2.8))
-    assert found.fitted == (times == 1)
     expected = place if times == 1 else (0, 0)
     np.testing.assert_allclose((found.v1, found.v2), expected, atol=1e-6)
-    assert np.isnan(found.width1) == (times > 1)
 
 
 TWO = gaussian(GRID, -3.0, 1.0, 0.6, 0.6)
 TWO += gaussian(GRID, 2.0, -2.0, 0.6, 0.6, height=0.3)
 
 
-@given(st.floats(-10, 10), st.floats(-8, 8))
+@given(st.floats(-6, 5), st.floats(-4, 3))
 def test_the_maximum_near_a_velocity_or_that_velocity_itself(v1, v2):
     """Distance is in units of the box; beyond half of it there is no maximum."""
     box = (4.0, 2.0)
@@ -172,20 +152,17 @@ def test_the_maximum_near_a_velocity_or_that_velocity_itself(v1, v2):
     if min(distance) <= np.clip(np.hypot(v1 / box[0], v2 / box[1]) / 2, 0.1, 0.5):
         assert c == peaks[int(np.argmin(distance))]
         return
-    assert not c.fitted
     assert (c.v1, c.v2) == (v1, v2)
-    assert np.isnan([c.width1, c.width2]).all()
     # The coefficient of the nearest point of the grid.
     assert abs(GRID.v1[c.column] - v1) <= GRID.step[0] / 2 + 1e-9
     assert abs(GRID.v2[c.row] - v2) <= GRID.step[1] / 2 + 1e-9
     assert c.coefficient == TWO[c.row, c.column]
 
 
-@pytest.mark.parametrize("height", [0.0, -1.0, 1.0])
+@pytest.mark.parametrize("height", [0.0, 1.0])
 def test_without_a_maximum_the_velocity_stays(height):
     c = velocity_peak_near(np.full(GRID.shape, height), GRID, BOX, 0.6, 0.5)
     assert (c.v1, c.v2, c.row, c.column) == (0.6, 0.5, 21, 21)
-    assert not c.fitted
     assert c.coefficient == height
 
 
@@ -198,11 +175,11 @@ HALF_YEAR = 0.5
 
 def errors(found):
     """Standard errors along both axes."""
-    return np.sqrt(np.diag(found.covariance))
+    return np.sqrt(np.diag(found))
 
 
 def component(v1=1.0, v2=-0.5):
-    return VelocityPeak(v1, v2, 1.0, 0.3, 0.3, 0, 0, True)
+    return VelocityPeak(v1, v2, 1.0, 0, 0)
 
 
 def jitter(d, n_trials=1000, *, pairs=PAIRS, at=None, box=(3.0, 3.0), seed=0):
@@ -228,24 +205,19 @@ def expected_error(s, n, shared=0.0):
 @pytest.mark.parametrize("n", [60, 240])
 def test_independent_ssps(clump, n):
     """Four thirds of s / sqrt(n): the maximum is less sure than the mean."""
-    found = jitter(clump(n, s=(0.2, 0.2)))
+    found = jitter(clump(n))
     expected = expected_error(0.2 / HALF_YEAR, n)
     assert expected == pytest.approx(4 / 3 * 0.4 / np.sqrt(n))
-    assert errors(found)[0] == pytest.approx(expected, rel=0.12)
-    assert errors(found)[1] == pytest.approx(expected, rel=0.12)
-    assert found.share == 1.0
-    assert abs(found.covariance[0, 1]) < 0.15 * np.prod(errors(found))
-    assert abs(found.bias[0]) < 5 * expected / np.sqrt(1000)
-    assert abs(found.bias[1]) < 5 * expected / np.sqrt(1000)
+    np.testing.assert_allclose(errors(found), expected, rtol=0.12)
+    assert abs(found[0, 1]) < 0.15 * np.prod(errors(found))
 
 
 def test_one_ssp_that_all_matches_share(clump):
     """Its shift moves all of them: its half of the variance does not average out."""
-    found = jitter(clump(60, s=(0.2, 0.2), shared=True))
+    found = jitter(clump(60, shared=True))
     expected = expected_error(0.4, 60, shared=0.5)
     assert expected > 0.4 / np.sqrt(2)
-    assert errors(found)[0] == pytest.approx(expected, rel=0.08)
-    assert errors(found)[1] == pytest.approx(expected, rel=0.08)
+    np.testing.assert_allclose(errors(found), expected, rtol=0.08)
 
 
 def chains(clump, n, n_epochs):
@@ -268,31 +240,13 @@ def test_shifts_of_chains_cancel(clump):
     assert errors(chained)[0] < 0.75 * errors(apart)[0]
 
 
-def test_share_of_the_trials_that_stay_in_the_box(clump):
-    """One match of width s; a box of half-width s holds its maximum to 68%."""
-    found = jitter(clump(1, s=(0.2, 0.02)), box=(0.8, 3.0))
-    # The outermost of 25 points counts as outside.
-    assert found.share == pytest.approx(0.65, abs=0.05)
-    assert errors(found)[0] < 0.4
-
-
-def test_a_maximum_at_the_border_of_the_box_is_compared_with_the_component(clump):
-    d = clump(1, velocity=(1.5, -0.5), s=(0.1, 0.1))
-    found = jitter(d, at=component(1.0, -0.5), box=(1.0, 1.0))
-    assert 0 < found.bias[0] < 0.5
-    assert found.share < 0.6
-
-
-@pytest.mark.parametrize("n_trials", [0, 1, 2])
-def test_too_few_trials_have_no_error(clump, n_trials):
-    found = jitter(clump(10), n_trials)
-    for name in ("covariance", "bias"):
-        assert np.all(np.isnan(getattr(found, name)))
-    assert found.share == (1.0 if n_trials else 0.0)
-
-
-def test_no_match_in_reach_no_maximum(clump):
-    found = jitter(clump(10), 10, at=component(9.0, 9.0))
-    assert found.share == 0.0
-    assert np.isnan(errors(found)[0])
-    assert jitter(clump(10).select(slice(0, 0)), 10).share == 0.0
+def test_too_few_maxima_have_no_error(clump):
+    """A box of half-width s holds the maximum of one match of width s to 68%."""
+    # The standard deviation of a normal distribution that is cut off there.
+    one = errors(jitter(clump(1, s=(0.2, 0.02)), box=(0.8, 3.0)))
+    assert one[0] == pytest.approx(0.208, rel=0.1)
+    for n_trials in (0, 2):
+        assert np.isnan(jitter(clump(10), n_trials)).all()
+    assert np.isfinite(jitter(clump(10), 3)).all()
+    assert np.isnan(jitter(clump(10), 10, at=component(9.0, 9.0))).all()
+    assert np.isnan(jitter(clump(10).select(slice(0, 0)), 10)).all()

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from astro_scc.stacking.pair_maps import PairMaps, _Stretch
 from astro_scc.stacking.stack import (
+    PairMaps,
+    _Stretch,
     gaussian_sum,
     number_of_permutations,
     number_of_ssps,
@@ -30,6 +31,10 @@ from astro_scc.stacking.velocities import (
 from astro_scc.streams.permutations import permutations_of_epochs
 
 COARSE = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
+
+
+def all_stacks(maps, orders, **kwargs):
+    return np.concatenate(list(maps.stacks(orders, **kwargs)))
 
 
 def literal(d, pairs, grid, order):
@@ -78,10 +83,11 @@ def test_number_of_ssps_of_many_orders(random_displacements):
 def test_without_matches_or_ssps_it_is_zero(random_displacements):
     none = random_displacements(np.random.default_rng(4)).select(slice(0, 0))
     pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
-    assert len(none) == 0
-    np.testing.assert_array_equal(stack(none, pairs, COARSE), 0.0)
-    nothing = replace(none, n_ssps=np.zeros(4, dtype=int))
-    np.testing.assert_array_equal(stack(nothing, pairs, COARSE), 0.0)
+    for d in (none, replace(none, n_ssps=np.zeros(4, dtype=int))):
+        np.testing.assert_array_equal(stack(d, pairs, COARSE), 0.0)
+        found = all_stacks(PairMaps(d, pairs, COARSE), np.array([[3, 0, 1, 2]] * 5))
+        assert found.shape == (5, *COARSE.shape)
+        np.testing.assert_array_equal(found, 0.0)
 
 
 def test_velocities_are_displacements_over_intervals(random_displacements):
@@ -96,8 +102,8 @@ def test_velocities_are_displacements_over_intervals(random_displacements):
     interval = years[date[d.target[index]]] - years[date[d.reference[index]]]
     for rate, value in ((v1, d.d1), (v2, d.d2), (s1, d.s1), (s2, d.s2)):
         np.testing.assert_allclose(rate, value[index] / interval)
-    np.testing.assert_allclose(weight / d.weight[index] / interval**2, weight[0]
-                               / d.weight[index[0]] / interval[0] ** 2)  # fmt: skip
+    ratio = weight / d.weight[index] / interval**2
+    np.testing.assert_allclose(ratio, ratio[0])
 
 
 def test_gaussian_sum_in_blocks_is_the_same(monkeypatch):
@@ -123,17 +129,12 @@ def test_gaussian_sum_in_blocks_is_the_same(monkeypatch):
 GRID = VelocityGrid.covering((4.0, 3.0), (0.25, 0.3))
 
 
-def all_stacks(maps, pairs, grid, orders, **kwargs):
-    return np.concatenate(list(maps.stacks(pairs, grid, orders, **kwargs)))
-
-
-def check(maps, pairs, grid, orders, shift=(0.0, 0.0)):
-    found = all_stacks(maps, pairs, grid, orders, shift=shift)
-    assert found.shape == (len(orders), *grid.shape)
-    d = maps.samples
+def check(d, pairs, orders, shift=(0.0, 0.0)):
+    found = all_stacks(PairMaps(d, pairs, GRID), orders, shift=shift)
+    assert found.shape == (len(orders), *GRID.shape)
     moved = replace(d, d1=d.d1 + shift[0], d2=d.d2 + shift[1])
     for one, order in zip(found, orders, strict=True):
-        exact = stack(moved, pairs, grid, order=order)
+        exact = stack(moved, pairs, GRID, order=order)
         np.testing.assert_allclose(one, exact, atol=1e-3 * exact.max())
 
 
@@ -144,20 +145,16 @@ def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, ever
     d = random_displacements(rng, 5, 120, s1=(0.2, 0.8), s2=(0.4, 1.5))
     years = np.cumsum(rng.uniform(0.2, 1.5, 5))
     pairs = baseline_pairs(years, 0.0, 9.0) if every_pair else consecutive_pairs(years)
-    maps = PairMaps.of(d, GRID.v_max, pairs.interval.max())
-    check(maps, pairs, GRID, random_permutations(5, 4, rng))
+    check(d, pairs, random_permutations(5, 4, rng))
     shift = rng.uniform(-0.5, 0.5, 2)
-    check(maps, pairs, GRID, random_permutations(5, 4, rng), shift=shift)
+    check(d, pairs, random_permutations(5, 4, rng), shift=shift)
 
 
 def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
     rng = np.random.default_rng(0)
-    d = random_displacements(rng, 6, 200)
     pairs = consecutive_pairs(0.7 * np.arange(6))
-    maps = PairMaps.of(d, GRID.v_max, 0.7)
-    # Few orders add the maps first and stretch once; many stretch each map first.
-    for n_orders in (2, 40):
-        check(maps, pairs, GRID, random_permutations(6, n_orders, rng))
+    d = random_displacements(rng, 6, 200)
+    check(d, pairs, random_permutations(6, 9, rng))
 
 
 def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeypatch):
@@ -165,12 +162,12 @@ def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeyp
     d = random_displacements(rng, 6, 200)
     pairs = consecutive_pairs(np.cumsum(rng.uniform(0.4, 0.7, 6)))
     orders = random_permutations(6, 12, rng)
-    maps = PairMaps.of(d, GRID.v_max, 0.7)
-    whole = all_stacks(maps, pairs, GRID, orders)
+    maps = PairMaps(d, pairs, GRID)
+    whole = all_stacks(maps, orders)
     for n_maps in (0, 1, 7):
         limit = n_maps * maps.map_bytes
-        monkeypatch.setattr(f"{PairMaps.__module__}.MAP_BYTES", limit)
-        again = all_stacks(replace(maps), pairs, GRID, orders)
+        monkeypatch.setitem(gaussian_sum.__globals__, "MAP_BYTES", limit)
+        again = all_stacks(PairMaps(d, pairs, GRID), orders)
         np.testing.assert_allclose(again, whole, atol=1e-6)
 
 
@@ -180,26 +177,10 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
     rng = np.random.default_rng(9)
     d = random_displacements(rng, 14, 900, reach=5.0, s1=(0.4, 0.8), s2=(0.5, 1.0))
     pairs = baseline_pairs(np.cumsum(rng.uniform(0.1, 0.3, 14)), 0.0, 1.2)
-    stretch = _Stretch(PairMaps.of(d, GRID.v_max, 1.2), pairs, GRID, (0.0, 0.0))
+    stretch = _Stretch(PairMaps(d, pairs, GRID), (0.0, 0.0))
     assert len(stretch.share) < 0.7 * len(pairs)
     np.testing.assert_allclose(stretch.share.sum(axis=0), pairs.weight, rtol=1e-5)
-    check(
-        PairMaps.of(d, GRID.v_max, pairs.interval.max()),
-        pairs,
-        GRID,
-        random_permutations(14, 4, rng),
-        shift=shift,
-    )
-
-
-def test_without_matches(random_displacements):
-    rng = np.random.default_rng(4)
-    none = random_displacements(rng, 3, 10).select(slice(0, 0))
-    pairs = consecutive_pairs([0.0, 1.0, 3.0])
-    maps = PairMaps.of(none, GRID.v_max, 2.0)
-    found = all_stacks(maps, pairs, GRID, random_permutations(3, 5, rng))
-    assert found.shape == (5, *GRID.shape)
-    np.testing.assert_array_equal(found, 0.0)
+    check(d, pairs, random_permutations(14, 4, rng), shift=shift)
 
 
 @pytest.mark.parametrize("farthest", [0.5, 50.0])
@@ -207,10 +188,11 @@ def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(
     random_displacements, farthest
 ):
     d = random_displacements(np.random.default_rng(7), reach=farthest)
-    maps = PairMaps.of(d, (4.0, 3.0), 0.5)
+    pairs = consecutive_pairs(0.5 * np.arange(4.0))
+    maps = PairMaps(d, pairs, GRID)
     assert len(maps.axis1) >= 15
     assert maps.axis1[-1] <= min(4.0 * 0.5, farthest) + 5 * d.s1.max()
-    check(maps, consecutive_pairs(0.5 * np.arange(4.0)), GRID, [[0, 1, 2, 3]])
+    check(d, pairs, np.array([[0, 1, 2, 3]]))
 
 
 # -- permutations of the epochs ---------------------------------------------------
@@ -238,6 +220,8 @@ def test_an_order_and_its_reversal_are_one(n, number):
     if n < 6:
         every = {min(order, order[::-1]) for order in permutations(range(n))}
         assert len(every) == number
+    # Of many there are orders without end.
+    assert number_of_permutations(1000) == number_of_permutations(20) > 1e18
 
 
 @given(st.integers(1, 30), st.integers(2, 40), st.integers(0, 2**32 - 1))
@@ -257,9 +241,8 @@ YEARS = [0.0, 0.4, 1.2, 1.5, 2.6]
 
 
 @pytest.fixture(scope="module")
-def maps(random_displacements):
-    d = random_displacements(np.random.default_rng(0), 5, 300)
-    return PairMaps.of(d, GRID.v_max, 1.1)
+def d(random_displacements):
+    return random_displacements(np.random.default_rng(0), 5, 300)
 
 
 @pytest.fixture(scope="module")
@@ -267,9 +250,9 @@ def pairs():
     return consecutive_pairs(YEARS)
 
 
-def run(maps, pairs, n_trials=30, seed=1, **kwargs):
-    rng = np.random.default_rng(seed)
-    return permute_stacks(maps, pairs, GRID, n_trials, rng=rng, **kwargs)
+def run(d, pairs, **kwargs):
+    rng = np.random.default_rng(1)
+    return permute_stacks(d, pairs, GRID, 30, rng=rng, **kwargs)
 
 
 def test_orders_are_permutations_and_all_of_them_occur_equally_often():
@@ -282,65 +265,37 @@ def test_orders_are_permutations_and_all_of_them_occur_equally_often():
     assert chisquare(counts).pvalue > 1e-3
 
 
-def test_mean_and_std_are_those_of_the_stacks_of_the_orders(maps, pairs):
-    found = run(maps, pairs)
+@pytest.mark.parametrize("shift", [None, (0.3, 0.2)])
+def test_mean_and_std_are_those_of_the_stacks_of_the_orders(d, pairs, shift):
+    """A shift is added in four directions in turn."""
+    done = []
+    found = run(d, pairs, shift=shift, progress=done.append)
+    assert sum(done) == 30
+    moved = [d] * 4
+    if shift is not None:
+        moved = [replace(d, d1=d.d1 + x) for x in (0.3, -0.3)]
+        moved += [replace(d, d2=d.d2 + x) for x in (0.2, -0.2)]
     orders = random_permutations(5, 30, np.random.default_rng(1))
-    d = maps.samples
-    stacks = np.array([stack(d, pairs, GRID, order=order) for order in orders])
-    tolerance = 1e-3 * stacks.max()
-    np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
-    np.testing.assert_allclose(found.std, stacks.std(axis=0, ddof=1), atol=tolerance)
+    each = [stack(moved[i % 4], pairs, GRID, order=o) for i, o in enumerate(orders)]
+    mean, std = np.mean(each, axis=0), np.std(each, axis=0, ddof=1)
+    tolerance = 1e-3 * np.max(each)
+    np.testing.assert_allclose(found.mean, mean, atol=tolerance)
+    np.testing.assert_allclose(found.std, std, atol=tolerance)
     observed = stack(d, pairs, GRID)
-    z = (observed - stacks.mean(axis=0)) / stacks.std(axis=0, ddof=1)
+    z = (observed - mean) / std
     np.testing.assert_allclose(found.z_score(observed), z, atol=0.02)
 
 
-def test_a_shift_is_added_in_four_directions_in_turn(maps, pairs):
-    found = run(maps, pairs, shift=(0.3, 0.2))
-    orders = random_permutations(5, 30, np.random.default_rng(1))
-    d = maps.samples
-    moved = [
-        replace(d, d1=d.d1 + 0.3),
-        replace(d, d1=d.d1 - 0.3),
-        replace(d, d2=d.d2 + 0.2),
-        replace(d, d2=d.d2 - 0.2),
-    ]
-    stacks = np.array(
-        [stack(moved[i % 4], pairs, GRID, order=o) for i, o in enumerate(orders)]
-    )
-    tolerance = 1e-3 * stacks.max()
-    np.testing.assert_allclose(found.mean, stacks.mean(axis=0), atol=tolerance)
-    np.testing.assert_allclose(found.std, stacks.std(axis=0, ddof=1), atol=tolerance)
-    assert np.abs(found.mean - run(maps, pairs).mean).max() > 10 * tolerance
-
-
-def test_progress_counts_the_trials(maps, pairs):
-    done = []
-    run(maps, pairs, progress=done.append)
-    assert done == [1] * 30
-    done.clear()
-    run(maps, pairs, progress=done.append, shift=(0.3, 0.2))
-    assert sum(done) == 30
-
-
-def test_small_standard_deviations_are_floored(maps, pairs):
+def test_small_standard_deviations_are_floored(d, pairs):
     """Where hardly a trial has a match, a tiny coefficient is no discovery."""
-    found = run(maps, pairs)
+    found = run(d, pairs)
     std = found.std.copy()
     std[0, 0] = 1e-9
     found = replace(found, std=std)
     z = found.z_score(found.mean + std.max())
     assert z[0, 0] == pytest.approx(100.0)
     assert z.max() == pytest.approx(100.0)
-
-
-def test_without_any_correlation_the_z_score_is_zero(maps, pairs):
-    d = maps.samples
-    none = replace(d, weight=np.zeros(len(d)))
-    found = run(PairMaps.of(none, GRID.v_max, 1.1), pairs)
+    # Without any correlation it is zero.
+    found = run(replace(d, weight=np.zeros(len(d))), pairs)
     np.testing.assert_array_equal(found.std, 0.0)
     np.testing.assert_array_equal(found.z_score(np.ones(GRID.shape)), 0.0)
-
-
-def test_of_many_epochs_there_are_orders_without_end():
-    assert number_of_permutations(1000) == number_of_permutations(20) > 1e18

@@ -87,6 +87,11 @@ def test_a_selection_selects_every_column():
     some = replace(d, epoch=np.arange(5)).of_ssps(np.arange(5) == 2)
     np.testing.assert_array_equal(some.ssp, d.ssp[keep])
     assert some.n_ssps.tolist() == [0, 0, 1, 0, 0]
+    # Within a range of epochs, SSPs and epochs have new numbers.
+    d = replace(d, epoch=np.arange(5), scale=np.ones(5))
+    part, alone = d.of_epochs(slice(1, 4)), every_pair((0, 0), (1, 2), YEARS[1:4])
+    for name in ("d1", "reference", "target", "ssp", "target_ssp", "years", "n_ssps"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(alone, name))
 
 
 speed = st.floats(0.01, 100.0)
@@ -110,18 +115,10 @@ def test_small_and_large_grids():
     grid = VelocityGrid.covering(2.0, 0.5)
     assert (grid.shape, grid.step) == ((9, 9), (0.5, 0.5))
     # The spacing grows where there would be too many points.
-    grid = VelocityGrid.covering((10.0, 1.0), 1e-6, max_size=101)
-    assert (grid.shape, grid.v_max) == ((101, 101), (10.0, 1.0))
+    grid = VelocityGrid.covering((10.0, 1.0), 1e-6)
+    assert (grid.shape, grid.v_max) == ((601, 601), (10.0, 1.0))
     # A step beyond the largest velocity leaves three.
     assert VelocityGrid.covering(1.0, 5.0).v1.tolist() == [-1.0, 0.0, 1.0]
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf, (1.0, 0.0)])
-def test_numbers_must_be_positive_and_finite(wrong):
-    with pytest.raises(ValueError, match="largest velocity must be positive"):
-        VelocityGrid.covering(wrong, 0.1)
-    with pytest.raises(ValueError, match="velocity step must be positive"):
-        VelocityGrid.covering(1.0, wrong)
 
 
 dates = st.lists(
@@ -147,19 +144,17 @@ def test_baseline_pairs_are_all_whose_separation_lies_inside(years, shortest, wi
     longest = shortest + width
     pairs = baseline_pairs(years, shortest, longest)
     found = set(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
-    for i in range(len(years)):
-        for j in range(len(years)):
-            separation = years[j] - years[i]
-            if separation <= 0:
-                assert (i, j) not in found
-            elif shortest <= separation <= longest:
-                assert (i, j) in found
-            elif not shortest - 2e-3 <= separation <= longest + 2e-3:
-                assert (i, j) not in found
+    for i, j in np.ndindex(len(years), len(years)):
+        separation = years[j] - years[i]
+        if separation <= 0:
+            assert (i, j) not in found
+        elif shortest <= separation <= longest:
+            assert (i, j) in found
+        elif not shortest - 2e-3 <= separation <= longest + 2e-3:
+            assert (i, j) not in found
     years = np.asarray(years)
-    np.testing.assert_array_equal(
-        pairs.interval, years[pairs.second] - years[pairs.first]
-    )
+    interval = years[pairs.second] - years[pairs.first]
+    np.testing.assert_array_equal(pairs.interval, interval)
     if len(pairs):
         assert pairs.weight.mean() == pytest.approx(1.0)
         # Inverse variances: a displacement error over the interval is one of velocity.
@@ -175,14 +170,9 @@ def test_edges_of_a_baseline_are_inside():
     month = 30 / 365.25
     assert len(baseline_pairs([0.0, month], 0.082, 0.082)) == 1
     assert len(baseline_pairs([0.0, month], 0.084, 1.0)) == 0
-
-
-@pytest.mark.parametrize(
-    "limits", [(1.0, 0.5), (-0.5, 1.0), (0.0, 0.0), (np.nan, 1.0), (0.5, np.nan)]
-)
-def test_a_baseline_must_be_a_range(limits):
-    with pytest.raises(ValueError, match="a baseline needs 0 <= shortest <= longest"):
-        baseline_pairs([0.0, 1.0], *limits)
+    minute = 1 / (365.25 * 1440)
+    for limits in ((minute, 3 * minute), (1.9e-6, 5.7e-6)):
+        assert len(baseline_pairs(np.arange(10) * minute, *limits)) == 9 + 8 + 7
 
 
 def test_images_of_an_order_and_of_many():
@@ -194,12 +184,3 @@ def test_images_of_an_order_and_of_many():
     reference, target = pairs.images(orders)
     assert reference.tolist() == [[0, 2], [3, 1]]
     assert target.tolist() == [[1, 3], [2, 0]]
-
-
-def test_dates_that_are_minutes_apart():
-    minute = 1 / (365.25 * 1440)
-    pairs = baseline_pairs(np.arange(10) * minute, minute, 3 * minute)
-    assert len(pairs) == 9 + 8 + 7
-    # Limits that are rounded to four digits lose nothing.
-    rounded = baseline_pairs(np.arange(10) * minute, 1.9e-6, 5.7e-6)
-    assert len(rounded) == 9 + 8 + 7

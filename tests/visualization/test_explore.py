@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
-from astro_scc.measurement.extensions import velocity_hdus
+from astro_scc.measurement.result import velocity_hdus
 from astro_scc.streams.dispersion import random_effects
 from astro_scc.visualization import explore, images
 from astro_scc.visualization.velocity import axis_columns
