@@ -196,7 +196,7 @@ def test_without_neighbours_there_is_no_beam(tmp_path, capsys):
 def test_a_beam_does_not_depend_on_the_sources_that_are_chosen(
     table, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr("astro_scc.cli.survey_table.images.write_images", print)
+    monkeypatch.setattr("astro_scc.cli.survey_sources.images.write_images", print)
     said = set()
     for k, source in enumerate(["0003+380", "0010+405", "0003+380,0010+405", ""]):
         more = ["--source", source] if source else []
