@@ -16,8 +16,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 import astro_scc
-from astro_scc.cli.arguments import option_name
-from astro_scc.cli.program import build_parser
+from astro_scc.cli.program import build_parser, option_name
 from astro_scc.settings import OPTIONS
 
 LOGGER = logging.getLogger(__name__)

@@ -54,8 +54,8 @@ SHOWN = [(page.name, words) for page in PAGES for words in commands(unfolded(pag
 
 
 #: The same of the help of each command.
-SHOWN += [(own.__name__, words) for own in COMMANDS for words in commands(
-    re.sub(r" *\\\n +", " ", own.__doc__))]  # fmt: skip
+SHOWN += [(name, words) for name, own in COMMANDS.items() for words in commands(
+    re.sub(r" *\\\n +", " ", own["epilog"]))]  # fmt: skip
 
 
 @pytest.mark.parametrize(("page", "words"), SHOWN)
@@ -63,7 +63,7 @@ def test_every_command_that_is_shown_is_understood(page, words):
     argv = shlex.split(words)
     if len(argv) == 1 and argv[0] not in ("demo", "--help", "--version"):
         # The name of a command, not a line to type.
-        assert argv[0] in {own.__name__ for own in COMMANDS}
+        assert argv[0] in COMMANDS
     elif argv[-1] in ("--help", "--version") or argv[0] == "--print-completion":
         with pytest.raises(SystemExit) as stop:
             build_parser().parse_args(argv)
@@ -74,7 +74,7 @@ def test_every_command_that_is_shown_is_understood(page, words):
 
 def test_what_is_shown_is_found():
     names = {words.split()[0] for _, words in SHOWN}
-    assert {own.__name__ for own in COMMANDS} <= names
+    assert set(COMMANDS) <= names
     assert ("README.rst", "demo") in SHOWN
     assert {page for page, _ in TOML} == {"command_line.rst", "survey.rst"}
     # Other Python is doctests.

@@ -1,31 +1,47 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The commands that make images: simulate and restore."""
+"""The commands on images: simulate and restore make them, inspect looks at them."""
 
+import math
 import re
+import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import astropy.units as u
+import numpy as np
 
-from astro_scc import simulation
-from astro_scc.cli.arguments import FLOW, option_name
-from astro_scc.cli.inputs import draw_seed
+from astro_scc import EpochCube, simulation
+from astro_scc.alignment.registration import MISALIGNED, core_positions
+from astro_scc.cli.inputs import draw_seed, prepare
+from astro_scc.cli.program import COMMANDS, option_name
+from astro_scc.columns import table_lines
 from astro_scc.components.restoring import NO_BEAM
-from astro_scc.epochs import read_components, write_epochs
-from astro_scc.epochs import restore as restored
-from astro_scc.images.beam import parse_beam
+from astro_scc.components.tables import kind_of
+from astro_scc.epochs import (
+    inspect_epochs,
+    plan_intervals,
+    read_components,
+    write_epochs,
+)
+from astro_scc.exceptions import AstroSccWarning
+from astro_scc.images.beam import different_beam, parse_beam
+from astro_scc.images.fits import find_files
+from astro_scc.images.positions import readable_angle
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
-from astro_scc.settings import check_setting
-from astro_scc.simulation import write_simulation
+from astro_scc.report.answer import misalignment_text
+from astro_scc.settings import Settings, check_setting
+from astro_scc.stacking.velocities import baseline_pairs
 
-#: Names of options in `~astro_scc.simulation.simulate_jet`.
+#: Options of the jet "jet", and their other names in `simulate_jet`.
+(FLOW,) = COMMANDS["simulate"]["groups"].values()
 PARAMETERS = {"motion": "speed", "features": "n_features", "epochs": "n_epochs"}
+#: Number of speeds that inspect explains when none is given.
+N_SPEEDS = 4
 
 
 def simulate(args, reporter):
     """Simulate a jet whose velocities are known according to the arguments."""
-    if args.epochs is not None and args.epochs < 1:
-        raise ValueError(f"--epochs must be at least 1, got {args.epochs}")
     given = {}
     for name in (*FLOW, "dense", "epochs"):
         value = getattr(args, name)
@@ -43,7 +59,7 @@ def simulate(args, reporter):
         except ValueError as error:
             raise ValueError(_of_option(str(error))) from None
         jet.truth.meta["seed"] = seed
-        *images, _ = write_simulation(jet, part)
+        *images, _ = simulation.write_simulation(jet, part)
     _say(reporter, args, len(images), " and truth.ecsv", f" (seed {seed})")
 
 
@@ -58,11 +74,15 @@ def _say(reporter, args, n_epochs, what, more):
 
 def _of_option(message):
     """Return a message on a parameter of a jet with the option that sets it."""
-    found = re.fullmatch(r"(?:flow '(\w+)': )?(\w+)(.*)", message)
-    flow, name, text = found.groups() if found else (None, "", "")
+    found = re.match(r"(?:flow '(\w+)': )?(\w*)", message)
+    flow, name = found.groups()
     options = {parameter: option for option, parameter in PARAMETERS.items()}
     name = "standing" if flow == "standing" else options.get(name, name)
-    return f"{option_name(name)}{text}" if name in FLOW else message
+    known = name in (*FLOW, "epochs")
+    return f"{option_name(name)}{message[found.end() :]}" if known else message
+
+
+# -- images of components ------------------------------------------------------------
 
 
 def restore(args, reporter):
@@ -88,42 +108,216 @@ def restore(args, reporter):
 
 def images_of(args):
     """Return how images are restored, from the arguments."""
+    after, before, seed = (
+        check_setting(name, getattr(args, name)) for name in ("after", "before", "seed")
+    )
+    return {
+        "beam": _beam(args),
+        "pixel_scale": _quantity(args, "pixel", "one number", "0.1 mas"),
+        "noise": _quantity(args, "noise", "one number", "0.3 mJy/beam"),
+        "after": after and to_time(after),
+        "before": before and to_time(before),
+        "seed": draw_seed(seed),
+    }
+
+
+def _beam(args):
     beam = check_setting("beam", args.beam)
-    how = {"beam": None if beam is None else parse_beam(beam)}
-    for name, key, example in (
-        ("pixel", "pixel_scale", "0.1 mas"), ("noise", "noise", "0.3 mJy/beam")
-    ):  # fmt: skip
-        value, kind = getattr(args, name), ("one number", example)
-        if value is not None:
-            value = named(option_name(name), one_quantity, value, *kind)
-        how[key] = value
-    for name in ("after", "before"):
-        value = getattr(args, name)
-        how[name] = check_setting(name, value) and to_time(value)
-    return how | {"seed": draw_seed(check_setting("seed", args.seed))}
+    return beam and parse_beam(beam)
+
+
+def _quantity(args, name, *kind):
+    """Return the quantity that an option gives, if it is given."""
+    value = getattr(args, name)
+    if value is not None:
+        return named(option_name(name), one_quantity, value, *kind)
+    return None
 
 
 def write_images(components, folder, how, *, overwrite=False):
-    """
-    Restore the images of components into a folder, and return them.
-
-    Parameters
-    ----------
-    components : `~astro_scc.epochs.ComponentList`
-    folder : path
-    how : dict
-        See `images_of`.
-    overwrite : bool, optional
-
-    Returns
-    -------
-    `~astro_scc.EpochCube`
-    """
+    """Restore images of components into a folder, see `images_of`, and return them."""
     pixel, noise, seed = (how[k] for k in ("pixel_scale", "noise", "seed"))
     with product_folder(folder, overwrite=overwrite) as part:
         own = components.select(after=how["after"], before=how["before"])
-        cube = restored(own, beam=own.beams, pixel_scale=pixel, noise=noise, rng=seed)
+        grid = {"beam": own.beams, "pixel_scale": pixel}
+        cube = EpochCube.from_components(own, noise=noise, rng=seed, **grid)
         if noise is not None:
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         write_epochs(cube, part)
     return cube
+
+
+# -- what images hold, what is wrong and what can be measured ------------------------
+
+
+def inspect(args, reporter):
+    """Inspect files according to the arguments."""
+    if not args.epochs:
+        raise ValueError("no epochs were given; name the FITS files")
+    speed = _quantity(args, "speed", "an angle per time", "2 mas/yr")
+    files = find_files(args.epochs, missing_ok=True)
+    kinds = {kind_of(file) for file in files}
+    cube, refusal, remarks = _read(files, _beam(args))
+    if kinds not in ({"cube"}, {"components"}):
+        facts = inspect_epochs(files)
+        names = [Path(file).name for file in facts["file"]]
+        problems = [
+            f"{row['file']}: {row['problem']}" for row in facts if row["problem"]
+        ]
+        if not any(facts["nx"]):
+            more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
+            raise ValueError(f"{problems[0]}{more}")
+        if refusal:
+            problems.append(f"as one series: {refusal}")
+    elif cube is None:
+        raise ValueError(refusal)
+    else:
+        names, facts, problems = cube.labels, _facts_of_cube(cube), []
+    if kinds != {"components"}:
+        known = "; ".join(problems)
+        # Of the same problem the first words are the same.
+        problems += [
+            text
+            for text in remarks
+            if " ".join(text.split(": ")[-1].split()[:3]) not in known
+        ]
+    cores, of_core = ({}, 0.0) if cube is None else _cores(cube)
+    rows = [
+        _cells(name, row, facts["noise"].unit) | {"core": cores.get(name, "-")}
+        for name, row in zip(names, facts, strict=True)
+    ]
+    reporter.say(
+        *table_lines(rows),
+        "peak and core: (east, north) from the reference pixel in mas",
+        "\n" + ("Problems:" if problems else "No problems."),
+        *(f"  {problem}" for problem in problems),
+    )
+    if cube is not None:
+        lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
+        reporter.say("", *lines)
+
+
+def _read(files, beam):
+    """Return the files as a cube or None, why they are none, and the warnings."""
+    cube = refusal = None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", AstroSccWarning)
+        try:
+            cube = EpochCube.read(files, beams=beam)
+        except (ValueError, OSError, MemoryError) as error:
+            refusal = str(error)
+    own = [str(w.message) for w in caught if issubclass(w.category, AstroSccWarning)]
+    return cube, refusal, own
+
+
+def _facts_of_cube(cube):
+    """Return for the epochs of a cube what `inspect_epochs` returns for files."""
+    table, images = cube.epochs, zip(cube.data, cube.mask, strict=True)
+    table["ny"], table["nx"] = cube.shape[1:]
+    table["pixel"] = cube.pixel_scale
+    peaks = [np.argmax(np.where(bad, -np.inf, image)) for image, bad in images]
+    y, x = np.unravel_index(peaks, cube.shape[1:])
+    table["peak_east"], table["peak_north"] = cube.pixel_to_offset(x, y)
+    return table
+
+
+def _cells(name, row, unit):
+    """Return a row of `inspect_epochs` as text under the headings of the table."""
+    noise = f"noise ({unit})"
+    heads = "date", "pixels", "pixel", "beam", noise, "peak"
+    cells = {"epoch": name} | dict.fromkeys(heads, "-")
+    if not row["nx"]:
+        return cells
+    if not np.any(row["date"].mask):
+        cells["date"] = str(row["date"].isot)[:10]
+    cells["pixels"] = f"{row['nx']} x {row['ny']}"
+    cells["pixel"] = readable_angle(row["pixel"])
+    if "major" in row.colnames and np.isfinite(row["major"]):
+        angle = readable_angle(row["major"]).split()[1]
+        axes = (f"{row[axis].to_value(angle):.3g}" for axis in ("major", "minor"))
+        cells["beam"] = f"{' x '.join(axes)} {angle} at {row['pa'].value:.0f} deg"
+    if np.isfinite(row["noise"]):
+        cells[noise] = f"{row['noise'].value:.2g}"
+    cells["peak"] = _offset(row["peak_east"].value, row["peak_north"].value)
+    return cells
+
+
+def _cores(cube):
+    """Return the core's offset at each epoch as text, and its scatter in beams."""
+    try:
+        found = core_positions(cube)
+    except ValueError:
+        return {}, 0.0
+    east, north = found["east"].value, found["north"].value
+    width = np.mean([np.sqrt(b.major * b.minor).value for b in cube.beams])
+    cores = dict(zip(cube.labels, map(_offset, east, north), strict=True))
+    return cores, max(east.std(), north.std()) / width
+
+
+def _offset(east, north):
+    return f"{east:+.2f} {north:+.2f}"
+
+
+def _plan(cube, speed):
+    """Return lines on the speeds that can be measured with the dates."""
+    try:
+        plan = plan_intervals(cube)
+    except ValueError as error:
+        return [f"{error}."]
+    rows, unit = [], plan.slowest.unit
+    if speed is None:
+        slow, high = plan.slowest.value, plan.consecutive[1].value
+        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS) * unit
+    else:
+        speeds = [speed.to(unit)]
+    for value in speeds:
+        pairs, text = 0, "too slow for this series"
+        with suppress(ValueError):
+            first, last = plan.baseline(value)
+            limits = u.Quantity([first, last]).to_value(u.yr)
+            pairs = len(baseline_pairs(cube.years.value, *limits).first)
+            text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
+        rows.append(
+            {
+                f"speed ({unit})": f"{value.value:.2g}",
+                "beams in the median interval": f"{plan.motion(value):.2g}",
+                "--baseline for it alone": text,
+                "pairs": str(pairs),
+            }
+        )
+    return [*plan.lines(), "", *table_lines(rows)]
+
+
+def _rounded(interval, how):
+    """Return an interval with two digits, rounded by a function."""
+    step = 10 ** (math.floor(math.log10(interval.value)) - 1)
+    # Rounding errors must not change a number that is already round.
+    return f"{how(round(interval.value / step, 6)) * step:.2g} {interval.unit}"
+
+
+def _alignment(cube, of_core):
+    """Return how well the epochs are aligned, and what to do about it."""
+    scatter = cube.misalignment
+    lines = ["", misalignment_text(scatter)]
+    if of_core >= MISALIGNED:
+        lines += [
+            f"The core as it is fitted scatters by {of_core:.2f} beams: either the "
+            "epochs are not aligned,",
+            "or what was fitted is not the core.  Look at the images.",
+        ]
+    if max(scatter or 0, of_core) >= MISALIGNED:
+        lines += [
+            "Images that are not aligned can make a stationary jet appear to move: "
+            "align them on the core,",
+            "if there is one, or by a table of its positions, unless they are aligned.",
+        ]
+    return lines
+
+
+def _choices(cube):
+    """Return what a measurement without options takes, as lines."""
+    _, _, chosen = prepare(cube, Settings())
+    if different_beam(cube.beams) is not None:
+        chosen.insert(0, "--common-beam: the beams differ")
+    head = "\nWithout options, astro-scc measure takes:"
+    return [head, *(f"  {choice}" for choice in chosen)]

@@ -67,15 +67,12 @@ def workers_of(args, cube=None):
         raise ValueError(f"--workers must be at least 1, got {args.workers}")
     if args.scheduler is not None:
         return args.scheduler
-    large = cube is not None and cube.data.size >= WORTH_PROCESSES
-    return args.workers or (_n_cores() if large else 1)
-
-
-def _n_cores():
-    """Return the number of cores that this process may use."""
-    with suppress(AttributeError):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    if args.workers is None and cube is not None and cube.data.size >= WORTH_PROCESSES:
+        # The cores that this process may use, where the system tells.
+        with suppress(AttributeError):
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
+    return args.workers or 1
 
 
 def override(given, own):
@@ -124,11 +121,7 @@ def settings_of(args, reporter, **defaults):
     return settings
 
 
-def _ignore(text):
-    """Tell nobody."""
-
-
-def read_epochs(settings, args=None, *, note=_ignore, features=False):
+def read_epochs(settings, args=None, *, note=None, features=False):
     """
     Read the epochs of a measurement.
 
@@ -138,7 +131,7 @@ def read_epochs(settings, args=None, *, note=_ignore, features=False):
     args : `argparse.Namespace`, optional
         Name the workers, and published features.
     note : callable, optional
-        Called with a line of text on every decision.
+        Called with a line of text on beams.
     features : bool, optional
         See `prepare`.
 
@@ -157,7 +150,7 @@ def read_epochs(settings, args=None, *, note=_ignore, features=False):
     frame = "absolute" if settings.align == "wcs" else "offset"
     if settings.crop is not None and settings.region is not None:
         refuse_pixels(settings.region)
-    beam = None if settings.beam is None else parse_beam(settings.beam)
+    beam = settings.beam and parse_beam(settings.beam)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     cube, found, chosen = prepare(cube, settings, note=note, features=features)
@@ -170,7 +163,7 @@ def read_epochs(settings, args=None, *, note=_ignore, features=False):
     return Inputs(cube, settings, left_out, chosen, n_workers, published)
 
 
-def prepare(cube, settings, *, note=_ignore, features=False):
+def prepare(cube, settings, *, note=None, features=False):
     """
     Convolve and align epochs, and choose by them the settings that are not given.
 
@@ -192,9 +185,9 @@ def prepare(cube, settings, *, note=_ignore, features=False):
         The choices and their reasons.
     """
     wanted, differ = settings.common_beam, different_beam(cube.beams) is not None
-    beams = None if cube.beams is None else differ
-    if (text := NOTES.get((wanted, beams))) is not None:
-        note(text)
+    said = NOTES.get((wanted, None if cube.beams is None else differ))
+    if said and note:
+        note(said)
     chosen, found = [], {"common_beam": differ if wanted is None else wanted}
     if found["common_beam"]:
         cube = cube.to_common_beam()
@@ -238,8 +231,7 @@ def output_of(args, settings):
     if args.output is not None:
         return Path(args.output)
 
-    first = find_files(settings.epochs)[0]
-    name = ""
+    first, name = find_files(settings.epochs)[0], ""
     # What cannot be read is refused where the epochs are.
     with suppress(Exception):
         name = read_plane(first, pixels=False).facts.get("object", "").strip()

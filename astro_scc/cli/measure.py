@@ -1,37 +1,47 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The commands on the velocities in images of one jet: measure, demo and explore."""
+"""The commands on the velocities in images of one jet, but track."""
 
 import math
 import shlex
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.arguments import WORK
 from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
+from astro_scc.flow import measure_acceleration
+from astro_scc.flow.profile import bins_of, measure_profile, write_profile
+from astro_scc.flow.speeds import compare_scales
+from astro_scc.matching import select_ssps
 from astro_scc.products import write_epoch_regions, write_products
 from astro_scc.products.folder import product_folder
-from astro_scc.products.publication import with_published
-from astro_scc.report import write_report
-from astro_scc.report.answer import component_lines, published_lines
+from astro_scc.products.publication import with_published, write_publication
+from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
+from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES
-from astro_scc.writing import make_folder, replace_when_complete, versions
+from astro_scc.writing import make_folder, versions
 
+#: Folder, within the folder of the products, for what an interrupted run goes on from,
+#: and what is in it.
+WORK = ".astro_scc-work"
+SEED, MATCHES = "seed.txt", "matches.fits"
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (
     *PRODUCTS,
     *(f"{kind}.{form}" for kind in FIGURES for form in ("png", "pdf")),
     *("report.html", "ssp_regions", "explore.html"),
 )
-SEED, MATCHES = "seed.txt", "matches.fits"
+PROFILE = (
+    "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
+    "config.toml publication"
+).split()
 #: Seed and trials of the demo, and the columns of the jet that it measures, from 0
 #: (Mertens & Lobanov 2016, Sect. 2.4).
 DEMO_SEED, N_TRIALS = 1, 1000
@@ -64,8 +74,8 @@ def measure(args, reporter):
         own = result.tracked_features
         features = with_published(features, own, epochs.published)
     reporter.say(
-        *component_lines(components, features),
-        *published_lines(features),
+        *answer.component_lines(components, features),
+        *answer.published_lines(features),
         *flow_lines(result),
         *epochs.found,
         f"\nTables and maps: {output}"
@@ -127,10 +137,12 @@ def write_measurement(
     )  # fmt: skip
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
-        rerun += f" --compare {shlex.quote(compare)}" if compare else ""
-        page |= {"components": components, "rerun": rerun, "published": published}
-        page["explore"] = f"astro-scc explore {output}"
-        write_report(result, folder, **page)
+        if compare:
+            rerun += f" --compare {shlex.quote(compare)}"
+        write_report(
+            result, folder, components=components, rerun=rerun, published=published,
+            explore=f"astro-scc explore {output}", **page,
+        )  # fmt: skip
     return components
 
 
@@ -159,13 +171,61 @@ def working_folder(output, overwrite):
 
 def kept_seed(work):
     """Return the seed of a run that may be resumed, and draw it the first time."""
-    path = work / SEED
     with suppress(OSError, ValueError):
-        return int(path.read_text(encoding="ascii"))
+        return int((work / SEED).read_text(encoding="ascii"))
     seed = inputs.draw_seed()
-    with replace_when_complete(path, overwrite=True) as part:
-        part.write_text(f"{seed}\n", encoding="ascii")
+    (work / SEED).write_text(f"{seed}\n", encoding="ascii")
     return seed
+
+
+# -- in bins of distance -------------------------------------------------------------
+
+
+def profile(args, reporter):
+    """Measure a profile according to the arguments."""
+    settings = inputs.settings_of(args, reporter, n_trials=1000)
+    if settings.bins is None:
+        raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
+    # Wrong --bins are refused before the images are read.
+    bins_of(settings.bins, window=settings.window)
+    output = inputs.output_of(args, settings)
+    with product_folder(output, overwrite=args.overwrite, stale=PROFILE) as folder:
+        epochs = inputs.read_epochs(settings, args, note=reporter.note)
+        components, lines = _profile(epochs, folder, reporter)
+        write_publication({"profile": components}, folder)
+    lines = [*answer.profile_lines(components), "", *lines, *epochs.found]
+    reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
+
+
+def _profile(epochs, folder, reporter):
+    """Write the profile; return its components, and lines on all bins together."""
+    cube, settings = epochs.cube, epochs.settings
+    scc = StackedCrossCorrelation.from_settings(settings)
+    shown = {"progress_bar": reporter.progress, "n_workers": epochs.n_workers}
+    matched = scc.match(cube, region=settings.region, **shown)
+    trials = {"n_trials": settings.n_trials, "rng": settings.seed}
+    trials["progress_bar"] = reporter.progress
+    ridge = scc.displacements(matched)[1] if scc.position_angle == "ridge" else None
+    found = measure_profile(
+        scc, matched, settings.bins, window=settings.window, ridge=ridge, **trials
+    )
+    how = settings.in_c
+    components = found.components_in_c(**how) if how else found.components
+    r_min, r_max = found.bins.min(), found.bins.max()
+    whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
+    acceleration = measure_acceleration(whole)
+    components.meta |= cube.facts
+    components.meta["acceleration"] = asdict(acceleration)
+    lines = [str(acceleration)]
+    if (of_scales := compare_scales(whole)) is not None:
+        in_speed_unit(of_scales, matched.cube.speed_unit)
+        of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
+        lines += answer.scale_lines(of_scales)
+    write_profile(
+        found, components, folder, configuration=settings.to_dict("profile"),
+        text=settings.to_toml("profile", versions=versions()),
+    )  # fmt: skip
+    return components, lines
 
 
 # -- the jet of the paper ------------------------------------------------------------
@@ -200,7 +260,7 @@ def demo(args, reporter):
     reporter.say(
         *_truth_lines(jet),
         "\nMeasured:",
-        *component_lines(components, result.features),
+        *answer.component_lines(components, result.features),
         f"\nReport: {output / 'report.html'}",
     )
 
@@ -219,8 +279,9 @@ def _truth_lines(jet):
     rows = []
     for name in dict.fromkeys(jet.truth["group"]):
         own = jet.truth[jet.truth["group"] == name]
-        axes = (own[f"pm_{axis}"].mean() for axis in ("east", "north"))
-        east, north = (axis.to_value("mas / yr") for axis in axes)
+        east, north = (
+            own[f"pm_{axis}"].mean().to_value("mas / yr") for axis in ("east", "north")
+        )
         row = {"stream": str(name)}
         row["proper motion (mas / yr)"] = f"{math.hypot(east, north):.2f}"
         row["PA (deg)"] = f"{math.degrees(math.atan2(east, north)) % 360:.0f}"

@@ -1,25 +1,40 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The program: its parser, its messages, and the handling of errors and signals."""
+"""
+The program: its parser, its messages, and the handling of errors and signals.
+
+Options of settings are made from `Settings`; ``commands.toml`` has the others and the
+commands.  What a command does is a function of its name in another module, which takes
+seconds to import.
+"""
 
 import argparse
 import os
 import re
 import signal
 import sys
+import tomllib
 from contextlib import ExitStack, contextmanager, suppress
-from importlib import import_module
-from textwrap import dedent
+from importlib import import_module, resources
 
 from astro_scc import __version__
-from astro_scc.cli.arguments import COMMANDS, add, option_name
-from astro_scc.settings import OPTIONS
+from astro_scc.settings import GROUPS, OPTIONS
 
+#: The commands as ``commands.toml`` has them, and the options that are no settings.
+with resources.files("astro_scc.cli").joinpath("commands.toml").open("rb") as file:
+    COMMANDS = tomllib.load(file)
+OWN = COMMANDS.pop("options")
+TYPES = {"int": int, "float": float}
 # Errors that a user can correct, missing extras among them; other exceptions are
 # mistakes of the program.
 USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
 # Signals handled like an interrupt: from `kill` and batch systems, and from a terminal
 # that is closed.
 SIGNALS = ("SIGTERM", "SIGHUP")
+
+
+def option_name(name):
+    """Return the option of a setting or argument as it is typed."""
+    return f"--{name.replace('_', '-')}"
 
 
 def one_line(error):
@@ -201,15 +216,29 @@ def _ended_by_signals():
         yield
 
 
-def build_parser(only=None):
+def _add(parser, *arguments):
+    """Add options and settings by their names, and what argparse takes."""
+    for how in arguments:
+        if isinstance(how, str):
+            known = OWN.get(how) or {k: OPTIONS[how][k] for k in ("help", "metavar")}
+            place = {"flags": option_name(how)}
+            if how == "epochs":
+                place = {"flags": how, "nargs": "*"}
+            how = place | known
+        how = how.copy()
+        flags, kind = how.pop("flags").split(), TYPES.get(how.pop("type", None), str)
+        if how.get("metavar") == "true|false":
+            how = {"help": how["help"], "action": argparse.BooleanOptionalAction}
+        elif "metavar" in how or "choices" in how:
+            how["type"] = kind
+        else:
+            how["action"] = "store_true"
+        parser.add_argument(*flags, **how)
+
+
+def build_parser():
     """
     Return the parser of the command line.
-
-    Parameters
-    ----------
-    only : str, optional
-        The one command whose arguments are needed; by default, and if it is none,
-        those of all are there.
 
     Returns
     -------
@@ -232,21 +261,23 @@ def build_parser(only=None):
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command", required=True
     )
-    every = only not in {own.__name__ for own in COMMANDS}
-    for add_arguments, run in COMMANDS.items():
-        # The docstring is the help; python -OO has no docstrings.
-        doc = dedent(add_arguments.__doc__ or "").strip()
-        brief, text, more = [*doc.split("\n\n", 2), "", "", ""][:3]
-        command = commands.add_parser(
-            add_arguments.__name__,
-            help=brief[:1].lower() + brief[1:].rstrip("."),
-            description=text,
-            epilog=more,
-        )
-        if every or only == add_arguments.__name__:
-            add_arguments(command)
-        command.set_defaults(run=run)
-        add(command.add_argument_group("messages"), "quiet")
+    for name, own in COMMANDS.items():
+        texts = {key: own[key] for key in ("help", "description", "epilog")}
+        command = commands.add_parser(name, **texts)
+        _add(command, *own["arguments"])
+        settings = [
+            (facts["group"], setting)
+            for setting, facts in OPTIONS.items()
+            if name in facts["commands"] and facts["metavar"]
+        ]
+        for group in GROUPS if settings else ():
+            names = (setting for own, setting in settings if own == group)
+            _add(command.add_argument_group(group), *names)
+        if settings:
+            _add(command, "config")
+        for group, names in own.get("groups", {}).items():
+            _add(command.add_argument_group(group), *names)
+        _add(command.add_argument_group("messages"), "quiet")
         command.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     return parser
 
@@ -272,14 +303,15 @@ def main(argv: list[str] | None = None) -> int:
         After ``--help`` and for invalid arguments.
     """
     argv = sys.argv[1:] if argv is None else argv
-    args = build_parser(next(iter(argv), None)).parse_args(argv)
+    args = build_parser().parse_args(argv)
     options = [name for name in OPTIONS if name in vars(args) and name != "epochs"]
     name = f"astro-scc {args.command}"
     reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
         with _ended_by_signals(), reporter.warnings_as_lines():
-            module, _, run = args.run.partition(".")
-            getattr(import_module(f"astro_scc.cli.{module}"), run)(args, reporter)
+            module = COMMANDS[args.command]["module"]
+            module = import_module(f"astro_scc.cli.{module}")
+            getattr(module, args.command)(args, reporter)
         sys.stdout.flush()
     except KeyboardInterrupt as error:
         if args.debug:

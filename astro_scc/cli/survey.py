@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
@@ -19,17 +20,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from astropy.table import Column, MaskedColumn, QTable, vstack
 
-from astro_scc import parallel
+from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
-from astro_scc.cli.inputs import read_epochs, workers_of
+from astro_scc.cli.inputs import read_epochs, read_table, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
-from astro_scc.cli.survey_table import survey_of
-from astro_scc.columns import table_lines
+from astro_scc.columns import round_to_errors, table_lines
 from astro_scc.images.cutout import refuse_pixels
-from astro_scc.kinematics.cosmology import cosmology_text
+from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
 from astro_scc.matching import select_ssps
+from astro_scc.measurement import component_table, false_discovery_rate
+from astro_scc.products.folder import plain_meta
 from astro_scc.products.publication import (
     FOLDER,
     published_positions,
@@ -38,23 +41,35 @@ from astro_scc.products.publication import (
 from astro_scc.progress import progress
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
-from astro_scc.writing import hold, partial_folder, remove_left, replace_when_complete
 
 if TYPE_CHECKING:
-    from astropy.table import QTable
     from distributed import Client
 
 __all__ = ["run_survey"]
 
-SOURCES, STATE, TABLE, PLAN = "sources", "source.json", "survey.ecsv", "survey.toml"
+SOURCES, STATE, TABLE = "sources", "source.json", "survey.ecsv"
 FEATURES = "features.ecsv"
 #: Prefix of the folder of a source until it is complete.
 PARTIAL = "partial-"
 #: Why there is nothing to test.
 NO_MATCH = "no match that could be tested"
+NO_PATTERN = "no significant pattern here on these scales"
 #: Options on images that are restored from components.
 RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
-NO_PATTERN = "no significant pattern here on these scales"
+#: A unit in the header of an ECSV file to which others refer, and the item of its meta
+#: on columns that are objects.
+UNIT = re.compile(r"&(id\d+) (!astropy\.units\.Unit \{[^}]*\})")
+OBJECTS = re.compile(
+    r"# - \{?__serialized_columns__.*?(?=\n# - |\n# schema: |\Z)", re.S
+)
+#: Columns that identify a row of the table, and their descriptions.
+HEAD = {
+    "source": "name of the source",
+    "region": "name of the region, all without one",
+    "scale_group": "name of the scale group, all without one",
+    "status": "measured, empty (searched, nothing to test) or failed",
+    "message": "why there is no stream",
+}
 
 
 @dataclass(frozen=True)
@@ -72,30 +87,24 @@ class Outcome:
     last: str = ""
 
 
-def _refuse_restoring(args):
-    """Refuse options on images that are restored, where there are images."""
-    for name in RESTORING:
-        if getattr(args, name) is not None:
-            raise ValueError(
-                f"--{name} is for a table of components, not for {args.survey}; "
-                "settings are written into survey.toml"
-            )
-
-
-def run(args, reporter):
-    """Run a survey according to the arguments."""
+def survey(args, reporter):
+    """Measure the sources of a survey according to the arguments."""
     n_workers, output = workers_of(args), Path(args.output)
     reporter.resumes = True
-    if Path(args.survey).suffix.lower() == ".toml":
-        if args.redshifts:
-            raise ValueError("--redshifts is not for a .toml file; write them to it")
-        _refuse_restoring(args)
-        survey, report = sources.read_survey(args.survey), args.report is not False
+    of_file = Path(args.survey).suffix.lower() == ".toml"
+    if of_file and args.redshifts:
+        raise ValueError("--redshifts is not for a .toml file; write them to it")
+    if of_file or Path(args.survey).is_dir():
+        for name in RESTORING:
+            if getattr(args, name) is not None:
+                raise ValueError(
+                    f"--{name} is for a table of components, not for {args.survey}; "
+                    "settings are written into survey.toml"
+                )
+    if of_file:
+        plan, report = sources.read_survey(args.survey), args.report is not False
     else:
-        report = bool(args.report)
-        if Path(args.survey).is_dir():
-            _refuse_restoring(args)
-        survey = survey_of(args, output, reporter)
+        plan, report = sources.survey_of(args, output, reporter), bool(args.report)
 
     def done(name, outcomes, before):
         name = name if name.isprintable() else ascii(name)
@@ -112,14 +121,8 @@ def run(args, reporter):
                 client = parallel.open_local(args.workers or 1)
             n_workers = stack.enter_context(client)
             reporter.note(f"dashboard of the cluster: {n_workers.dashboard_link}")
-        table = run_survey(
-            survey,
-            output,
-            n_workers=n_workers,
-            report=report,
-            done=done,
-            progress_bar=reporter.progress,
-        )
+        how = {"n_workers": n_workers, "progress_bar": reporter.progress}
+        table = run_survey(plan, output, report=report, done=done, **how)
     reporter.say(*_summary(table))
     if set(table["status"]) == {"failed"}:
         raise ValueError(f"no source could be measured; {output / TABLE} says why")
@@ -216,16 +219,14 @@ def run_survey(
     """
     output = Path(output).absolute()
     work = output / WORK
-    if output.is_dir() and any(output.iterdir()) and not (output / PLAN).is_file():
+    plan = output / sources.PLAN
+    if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
+    for folder in (output / SOURCES, work):
+        writing.make_folder(folder, output)
     try:
-        (output / SOURCES).mkdir(parents=True, exist_ok=True)
-        work.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OSError(f"{output}: cannot be made or used: {error.strerror}") from None
-    try:
-        with hold(work):
-            with replace_when_complete(output / PLAN, overwrite=True) as part:
+        with writing.hold(work):
+            with writing.replace_when_complete(plan, overwrite=True) as part:
                 part.write_text(survey.text, encoding="utf-8")
             try:
                 found = _outcomes(
@@ -233,8 +234,8 @@ def run_survey(
                 )
             finally:
                 # Delete what terminated workers left.
-                remove_left(work, PARTIAL)
-            table, features = sources.catalogues(found, survey.sources, output)
+                writing.remove_left(work, PARTIAL)
+            table, features = catalogues(found, survey.sources, output)
             _write_catalogues(table, features, output)
             published = {source.name: source.published for source in survey.sources}
             write_overview(table, features, found, output, published=published)
@@ -249,11 +250,11 @@ def run_survey(
 def _write_catalogues(table, features, output):
     """Write the components and features of all sources, also for archives."""
     for name, own in ((TABLE, table), (FEATURES, features)):
-        with replace_when_complete(output / name, overwrite=True) as part:
+        with writing.replace_when_complete(output / name, overwrite=True) as part:
             own.write(part, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
-    with partial_folder(output / WORK, PARTIAL) as part:
+    with writing.partial_folder(output / WORK, PARTIAL) as part:
         write_publication({"components": measured, "features": features}, part)
         if (output / FOLDER).exists():
             os.replace(output / FOLDER, part / "old")
@@ -287,20 +288,127 @@ def _outcomes(every, output, report, n_workers, done, progress_bar):
 def finished_outcomes(source, output, report):
     """Return the outcomes of a source whose products are complete, else None."""
     path = Path(output, SOURCES, source.folder, STATE)
-    try:
-        state = json.loads(path.read_text(encoding="utf-8"))
-        if state["key"] != source.key():
-            return None
-        found = [Outcome(**outcome) for outcome in state["outcomes"]]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
     needed = ["components.ecsv", FEATURES, "report.html"][: 2 + report]
-    there = all(
-        outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
-        for outcome in found
-        for name in needed
-    )
-    return found if there else None
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        state = json.loads(path.read_text(encoding="utf-8"))
+        found = [Outcome(**outcome) for outcome in state["outcomes"]]
+        if state["key"] == source.key() and all(
+            outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
+            for outcome in found
+            for name in needed
+        ):
+            return found
+    return None
+
+
+# -- the catalogues -------------------------------------------------------------------
+
+
+def catalogues(outcomes, every, output):
+    """
+    Return the components and the features of all sources.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    every : sequence of Source
+    output : path
+        Folder of the survey.
+
+    Returns
+    -------
+    components : `~astropy.table.QTable`
+        See `run_survey`.
+    features : `~astropy.table.QTable`
+        The tables of features of all sources, with the columns of ``HEAD`` that
+        identify them.
+    """
+    empty, numbers = component_table([]), set(range(len(outcomes)))
+    found = _stacked(outcomes, output, "components.ecsv", empty.copy())
+    features = _stacked(outcomes, output, FEATURES, QTable())
+    searched = {k for k in numbers if outcomes[k].folder}
+    nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
+    tested = false_discovery_rate({"all": found} | nothing)
+    rest = sorted(numbers - set(found["outcome"]))
+    rest = QTable({"outcome": np.array(rest, dtype=int)})
+    table = vstack([tested["all"], rest], metadata_conflicts="silent")
+    redshifts = {source.name: source.settings.redshift for source in every}
+    table = _with_head(table, outcomes, redshifts)
+    measured = {outcomes[k].source for k in searched}
+    in_c = {own.name: own.settings.in_c for own in every if own.name in measured}
+    table.meta = {
+        "versions": writing.versions(),
+        "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
+        "speeds_in_c": {
+            name: plain_meta(table_in_c(empty, **how).meta)
+            for name, how in in_c.items()
+            if how
+        },
+    }
+    features = _with_head(features, outcomes, redshifts)
+    features.remove_columns(["status", "message"])
+    features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
+    return table, features
+
+
+def _stacked(outcomes, output, name, empty):
+    """
+    Return a table of all parts with their numbers.
+
+    Most of the time to read an ECSV file is that for its header, and headers of
+    different sources differ only in the meta.  The rows under equal headers are
+    therefore read together.
+    """
+    parts, tables = {}, [empty]
+    for number, outcome in enumerate(outcomes):
+        if outcome.folder:
+            path = Path(output, outcome.folder, name)
+            head, (names, *rows) = _split(path)
+            _, numbers, lines = parts.setdefault(head, (path, [], [names]))
+            numbers += [number] * len(rows)
+            lines += rows
+    empty["outcome"] = np.zeros(0, dtype=int)
+    for head, (path, numbers, lines) in parts.items():
+        table = read_table([*head.splitlines(), *lines], name=path)
+        table.meta.clear()
+        table["outcome"] = numbers
+        tables.append(table)
+    return round_to_errors(vstack(tables, metadata_conflicts="silent"))
+
+
+def _split(path):
+    """Return what the head of an ECSV file says of the columns, and the other lines."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        n = next(k for k, line in enumerate(lines) if line[:1] != "#")
+    except (OSError, ValueError, StopIteration):
+        # Says what is wrong.
+        read_table(path)
+        raise
+    head, _, meta = "\n".join(lines[:n]).partition("\n# meta: !!omap\n")
+    # Numbers of digits are those of the source.
+    head = re.sub(r", format: [^,}]*", "", head)
+    if found := OBJECTS.search(meta):
+        # They refer to units of other items.
+        units, own = dict(UNIT.findall(meta)), re.sub(r"&id\d+ ", "", found[0])
+        own = re.sub(r"\*(id\d+)", lambda m: units[m[1]], own)
+        head += f"\n# meta: !!omap\n{own}\n# schema: astropy-2.0"
+    return head, lines[n:]
+
+
+def _with_head(table, outcomes, redshifts):
+    """Return rows in the order of their parts, after the columns of ``HEAD``."""
+    table = table[np.argsort(table["outcome"], kind="stable")]
+    number = np.asarray(table["outcome"], dtype=int)
+    table.remove_column("outcome")
+    for k, (name, text) in enumerate(HEAD.items()):
+        values = np.array([getattr(own, name) for own in outcomes], dtype=str)[number]
+        table.add_column(Column(values, description=text), index=k, name=name)
+    z = np.array([redshifts[own.source] or np.nan for own in outcomes])[number]
+    column = MaskedColumn(z, mask=np.isnan(z), format="g")
+    column.description = "redshift of the source, if it was given"
+    table.add_column(column, index=1, name="redshift")
+    return table
 
 
 # -- one source ------------------------------------------------------------------
@@ -330,7 +438,7 @@ def measure_source(source, output, report=False):
     output, key = Path(output), source.key()
     (output / WORK).mkdir(exist_ok=True)
     with (
-        partial_folder(output / WORK, PARTIAL) as part,
+        writing.partial_folder(output / WORK, PARTIAL) as part,
         warnings.catch_warnings(record=True) as said,
     ):
         warnings.simplefilter("always")
@@ -348,7 +456,7 @@ def measure_source(source, output, report=False):
         (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
         final = output / SOURCES / source.folder
         final.parent.mkdir(exist_ok=True)
-        with partial_folder(output / WORK, PARTIAL) as old:
+        with writing.partial_folder(output / WORK, PARTIAL) as old:
             if final.exists():
                 os.replace(final, old / "old")
             os.replace(part, final)
@@ -388,20 +496,18 @@ def _measure(source, output, part, report, said):
         folder = part / regions[region] / groups[group]
         folder.mkdir(parents=True)
         names = (name for name in (region, group) if name != sources.WHOLE)
-        title = [source.name, *names]
-        page = {"title": ", ".join(title), "report": report, "left_out": left_out}
-        page |= {"archives": report, "published": published}
-        own, before = {"region": source.regions[region]}, len(said)
-        if (scales := source.scale_groups[group]) is not None:
-            own["scales"] = scales
-        own = replace(settings, **own)
+        page = {"title": ", ".join([source.name, *names]), "left_out": left_out}
+        page |= {"report": report, "archives": report, "published": published}
+        scales, before = source.scale_groups[group], len(said)
+        scales = settings.scales if scales is None else scales
+        own = replace(settings, region=source.regions[region], scales=scales)
         try:
             scc = StackedCrossCorrelation.from_settings(own)
             of_part = select_ssps(matched, region=masks[region], scales=scc.scales)
             result = scc.stack(of_part, n_trials=own.n_trials, rng=own.seed)
             page["warnings"] = _lines([*said[:of_all], *said[before:]])
-            final = output / where
-            components = write_measurement(result, own, folder, output=final, **page)
+            page["output"] = output / where
+            components = write_measurement(result, own, folder, **page)
         except Exception as error:
             shutil.rmtree(folder)
             _note_error(part, f"{region}, {group}:\n")

@@ -1,10 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Sources of a survey: read from a file, and their components in one table."""
+"""Sources of a survey: read from its file, which is made of a table or of folders."""
 
 import glob
 import hashlib
 import json
 import re
+import shutil
+import tomllib
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,15 +14,18 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.io.misc import yaml
-from astropy.table import Column, MaskedColumn, QTable, vstack
+from astropy.io import ascii
+from scipy.spatial import cKDTree
 
-from astro_scc.cli import inputs
-from astro_scc.columns import round_to_errors
-from astro_scc.measurement import component_table, false_discovery_rate
+from astro_scc.cli import images, inputs
+from astro_scc.components.lists import read_sources
+from astro_scc.components.restoring import suited
+from astro_scc.images.beam import Beam
+from astro_scc.images.headers import first_line
+from astro_scc.parallel import in_order
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
-from astro_scc.writing import versions
+from astro_scc.writing import replace_when_complete, versions
 
 __all__ = ["read_survey"]
 
@@ -38,18 +43,15 @@ LONGEST = 60
 SUM = re.compile(r"-[0-9a-f]{6}$", re.IGNORECASE)
 #: Names that Windows reserves for devices.
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-#: A unit in the header of an ECSV file to which others refer.
-UNIT = re.compile(r"&(id\d+) (!astropy\.units\.Unit \{[^}]*\})")
-#: What the meta of a table says of speeds in c, and of columns that are objects.
-IN_C, SERIALIZED = ("redshift", "cosmology", "distance"), "__serialized_columns__"
-#: Columns that identify a row of the table, and their descriptions.
-HEAD = {
-    "source": "name of the source",
-    "region": "name of the region, all without one",
-    "scale_group": "name of the scale group, all without one",
-    "status": "measured, empty (searched, nothing to test) or failed",
-    "message": "why there is no stream",
-}
+#: Folder of restored images in that of the survey, the file that names them, and how
+#: that begins.
+IMAGES, PLAN, HEAD = "images", "survey.toml", "# Images from"
+#: Names of images in a folder of one source.
+PATTERNS = ("*.fits", "*.fit", "*.fits.gz", "*.fits.fz")
+#: Table in the folder of every measurement.
+COMPONENTS = "components.ecsv"
+#: Names of the columns of redshifts, in small letters.
+NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,9 @@ class Source:
         groups = self.scale_groups.values()
         settings = [replace(self.settings, scales=scales) for scales in groups]
         settings = [own.to_dict() for own in (self.settings, *settings)]
-        files = [*self.regions.values(), self.settings.crop, self.settings.align]
-        files.append(self.compare)
-        files = self._epochs() | {path for path in files if path not in ALIGNMENTS}
+        others = self.settings.crop, self.settings.align, self.compare
+        files = {*self.regions.values(), *others}.difference(ALIGNMENTS)
+        files |= self._epochs()
         known = settings, self.parts, self.regions, versions()
         text = json.dumps([*known, *map(_facts, sorted(files))], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -151,10 +153,9 @@ def read_survey(path: Path | str) -> Survey:
     """
     path = Path(path)
     values, text = read_toml(path)
-    unknown = set(values) - {"defaults", "sources"}
-    if unknown:
+    if unknown := sorted(set(values) - {"defaults", "sources"}):
         raise ValueError(
-            f"{path}: unknown key {sorted(unknown)[0]!r}; a survey has [defaults] and "
+            f"{path}: unknown key {unknown[0]!r}; a survey has [defaults] and "
             "[sources.NAME]"
         )
     sources = _table(values.get("sources", {}), f"{path}: sources")
@@ -170,8 +171,7 @@ def read_survey(path: Path | str) -> Survey:
         try:
             found.append(_source(name, folders[name], given, path.absolute().parent))
         except ValueError as error:
-            setting = getattr(error, "setting", None)
-            if setting is not None and setting not in values:
+            if getattr(error, "setting", None) not in {None, *values}:
                 where = f"{path}: defaults"
             raise ValueError(f"{where}: {error}") from None
     return Survey(tuple(found), text)
@@ -230,18 +230,20 @@ def _source(name, folder, given, base):
     if not settings.epochs:
         raise ValueError("has no epochs; name the FITS files")
 
+    def of_base(file):
+        return file and str(base / file)
+
     # Special characters in the folder's own name are not meant as a pattern.
     escaped, align = glob.escape(str(base)), settings.align
     settings = replace(
         settings,
         epochs=[str(Path(escaped, pattern)) for pattern in settings.epochs],
-        align=align if align in ALIGNMENTS else str(base / align),
-        crop=settings.crop and str(base / settings.crop),
+        align=align if align in ALIGNMENTS else of_base(align),
+        crop=of_base(settings.crop),
     )
-    regions = {label: file and str(base / file) for label, file in regions.items()}
+    regions = {label: of_base(file) for label, file in regions.items()}
     groups = groups or {WHOLE: settings.scales}
-    compare = compare and str(base / compare)
-    return Source(name, folder, settings, regions, groups, published, compare)
+    return Source(name, folder, settings, regions, groups, published, of_base(compare))
 
 
 def folder_names(names):
@@ -269,114 +271,206 @@ def folder_names(names):
     return plain
 
 
-# -- the table -------------------------------------------------------------------
+# -- the file of a table of components, or of folders of images ----------------------
 
 
-def catalogues(outcomes, sources, output):
+def survey_of(args, output, reporter):
     """
-    Return the components and the features of all sources.
+    Return the survey of a table of components, or of a folder of folders of images.
+
+    The folder of the survey gets ``survey.toml``, which names the images of each
+    source; settings may be added to it.  Of a table, they are restored into
+    ``images/NAME``; those that an earlier run made from the same table in the same way
+    are kept, and their sources stay in the survey.
 
     Parameters
     ----------
-    outcomes : sequence of `~astro_scc.cli.survey.Outcome`
-    sources : sequence of `Source`
-    output : path
+    args : `~argparse.Namespace`
+        Its ``survey`` is a folder, or a table that `~astro_scc.epochs.read_components`
+        reads.
+    output : `~pathlib.Path`
         Folder of the survey.
+    reporter : `~astro_scc.cli.program.Reporter`
 
     Returns
     -------
-    components : `~astropy.table.QTable`
-        See `~astro_scc.cli.survey.run_survey`.
-    features : `~astropy.table.QTable`
-        The tables of features of all sources, with the columns of ``HEAD`` that
-        identify them.
+    ``Survey``
+
+    Raises
+    ------
+    ValueError
+        If there are no images, if the table lacks the source that is asked for, or if
+        the images of no source can be restored.
     """
-    redshifts = {source.name: source.settings.redshift for source in sources}
-    empty = component_table([])
-    found, how = _stacked(outcomes, output, "components.ecsv", empty.copy())
-    features, _ = _stacked(outcomes, output, "features.ecsv", QTable())
-    searched = {k for k, outcome in enumerate(outcomes) if outcome.folder}
-    nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
-    tested = false_discovery_rate({"all": found} | nothing)
-    rest = QTable({"outcome": [*({*range(len(outcomes))} - set(found["outcome"]))]})
-    rest["outcome"] = rest["outcome"].astype(int)
-    table = vstack([tested["all"], rest], metadata_conflicts="silent")
-    table = _with_head(table, outcomes, redshifts)
-    table.meta = {
-        "versions": versions(),
-        "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
-        # A source has one redshift and cosmology, or one distance, in all its parts.
-        "speeds_in_c": {outcomes[k].source: own for k, own in how.items() if own},
-    }
-    features = _with_head(features, outcomes, redshifts)
-    features.remove_columns(["status", "message"])
-    features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
-    return table, features
-
-
-def _stacked(outcomes, output, name, empty):
-    """
-    Return a table of all parts, with their numbers, and how each has speeds in c.
-
-    Most of the time to read an ECSV file is that for its header, and headers of
-    different sources differ only in the meta.  The rows under equal headers are
-    therefore read together.
-    """
-    parts, how = {}, {}
-    for number, outcome in enumerate(outcomes):
-        if not outcome.folder:
-            continue
-        path = Path(output, outcome.folder, name)
-        head, meta, rows = _split(path)
-        how[number] = yaml.load("".join(meta.get(k, "") for k in IN_C) or "[]")
-        how[number] = {k: v for item in how[number] for k, v in item.items()}
-        _, _, numbers, lines = parts.setdefault(head, (path, rows[0], [], []))
-        numbers += [number] * len(rows[1:])
-        lines += rows[1:]
-    empty["outcome"] = np.zeros(0, dtype=int)
-    tables = [empty]
-    for head, (path, names, numbers, lines) in parts.items():
-        table = inputs.read_table([*head.splitlines(), names, *lines], name=path)
-        table.meta.clear()
-        table["outcome"] = numbers
-        tables.append(table)
-    return round_to_errors(vstack(tables, metadata_conflicts="silent")), how
-
-
-def _split(path):
-    """Return the head of an ECSV file without meta, the items of this, and the rows."""
+    source, found, how, published = Path(args.survey), {}, {}, ""
+    redshifts = read_redshifts(args.redshifts) if args.redshifts else {}
+    if source.is_dir():
+        epochs = _images_in(source)
+        made_of = str(source.absolute())
+    else:
+        found, how = _components(args, reporter)
+        folders = folder_names(list(found))
+        epochs = {k: f"{IMAGES}/{folders[k]}/*.fits" for k in found}
+        state, table = source.stat(), str(source.absolute())
+        asked = {k: str(v) for k, v in how.items()} | {"seed": args.seed}
+        made_of = [table, state.st_size, state.st_mtime_ns, asked]
+        if any((own.feature > 0).any() for own in found.values()):
+            published = f"[defaults]\ncompare = {json.dumps(table)}\n"
+    head, path = f"{HEAD} {json.dumps(made_of)}", output / PLAN
+    before = path.read_text(encoding="utf-8") if path.is_file() else ""
+    # Images that were not restored here must not be deleted.
+    if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
+        raise OSError(
+            f"{output}: exists and is not of a survey of a table; choose another folder"
+        )
+    # What was added to the file stays, and so do the sources of other calls.
+    text = before if before.startswith(f"{head}\n") else f"{head}\n\n{published}"
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        n = next(k for k, line in enumerate(lines) if line[:1] != "#")
-    except (OSError, ValueError, StopIteration):
-        # Says what is wrong.
-        inputs.read_table(path)
-        raise
-    head, _, meta = "\n".join(lines[:n]).partition("\n# meta: !!omap")
-    meta = meta.partition("\n# schema: ")[0]
-    # Numbers of digits are those of the source.
-    head = re.sub(r", format: [^,}]*", "", head)
-    # Items refer to units of others.
-    units = dict(UNIT.findall(meta))
-    meta = re.sub(r"\*(id\d+)", lambda m: units[m[1]], re.sub(r"&id\d+ ", "", meta))
-    items = re.split(r"\n# (?=- )", meta)[1:]
-    items = {re.match(r"- \{?(\w+)", own)[1]: own for own in items}
-    own = "\n# " + items.pop(SERIALIZED) if SERIALIZED in items else ""
-    head += f"\n# meta: !!omap{own}\n# schema: astropy-2.0" if own else ""
-    items = {k: re.sub(r"\n# ?", "\n", own) + "\n" for k, own in items.items()}
-    return head, items, lines[n:]
+        known = tomllib.loads(text).get("sources", {})
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: {first_line(error)}") from None
+    for name, files in epochs.items():
+        if name not in known:
+            table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
+            text = f"{text.rstrip()}\n\n{table}"
+    if unknown := sorted(redshifts.keys() - epochs.keys() - known.keys()):
+        some = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
+    for name in redshifts.keys() - unknown:
+        text = _with_redshift(text, name, redshifts[name])
+    if text != before:
+        if not known:
+            shutil.rmtree(output / IMAGES, ignore_errors=True)
+        output.mkdir(parents=True, exist_ok=True)
+        with replace_when_complete(path, overwrite=True) as part:
+            part.write_text(text, encoding="utf-8")
+    target = {name: output / IMAGES / folders[name] for name in found}
+    left = [name for name in found if not target[name].is_dir()]
+    work = ((found[name], target[name], how) for name in left)
+    done = in_order(_restore, work, args.workers or 1)
+    for name, problem in zip(left, done, strict=True):
+        if problem:
+            reporter.warn(f"{name}: no images: {problem}")
+    if found and not (output / IMAGES).is_dir():
+        with suppress(OSError):
+            path.unlink()
+            output.rmdir()
+        raise ValueError(f"{args.survey}: the images of no source can be restored")
+    return read_survey(path)
 
 
-def _with_head(table, outcomes, redshifts):
-    """Return rows in the order of their parts, after the columns of ``HEAD``."""
-    table = table[np.argsort(table["outcome"], kind="stable")]
-    number = np.asarray(table["outcome"], dtype=int)
-    table.remove_column("outcome")
-    for k, (name, text) in enumerate(HEAD.items()):
-        values = np.array([getattr(own, name) for own in outcomes], dtype=str)[number]
-        table.add_column(Column(values, description=text), index=k, name=name)
-    z = np.array([redshifts[own.source] or np.nan for own in outcomes])[number]
-    column = MaskedColumn(z, mask=np.isnan(z), format="g")
-    column.description = "redshift of the source, if it was given"
-    table.add_column(column, index=1, name="redshift")
-    return table
+def _with_redshift(text, name, redshift):
+    """Return the text of a survey's file with the redshift of one of its sources."""
+    table = re.escape(f"[sources.{json.dumps(name)}]\n")
+    found = re.search(rf"^{table}(.*?)(?=^\[|\Z)", text, re.DOTALL | re.MULTILINE)
+    if found is None:
+        raise ValueError(f"survey.toml: write the redshift of {name} into it")
+    own = re.sub(r"^redshift\b.*\n", "", found[1], flags=re.MULTILINE)
+    epochs, line, rest = own.partition("\n")
+    own = f"{epochs}{line}redshift = {redshift}\n{rest}"
+    return text[: found.start(1)] + own + text[found.end(1) :]
+
+
+def _restore(task):
+    """Restore the images of a source, and return why that is not possible, or None."""
+    own, target, how = task
+    try:
+        if how["pixel_scale"] is None or how["noise"] is None:
+            given = {k: v for k, v in how.items() if v is not None}
+            how = how | suited(own) | given
+        images.write_images(own, target, how)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def _components(args, reporter):
+    """Return the components of each source with a beam, and how to restore images."""
+    how = images.images_of(args)
+    options, found = {"origin": args.origin, "beams": how["beam"]}, {}
+    for name in args.source.split(",") if args.source else (None,):
+        found |= read_sources(args.survey, source=name, **options)
+    if not all(own.beams for own in found.values()):
+        # That of the whole table, so that no source depends on which others are chosen.
+        every = read_sources(args.survey, **options) if args.source else found
+        how["beam"] = beam = _typical_beam(every.values())
+        found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
+        reporter.note(
+            f"{args.survey} has no beam: images are restored with one of "
+            f"{beam.major:.2g}, the median distance of neighbours in an epoch (--beam)"
+        )
+    kinds = {"pixels": how["pixel_scale"], "noise": how["noise"]}
+    if left := [kind for kind, value in kinds.items() if value is None]:
+        reporter.note(
+            f"images get {' and '.join(left)} that suit their components: a fifth of "
+            "the beam, and a tenth of the faintest peak (--pixel, --noise)"
+        )
+    return found, how
+
+
+def _typical_beam(lists):
+    """Return a circular beam that separates half of the components of an epoch."""
+    nearest = []
+    for own in lists:
+        places = np.stack([own.east, own.north], axis=1).to_value(u.mas)
+        for epoch in range(own.n_epochs):
+            here = places[own.epoch == epoch]
+            if len(here) > 1:
+                # The nearest of all is the component itself.
+                nearest += cKDTree(here).query(here, k=2)[0][:, 1].tolist()
+    size = np.median(nearest) if nearest else 0.0
+    if not size > 0:
+        raise ValueError("no epoch of the table has two components apart; give --beam")
+    size = float(f"{size:.2g}") * u.mas
+    return Beam(size, size, 0 * u.deg)
+
+
+def _images_in(folder):
+    """Return the patterns of the images in each folder of a folder, by its name."""
+    found = {}
+    for own in sorted(path for path in folder.iterdir() if path.is_dir()):
+        # A measurement beside its images is no source.
+        if own.name.startswith(".") or (own / COMPONENTS).is_file():
+            continue
+        here = Path(glob.escape(str(own.absolute())))
+        if kinds := [k for k in PATTERNS if next(own.glob(k), None)]:
+            found[own.name] = [str(here / kind) for kind in kinds]
+    if not found:
+        raise ValueError(
+            f"{folder}: has no folder of FITS images; a survey is a folder with one "
+            "for each source, a table of components or a .toml file"
+        )
+    return found
+
+
+def read_redshifts(path):
+    """
+    Return the redshifts of sources in a table that astropy reads, by their names.
+
+    Its columns are ``source``, ``name``, ``id`` or ``object``, and ``redshift`` or
+    ``z``.  Sources whose redshift is not known are left out.
+    """
+    try:
+        table = ascii.read(path)
+    except Exception as error:
+        what = "cannot be read" if isinstance(error, OSError) else "is no table"
+        raise ValueError(f"{path}: {what}: {first_line(error)}") from None
+    columns = {name.lower(): table[name] for name in table.colnames}
+    names, values = (
+        next((columns[k] for k in kinds if k in columns), None)
+        for kinds in (NAMES, REDSHIFTS)
+    )
+    if names is None or values is None:
+        raise ValueError(
+            f"{path}: needs the columns source and redshift; it has "
+            f"{', '.join(table.colnames)}"
+        )
+    try:
+        numbers = np.ma.filled(values.astype(float), np.nan)
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: its column {values.name} must be numbers without a unit, as "
+            f"0.158: {first_line(error)}"
+        ) from None
+    rows = zip(names, numbers, strict=True)
+    return {str(name): float(z) for name, z in rows if np.isfinite(z)}

@@ -52,10 +52,9 @@ def track(args, reporter):
 
 def _find(epochs, reporter):
     """Return the features of a cube."""
-    cube, settings = epochs.cube, epochs.settings
+    cube, settings, ssps = epochs.cube, epochs.settings, None
     warn_of_misalignment(cube)
     how = {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
-    ssps = None
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
         ssps = SSPs.of_epochs(decompose_epochs(cube, decomposer, **how))
@@ -65,24 +64,22 @@ def _find(epochs, reporter):
     )  # fmt: skip
     if len(features.detections) == 0:
         where = "" if settings.region is None else f" in {settings.region}"
-        warn(
-            f"no emission beside the core was detected in any epoch{where}",
-            MeasurementWarning,
-        )
+        text = f"no emission beside the core was detected in any epoch{where}"
+        warn(text, MeasurementWarning)
     return features
 
 
 def _write(features, epochs, folder):
     """Write the tables, and return that of the features."""
-    how, table = epochs.settings.in_c, features.table
+    how, table, cube = epochs.settings.in_c, features.table, features.cube
     if epochs.published is not None:
         table = with_published(table, features, epochs.published)
     table = table_in_c(table, **how) if how else table
     meta = {
         "configuration": epochs.settings.to_dict("track"),
         **table.meta,
-        "epochs": list(features.cube.labels),
-        "history": list(features.cube.meta.get("history", ())),
+        "epochs": list(cube.labels),
+        "history": list(cube.meta.get("history", ())),
         "versions": versions(),
     }
     tables = {"features": table, "positions": features.positions}

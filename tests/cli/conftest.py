@@ -6,6 +6,7 @@ import pytest
 from astropy.io import fits
 
 from astro_scc.cli import main
+from astro_scc.cli.measure import STALE
 from astro_scc.simulation import JetSimulation, Stream, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
@@ -31,10 +32,14 @@ def jet(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def measured(jet, tmp_path_factory):
-    """A measurement of them without a report, as a folder."""
+    """A measurement without a report, in a folder that had all of an old one."""
     folder = tmp_path_factory.mktemp("measured") / "out"
+    for name in (*STALE, "notes.txt"):
+        path = folder / name / "old" if "." not in name else folder / name
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_text("old")
     argv = ["measure", *jet, "-o", folder, *QUICK, "--redshift", "15.8 %"]
-    argv += ["--position-angle", "-90deg", "--no-report", "--quiet"]
+    argv += ["--position-angle", "-90deg", "--no-report", "--quiet", "--overwrite"]
     assert main([str(word) for word in argv]) == 0
     return folder
 
@@ -48,8 +53,10 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def no_figures(monkeypatch):
-    """Reports without the time that figures take."""
-    monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, **_k: {})
+    """Reports and profiles without the time that figures take."""
+    monkeypatch.setattr(
+        "astro_scc.visualization.style.figure_files", lambda *_, **_k: {}
+    )
 
 
 @pytest.fixture
@@ -85,10 +92,8 @@ def refused(astro_scc, here):
         status, out, err = astro_scc(*argv)
         assert (status, out) == (2, "")
         assert set(here.rglob("*")) == before
-        said = [
-            k for k in err.splitlines() if not k.startswith(("note: ", "warning: "))
-        ]
-        (line,) = said
+        notes = "note: ", "warning: "
+        (line,) = [k for k in err.splitlines() if not k.startswith(notes)]
         assert line.startswith(f"astro-scc {argv[0]}: error: ")
         return line
 

@@ -35,12 +35,17 @@ REFUSED = {
 -o full | full: exists and is not empty
 -o full --resume | full: exists and is not of a run with --resume; choose another
 -o file --resume | file: cannot be made or used
+-o taken --resume --overwrite | taken: taken/.astro_scc-work is a file; choose another
+-o deep/out --resume --region no.reg | no.reg: No such file or directory
+-o deep/out --resume --baseline "7 yr 8 yr" | no two epochs are 7 to 8 yr apart
 """,
     "measure": """
 -o out | no epochs were given
 no.fits -o out | no.fits: no such file
 no*.fit -o out | no*.fit: no file matches
 note.fits JET -o out | note.fits: cannot be read as FITS
+MODELS -o out | --beam '1.0 mas 0.5 mas -7 deg'
+MODELS -o out --beam "1 mas 2 mas" | '1 mas 2 mas' is no beam: has no position angle
 """,
     "profile JET -o out": """
 | --bins is missing
@@ -58,6 +63,7 @@ note.fits JET -o out | note.fits: cannot be read as FITS
 """,
     "track -o out": """
 | no epochs were given
+model.mod --beam "1 mas" | model.mod: no date in the file's name; rename it
 """,
     "inspect": """
 | no epochs were given; name the FITS files
@@ -114,9 +120,12 @@ FILES = {
     "note.fits": "no image",
     "more.fits": "no image",
     "extra.xyz": "",
+    "taken/.astro_scc-work": "",
     "bad_2006-03-09.mod": "1 2\n",
-    "3c1_2006-03-09.mod": "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n",
-    "3c1_2007-03-09.mod": "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n",
+    **dict.fromkeys(
+        ("3c1_2006-03-09.mod", "3c1_2007-03-09.mod", "model.mod"),
+        "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n",
+    ),
 }
 
 

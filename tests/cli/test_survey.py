@@ -1,0 +1,383 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc survey`` of a file: read, run, gone on with, and put in one table."""
+
+import json
+import re
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.cli.survey import Outcome, measure_source, run_survey
+from astro_scc.cli.survey_sources import folder_names, read_survey
+from astro_scc.exceptions import MeasurementWarning
+from astro_scc.matching.plan import choose_direction
+from astro_scc.quantities import with_error
+from astro_scc.report.page import write_overview
+from astro_scc.simulation import simulate_two_fluid
+from astro_scc.writing import _machine
+
+TEXT = """
+[defaults]
+scales = [2]
+max_speed = "30 mas/yr"
+n_trials = 20
+
+[sources."One/../../up"]
+epochs = "one.fits"
+redshift = 0.1
+regions = {left = "left.reg", right = "right.reg"}
+
+[sources.Two]
+epochs = "two.fits"
+published_pm = "18 2 mas/yr"
+scales = [1, 2]
+scale_groups = {fine = [1], coarse = [2]}
+
+[sources.Gone]
+epochs = "gone/*.fits"
+"""
+ROWS = [
+    ("One/../../up", "left", "all"),
+    ("One/../../up", "right", "all"),
+    ("Two", "all", "fine"),
+    ("Two", "all", "coarse"),
+    ("Gone", "all", "all"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A survey of two small cubes, and of one that is not there."""
+    folder = tmp_path_factory.mktemp("in")
+    for seed, name in enumerate(("one", "two")):
+        cube = simulate_two_fluid(n_epochs=4, rng=seed).cube
+        cube = cube.crop((slice(70, 186), slice(20, 170)))
+        cube.write(folder / f"{name}.fits")
+    (folder / "left.reg").write_text("image\nbox(40,58,80,116,0)\n")
+    (folder / "right.reg").write_text("image\nbox(115,58,68,116,0)\n")
+    (folder / "survey.toml").write_text(TEXT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(folder, tmp_path_factory):
+    """The survey, measured here."""
+    out = tmp_path_factory.mktemp("serial") / "out"
+    return run_survey(read_survey(folder / "survey.toml"), out), out
+
+
+def written(out):
+    """All that a survey wrote, but when."""
+    return {
+        str(path.relative_to(out)): path.read_bytes()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.suffix in (".ecsv", ".toml", ".fits")
+        and ".astro_scc-work" not in path.parts
+    }  # fmt: skip
+
+
+# -- tables and the overview ---------------------------------------------------------
+
+
+def test_every_source_region_and_group_has_a_row(serial):
+    table, out = serial
+    names = [tuple(map(str, row)) for row in table["source", "region", "scale_group"]]
+    assert list(dict.fromkeys(names)) == ROWS
+    status = dict(zip(names, table["status"], strict=True))
+    assert status[ROWS[-1]] == "failed"
+    assert {status[name] for name in ROWS[:4]} <= {"measured", "empty"}
+    assert "measured" in status.values()
+    gone = table[-1]
+    assert "gone/*.fits" in gone["message"]
+    assert gone["pm"].mask
+    assert gone["beta_app"].mask
+    assert table["beta_app"].unit == u.one
+    assert set(table.meta["speeds_in_c"]) == {ROWS[0][0]}
+    one = table.meta["speeds_in_c"][ROWS[0][0]]
+    assert (one["redshift"], one["cosmology"]["Om0"]) == (0.1, 0.27)
+    measured = table[table["status"] == "measured"]
+    assert not np.any(getattr(measured["pm"], "mask", False))
+    assert np.all(np.isfinite(measured["p_fdr"]))
+    assert set(measured["message"]) == {""}
+    read = QTable.read(out / "survey.ecsv")
+    assert read.colnames == table.colnames
+    assert read["pm"].unit == u.mas / u.yr
+    assert read["status"].tolist() == table["status"].tolist()
+
+
+@pytest.mark.slow
+def test_rows_are_those_of_single_measurements(serial, folder):
+    table, _ = serial
+    cube = EpochCube.read(folder / "two.fits")
+    angle, _ = choose_direction(cube)
+    how = {"max_speed": 30 * u.mas / u.yr, "position_angle": angle}
+    scc = StackedCrossCorrelation(scales=[1, 2], **how)
+    matched = scc.match(cube)
+    coarse = replace(matched, select=matched.select & (matched.ssps.scale == 2))
+    with warnings.catch_warnings():
+        # That four epochs are few.
+        warnings.simplefilter("ignore", MeasurementWarning)
+        single = scc.stack(coarse, n_trials=20, rng=1).components
+    rows = table[(table["source"] == "Two") & (table["scale_group"] == "coarse")]
+    np.testing.assert_array_equal(u.Quantity(rows["pm"].unmasked), single["pm"])
+
+
+def test_the_overview_has_a_row_for_every_part(serial):
+    table, out = serial
+    page = (out / "overview.html").read_text(encoding="utf-8")
+    assert re.search(r"Of 3 sources, .* and 1 failed\.</p>", page)
+    body = page.partition("<tbody>")[2].partition("</tbody>")[0]
+    rows = body.split("</tr>")[:-1]
+    for row, names in zip(rows, ROWS, strict=True):
+        assert f">{names[0]}<" in row
+        parts = ", ".join(name for name in names[1:] if name != "all")
+        assert f'<span class="more">{parts}</span>' in row or not parts
+    first = table[table["scale_group"] == "fine"][0]
+    speed = with_error(first["pm"].value, first["pm_err"].value)
+    assert f'<span class="pm">{speed}</span>' in rows[2]
+    assert '"published">18.0 ± 2.0</span>' in rows[2]
+    assert "2000-01-01 to 2000-03-31</span>" in rows[2]
+    assert "nan" not in page
+    assert "gone/*.fits" in rows[-1]
+    # No reports were wanted.
+    assert "report.html" not in body
+
+
+def test_the_overview_counts_sources(tmp_path):
+    rows = [
+        ("A", "fine", "measured", "moving"),
+        ("A", "coarse", "measured", "not significant"),
+        ("B", "all", "measured", "not significant"),
+        ("B", "all", "measured", "stationary"),
+        ("C", "all", "measured", "stationary"),
+        ("D", "all", "empty", ""),
+        ("E", "all", "failed", ""),
+        ("F", "all", "failed", ""),
+        ("G", "all", "measured", "not confirmed"),
+    ]
+    table = QTable(rows=rows, names=("source", "scale_group", "status", "kind"))
+    table["region"], table["caution"] = "all", "-"
+    table["pm"] = np.r_[np.full(8, 2.0), 7.0] * u.mas / u.yr
+    table["pm_err"] = np.full(9, 0.1) * u.mas / u.yr
+    table["p_global"], table["p_fdr"] = 0.01, 0.02
+    # Without features there is no speed, and no difference from a published one.
+    table["n_features"] = [3] * 8 + [0]
+    parts = [Outcome(row[0], "all", row[1], row[2]) for row in rows]
+    known = {name: [np.nan] * u.mas / u.yr for name in "BCDEFG"}
+    known["A"] = [1.9] * u.mas / u.yr
+    path = write_overview(table, QTable(), parts, tmp_path, published=known)
+    page = path.read_text(encoding="utf-8")
+    assert (
+        "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "
+        "significant motion, 1 is stationary, 1 has nothing to test and 2 failed."
+        in page
+    )
+    assert "those that move: 2 to 2 mas/yr, median 2." in page
+    assert "of the published one: 1 of 1." in page
+    assert '"published">1.9</span><span class="more">+1.0 standard errors' in page
+    assert ">7.0" not in page
+    assert "nan standard errors" not in page
+
+
+def test_folder_names_are_harmless(tmp_path):
+    names = [
+        "..", ".", "", "/etc/passwd", "a/b", "a\\b", "~", "-rf", ".hidden", "CON",
+        "nul.x", "a\0b", "x" * 500, "Ünï", "a b", "a.", "\n", "C:",
+    ]  # fmt: skip
+    for name, folder in folder_names(names).items():
+        assert folder != name
+        assert len(folder) <= 70
+        assert folder[0].isalnum()
+        assert re.fullmatch(r"[\w.-]+", folder, re.ASCII)
+        assert (tmp_path / folder).resolve().parent == tmp_path.resolve()
+        (tmp_path / folder).mkdir()
+
+
+# -- going on, reports, processes and errors -------------------------------------------
+
+
+@pytest.mark.slow
+def test_interrupted_and_started_again(serial, folder, here, astro_scc, monkeypatch):
+    _, reference = serial
+    out = here / "out"
+
+    def interrupted(source, output, report):
+        if source.name == "Two":
+            raise KeyboardInterrupt
+        return measure_source(source, output, report)
+
+    argv = ("survey", folder / "survey.toml", "-o", out, "--no-report")
+    with monkeypatch.context() as patch:
+        patch.setattr("astro_scc.cli.survey.measure_source", interrupted)
+        status, _, err = astro_scc(*argv, "--quiet")
+    assert status == 130
+    assert "the same command goes on" in err
+    assert not (out / "survey.ecsv").exists()
+    assert not list((out / ".astro_scc-work").glob("partial-*"))
+    # Half-written when the machine went down.
+    (out / ".astro_scc-work" / f"partial-{_machine()}-00000000").mkdir()
+    status, said, err = astro_scc(*argv, "--workers", 2)
+    assert status == 0
+    assert "One/../../up: finished before" in said
+    assert "Two: done" in said
+    assert "warning: Gone: " in err
+    # Processes give the same.
+    assert written(out) == written(reference)
+    assert not list((out / ".astro_scc-work").glob("partial-*"))
+
+
+def small_page(result, folder, *, components, title, **options):
+    """As a report, without the time that figures take."""
+    assert len(components) == len(result.components)
+    page = {"title": title, **options}
+    (folder / "report.html").write_text(json.dumps(page), encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("astro_scc.cli.measure.write_report", small_page)
+    survey = read_survey(folder / "survey.toml")
+    survey = replace(survey, sources=survey.sources[1:2])
+    out, told = tmp_path / "out", []
+
+    def run(**options):
+        run_survey(survey, out, done=lambda *a: told.append(a[2]), **options)
+
+    run()
+    assert not list(out.rglob("report.html"))
+    # Those that are finished but for it are made again, and not those that have it.
+    run(report=True)
+    run(report=True)
+    run()
+    assert told == [False, False, True, True]
+    pages = [json.loads(path.read_text()) for path in sorted(out.rglob("report.html"))]
+    assert [page["title"] for page in pages] == ["Two, coarse", "Two, fine"]
+    for page in pages:
+        assert len(page["warnings"]) == len(set(page["warnings"])) > 0
+        (config,) = [word for word in page["rerun"].split() if "config.toml" in word]
+        assert Path(config).is_file()
+
+
+@pytest.mark.slow
+def test_what_is_wrong_costs_itself_only(folder, tmp_path, monkeypatch):
+    one, two, _ = read_survey(folder / "survey.toml").sources
+    regions = {"no": str(folder / "no.reg"), **one.regions}
+    outcomes = measure_source(replace(one, regions=regions), tmp_path)
+    assert outcomes[0].status == "failed"
+    assert "no.reg" in outcomes[0].message
+    assert {o.status for o in outcomes[1:]} <= {"measured", "empty"}
+
+    # A mistake of the program is a failed source.
+    def wrong(*args, **kwargs):
+        raise AssertionError("odd")
+
+    monkeypatch.setattr("astro_scc.cli.survey.write_measurement", wrong)
+    outcomes = measure_source(two, tmp_path)
+    said = {(o.status, o.message) for o in outcomes}
+    assert said == {("failed", "AssertionError: odd")}
+    text = (tmp_path / "sources" / "Two" / "error.txt").read_text()
+    assert "AssertionError: odd" in text
+
+
+def test_when_nothing_could_be_measured(here, astro_scc):
+    """Nor by two runs at a time."""
+    (here / "s.toml").write_text("[sources.A]\nepochs = 'no.fits'\n")
+    lines, out = [], here / "out"
+
+    def meanwhile(*args):
+        assert not lines
+        status, _, err = astro_scc("survey", "s.toml", "-o", out)
+        lines.extend([status, err])
+
+    run_survey(read_survey("s.toml"), out, done=meanwhile)
+    assert lines == [
+        2,
+        f"astro-scc survey: error: {out}: another run measures a survey here; wait "
+        "for it, or choose another folder\n",
+    ]
+    # The first one went on, and is over.
+    status, _, err = astro_scc("survey", "s.toml", "-o", out)
+    assert status == 2
+    assert "no source could be measured" in err
+    table = QTable.read(out / "survey.ecsv")
+    assert table["status"].tolist() == ["failed"]
+    page = (out / "overview.html").read_text(encoding="utf-8")
+    assert "Of 1 source, 1 failed." in page
+    assert "p_fdr" in table.colnames
+    assert "beta_app" not in table.colnames
+
+
+# -- the file --------------------------------------------------------------------------
+
+#: The beginning of a survey of one source, and what is wrong in it.
+A = "[sources.A]\nepochs = 'a'\n"
+WRONG = [
+    ("a = [", "is not a TOML file"),
+    ("a = " + "[" * 5000, "is not a TOML file: nested too deep"),
+    ("", "names no source"),
+    ("sources = 3", "sources must be a table"),
+    ("[other]", "unknown key 'other'"),
+    ("[sources]\nA = 3", "sources.A must be a table"),
+    ("[sources.A]", "sources.A: has no epochs"),
+    ("[sources.A]\nepochs = 3", "epochs = 3 must be a list"),
+    (f"{A}region = 'b'", "region is no setting of a survey"),
+    (f"{A}regions = {{b = 3}}", "regions.b must be the path"),
+    (f"{A}regions = 'b'", "regions must be a table"),
+    (f"{A}scale_groups = {{b = 'c'}}", "scale_groups.b = 'c'"),
+    ("[defaults]\npublished_pm = '1 mas/yr'\n[sources.A]", "published_pm is no"),
+    (f"{A}published_pm = '-1 mas/yr'", "A: published_pm = '-1 mas/yr' must be a sp"),
+    (f"{A}published_pm = 3", "published_pm = 3 must be a"),
+    (f"{A}max_speed = '2 mas'", "max_speed = '2 mas' must"),
+    (f"[defaults]\nmax_speed = '2 mas'\n{A}", "defaults: max_speed = '2 mas' must"),
+    (f"{A}scale_groups = {{b = [1], c = '0.2 mas'}}", "must be all numbers or all an"),
+    (f"{A}distance = '3 Mpc'\nredshift = 0.1", "distance needs neither redshift nor"),
+    (f"{A}redshift = 0.1\ncosmology = 'Planck'", "'Planck' is no cosmology; give H0"),
+]
+
+
+def test_files_that_make_no_sense(refused, here):
+    for text, reason in WRONG:
+        (here / "s.toml").write_text(text)
+        line = refused("survey", "s.toml", "-o", "out")
+        assert line.startswith("astro-scc survey: error: s.toml: ")
+        assert reason in line
+
+
+def test_folders_of_others_are_refused(folder, refused, here):
+    (here / "mine.txt").write_text("keep")
+    survey = "survey", folder / "survey.toml", "-o"
+    assert "exists and is not of a survey" in refused(*survey, here)
+    assert "mine.txt: cannot be made or used" in refused(*survey, "mine.txt")
+    assert "--workers must be" in refused(*survey, "x", "--workers", "0")
+    assert "z.csv: cannot be" in refused(
+        "survey", here, "-o", "x", "--redshifts", "z.csv"
+    )
+    line = refused(*survey, "x", "--redshifts", "z.csv")
+    assert "--redshifts is not for a .toml file; write them to it" in line
+    line = refused(*survey, "x", "--source", "two")
+    assert "--source is for a table of components, not for" in line
+
+
+def test_defaults_and_what_replaces_them(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        "[defaults]\nredshift = 0.1\ncosmology = 'Planck18'\nalign = 't.csv'\n"
+        "[sources.A]\nepochs = ['a*', '/b']\ndistance = '3 Mpc'\n"
+        "[sources.B]\nepochs = 'b'\nscale_groups = {x = '0.2 mas', y = '0.1,0.4 mas'}\n"
+        "[sources.C]\nepochs = 'c'\nalign = 'core'\nscale_groups = {x = [3, 1]}\n"
+        "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
+    )
+    sources = read_survey(tmp_path / "s.toml").sources
+    a, b, c = (source.settings for source in sources)
+    assert (a.distance, a.redshift, a.cosmology) == (3 * u.Mpc, None, None)
+    assert a.epochs == [str(tmp_path / "a*"), "/b"]
+    assert a.align == str(tmp_path / "t.csv")
+    assert b.cosmology == "Planck18"
+    assert b.scales.to_value(u.mas).tolist() == [0.1, 0.2, 0.4]
+    assert (c.scales, c.redshift, c.align) == ((1, 3), 0.158, "core")
+    assert c.position_angle == -112 * u.deg

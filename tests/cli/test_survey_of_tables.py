@@ -1,0 +1,190 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""``astro-scc survey`` of a table of components, and of folders of images."""
+
+import io
+import re
+import shutil
+import tomllib
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io.votable import parse, validate
+from astropy.table import QTable, Table
+
+from astro_scc.epochs import write_epochs
+from astro_scc.simulation import simulate_two_fluid
+
+BOTH = ("0003+380", "0010+405")
+BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
+OPTIONS = [*BEAM, "--noise", "0.5 mJy/beam", "--seed", "1", "--no-report", "--quiet"]
+
+
+@pytest.fixture
+def table(shared_data, here):
+    """The head of the journal's own table, and rows of two sources."""
+    text = (shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt").read_text()
+    head, _, rows = text.rpartition("-" * 80 + "\n")
+    kept = [r for r in rows.splitlines() if r.startswith(BOTH)]
+    # A source that cannot be measured does not stop the others.
+    kept.append("9999+999  1   2006 Mar  9     7.2  3.98 121.8  0.72 1.       Y ")
+    rows = "\n".join([*kept, ""])
+    (here / "table_mrt.txt").write_text(f"{head}{'-' * 80}\n{rows}")
+    return "table_mrt.txt"
+
+
+@pytest.mark.slow
+def test_all_sources_are_restored_and_measured(table, done, here):
+    def measure(*words, out="out"):
+        done("survey", *words, "-o", out)
+        found = QTable.read(here / out / "survey.ecsv")
+        images = sorted((here / out / "images" / "0003+380").glob("*.fits"))
+        return found, [path.stat().st_mtime_ns for path in images]
+
+    found, before = measure(table, *OPTIONS)
+    status = dict(zip(found["source"], found["status"], strict=True))
+    assert status == dict.fromkeys(BOTH, "measured") | {"9999+999": "failed"}
+    assert len(before) == 10
+    # The same command goes on; with another beam, it begins again.
+    assert measure(table, *OPTIONS)[1] == before
+    other = ["--pixel", "0.25 mas", "--source", ",".join(BOTH)]
+    found, again = measure(table, *OPTIONS, *other)
+    assert again != before
+    assert set(found["source"]) == set(BOTH)
+    # Sources of one call after the other stay.
+    for name in BOTH:
+        found, _ = measure(table, *OPTIONS, "--source", name, out="each")
+    assert set(found["source"]) == set(BOTH)
+    # The file can be changed, for a redshift, and given to the command.
+    plan = here / "out" / "survey.toml"
+    plan.write_text(plan.read_text() + "redshift = 0.229\n")
+    found, _ = measure(plan, "--no-report", "--quiet")
+    assert "beta_app" in found.colnames
+
+
+@pytest.mark.slow
+def test_without_options(table, done, here):
+    """Beam, pixels and noise suit the table; archives read the catalogues."""
+    (here / "z.csv").write_text("Name,z\n0003+380,0.229\n0010+405,\nelsewhere,1\n")
+    _, said = done("survey", table, "-o", "out", "--redshifts", "z.csv")
+    assert "restored with one of" in said
+    assert "pixels and noise that suit" in said
+    assert "z.csv: 1 source is not of the survey" in said
+    out = here / "out"
+    assert not list(out.rglob("report.html"))
+    assert not list((out / "sources").rglob("publication"))
+    folder = out / "publication"
+    for name, file in (("components", "survey"), ("features", "features")):
+        ecsv = QTable.read(out / f"{file}.ecsv")
+        rows = [row for row in ecsv if file == "features" or row["status"] != "failed"]
+        assert set(ecsv["redshift"][ecsv["source"] == "0003+380"]) == {0.229}
+        assert np.all(ecsv["redshift"].mask[ecsv["source"] == "0010+405"])
+        readers = [
+            Table.read(folder / f"{name}_mrt.txt", format="mrt"),
+            Table.read(folder / f"{name}.dat", readme=folder / "ReadMe", format="cds"),
+            QTable.read(folder / f"{name}.vot"),
+        ]
+        for found in readers:
+            assert found["source"].tolist() == [row["source"] for row in rows]
+        assert validate(folder / f"{name}.vot", output=io.StringIO())
+        for field in parse(folder / f"{name}.vot").get_first_table().fields:
+            assert field.ucd, field.name
+            assert field.unit is not None or field.datatype != "double", field.name
+    assert np.ma.count(ecsv["published"]) >= 5
+    page = (out / "overview.html").read_text(encoding="utf-8")
+    assert "as published" in page
+    assert "in units of c, of sources with a redshift" in page
+    assert (out / "population.png").is_file()
+
+
+@pytest.mark.slow
+def test_folders_of_images(done, refused, here):
+    folder, out, z = here / "images", here / "out", here / "z.txt"
+    for name in ("one [1]", "two"):
+        cube = simulate_two_fluid(n_epochs=4, rng=1).cube
+        write_epochs(cube.crop((slice(70, 186), slice(20, 170))), folder / name)
+    (folder / "notes").mkdir()
+    # A measurement beside its images is no source.
+    measured = shutil.copytree(folder / "two", folder / "two-measured")
+    (measured / "components.ecsv").touch()
+    argv = ["survey", folder, "-o", out, "--quiet"]
+    done(*argv)
+    table = QTable.read(out / "survey.ecsv")
+    assert set(table["source"]) == {"one [1]", "two"}
+    assert "failed" not in table["status"]
+    # What has been added to the file stays, and the redshift is replaced.
+    plan = out / "survey.toml"
+    plan.write_text(plan.read_text() + "n_trials = 50\n")
+    for redshift in 0.2, 0.158:
+        z.write_text(f"name z\ntwo {redshift}\n")
+        done(*argv, "--redshifts", z)
+    own = tomllib.loads(plan.read_text())["sources"]["two"]
+    assert (own["redshift"], own["n_trials"]) == (0.158, 50)
+    # A folder that is new is a source more.
+    shutil.copytree(folder / "two", folder / "three")
+    done(*argv)
+    assert len(set(QTable.read(out / "survey.ecsv")["source"])) == 3
+    # A table with its name in another form cannot be found in the text.
+    before = plan.read_text()
+    plan.write_text(before.replace('[sources."two"]', "[sources.two]"))
+    line = refused(*argv, "--redshifts", z)
+    assert "survey.toml: write the redshift of two into it" in line
+    plan.write_text(f"{before}n_trials = \n")
+    assert "survey.toml: Invalid value" in refused(*argv)
+
+
+def test_redshifts_and_folders_that_make_no_sense(refused, here):
+    (here / "images").mkdir()
+    for text, reason in {
+        "": "is no table: ",
+        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
+        "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
+    }.items():
+        (here / "z.txt").write_text(text)
+        words = ["survey", "images", "-o", "out", "--redshifts", "z.txt"]
+        assert f"z.txt: {reason}" in refused(*words)
+    line = refused("survey", "images", "-o", "out")
+    assert "images: has no folder of FITS images" in line
+    line = refused("survey", "images", "-o", "out", "--source", "two")
+    assert "--source is for a table of components, not for" in line
+
+
+def test_without_neighbours_there_is_no_beam(refused, here):
+    table = QTable({"source": ["a"] * 5, "component": [0] * 5})
+    table["epoch"] = [f"200{k}-01-01" for k in range(5)]
+    table["flux"] = np.ones(5) * u.Jy
+    table["separation"], table["position_angle"] = np.zeros((2, 5))
+    table["separation"].unit, table["position_angle"].unit = u.mas, u.deg
+    table.write(here / "one.ecsv")
+    line = refused("survey", "one.ecsv", "-o", "out")
+    assert "no epoch of the table has two components apart; give --beam" in line
+
+
+@pytest.mark.slow
+def test_a_beam_does_not_depend_on_the_sources_that_are_chosen(
+    table, astro_scc, monkeypatch
+):
+    monkeypatch.setattr("astro_scc.cli.survey_sources.images.write_images", print)
+    said = set()
+    for k, source in enumerate(("", BOTH[0], ",".join(BOTH))):
+        more = ["--source", source] if source else []
+        _, _, err = astro_scc("survey", table, "-o", k, *more)
+        said |= set(re.findall("restored with one of (.*),", err))
+    assert len(said) == 1
+
+
+def test_sources_and_folders_that_are_refused(table, refused, here):
+    words = ["survey", table, "-o", "out", *BEAM]
+    assert "no source '0003+38'; it has 0003" in refused(*words, "--source", "0003+38")
+    other = ["--source", "9999+999", "--origin", "map"]
+    assert "no core component" in refused(*words, *other)
+    # Another folder, and a survey of other images, are left alone.
+    out = here / "out"
+    out.mkdir()
+    for name, text in {
+        "mine": "mine",
+        "survey.toml": "[sources.a]\nepochs = 'images/*.fits'\n",
+    }.items():
+        (out / name).write_text(text)
+        line = refused(*words)
+        assert "out: exists and is not of a survey of a table; choose another" in line
