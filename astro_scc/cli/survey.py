@@ -27,7 +27,7 @@ from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_table import survey_of
 from astro_scc.columns import table_lines
-from astro_scc.images.cutout import refuse_pixels
+from astro_scc.images.grid import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text
 from astro_scc.matching import select_ssps
 from astro_scc.products.publication import FOLDER, write_publication

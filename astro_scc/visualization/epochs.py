@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 
-from astro_scc.images.validation import epoch_index
+from astro_scc.images.series import epoch_index
 from astro_scc.stacking.velocities import consecutive_pairs
 from astro_scc.visualization import drawing, style
 

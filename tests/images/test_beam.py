@@ -14,13 +14,13 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam
 from astro_scc.flow import measure_profile
 from astro_scc.images.beam import (
+    common_beam,
     different_beam,
     gaussian_smooth,
     is_per,
     parse_beam,
     smallest_common_beam,
 )
-from astro_scc.images.grid import common_beam
 from astro_scc.tracking import FeatureTracker
 
 DATES = ["2000-01-01", "2000-02-01", "2000-03-01"]
