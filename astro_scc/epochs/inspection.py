@@ -278,14 +278,21 @@ def plan_intervals(
     days = np.unique(np.atleast_1d((times - np.atleast_1d(times)[0]).jd))
     if days.size < 2:
         raise ValueError("velocities need at least two epochs of different date")
-    resolution = _resolution(cube, beam)
+    if beam is None and isinstance(cube, Time):
+        raise ValueError("dates alone need a beam, or the resolution as an angle")
+    width = beam
+    if beam is None:
+        width = resolution(cube)
+    elif hasattr(beam, "major") or not isinstance(beam, u.Quantity):
+        beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
+        width = resolution(SimpleNamespace(beams=beams))
     if extent is None and not isinstance(cube, Time):
         sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
         extent = sides.min()
     gaps = np.diff(days) * u.day
     median = np.median(gaps)
     span = (days[-1] - days[0]) * u.day
-    speed = speed_unit(span, resolution, median)
+    speed = speed_unit(span, width, median)
     time = speed.bases[1]
     return IntervalPlan(
         n_epochs=int(np.size(times)),
@@ -293,24 +300,11 @@ def plan_intervals(
         shortest=gaps.min().to(time),
         median=median.to(time),
         longest=gaps.max().to(time),
-        resolution=resolution.to(u.mas),
-        slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * resolution).to(
-            speed
-        ),
+        resolution=width.to(u.mas),
+        slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * width).to(speed),
         fastest=None if extent is None else (extent / (2 * median)).to(speed),
-        consecutive=(np.array(GOOD_SHIFTS) * resolution / median).to(speed),
+        consecutive=(np.array(GOOD_SHIFTS) * width / median).to(speed),
     )
-
-
-def _resolution(cube, beam):
-    if beam is None and isinstance(cube, Time):
-        raise ValueError("dates alone need a beam, or the resolution as an angle")
-    if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
-        return beam
-    if beam is not None:
-        n = 1 if hasattr(beam, "major") else len(beam)
-        cube = SimpleNamespace(beams=as_beams(beam, n))
-    return resolution(cube)
 
 
 class Problem(NamedTuple):

@@ -63,8 +63,8 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
             if need > (have := machine_memory()):
                 raise MemoryError(
                     f"{len(files)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
-                    f"GB, this machine has {have / 1e9:.3g}; read a part (region=, "
-                    "--crop)"
+                    f"GB, this machine has {have / 1e9:.3g}; read a region of them "
+                    "(region=, --crop)"
                 )
             yield plane
 
@@ -91,8 +91,7 @@ def _plane_of(i, image, time, beam):
             (plane, *others), _ = planes_of(image, time, beam)
             if others:
                 raise ValueError(
-                    f"is an NDCube of {len(others) + 1} epochs; give it alone to "
-                    "EpochCube.from_ndcube"
+                    f"is an NDCube of {1 + len(others)} epochs; give it to from_ndcube"
                 )
             plane.name = name
         elif isinstance(image, NDData):
@@ -101,8 +100,7 @@ def _plane_of(i, image, time, beam):
             plane = fits.plane_of(HDUList([image.hdu]), None, Path(name))
         else:
             raise TypeError(
-                f"is a {type(image).__name__}; give NDData, such as CCDData, or "
-                "images of spectral-cube"
+                f"is a {type(image).__name__}; give NDData, such as CCDData"
             )
     if plane.beam is beam is None and getattr(image, "psf", None) is not None:
         warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
@@ -293,8 +291,7 @@ def windows_of(planes, first, frame, region, pad=0):
         size = np.array(plane.shape[::-1])
         if not (np.all(low < size) and np.all(high >= 0)):
             raise ValueError(
-                f"{plane.name}: nothing of the region lies in it; leave it out, or "
-                "read all of the images"
+                f"{plane.name}: nothing of the region lies in it; leave it out"
             )
         start = np.maximum(low, 0).astype(int)
         stop = np.minimum(high, size - 1).astype(int) + 1
@@ -326,7 +323,24 @@ def lay_on_one_grid(planes, frame, unit):
         Names of the images that were interpolated.
     """
     frames, resampled = [_in_frame(plane.wcs, frame) for plane in planes], []
-    new, shape = _shared_grid(planes, frames)
+    sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
+    usual = np.sort(sizes)[(len(sizes) - 1) // 2]
+    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
+    for plane, size, one in zip(planes, sizes, grids, strict=True):
+        # The finest grid would be huge otherwise.
+        if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
+            raise ValueError(
+                f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
+                f"others are {readable_angle(usual * u.deg)}; leave it out"
+            )
+        try:
+            grid.shared_grid([grids[0], one])
+        except ValueError:
+            raise ValueError(
+                f"{plane.name}: lies too far from {planes[0].name} to share a grid "
+                "with it, by its coordinates; leave one of them out"
+            ) from None
+    new, shape = grid.shared_grid(grids)
     own = [new] * len(planes)
     if frame == "offset":
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
@@ -344,28 +358,6 @@ def lay_on_one_grid(planes, frame, unit):
         plane.data = plane.mask = None
     fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
     return fields, resampled
-
-
-def _shared_grid(planes, frames):
-    """Return a grid for all, and its shape, or refuse an image that does not suit."""
-    sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
-    usual = np.sort(sizes)[(len(sizes) - 1) // 2]
-    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
-    for plane, size, own in zip(planes, sizes, grids, strict=True):
-        # The finest grid would be huge otherwise.
-        if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
-            raise ValueError(
-                f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
-                f"others are {readable_angle(usual * u.deg)}; leave it out"
-            )
-        try:
-            grid.shared_grid([grids[0], own])
-        except ValueError:
-            raise ValueError(
-                f"{plane.name}: lies too far from {planes[0].name} to share a grid "
-                "with it, by its coordinates; leave one of them out"
-            ) from None
-    return grid.shared_grid(grids)
 
 
 def _in_frame(wcs, frame):

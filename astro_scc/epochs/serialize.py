@@ -266,28 +266,23 @@ class _Loader(yaml.AstropyLoader):
             made = made if self.lazy else made.astype(packed["dtype"])
             made = made.reshape(packed["shape"])
         elif name is not None:
+            module, _, name = name.rpartition(".")
+            own = None
+            if module.startswith(PACKAGE):
+                with suppress(ImportError):
+                    own = getattr(import_module(module), name, None)
+            if not is_dataclass(own) or {f.name for f in fields(own)} != packed.keys():
+                raise _VersionError(
+                    f"its {name} is of another version of astro_scc; read it with the "
+                    "version that wrote it"
+                )
             # Checks and conversions were made when it was first made.
-            made = object.__new__(_class_of(name, packed.keys()))
+            made = object.__new__(own)
             vars(made).update(packed)
         return packed if name is None else made
 
 
 _Loader.add_constructor("tag:yaml.org,2002:map", _Loader.make)
-
-
-def _class_of(name, keys):
-    """Return a dataclass of this package that has these fields."""
-    module, _, name = name.rpartition(".")
-    own = None
-    if module.startswith(PACKAGE):
-        with suppress(ImportError):
-            own = getattr(import_module(module), name, None)
-    if not is_dataclass(own) or {f.name for f in fields(own)} != keys:
-        raise _VersionError(
-            f"its {name} is of another version of astro_scc; read it with the "
-            "version that wrote it"
-        )
-    return own
 
 
 def write_epochs(
@@ -346,7 +341,18 @@ def write_epochs(
     if existing and not overwrite:
         raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")
     directory.mkdir(parents=True, exist_ok=True)
-    own = _common_header(cube)
+    # The dates of wcslib would be those of the first epoch.
+    own = without_dates(cube.wcs.to_header())
+    if cube.unit == u.Jy / u.beam:
+        own["BUNIT"] = "JY/BEAM"
+    elif cube.unit != u.dimensionless_unscaled:
+        try:
+            own["BUNIT"] = cube.unit.to_string("fits")
+        except ValueError:
+            # The standard does not have DN, which solar images are in.
+            own["BUNIT"] = cube.unit.to_string()
+    for line in cube.meta.get("history", ()):
+        own.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
         image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
         header = fits.Header([*epoch_header(cube, i).cards, *own.cards])
@@ -354,23 +360,6 @@ def write_epochs(
             # The header is in order, and verifying it takes a third of the time.
             fits.PrimaryHDU(image, header).writeto(part, output_verify="ignore")
     return paths
-
-
-def _common_header(cube):
-    """Return the header that all images of a cube share."""
-    # The dates of wcslib would be those of the first epoch.
-    header = without_dates(cube.wcs.to_header())
-    if cube.unit == u.Jy / u.beam:
-        header["BUNIT"] = "JY/BEAM"
-    elif cube.unit != u.dimensionless_unscaled:
-        try:
-            header["BUNIT"] = cube.unit.to_string("fits")
-        except ValueError:
-            # The standard does not have DN, which solar images are in.
-            header["BUNIT"] = cube.unit.to_string()
-    for line in cube.meta.get("history", ()):
-        header.add_history(str(line).encode("ascii", "replace").decode())
-    return header
 
 
 def to_ndcube(cube: ImageSeries) -> NDCube:

@@ -376,8 +376,7 @@ def common_beam(cube: Series, beam: Beam | None = None) -> Series:
     """
     if cube.beams is None:
         raise ValueError(
-            "the epochs have no beams, so there is no common one; give them to "
-            "EpochCube as beams=[...], or leave this step out"
+            "the epochs have no beams; give them, beams=[...], or leave this step out"
         )
     target = smallest_common_beam(cube.beams) if beam is None else as_beam(beam)
     goal = target.covariance.value

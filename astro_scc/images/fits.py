@@ -244,8 +244,7 @@ def _beside(hdus, image, name, shape):
                 return hdu
             if name != "WHT":
                 raise headers.ContentError(
-                    f"its extension {name} has shape {hdu.shape}, its image {shape}; "
-                    "correct or remove the extension"
+                    f"its extension {name} has shape {hdu.shape}, it {shape}; remove it"
                 )
     return None
 
@@ -289,8 +288,7 @@ def _check_complete(hdu, path):
     if missing > 0:
         least = "at least " if packed else ""
         raise _NoImageError(
-            f"is truncated, {least}{missing} bytes of its image are missing; copy it "
-            "again from where it came"
+            f"is truncated, {least}{missing} bytes are missing; copy the file again"
         )
 
 
@@ -321,8 +319,7 @@ def _stokes_i(header, axis, length):
         if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
             return round(position)
     raise headers.ContentError(
-        f"has {length} planes on axis STOKES and none of them is I; write the one "
-        "to use to a file of its own"
+        f"has {length} planes on axis STOKES and none of them is I; write one to a file"
     )
 
 

@@ -388,8 +388,7 @@ def shared_grid(grids):
     # It is NaN if a grid lies beyond the horizon of the projection.
     if not np.prod(size) * areas.min() <= 100 * covered:
         raise ValueError(
-            "the grids lie too far apart on the sky to share one; "
-            "check that all epochs show one object"
+            "the grids lie too far apart on the sky to share one; is it one object?"
         )
     shared = moved_wcs(finest, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
@@ -470,8 +469,7 @@ def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
         inside = _combine(cube, items, name, places)
     if not inside.any():
         raise ValueError(
-            f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; "
-            "check its coordinates, frame and size"
+            f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; correct it"
         )
     return inside
 
@@ -559,10 +557,7 @@ def _read(path):
     except UnicodeDecodeError:
         text = "SIMPLE  ="
     if text.startswith("SIMPLE  ="):
-        raise ValueError(
-            f"{path}: is not a text file; give a DS9 or CRTF region file (FITS regions "
-            "are in pixels of the image that they were drawn on)"
-        )
+        raise ValueError(f"{path}: is not a text file; give a DS9 or CRTF region file")
     kind = "crtf" if text.startswith("#CRTF") else "ds9"
     with warnings.catch_warnings(record=True, action="always") as caught:
         try:

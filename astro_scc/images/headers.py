@@ -219,20 +219,15 @@ def header_facts(header):
         for fact, keywords in FACTS.items()
     }
     facts["frequency"] = _axis_value(header, "FREQ") or facts["frequency"]
-    facts["filter"] = facts["filter"] or _filter_wheels(header)
+    if facts["filter"] is None:
+        # Of HST's two filter wheels, those in the light path.
+        for name in ("FILTER", "FILTNAM"):
+            wheels = (get(header, f"{name}{k}", kind=str) or "CLEAR" for k in (1, 2))
+            found = [wheel for wheel in wheels if not wheel.startswith("CLEAR")]
+            facts["filter"] = facts["filter"] or " + ".join(found) or None
     if (stokes := _axis_value(header, "STOKES")) is not None:
         facts["stokes"] = _STOKES.get(round(stokes))
     return {key: value for key, value in facts.items() if value is not None}
-
-
-def _filter_wheels(header):
-    """Return the filters in the light path of HST's two filter wheels."""
-    for keyword in ("FILTER", "FILTNAM"):
-        names = (get(header, f"{keyword}{wheel}", kind=str) or "" for wheel in (1, 2))
-        found = [name for name in names if name and not name.startswith("CLEAR")]
-        if found:
-            return " + ".join(found)
-    return None
 
 
 def axis_numbers(header, axis):
@@ -267,8 +262,7 @@ def celestial_wcs(header, fobj=None):
     kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
     if not {"longitude", "latitude"} <= set(kinds):
         raise ContentError(
-            "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays, "
-            "which takes the pixel scale"
+            "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays"
         )
     axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
     if axes[0] > axes[1]:

@@ -199,15 +199,15 @@ class ImageSeries:
     def __getitem__(self, item: Any) -> Any:
         if isinstance(item, tuple):
             raise TypeError("index epochs only, cube[i] or cube[i:j]; crop() cuts out")
-        if hasattr(item, "__index__") and np.ndim(item) == 0:
-            return self._image(epoch_index(item, len(self)))
-        keep = np.arange(len(self))[item]
-        if keep.ndim != 1 or keep.size == 0:
-            raise ValueError(f"the selection {item!r} holds none of {len(self)} epochs")
-        keep = keep[order_of(self.times[keep])]
-        return self._changed(**self._picked(keep))
-
-    def _image(self, index):
+        if not (hasattr(item, "__index__") and np.ndim(item) == 0):
+            keep = np.arange(len(self))[item]
+            if keep.ndim != 1 or keep.size == 0:
+                raise ValueError(
+                    f"the selection {item!r} holds none of {len(self)} epochs"
+                )
+            keep = keep[order_of(self.times[keep])]
+            return self._changed(**self._picked(keep))
+        index = epoch_index(item, len(self))
         own = {"unit": self.unit, "wcs": self.wcs.deepcopy()}
         if self.noise is not None:
             every = np.full(self.shape[1:], self.noise[index].value)

@@ -162,13 +162,14 @@ def test_other_programs_see_images_and_dates(tmp_path):
     with fits.open(tmp_path / "cube.fits") as hdus:
         np.testing.assert_array_equal(hdus["DATA"].data, cube.data)
         np.testing.assert_array_equal(hdus["MASK"].data, cube.mask)
-        assert hdus["DATA"].header["BUNIT"] == "Jy / beam"
-        assert hdus["DATA"].header["CTYPE1"] == "RA---SIN"
+        header = hdus["DATA"].header
+        assert (header["BUNIT"], header["CTYPE1"]) == ("Jy / beam", "RA---SIN")
         assert list(hdus["EPOCHS"].data["JD1"]) == list(cube.times.jd1)
         majors = [beam.major.value for beam in cube.beams]
         assert list(hdus["EPOCHS"].data["BMAJ"]) == majors
     # A unit that the FITS standard does not have.
-    data = np.arange(40.0).reshape(2, 4, 5)
     solar = {"pixel_scale": 1 * u.arcsec, "unit": "DN"}
-    cube = EpochCube.from_arrays(data, DATES[:2], **solar)
+    cube = EpochCube.from_arrays(np.arange(40.0).reshape(2, 4, 5), DATES[:2], **solar)
     assert EpochCube.read(write_epochs(cube, tmp_path / "e")).unit == u.DN
+    with pytest.raises(OSError, match="fits: exists; choose another folder, or overwr"):
+        write_epochs(cube, tmp_path / "e")
