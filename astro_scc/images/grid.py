@@ -387,9 +387,7 @@ def shared_grid(grids):
     covered = np.sum(areas * [ny * nx for (ny, nx), _ in grids])
     # It is NaN if a grid lies beyond the horizon of the projection.
     if not np.prod(size) * areas.min() <= 100 * covered:
-        raise ValueError(
-            "the grids lie too far apart on the sky to share one; is it one object?"
-        )
+        raise ValueError("the grids lie too far apart on the sky to share one")
     shared = moved_wcs(finest, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
@@ -469,7 +467,8 @@ def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
         inside = _combine(cube, items, name, places)
     if not inside.any():
         raise ValueError(
-            f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; correct it"
+            f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; "
+            "check its coordinates, frame and size"
         )
     return inside
 
@@ -492,6 +491,8 @@ def _combine(cube, items, name, places):
             reason = f"cannot be drawn on the image ({first_line(error)})"
             if isinstance(error, NotImplementedError):
                 reason = "has no inside"
+            elif isinstance(error, OverflowError):
+                reason = "has a size or place without end"
             elif "NaN" in reason:
                 reason = "is on another part of the sky"
             raise ValueError(
