@@ -199,10 +199,12 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
             refused(path, "broken")
 
 
-SLOW = [pytest.param(k, marks=pytest.mark.slow) for k in ("GZIP_2", "HCOMPRESS_1")]
+SLOW = [
+    pytest.param(k, marks=pytest.mark.slow) for k in ("GZIP_1", "GZIP_2", "HCOMPRESS_1")
+]
 
 
-@pytest.mark.parametrize("kind", ["GZIP_1", "RICE_1", "PLIO_1", "NOCOMPRESS", *SLOW])
+@pytest.mark.parametrize("kind", ["RICE_1", "PLIO_1", "NOCOMPRESS", *SLOW])
 def test_tile_compressed_images(make_fits, kind):
     y, x = np.mgrid[:128, :128]
     image = 1000 * np.exp(-((x - 62) ** 2 + (y - 65) ** 2) / 50)
@@ -234,7 +236,7 @@ def test_tile_compressed_images(make_fits, kind):
     assert np.array_equal(read_plane(path).data, other.data)
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2879), st.binary(min_size=1, max_size=20))
 def test_a_damaged_header_is_read_or_refused_in_one_line(make_fits, start, damage):
     path = make_fits()

@@ -59,7 +59,7 @@ def test_filling():
     assert_array_equal(fill_masked(ramp * np.nan, hole | True), 0)
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(st.integers(-9, 9), st.integers(-12, 12))
 def test_whole_pixels_are_copied(dy, dx):
     rng = np.random.default_rng(1)
