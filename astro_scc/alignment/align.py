@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,9 @@ from numpy.typing import ArrayLike
 from astro_scc.alignment.registration import core_positions, displacement
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images import grid
-from astro_scc.images.cutout import region_mask
+from astro_scc.images.grid import region_mask
 from astro_scc.images.headers import first_line
-from astro_scc.images.series import Series
-from astro_scc.images.validation import as_times, naming, numbers
+from astro_scc.images.series import Series, as_times, naming, numbers
 
 # A row of a table belongs to an epoch if their dates agree to this many days.
 TOLERANCE = 1.0
@@ -34,21 +32,6 @@ UNITS = {
     "marcsec": u.mas,
     "uarcsec": u.uas,
 }
-
-
-@dataclass(frozen=True)
-class Offsets:
-    """
-    The offset of each epoch from its aligned position, in pixels (x, y).
-
-    ``covariance`` has shape (n, 2, 2), with NaN where errors are not known,
-    and ``turned`` marks epochs whose grid differs by more than a shift.
-    """
-
-    pixels: np.ndarray
-    covariance: np.ndarray
-    what: str
-    turned: np.ndarray | bool = False
 
 
 def align(
@@ -165,22 +148,19 @@ def align(
         return cube.with_step("aligned by reference pixels (no shifts)")
     if max_shift is not None and not u.Quantity(max_shift).to_value(u.mas) > 0:
         raise ValueError(f"max_shift={max_shift} must be positive")
-    offsets = measure(cube, **{k: v for k, v in options.items() if k in known})
-    if max_shift is not None:
-        size = np.hypot(*(cube.pixel_matrix @ offsets.pixels.T))
-        worst = int(np.argmax(size))
-        if size[worst] > max_shift:
-            raise ValueError(
-                f"{cube.labels[worst]}: its shift of {size[worst].to(u.mas):.3g} "
-                f"exceeds max_shift={max_shift}; leave the epoch out or give a larger "
-                "one"
-            )
-    return _move(cube, method, offsets)
+    pixels, *rest = measure(cube, **{k: v for k, v in options.items() if k in known})
+    size = np.hypot(*(cube.pixel_matrix @ pixels.T))
+    worst = int(np.argmax(size))
+    if max_shift is not None and size[worst] > max_shift:
+        raise ValueError(
+            f"{cube.labels[worst]}: its shift of {size[worst]:.3g} exceeds "
+            f"max_shift={max_shift}; leave the epoch out or give a larger one"
+        )
+    return _move(cube, method, -pixels, *rest)
 
 
-def _move(cube, method, offsets):
-    """Return the cube with every epoch shifted by minus its offset."""
-    shifts, turned = -offsets.pixels, np.broadcast_to(offsets.turned, len(cube))
+def _move(cube, method, shifts, covariance, what, turned):
+    """Return the cube with its epochs shifted, or turned to its grid."""
     data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
     for i, shift in enumerate(shifts):
         if turned[i]:
@@ -200,13 +180,23 @@ def _move(cube, method, offsets):
         for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
     )
     whole = np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL)
-    records = _records(cube, method, offsets)
-    sky = np.array([[r["shift_east_mas"], r["shift_north_mas"]] for r in records])
+    matrix = cube.pixel_matrix.to_value(u.mas)
+    sky = (shifts @ matrix.T + 0.0).round(9)
+    errors = np.sqrt(np.einsum("ij,njk,ik->ni", matrix, covariance, matrix))
+    values = np.concatenate([sky, np.where(np.isfinite(errors), errors, None)], axis=1)
+    names = [f"shift_{axis}{err}_mas" for err in ("", "_err") for axis in AXES]
+    records = [
+        {"epoch": label, "date": date[:10], "method": method}
+        | dict(zip(names, row, strict=True))
+        for label, date, row in zip(
+            cube.labels, cube.times.isot, values.tolist(), strict=True
+        )
+    ]
     east, north = np.sqrt(np.mean(sky**2, axis=0))
     largest = int(np.argmax(np.hypot(*sky.T)))
     most_east, most_north = sky[largest]
     return cube.with_step(
-        f"aligned on {offsets.what}: shifts of {east:.3g} mas (east) and {north:.3g} "
+        f"aligned on {what}: shifts of {east:.3g} mas (east) and {north:.3g} "
         f"mas (north) rms, largest ({most_east:+.3g}, {most_north:+.3g}) mas for "
         f"{cube.labels[largest]}",
         data=data,
@@ -217,40 +207,31 @@ def _move(cube, method, offsets):
     )
 
 
-def _records(cube, method, offsets):
-    """Return the date, method and shift of each epoch, for ``meta["alignment"]``."""
-    matrix = cube.pixel_matrix.to_value(u.mas)
-    shifts = (-offsets.pixels @ matrix.T + 0.0).round(9)
-    errors = np.sqrt(np.einsum("ij,njk,ik->ni", matrix, offsets.covariance, matrix))
-    errors = np.where(np.isfinite(errors), errors, None)
-    values = np.concatenate([shifts, errors], axis=1).tolist()
-    names = [f"shift_{axis}{err}_mas" for err in ("", "_err") for axis in AXES]
-    return [
-        {"epoch": label, "date": date[:10], "method": method}
-        | dict(zip(names, row, strict=True))
-        for label, date, row in zip(cube.labels, cube.times.isot, values, strict=True)
-    ]
+# Functions that measure the offset of each epoch from its aligned position return it
+# in pixels (x, y), its covariance (NaN if it is not known), what it was measured on,
+# and whether the grid of the epoch differs by more than a shift.
 
 
 def _from_sky(cube, offsets, errors, what):
-    """Return offsets (n, 2) and errors in mas as `Offsets`."""
+    """Return what is measured from offsets (n, 2) and errors in mas."""
     inverse = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
-    variances = errors[:, :, None] ** 2 * np.eye(2)
-    return Offsets(offsets @ inverse.T, inverse @ variances @ inverse.T, what)
+    covariance = inverse @ (errors[:, :, None] ** 2 * np.eye(2)) @ inverse.T
+    return offsets @ inverse.T, covariance, what, np.zeros(len(cube), dtype=bool)
 
 
-def _by_core(cube, *, jet_pa=None, max_shift=None):
-    found = core_positions(cube, jet_pa=jet_pa, max_shift=max_shift)
-    n_blended = int(np.sum(found["blended"]))
-    if n_blended:
+def _by_core(cube, **options):
+    found = core_positions(cube, **options)
+    if n_blended := int(np.sum(found["blended"])):
         warn(
             f"the core is blended with the jet in {n_blended} of {len(cube)} epochs: "
             "its position may be wrong by some hundredths of the beam and more; if "
             "positions from model fits exist, align with a table of them",
             MeasurementWarning,
         )
-    offsets = np.stack([found[axis].value for axis in AXES], axis=1)
-    errors = np.stack([found[f"{axis}_err"].value for axis in AXES], axis=1)
+    offsets, errors = (
+        np.stack([found[f"{axis}{err}"].value for axis in AXES], axis=1)
+        for err in ("", "_err")
+    )
     return _from_sky(cube, offsets, errors, "the core")
 
 
@@ -272,7 +253,7 @@ def _by_wcs(cube):
     found = [grid.grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
     steps, pure = map(np.array, zip(*found, strict=True))
     unknown = np.full((len(cube), 2, 2), np.nan)
-    return Offsets(-steps, unknown, "absolute coordinates", ~pure)
+    return -steps, unknown, "absolute coordinates", ~pure
 
 
 def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
@@ -308,7 +289,7 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
     if cube.beams is not None:
         areas = np.array([beam.area.to_value(u.mas**2) for beam in cube.beams])
         covariance *= np.maximum(areas / scale**2 / 2, 1)[:, None, None]
-    return Offsets(pixels, covariance, name)
+    return pixels, covariance, name, np.zeros(len(cube), dtype=bool)
 
 
 def _reference_image(cube, reference):
@@ -317,7 +298,7 @@ def _reference_image(cube, reference):
         return None, "their mean"
     image = np.asarray(reference, dtype=float)
     if image.ndim == 0:
-        if reference != int(reference) or not -len(cube) <= reference < len(cube):
+        if reference not in range(-len(cube), len(cube)):
             raise ValueError(f"reference={reference} is none of {len(cube)} epochs")
         index = int(reference)
         image = np.where(cube.mask[index], np.nan, cube.data[index])
@@ -377,10 +358,6 @@ def _read_table(table):
         raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error
 
 
-def _words(name):
-    return re.split(r"[^a-z]+", name.lower())
-
-
 def _dates(table, name):
     columns = [c for c in table.colnames if c.lower() in DATES]
     if len(columns) != 1:
@@ -406,9 +383,10 @@ def _dates(table, name):
 
 
 def _axis(table, axis, name):
-    """Return the offsets along "east" or "north" in mas, and their errors."""
-    columns = [c for c in table.colnames if axis in _words(c)]
-    wrong = [c for c in columns if {"err", "error"} & set(_words(c))]
+    """Return the offsets along "east" or "north" in mas, and their errors or NaN."""
+    words = {c: re.split(r"[^a-z]+", c.lower()) for c in table.colnames}
+    columns = [c for c in words if axis in words[c]]
+    wrong = [c for c in columns if {"err", "error"} & set(words[c])]
     columns = [c for c in columns if c not in wrong]
     if len(columns) != 1:
         raise ValueError(
@@ -416,20 +394,17 @@ def _axis(table, axis, name):
             f"names, one is needed, such as 'core_mas_{axis}'; "
             f"it has {', '.join(table.colnames)}"
         )
-    errors = _angles(table, wrong[0], name) if wrong else np.full(len(table), np.nan)
-    return _angles(table, columns[0], name), errors
-
-
-def _angles(table, column, name):
-    """Return a column in mas, blanks as NaN; the unit may be part of its name."""
-    unit = getattr(table[column], "unit", None)
-    named = [UNITS[word] for word in _words(column) if word in UNITS]
-    if unit is None and len(named) != 1:
-        raise ValueError(
-            f"{name}: column {column!r} has no unit; give it one in an ECSV table "
-            f"or in its name, as in {column + '_mas'!r}"
-        )
-    return numbers(table[column], u.mas, name, own_unit=unit or named[0])
+    found = []
+    for column in columns + wrong[:1]:
+        units = [UNITS[word] for word in words[column] if word in UNITS]
+        unit = getattr(table[column], "unit", None)
+        if unit is None and len(units) != 1:
+            raise ValueError(
+                f"{name}: column {column!r} has no unit; give it one in an ECSV table "
+                f"or in its name, as in {column + '_mas'!r}"
+            )
+        found.append(numbers(table[column], u.mas, name, own_unit=unit or units[0]))
+    return found if wrong else [*found, np.full(len(table), np.nan)]
 
 
 # Name -> the function that measures the offsets, and its options.

@@ -374,17 +374,15 @@ def misalignment(cube: ImageSeries) -> float | None:
             for k, shift in shifts.items()
             if shift is not None
         ]
-        if 2 * len(squares) <= len(shifts):
-            return None
-        return float(np.sqrt(np.mean(squares)) / width)
+        enough = 2 * len(squares) > len(shifts)
+        return float(np.sqrt(np.mean(squares)) / width) if enough else None
 
-    def measured(epochs, positions=None):
-        options = {"width": width, "positions": positions}
-        shifts = {k: _shift(cube, k, weights[k], noise[k], **options) for k in epochs}
-        return scatter(shifts)
+    def measured(epochs, at=None):
+        return scatter(
+            {k: _shift(cube, k, weights[k], noise[k], width, at) for k in epochs}
+        )
 
-    found = measured(_spread(middle, ENOUGH))
-    if found is not None:
+    if (found := measured(_spread(middle, ENOUGH))) is not None:
         return found
     some = _spread(middle, CORES)
     every = np.unique([some - 1, some, some + 1])
@@ -407,7 +405,7 @@ def _spread(values, most):
     return values[np.unique(places)]
 
 
-def _shift(cube, k, weights, noise, *, width, positions):
+def _shift(cube, k, weights, noise, width, positions):
     """Return the shift of an epoch from its neighbours in mas, None if unknown."""
     matrix = cube.pixel_matrix.to_value(u.mas)
     three = slice(k - 1, k + 2)

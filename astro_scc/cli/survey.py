@@ -28,7 +28,7 @@ from astro_scc.cli.inputs import read_epochs, read_table, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.columns import round_to_errors, table_lines
-from astro_scc.images.cutout import refuse_pixels
+from astro_scc.images.grid import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
 from astro_scc.matching import select_ssps
 from astro_scc.measurement import component_table, false_discovery_rate

@@ -17,7 +17,7 @@ from astro_scc.components.tables import FORMATS, UNITS, read_fields, source_name
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import Beam
 from astro_scc.images.fits import find_files
-from astro_scc.images.validation import as_beams, as_epoch_tuple, naming
+from astro_scc.images.series import as_beams, as_epoch_tuple, naming
 from astro_scc.quantities import check_choice, named
 
 COLUMNS = (*UNITS, "feature", "excluded")

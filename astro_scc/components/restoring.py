@@ -15,8 +15,7 @@ from astro_scc.exceptions import warn
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.images.headers import FACTS
 from astro_scc.images.positions import pixel_side
-from astro_scc.images.series import ImageSeries, Series
-from astro_scc.images.validation import as_beams, as_noise
+from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise
 from astro_scc.quantities import random_generator
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.

@@ -17,7 +17,7 @@ from astropy.time import Time
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.fits import CUBE_CREATOR, is_visibilities, open_fits
 from astro_scc.images.headers import first_line, get, read_header, some
-from astro_scc.images.validation import as_times, naming, numbers
+from astro_scc.images.series import as_times, naming, numbers
 from astro_scc.quantities import parse_date
 
 CORE = 0  # feature number of the core

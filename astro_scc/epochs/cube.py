@@ -20,15 +20,12 @@ from astro_scc.alignment.align import align
 from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
 from astro_scc.components.tables import kind_of
-from astro_scc.epochs import ndcubes, reading
-from astro_scc.epochs.serialize import read_object, write_cube
-from astro_scc.images.beam import Beam, beam_columns
-from astro_scc.images.cutout import crop, region_mask
+from astro_scc.epochs import reading, serialize
+from astro_scc.images.beam import Beam, beam_columns, common_beam
 from astro_scc.images.fits import CUBE_CREATOR, find_files
-from astro_scc.images.grid import common_beam, reproject_cube
+from astro_scc.images.grid import crop, region_mask, reproject_cube
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries
-from astro_scc.images.validation import date_labels
+from astro_scc.images.series import ImageSeries, date_labels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -151,7 +148,7 @@ class EpochCube(ImageSeries):
             if any(value is not None for value in (times, beams, hdu)):
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
             lazy = region is not None
-            cube = read_object(first, creator=CUBE_CREATOR, lazy=lazy)
+            cube = serialize.read_object(first, creator=CUBE_CREATOR, lazy=lazy)
         elif kind == "components":
             cube = restore_files(cls, files, times=times, beams=beams)
         else:
@@ -214,14 +211,14 @@ class EpochCube(ImageSeries):
         """
         if isinstance(ndcube.data, list | tuple):
             return cls.from_ccddata(ndcube.data, times=times, beams=beams)
-        planes, meta = ndcubes.planes_of(ndcube, times, beams)
+        planes, meta = serialize.planes_of(ndcube, times, beams)
         fields = reading.read_images(planes, times, beams, "offset", check=False)
         return cls._of(**fields | {"epoch_wcs": None, "meta": meta})
 
     # Functions of other modules that take a cube are its methods.
     from_components = classmethod(restore)
-    to_ndcube = ndcubes.to_ndcube
-    write = write_cube
+    to_ndcube = serialize.to_ndcube
+    write = serialize.write_cube
     to_common_beam = common_beam
     align = align
     misalignment = cached_property(misalignment)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -20,8 +21,7 @@ from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images.beam import Beam
 from astro_scc.images.fits import find_files, looks_like_mask, read_plane
 from astro_scc.images.positions import readable_angle, resolution
-from astro_scc.images.series import ImageSeries
-from astro_scc.images.validation import as_beams, as_times, order_of
+from astro_scc.images.series import ImageSeries, as_beams, as_times, order_of
 from astro_scc.units import speed_unit
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
@@ -88,13 +88,26 @@ def inspect_epochs(
     found = [_inspect(path, hdu) for path in find_files(paths, missing_ok=True)]
     found.sort(key=lambda pair: (pair[0]["date"] is None, pair[0]["date"] or 0))
     read = [(row, plane) for row, plane in found if plane is not None]
-    unit = read[0][1].unit if read else u.dimensionless_unscaled
+    planes = [plane for _, plane in read]
+    unit = planes[0].unit if read else u.dimensionless_unscaled
+    some_have_beams = any(plane.beam is not None for plane in planes)
+    grids = [
+        f"{row['nx']} x {row['ny']} of {readable_angle(row['pixel'] * u.mas)}"
+        for row, _ in read
+    ]
+    usual = max(grids, key=grids.count, default=None)
     for row, plane in read:
         known = unit.is_equivalent(plane.unit)
         for name in ("peak", "noise"):
             row[name] *= plane.unit.to(unit) if known else np.nan
     if read:
-        _compare(read)
+        for one in problems(planes, np.array([row["peak"] for row, _ in read])):
+            read[one.index][0]["problem"].append(one.what)
+    for (row, plane), grid in zip(read, grids, strict=True):
+        if some_have_beams and plane.beam is None:
+            row["problem"].append("no beam where others have one")
+        if grid != usual:
+            row["problem"].append(f"on another grid than most ({usual}), resampled")
     columns = {name: [row[name] for row, _ in found] for name in found[0][0]}
     for name, own in COLUMNS.items():
         columns[name] = u.Quantity(columns[name], own or unit)
@@ -136,24 +149,8 @@ def _inspect(path, hdu):
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
-    plane.data = plane.mask = plane.uncertainty = plane.header = None
+    plane.data = plane.mask = plane.uncertainty = None
     return row, plane
-
-
-def _compare(read):
-    """Add the problems that show in a comparison of the files."""
-    rows, planes = zip(*read, strict=True)
-    for found in problems(planes, np.array([row["peak"] for row in rows])):
-        rows[found.index]["problem"].append(found.what)
-    some_have_beams = any(plane.beam is not None for plane in planes)
-    grids = [(r["nx"], r["ny"], readable_angle(r["pixel"] * u.mas)) for r in rows]
-    usual = max(grids, key=grids.count)
-    for row, plane, grid in zip(rows, planes, grids, strict=True):
-        if some_have_beams and plane.beam is None:
-            row["problem"].append("no beam where others have one")
-        if grid != usual:
-            grid = "{} x {} of {}".format(*usual)
-            row["problem"].append(f"on another grid than most ({grid}), resampled")
 
 
 @dataclass(frozen=True)
@@ -281,14 +278,21 @@ def plan_intervals(
     days = np.unique(np.atleast_1d((times - np.atleast_1d(times)[0]).jd))
     if days.size < 2:
         raise ValueError("velocities need at least two epochs of different date")
-    resolution = _resolution(cube, beam)
+    if beam is None and isinstance(cube, Time):
+        raise ValueError("dates alone need a beam, or the resolution as an angle")
+    width = beam
+    if beam is None:
+        width = resolution(cube)
+    elif hasattr(beam, "major") or not isinstance(beam, u.Quantity):
+        beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
+        width = resolution(SimpleNamespace(beams=beams))
     if extent is None and not isinstance(cube, Time):
         sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
         extent = sides.min()
     gaps = np.diff(days) * u.day
     median = np.median(gaps)
     span = (days[-1] - days[0]) * u.day
-    speed = speed_unit(span, resolution, median)
+    speed = speed_unit(span, width, median)
     time = speed.bases[1]
     return IntervalPlan(
         n_epochs=int(np.size(times)),
@@ -296,28 +300,14 @@ def plan_intervals(
         shortest=gaps.min().to(time),
         median=median.to(time),
         longest=gaps.max().to(time),
-        resolution=resolution.to(u.mas),
-        slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * resolution).to(
-            speed
-        ),
+        resolution=width.to(u.mas),
+        slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * width).to(speed),
         fastest=None if extent is None else (extent / (2 * median)).to(speed),
-        consecutive=(np.array(GOOD_SHIFTS) * resolution / median).to(speed),
+        consecutive=(np.array(GOOD_SHIFTS) * width / median).to(speed),
     )
 
 
-def _resolution(cube, beam):
-    if beam is None and isinstance(cube, Time):
-        raise ValueError("dates alone need a beam, or the resolution as an angle")
-    if isinstance(beam, u.Quantity) and not hasattr(beam, "major"):
-        return beam
-    if beam is not None:
-        n = 1 if hasattr(beam, "major") else len(beam)
-        cube = SimpleNamespace(beams=as_beams(beam, n))
-    return resolution(cube)
-
-
-@dataclass(frozen=True)
-class Problem:
+class Problem(NamedTuple):
     """What is odd about the image of an index, and what to do with it."""
 
     index: int
@@ -335,14 +325,33 @@ def problems(planes, peaks, check=True):
     brightness out of scale need only a warning; ``peaks`` are the largest values.
     Without ``check``, only units are refused, and dates are warned of.
     """
-    found = [*_strangers(planes), *_mirrored(planes)] if check else []
     # What is of another object may be of the same date.
-    found += [*_same_dates(planes, check), *_wrong_dates(planes)]
-    found += _out_of_scale(peaks) if check else ()
-    first = planes[0].unit
+    found = [*(_strangers(planes) if check else ()), *_same_dates(planes, check)]
+    east = [np.linalg.det(plane.wcs.pixel_scale_matrix) > 0 for plane in planes]
+    bright = peaks[np.isfinite(peaks) & (peaks > 0)]
+    # Of two, either may be the odd one.
+    usual = np.median(bright) if len(bright) > 2 else np.nan
+    now, unit = Time.now().jyear, planes[0].unit
     for i, plane in enumerate(planes):
-        if not plane.unit.is_equivalent(first):
-            own, other = (unit.to_string() or "none" for unit in (plane.unit, first))
+        odd = []
+        # ERFA warns of years whose leap seconds are unknown.
+        with warnings.catch_warnings(action="ignore"):
+            year = now if plane.time is None else plane.time.jyear
+            if not FIRST_IMAGES < year < now + 1 / 365:
+                date = plane.time.to_value("iso", subfmt="date")
+                what = f"is of {date}, when no image can have been taken"
+                odd.append((what, "correct its date, or leave it out"))
+        if check and east[i] != (2 * sum(east) > len(east)):
+            what = f"east is to the {'right' if east[i] else 'left'}, unlike in most"
+            odd.append((what, "correct the sign of CDELT1 unless it is a mirror image"))
+        ratio = float(peaks[i] / usual)
+        if check and np.isfinite(peaks[i]) and ratio > 0:
+            if max(ratio, 1 / ratio) > OTHER_SCALE:
+                what = f"its peak is {ratio:.2g} times that of most images"
+                odd.append((what, "correct its unit or scale"))
+        found += [Problem(i, *words, refused=False) for words in odd]
+        if not plane.unit.is_equivalent(unit):
+            own, other = (one.to_string() or "none" for one in (plane.unit, unit))
             what = f"its unit is {own}, that of others is {other}"
             found.append(Problem(i, what, "leave one out"))
     return sorted(found, key=lambda problem: problem.index)
@@ -355,8 +364,7 @@ def _same_dates(planes, check):
         return
     times = as_times([planes[i].time for i in dated], len(dated))
     order = order_of(times)
-    gaps = np.diff((times - times[0]).sec[order])
-    for k in np.flatnonzero(gaps < 1):
+    for k in np.flatnonzero(np.diff((times - times[0]).sec[order]) < 1):
         one, other = (dated[order[n]] for n in (k, k + 1))
         date = times[order[k]].to_value("iso", subfmt="date")
         what = f"is of {date}, as is {Path(planes[one].name).name}"
@@ -365,41 +373,6 @@ def _same_dates(planes, check):
             "noise, and would pass for structure (in Python, check=False reads both)"
         )
         yield Problem(other, what, advice, refused=check)
-
-
-def _wrong_dates(planes):
-    """Yield images of dates at which none was taken."""
-    now = Time.now().jyear
-    for i, plane in enumerate(planes):
-        # ERFA warns of years whose leap seconds are unknown.
-        with warnings.catch_warnings(action="ignore"):
-            if plane.time is None or FIRST_IMAGES < plane.time.jyear < now + 1 / 365:
-                continue
-            date = plane.time.to_value("iso", subfmt="date")
-        what = f"is of {date}, when no image can have been taken"
-        yield Problem(i, what, "correct its date, or leave it out", refused=False)
-
-
-def _mirrored(planes):
-    """Yield images with east on the other side than most."""
-    east = [np.linalg.det(plane.wcs.pixel_scale_matrix) > 0 for plane in planes]
-    usual = 2 * sum(east) > len(east)
-    for i, right in enumerate(east):
-        if right != usual:
-            what = f"east is to the {'right' if right else 'left'}, unlike in most"
-            advice = "correct the sign of CDELT1 unless it is a mirror image"
-            yield Problem(i, what, advice, refused=False)
-
-
-def _out_of_scale(peaks):
-    """Yield images whose largest values are far from those of most."""
-    bright = np.flatnonzero(np.isfinite(peaks) & (peaks > 0))
-    # Of two, either may be the odd one.
-    for i in bright if len(bright) > 2 else ():
-        ratio = float(peaks[i] / np.median(peaks[bright]))
-        if max(ratio, 1 / ratio) > OTHER_SCALE:
-            what = f"its peak is {ratio:.2g} times that of most images"
-            yield Problem(int(i), what, "correct its unit or scale", refused=False)
 
 
 def _strangers(planes):

@@ -1,22 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Assembly of single images, from files or memory, into the fields of a cube."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
+from astropy.io.fits import HDUList
 from astropy.nddata import NDData
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
-from astro_scc.epochs import ndcubes
 from astro_scc.epochs.inspection import UNCHECKED, problems, separation
+from astro_scc.epochs.serialize import planes_of
 from astro_scc.exceptions import warn
-from astro_scc.images import fits, validation
+from astro_scc.images import fits, grid, series
 from astro_scc.images.beam import different_beam
-from astro_scc.images.cutout import box, crop_line
-from astro_scc.images.grid import ONE_SHIFT, grid_step, pixel_area, regrid, shared_grid
-from astro_scc.images.headers import get, read_header, some
+from astro_scc.images.headers import as_celestial, get, read_header, some
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
@@ -44,24 +44,23 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
     windows = [None] * len(files)
     if region is not None:
         planes = [fits.read_plane(path, hdu=hdu, pixels=False) for path in files]
-        dates = validation.as_times(list(map(_observed, planes, given[0])), len(files))
+        dates = series.as_times(list(map(_observed, planes, given[0])), len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
 
-    def planes_of():
+    def read():
         for path, name, window in zip(files, names, windows, strict=True):
             plane = fits.read_plane(path, hdu=hdu, window=window)
+            plane.label, (ny, nx) = name, plane.data.shape
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
                 raise ValueError(
                     f"{path}: has no more than two different values{where}, it seems "
                     f"to be a mask; {UNCHECKED}"
                 )
-            plane.label = name
             # Before the machine is blocked by more than its memory holds.
-            need = len(files) * plane.data.size * BYTES
+            need = len(files) * ny * nx * BYTES
             if need > (have := machine_memory()):
-                ny, nx = plane.data.shape
                 raise MemoryError(
                     f"{len(files)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
                     f"GB, this machine has {have / 1e9:.3g}; read a region of them "
@@ -69,9 +68,9 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
                 )
             yield plane
 
-    fields = _assemble(planes_of(), *given, frame, check, f"{len(files)} FITS images")
+    fields = _assemble(read(), *given, frame, check, f"{len(files)} FITS images")
     if region is not None:
-        fields["meta"]["history"].append(crop_line(part))
+        fields["meta"]["history"].append(grid.crop_line(part))
     return fields
 
 
@@ -84,27 +83,25 @@ def read_images(images, times, beams, frame, *, check):
 
 def _plane_of(i, image, time, beam):
     """Return an image in memory as `Plane`."""
-    name = f"image {i}"
     if isinstance(image, fits.Plane):
         return image
-    if hasattr(image, "extra_coords"):
-        (plane, *others), _ = ndcubes.planes_of(image, time, beam)
-        if others:
-            raise ValueError(
-                f"{name}: is an NDCube of {len(others) + 1} epochs; give it alone to "
-                "EpochCube.from_ndcube"
-            )
-        plane.name = name
-    elif isinstance(image, NDData):
-        with validation.naming(name):
+    name = f"image {i}"
+    with series.naming(name):
+        if hasattr(image, "extra_coords"):
+            (plane, *others), _ = planes_of(image, time, beam)
+            if others:
+                raise ValueError(
+                    f"is an NDCube of {1 + len(others)} epochs; give it to from_ndcube"
+                )
+            plane.name = name
+        elif isinstance(image, NDData):
             plane = _plane_of_nddata(image, name)
-    elif getattr(getattr(image, "hdu", None), "is_image", False):
-        plane = fits.plane_of_hdu(image.hdu, name)
-    else:
-        raise TypeError(
-            f"{name}: is a {type(image).__name__}; give NDData, such as CCDData, "
-            "or images of spectral-cube"
-        )
+        elif getattr(getattr(image, "hdu", None), "is_image", False):
+            plane = fits.plane_of(HDUList([image.hdu]), None, Path(name))
+        else:
+            raise TypeError(
+                f"is a {type(image).__name__}; give NDData, such as CCDData"
+            )
     if plane.beam is beam is None and getattr(image, "psf", None) is not None:
         warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
@@ -112,7 +109,7 @@ def _plane_of(i, image, time, beam):
 
 
 def _plane_of_nddata(image, name):
-    data = validation.as_numbers(np.ma.getdata(image.data))
+    data = series.as_numbers(np.ma.getdata(image.data))
     mask = ~np.isfinite(data)
     if image.mask is not None:
         mask |= np.asarray(image.mask, dtype=bool)
@@ -122,17 +119,10 @@ def _plane_of_nddata(image, name):
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
-    shape = data.shape[-2:]
-    return fits.Plane(
-        name=name,
-        wcs=validation.as_celestial(image.wcs),
-        shape=shape,
-        data=data.reshape(shape),
-        mask=mask.reshape(shape),
-        unit=image.unit or u.dimensionless_unscaled,
-        uncertainty=image.uncertainty,
-        **read_header(image.meta),
-    )
+    own, shape = read_header(image.meta), data.shape[-2:]
+    own |= {"data": data.reshape(shape), "mask": mask.reshape(shape), "shape": shape}
+    own |= {"unit": image.unit or u.one, "uncertainty": image.uncertainty}
+    return fits.Plane(name=name, wcs=as_celestial(image.wcs), **own)
 
 
 def _given(times, beams, n, frame):
@@ -142,10 +132,10 @@ def _given(times, beams, n, frame):
         raise ValueError("a cube needs at least one image")
     if isinstance(times, str) or not np.iterable(times):
         times = [None] * n if times is None else [times]
-    times = [t if t is None else validation.as_times(t, 1)[0] for t in times]
+    times = [t if t is None else series.as_times(t, 1)[0] for t in times]
     if len(times) != n:
         raise ValueError(f"{n} images need {n} times, got {len(times)}")
-    return times, validation.as_beams(beams, n) or [None] * n
+    return times, series.as_beams(beams, n) or [None] * n
 
 
 def _observed(plane, time):
@@ -164,7 +154,7 @@ def _completed(planes, times, beams):
     every, remarks = [], {}
     for plane, time, beam in zip(planes, times, beams, strict=True):
         plane.time = _observed(plane, time)
-        own = plane.beam
+        own, notes = plane.beam, []
         if beam is not None:
             if beam.major.to_value(u.deg) > plane.extent:
                 raise ValueError(
@@ -172,14 +162,13 @@ def _completed(planes, times, beams):
                     "image; give another"
                 )
             plane.beam, plane.beam_problem = beam, ""
-        notes = plane.notes
-        if beam is not None and own is not None and different_beam((beam, own)):
-            notes.append(f"the beam that is given, {beam}, replaces that of the header")
-        for note in notes:
+            if own is not None and different_beam((beam, own)):
+                notes = [f"the beam that is given, {beam}, replaces that of the header"]
+        for note in plane.notes + notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
         if plane.uncertainty is not None:
-            with validation.naming(plane.name):
-                plane.noise, bad, plane.even = validation.uncertainty_noise(
+            with series.naming(plane.name):
+                plane.noise, bad, plane.even = fits.uncertainty_noise(
                     plane.uncertainty, plane.unit, plane.mask
                 )
             plane.mask |= bad
@@ -187,22 +176,21 @@ def _completed(planes, times, beams):
         every.append(plane)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
-    times = validation.as_times([plane.time for plane in every], len(every))
-    order = validation.order_of(times)
+    times = series.as_times([plane.time for plane in every], len(every))
+    order = series.order_of(times)
     return [every[i] for i in order], times[order]
 
 
 def _refuse_strangers(planes, frame, check):
     """Refuse images that do not belong together, or warn of them."""
-    first = planes[0]
-    peaks = [np.max(p.data, where=~p.mask, initial=-np.inf) for p in planes]
-    peaks = [
-        peak * plane.unit.to(first.unit) if plane.unit.is_equivalent(first.unit) else 0
-        for peak, plane in zip(peaks, planes, strict=True)
-    ]
-    for problem in problems(planes, np.array(peaks), check):
-        text = f"{planes[problem.index].name}: {problem.what}; {problem.advice}"
-        if problem.refused:
+    first, peaks = planes[0], np.zeros(len(planes))
+    for i, plane in enumerate(planes):
+        if plane.unit.is_equivalent(first.unit):
+            peak = np.max(plane.data, where=~plane.mask, initial=-np.inf)
+            peaks[i] = peak * plane.unit.to(first.unit)
+    for i, what, advice, refused in problems(planes, peaks, check):
+        text = f"{planes[i].name}: {what}; {advice}"
+        if refused:
             raise ValueError(text)
         warn(text)
     distance = [separation(plane.wcs, first.wcs) for plane in planes]
@@ -244,21 +232,19 @@ def _assemble(planes, times, beams, frame, check, source):
     noise = None if resampled else _all_or_none(planes, "noise", advice)
     uneven = [plane.name for plane in planes if not plane.even]
     if uneven and noise:
-        warn(f"{some(uneven)}: {validation.UNEVEN}")
+        warn(
+            f"{some(uneven)}: its uncertainty differs from pixel to pixel, and the "
+            "median is taken for the noise; leave it out to have the noise measured"
+        )
     labels = tuple(plane.label for plane in planes)
+    labels = labels if all(labels) else series.date_labels(times)
     names = {plane.facts.get("object") for plane in planes} - {None}
     meta = {"object": names.pop()} if len(names) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
-    return {
-        **fields,
-        "times": times,
-        "unit": unit,
-        "beams": beams and tuple(beams),
-        "noise": noise and u.Quantity(noise),
-        "labels": labels if all(labels) else validation.date_labels(times),
-        "epoch_meta": tuple(plane.facts for plane in planes),
-        "meta": {**meta, "history": [f"{source}, aligned on their {laid}"]},
-    }
+    meta["history"] = [f"{source}, aligned on their {laid}"]
+    fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
+    fields |= {"beams": beams and tuple(beams), "noise": noise and u.Quantity(noise)}
+    return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
 
 
 def _all_or_none(planes, what, advice, refused=False):
@@ -285,18 +271,15 @@ def windows_of(planes, first, frame, region, pad=0):
     a pixel in the region raises a ValueError.
     """
     own, *frames = [_in_frame(plane.wcs, frame) for plane in (first, *planes)]
-    found = [grid_step(own, wcs, first.shape) for wcs in frames]
-    shifts = [
-        np.rint(step)
-        if pure and np.all(np.abs(step - np.rint(step)) < ONE_SHIFT)
-        else None
-        for step, pure in found
-    ]
+    shifts, windows = [], []
+    for step, pure in (grid.grid_step(own, wcs, first.shape) for wcs in frames):
+        whole = pure and np.all(np.abs(step - np.rint(step)) < grid.ONE_SHIFT)
+        shifts.append(np.rint(step) if whole else None)
     cube = SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs)
-    window, windows = box(cube, region, pad), []
+    window = grid.box(cube, region, pad)
     if any(shift is None for shift in shifts):
         # Interpolation is worst at the edges.
-        window = box(cube, region, pad + MARGIN)
+        window = grid.box(cube, region, pad + MARGIN)
     (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
     corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
     for plane, wcs, shift in zip(planes, frames, shifts, strict=True):
@@ -308,8 +291,7 @@ def windows_of(planes, first, frame, region, pad=0):
         size = np.array(plane.shape[::-1])
         if not (np.all(low < size) and np.all(high >= 0)):
             raise ValueError(
-                f"{plane.name}: nothing of the region lies in it; leave it out, or "
-                "read all of the images"
+                f"{plane.name}: nothing of the region lies in it; leave it out"
             )
         start = np.maximum(low, 0).astype(int)
         stop = np.minimum(high, size - 1).astype(int) + 1
@@ -341,32 +323,10 @@ def lay_on_one_grid(planes, frame, unit):
         Names of the images that were interpolated.
     """
     frames, resampled = [_in_frame(plane.wcs, frame) for plane in planes], []
-    grid, shape = _shared_grid(planes, frames)
-    own = [grid] * len(planes)
-    if frame == "offset":
-        names = ("crval", "radesys", "equinox", "lonpole", "latpole")
-        inner = [plane.wcs.wcs for plane in planes]
-        own = [_with(grid, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
-    data = np.empty((len(planes), *shape))
-    mask = np.empty(data.shape, dtype=bool)
-    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
-        one = slice(i, i + 1)
-        grids = {"wcs": wcs, "grid": grid, "shape": shape, "near": ONE_SHIFT}
-        data[one], mask[one], copied = regrid(
-            plane.data[None], plane.mask[None], unit=unit, **grids
-        )
-        resampled += [] if copied else [plane.name]
-        plane.data = plane.mask = None
-    fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
-    return fields, resampled
-
-
-def _shared_grid(planes, frames):
-    """Return a grid for all, and its shape, or refuse an image that does not suit."""
-    sizes = [pixel_area(plane.wcs) ** 0.5 for plane in planes]
+    sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
-    for plane, size, grid in zip(planes, sizes, grids, strict=True):
+    for plane, size, one in zip(planes, sizes, grids, strict=True):
         # The finest grid would be huge otherwise.
         if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
             raise ValueError(
@@ -374,28 +334,44 @@ def _shared_grid(planes, frames):
                 f"others are {readable_angle(usual * u.deg)}; leave it out"
             )
         try:
-            shared_grid([grids[0], grid])
+            grid.shared_grid([grids[0], one])
         except ValueError:
             raise ValueError(
                 f"{plane.name}: lies too far from {planes[0].name} to share a grid "
                 "with it, by its coordinates; leave one of them out"
             ) from None
-    return shared_grid(grids)
+    new, shape = grid.shared_grid(grids)
+    own = [new] * len(planes)
+    if frame == "offset":
+        names = ("crval", "radesys", "equinox", "lonpole", "latpole")
+        inner = [plane.wcs.wcs for plane in planes]
+        own = [_with(new, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
+    data = np.empty((len(planes), *shape))
+    mask = np.empty(data.shape, dtype=bool)
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        one = slice(i, i + 1)
+        options = {"shape": shape, "unit": unit, "near": grid.ONE_SHIFT}
+        data[one], mask[one], copied = grid.regrid(
+            plane.data[None], plane.mask[None], wcs, new, **options
+        )
+        resampled += [] if copied else [plane.name]
+        plane.data = plane.mask = None
+    fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
+    return fields, resampled
 
 
 def _in_frame(wcs, frame):
     """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
     if frame == "absolute":
         return wcs
-    axes = "RA---", "DEC--"
-    return _with(wcs, axes, crval=(0, 0), radesys="ICRS", equinox=np.nan)
+    return _with(wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan)
 
 
 def _with(wcs, axes, **values):
     """Return a copy of a WCS with other axis names and frame values."""
     changed = wcs.deepcopy()
     codes = zip(axes, wcs.wcs.ctype, strict=True)
-    changed.wcs.ctype = [name[:5] + code[5:] for name, code in codes]
+    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
     for name, value in values.items():
         setattr(changed.wcs, name, value)
     changed.wcs.set()

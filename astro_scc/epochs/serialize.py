@@ -1,27 +1,37 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Writing a cube or any result to one FITS file, or a cube to an image per epoch."""
+"""Forms of a cube: one FITS file, an image per epoch, an NDCube; files of results."""
 
 from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
 from astropy.io.misc import yaml
+from astropy.nddata import StdDevUncertainty
 from astropy.table import Table
+from astropy.time import Time
 from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
+from astro_scc.images import headers
 from astro_scc.images.beam import beam_columns
-from astro_scc.images.fits import CUBE_CREATOR, open_fits
+from astro_scc.images.fits import CUBE_CREATOR, Plane, open_fits
 from astro_scc.images.headers import BEAM, epoch_header, first_line
-from astro_scc.images.series import ImageSeries
+from astro_scc.images.series import ImageSeries, as_numbers
 from astro_scc.writing import replace_when_complete
+
+if TYPE_CHECKING:
+    from ndcube import NDCube
+
+__doctest_requires__ = {("to_ndcube",): ["ndcube"]}
 
 #: Headers of a WCS with all digits of its numbers.
 EXACT = WCSHDO_all | WCSHDO_P17
@@ -35,6 +45,10 @@ FITS_TYPES = "u1", "i2", "i4", "i8", "f4", "f8"
 CLASS = "!class"
 #: Start of the modules whose dataclasses may be written and read.
 PACKAGE = "astro_scc."
+#: Name of the axis of an NDCube that counts the epochs.
+AXIS = "EPOCH"
+#: Fields of each epoch that `to_ndcube` keeps.
+KEPT = ("labels", "beams", "epoch_meta")
 
 
 def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) -> None:
@@ -79,11 +93,10 @@ def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) 
         table[name] = column
     if cube.noise is not None:
         table["NOISE"] = cube.noise.value
-    header = cube.wcs.to_header(relax=True)
-    header["BUNIT"] = cube.unit.to_string()
-    images = {"data": header, "mask": cube.wcs.to_header(relax=True)}
+    images = {name: cube.wcs.to_header(relax=True) for name in ("data", "mask")}
+    images["data"]["BUNIT"] = cube.unit.to_string()
     options = {"creator": CUBE_CREATOR, "overwrite": overwrite}
-    write_object(cube, path, headers=images, tables={"EPOCHS": table}, **options)
+    write_object(cube, path, images=images, tables={"EPOCHS": table}, **options)
 
 
 def without_dates(header):
@@ -93,7 +106,7 @@ def without_dates(header):
     return header
 
 
-def write_object(value, path, *, creator, overwrite=False, headers=None, tables=None):
+def write_object(value, path, *, creator, overwrite=False, images=None, tables=None):
     """
     Write a dataclass, or a dictionary, and all that it holds to one FITS file.
 
@@ -106,7 +119,7 @@ def write_object(value, path, *, creator, overwrite=False, headers=None, tables=
     creator : str
         What the file is, which `read_object` checks.
     overwrite : bool, optional
-    headers : dict of `~astropy.io.fits.Header`, optional
+    images : dict of `~astropy.io.fits.Header`, optional
         Headers of the arrays in the attributes of these names.
     tables : dict of `~astropy.table.Table`, optional
         Tables for other readers, which `read_object` does not read.
@@ -132,7 +145,7 @@ def write_object(value, path, *, creator, overwrite=False, headers=None, tables=
     for name, array in arrays:
         own = np.ascontiguousarray(array)
         own = own if own.dtype.str[1:] in FITS_TYPES else own.view(np.uint8)
-        hdus.append(fits.ImageHDU(own, (headers or {}).get(name), name=name))
+        hdus.append(fits.ImageHDU(own, (images or {}).get(name), name=name))
     for name, table in (tables or {}).items():
         hdus.append(fits.BinTableHDU(table, name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:
@@ -253,28 +266,23 @@ class _Loader(yaml.AstropyLoader):
             made = made if self.lazy else made.astype(packed["dtype"])
             made = made.reshape(packed["shape"])
         elif name is not None:
+            module, _, name = name.rpartition(".")
+            own = None
+            if module.startswith(PACKAGE):
+                with suppress(ImportError):
+                    own = getattr(import_module(module), name, None)
+            if not is_dataclass(own) or {f.name for f in fields(own)} != packed.keys():
+                raise _VersionError(
+                    f"its {name} is of another version of astro_scc; read it with the "
+                    "version that wrote it"
+                )
             # Checks and conversions were made when it was first made.
-            made = object.__new__(_class_of(name, packed.keys()))
+            made = object.__new__(own)
             vars(made).update(packed)
         return packed if name is None else made
 
 
 _Loader.add_constructor("tag:yaml.org,2002:map", _Loader.make)
-
-
-def _class_of(name, keys):
-    """Return a dataclass of this package that has these fields."""
-    module, _, name = name.rpartition(".")
-    own = None
-    if module.startswith(PACKAGE):
-        with suppress(ImportError):
-            own = getattr(import_module(module), name, None)
-    if not is_dataclass(own) or {f.name for f in fields(own)} != keys:
-        raise _VersionError(
-            f"its {name} is of another version of astro_scc; read it with the "
-            "version that wrote it"
-        )
-    return own
 
 
 def write_epochs(
@@ -333,7 +341,18 @@ def write_epochs(
     if existing and not overwrite:
         raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")
     directory.mkdir(parents=True, exist_ok=True)
-    own = _common_header(cube)
+    # The dates of wcslib would be those of the first epoch.
+    own = without_dates(cube.wcs.to_header())
+    if cube.unit == u.Jy / u.beam:
+        own["BUNIT"] = "JY/BEAM"
+    elif cube.unit != u.dimensionless_unscaled:
+        try:
+            own["BUNIT"] = cube.unit.to_string("fits")
+        except ValueError:
+            # The standard does not have DN, which solar images are in.
+            own["BUNIT"] = cube.unit.to_string()
+    for line in cube.meta.get("history", ()):
+        own.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
         image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
         header = fits.Header([*epoch_header(cube, i).cards, *own.cards])
@@ -343,18 +362,139 @@ def write_epochs(
     return paths
 
 
-def _common_header(cube):
-    """Return the header that all images of a cube share."""
-    # The dates of wcslib would be those of the first epoch.
-    header = without_dates(cube.wcs.to_header())
-    if cube.unit == u.Jy / u.beam:
-        header["BUNIT"] = "JY/BEAM"
-    elif cube.unit != u.dimensionless_unscaled:
+def to_ndcube(cube: ImageSeries) -> NDCube:
+    """
+    Return a cube as NDCube of (epoch, latitude, longitude).
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    `ndcube.NDCube`
+        The third axis of its WCS is the index of the epoch, and the dates are
+        the extra coordinate ``time``.  The noise is its uncertainty; its meta
+        has the labels, beams and facts of all epochs, in which `from_ndcube`
+        finds those of an epoch by its index.
+
+    Raises
+    ------
+    ImportError
+        If ndcube is not installed.
+
+    Examples
+    --------
+    >>> from astro_scc.simulation import simulate_static
+    >>> simulate_static(n_epochs=2, rng=1).cube.to_ndcube().shape
+    (2, 128, 256)
+    """
+    try:
+        import ndcube
+    except ImportError:
+        raise ImportError("to_ndcube needs ndcube; pip install ndcube") from None
+    noise = cube.noise
+    if noise is not None:
+        every = np.broadcast_to(noise.value[:, None, None], cube.shape)
+        noise = StdDevUncertainty(every, unit=cube.unit, copy=False)
+    header = without_dates(cube.wcs.to_header(relax=EXACT))
+    # The third axis is the index of the epoch, from 0.
+    header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0})
+    meta = {**cube.meta, **{name: getattr(cube, name) for name in KEPT}}
+    fields = {"unit": cube.unit, "mask": cube.mask.copy(), "uncertainty": noise}
+    made = ndcube.NDCube(cube.data.copy(), wcs=WCS(header), meta=meta, **fields)
+    made.extra_coords.add("time", (0,), cube.times)
+    return made
+
+
+def planes_of(ndcube, times=None, beams=None):
+    """
+    Return the epochs of an NDCube as `Plane`, and the meta that is common to them.
+
+    It has two celestial axes, and one of the epochs if there are several; its WCS is a
+    FITS WCS, possibly sliced or resampled.  Dates are needed unless ``times`` are
+    given, equal beams of epochs that were averaged unless ``beams`` are.
+    """
+    try:
+        wcs, size, kept = headers.fits_wcs(ndcube.wcs)
+        celestial = {wcs.wcs.lng, wcs.wcs.lat}
+        others = [int(axis) for axis in np.flatnonzero(kept) if axis not in celestial]
+        fits = wcs.has_celestial and kept[[*celestial]].all() and len(others) < 2
+    except TypeError:
+        fits = False
+    if not fits:
+        raise ValueError(
+            "an NDCube must have two celestial axes, one of the epochs, and a FITS "
+            "WCS; EpochCube.from_arrays takes what has none"
+        )
+
+    # Array axes are in the reverse order of WCS axes.
+    axis = int(np.sum(kept[others[0] :])) - 1 if others else None
+
+    def planes(values):
+        values = np.broadcast_to(values, ndcube.data.shape)
+        return values[None] if axis is None else np.moveaxis(values, axis, 0)
+
+    data = planes(np.asarray(ndcube.data))
+    mask = planes(False if ndcube.mask is None else ndcube.mask) | ~np.isfinite(data)
+    given, errors = ndcube.uncertainty, [None] * len(data)
+    if given is not None:
+        errors = planes(np.asarray(given.array))
+        errors = [type(given)(one, unit=given.unit, copy=False) for one in errors]
+    averaged = bool(others and size[others[0]] != 1)
+    meta = dict(ndcube.meta) if isinstance(ndcube.meta, Mapping) else {}
+    dates = [None] * len(data)
+    if times is None:
+        dates = np.atleast_1d(_times_of(ndcube, meta, axis, averaged))
+    if AXIS in wcs.wcs.ctype and set(KEPT) <= meta.keys():
+        first = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
+        records = _kept_records(meta, first, len(data), averaged, beams)
+        meta = {key: value for key, value in meta.items() if key not in KEPT}
+    else:
+        records, meta = [headers.read_header(meta)] * len(data), {}
+    common = {"wcs": headers.as_celestial(wcs), "shape": data.shape[1:]}
+    common["unit"] = ndcube.unit or u.dimensionless_unscaled
+    images = []
+    for i, own in enumerate(records):
+        pixels = {"data": as_numbers(data[i]), "mask": mask[i]}
+        own = own | pixels | {"time": dates[i], "uncertainty": errors[i]}
+        images.append(Plane(name=f"epoch {i} of the NDCube", **common, **own))
+    meta["history"] = [*meta.get("history", ()), "from an NDCube"]
+    return images, meta
+
+
+def _kept_records(meta, first, n, averaged, beams):
+    """Return what `to_ndcube` has kept of each of n epochs from the first one."""
+    own = meta["beams"] or [None] * len(meta["labels"])
+    if averaged:
+        if beams is None and any(beam != own[0] for beam in own):
+            raise ValueError(
+                "epochs of the NDCube were averaged, of which the beams differ; call "
+                "to_common_beam() before to_ndcube(), or give beams="
+            )
+        return [{"beam": own[0]}] * n
+    fields = meta["labels"], own, meta["epoch_meta"]
+    rows = zip(*(values[first : first + n] for values in fields), strict=True)
+    return [dict(zip(("label", "beam", "facts"), row, strict=True)) for row in rows]
+
+
+def _times_of(ndcube, meta, axis, averaged):
+    """Return the coordinate of type Time, or else the date of a single epoch."""
+    if axis is None:
+        found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
+        found.append(headers.read_header(meta)["time"])
+        if found[0] is not None:
+            return found[0]
+    for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
         try:
-            header["BUNIT"] = cube.unit.to_string("fits")
-        except ValueError:
-            # The standard does not have DN, which solar images are in.
-            header["BUNIT"] = cube.unit.to_string()
-    for line in cube.meta.get("history", ()):
-        header.add_history(str(line).encode("ascii", "replace").decode())
-    return header
+            values = ndcube.axis_world_coords(axis, wcs=coordinates)
+        except (AttributeError, TypeError, ValueError):
+            continue
+        for found in (v for v in values if isinstance(v, Time)):
+            if averaged and coordinates is ndcube.extra_coords:
+                raise ValueError(
+                    "epochs of the NDCube were averaged, of which ndcube keeps the "
+                    "first date only; give times="
+                )
+            return found
+    raise ValueError("the NDCube has no coordinate of type Time; give times=")

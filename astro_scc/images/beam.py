@@ -1,17 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The elliptical Gaussian beam (PSF) of an epoch, and convolution."""
+"""The elliptical Gaussian beam (PSF) of an epoch, and convolution to a common one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from scipy import fft, optimize
 
 from astro_scc.quantities import parse_quantities
+
+if TYPE_CHECKING:
+    from astro_scc.images.series import Series
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
 #: Beams are the same if their widths differ by less in every direction: headers round
@@ -117,8 +121,6 @@ class Beam:
             return NotImplemented
         return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
 
-    __hash__ = None
-
 
 def parse_beam(text):
     """
@@ -185,10 +187,8 @@ def require_common_beam(cube):
 
 def as_beam(beam):
     """Return a `Beam`, also from an object with major, minor and pa."""
-    if isinstance(beam, Beam):
-        return beam
     try:
-        return Beam(beam.major, beam.minor, beam.pa)
+        return beam if isinstance(beam, Beam) else Beam(beam.major, beam.minor, beam.pa)
     except AttributeError:
         raise TypeError(
             f"a beam has major, minor and pa, got {type(beam).__name__} {beam!r}"
@@ -321,3 +321,85 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
     # Rounding errors must not leave a beam that does not fit.
     least = least * max(1.0, beam_excess(least, covariances).max() * (1 + 1e-9))
     return beam_of(least, u.mas)
+
+
+def common_beam(cube: Series, beam: Beam | None = None) -> Series:
+    """
+    Return the cube with all epochs convolved to the same beam.
+
+    An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
+    covariance ``C - C_i``; intensities per beam are multiplied by the ratio
+    of the beam areas, so that flux densities are conserved.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+        With ``beams``.
+    beam : beam, optional
+        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
+        ``minor`` and ``pa``.  By default the smallest beam that contains the
+        beams of all epochs.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        Epochs that already have the beam are identical to the bit.  Bad
+        pixels stay bad and do not contribute; good pixels beside them and at
+        the edges keep their level.  ``noise`` is None, and is then measured
+        again, unless no epoch needed convolution.
+
+    Raises
+    ------
+    ValueError
+        If the epochs have no beams, or one of them does not fit into
+        ``beam``.
+    TypeError
+        If ``beam`` is not a beam.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.epochs import Beam, EpochCube
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((2, 32, 32)),
+    ...     ["2000-01-01", "2001-01-01"],
+    ...     pixel_scale=0.1 * u.mas,
+    ...     unit=u.Jy / u.beam,
+    ...     beams=[Beam(s * u.mas, s * u.mas) for s in (0.5, 1)],
+    ... )
+    >>> smooth = common_beam(cube)
+    >>> print(smooth.beams[0])
+    1 x 1 mas at 0.0 deg
+    >>> smooth.data[:, 16, 16].round(6)
+    array([4., 1.])
+    """
+    if cube.beams is None:
+        raise ValueError(
+            "the epochs have no beams; give them, beams=[...], or leave this step out"
+        )
+    target = smallest_common_beam(cube.beams) if beam is None else as_beam(beam)
+    goal = target.covariance.value
+    to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
+    data = cube.data.copy()
+    changed = []
+    for i, own in enumerate(cube.beams):
+        covariance = own.covariance.value
+        excess = beam_excess(goal, covariance)
+        if excess > 1 + CONTAINS:
+            raise ValueError(
+                f"{cube.labels[i]}: its beam {own} does not fit into {target}; "
+                "choose a larger one, or none for the smallest common beam"
+            )
+        if max(excess, beam_excess(covariance, goal)) <= 1 + EQUAL:
+            continue
+        variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
+        # Rounding errors must not leave a negative variance.
+        difference = (axes * np.maximum(variances, 0)) @ axes.T
+        data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
+        if is_per(cube.unit, "beam"):
+            data[i] *= float(target.area / own.area)
+        changed.append(i)
+    line = f"common beam {target} ({len(changed)} of {len(cube)} epochs convolved)"
+    noise = None if changed else cube.noise
+    return cube.with_step(line, data=data, beams=(target,) * len(cube), noise=noise)

@@ -7,40 +7,36 @@ import mmap
 import os
 import re
 import warnings
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.io import fits, registry
-from astropy.nddata import CCDData, NDUncertainty, StdDevUncertainty
+from astropy.io import fits
+from astropy.nddata import (
+    InverseVariance,
+    NDUncertainty,
+    StdDevUncertainty,
+    VarianceUncertainty,
+)
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.exceptions import warn
 from astro_scc.images import headers
 from astro_scc.images.beam import Beam
 from astro_scc.images.grid import cut_wcs
-from astro_scc.images.validation import POWERS, naming
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
 #: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
-#: Kinds of uncertainty by the names that astropy gives them in FITS (UTYPE).
-UNCERTAINTIES = {kind.__name__: kind for kind in POWERS}
+#: Power that turns an uncertainty into a standard deviation.
+POWERS = {StdDevUncertainty: 1, VarianceUncertainty: 0.5, InverseVariance: -0.5}
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
-# Keywords of the array and its axes in the file; a CCDData has its own, for two
-# dimensions.
-_STRUCTURE = re.compile(
-    r"(SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|EXTNAME|PCOUNT|GCOUNT|GROUPS|BLOCKED"
-    r"|BSCALE|BZERO|BLANK|BUNIT|DATAMIN|DATAMAX|CHECKSUM|DATASUM|WCSAXES|EPOCH"
-    r"|EQUINOX|RADESYS|RADECSYS|LONPOLE|LATPOLE|(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA)\d"
-    r"|(PC|CD|PV|PS)\d+_\d+|PC\d{6}|CD\d{6}|BMAJ|BMIN|BPA|FREQ|STOKES)$"
-)
+#: Factor by which uncertainties of pixels may differ from the image's median.
+EVEN = 1.5
 
 
 @dataclass(kw_only=True)
@@ -61,7 +57,6 @@ class Plane:
     facts: dict = field(default_factory=dict)
     date_problem: str = ""
     beam_problem: str = ""
-    header: object = None
     data: np.ndarray | None = None
     mask: np.ndarray | None = None
     unit: u.UnitBase = u.dimensionless_unscaled
@@ -88,74 +83,6 @@ class _NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
 
-def read_vlbi_fits(path: Path | str, hdu: int | str | None = None) -> CCDData:
-    """
-    Read one FITS image, allowing for the habits of AIPS, difmap, CASA and HST.
-
-    ``CCDData.read(path, format="vlbi-fits")`` calls this function once
-    ``astro_scc.epochs`` has been imported.
-
-    Parameters
-    ----------
-    path : str or path-like
-    hdu : int or str, optional
-        Extension of the image, by default the first image.
-
-    Returns
-    -------
-    `~astropy.nddata.CCDData`, shape (ny, nx)
-        Axes of length one are dropped, and Stokes I is taken from several
-        Stokes parameters.  The data are float64, pixels that are not finite
-        are masked, and the WCS is celestial.  The ``meta`` has the beam as
-        ``BMAJ``, ``BMIN`` and ``BPA`` in degrees, wherever the file had it,
-        and the frequency as ``FREQ`` in Hz.
-
-    Raises
-    ------
-    OSError
-        If the file is missing, broken, or holds no image.
-    ValueError
-        If the image has more than two axes, no celestial coordinates, or no
-        valid pixel.
-
-    Warns
-    -----
-    EpochWarning
-        If part of the header could not be understood.
-
-    Examples
-    --------
-    >>> from astropy.nddata import CCDData
-    >>> import astro_scc.epochs
-    >>> image = CCDData.read("../shared/data/0003+380/0003+380.u.2006_03_09.fits",
-    ...                      format="vlbi-fits")
-    >>> image.shape, image.unit
-    ((256, 256), Unit("Jy / beam"))
-    """
-    plane = read_plane(path, hdu=hdu)
-    for note in plane.notes:
-        warn(f"{path}: {note}")
-    meta = fits.Header()
-    for card in plane.header.cards:
-        # Cards are parsed at first use, and broken ones raise an error then.
-        with suppress(fits.VerifyError, ValueError):
-            if not _STRUCTURE.match(card.keyword) and (card.value, card.comment):
-                meta.append(card, end=True)
-    for fact, keyword in (("frequency", "FREQ"), ("stokes", "STOKES")):
-        if fact in plane.facts:
-            meta[keyword] = plane.facts[fact]
-    if plane.beam is not None:
-        meta.update(headers.beam_cards(plane.beam))
-    return CCDData(
-        plane.data,
-        unit=plane.unit,
-        mask=plane.mask if plane.mask.any() else None,
-        wcs=plane.wcs,
-        meta=meta,
-        uncertainty=plane.uncertainty,
-    )
-
-
 def find_files(paths, *, missing_ok=False):
     """
     Return the files that paths and patterns stand for, each once, as a list of Path.
@@ -174,7 +101,10 @@ def find_files(paths, *, missing_ok=False):
         if not isinstance(name, str):
             raise TypeError(f"paths must be text, got {name!r}")
         if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
-            check_ordinary(name)
+            path = Path(name)
+            if path.exists() and not (path.is_file() or path.is_dir()):
+                # Pipes, sockets and devices may have no end.
+                raise OSError(f"{path}: is no ordinary file; give the name of one")
             found.append(name)
         elif matches := sorted(glob.glob(name, recursive=True)):
             found += [match for match in matches if not os.path.isdir(match)]
@@ -186,21 +116,18 @@ def find_files(paths, *, missing_ok=False):
     return [Path(name) for name in dict.fromkeys(found)]
 
 
-def check_ordinary(path):
-    """Raise an OSError for pipes, sockets and devices, which may have no end."""
-    path = Path(path)
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise OSError(f"{path}: is no ordinary file; give the name of one")
-
-
 def read_plane(path, hdu=None, *, window=None, pixels=True):
     """
-    Return the `Plane` of a file; see `read_vlbi_fits` for its errors.
+    Return the `Plane` of a FITS file of AIPS, difmap, CASA, HST or others.
 
-    ``window`` selects the rows and columns to load from a file that was read before;
-    without ``pixels`` only the header is read.
+    Axes of length one are dropped, and Stokes I is taken from several Stokes
+    parameters.  ``hdu`` is by default the first image; ``window`` selects the rows and
+    columns to load from a file that was read before; without ``pixels`` only the header
+    is read.  A file that is missing, broken or holds no image raises an OSError; an
+    image of more than two axes, without celestial coordinates or without a valid pixel
+    a ValueError.
     """
-    path = Path(os.fspath(path))
+    path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if path.is_dir():
@@ -208,13 +135,12 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
             f"{path}: is a directory; give {path}/*.fits, or export a CASA image by "
             "exportfits"
         )
-    check_ordinary(path)
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
-                return _plane(hdus, hdu, path, window=window, pixels=pixels)
+                return plane_of(hdus, hdu, path, window=window, pixels=pixels)
         except (headers.ContentError, _NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
@@ -224,12 +150,6 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
             raise OSError(
                 f"{path}: cannot be read as FITS, it is broken or no FITS: {reason}"
             ) from None
-
-
-def plane_of_hdu(hdu, name):
-    """Return the `Plane` of an image extension, or raise a ValueError."""
-    with naming(name):
-        return _plane(fits.HDUList([hdu]), None, Path(name))
 
 
 def open_fits(file, *, known=False, **options):
@@ -252,7 +172,8 @@ def open_fits(file, *, known=False, **options):
     return fits.open(file, **options)
 
 
-def _plane(hdus, which, path, *, window=None, pixels=True):
+def plane_of(hdus, which, path, *, window=None, pixels=True):
+    """Return the `Plane` of an open file, see `read_plane`."""
     if "SCCVERS" in hdus[0].header:
         what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
         reader = what if what == "EpochCube" else "SCCResult"
@@ -270,9 +191,8 @@ def _plane(hdus, which, path, *, window=None, pixels=True):
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
     record = headers.read_header(header, tables)
     text = headers.get(header, "BUNIT", kind=str)
-    unit = headers.parse_unit(text)
-    plane = Plane(name=str(path), wcs=wcs, shape=shape, header=header, **record)
-    if unit is not None:
+    plane = Plane(name=str(path), wcs=wcs, shape=shape, **record)
+    if (unit := headers.parse_unit(text)) is not None:
         plane.unit = unit
     else:
         plane.unit_problem = (
@@ -300,15 +220,13 @@ def _load(plane, hdus, hdu, index, window):
             why = f" by its extension {name}"
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    beside = _beside(hdus, hdu, "UNCERT", plane.shape)
-    if beside is not None:
-        kind = headers.get(beside.header, "UTYPE", kind=str)
-        unit = beside.header.get("BUNIT")
-        plane.uncertainty = UNCERTAINTIES.get(kind, StdDevUncertainty)(
-            np.array(beside.data[window], dtype=float),
-            unit=None if unit is None else headers.parse_unit(unit),
-            copy=False,
-        )
+    if (beside := _beside(hdus, hdu, "UNCERT", plane.shape)) is not None:
+        # The names are those that astropy writes.
+        name, unit = (beside.header.get(key) for key in ("UTYPE", "BUNIT"))
+        kind = next((k for k in POWERS if k.__name__ == name), StdDevUncertainty)
+        unit = None if unit is None else headers.parse_unit(unit)
+        values = np.array(beside.data[window], dtype=float)
+        plane.uncertainty = kind(values, unit=unit, copy=False)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)
 
@@ -326,8 +244,7 @@ def _beside(hdus, image, name, shape):
                 return hdu
             if name != "WHT":
                 raise headers.ContentError(
-                    f"its extension {name} has shape {hdu.shape}, its image {shape}; "
-                    "correct or remove the extension"
+                    f"its extension {name} has shape {hdu.shape}, it {shape}; remove it"
                 )
     return None
 
@@ -371,8 +288,7 @@ def _check_complete(hdu, path):
     if missing > 0:
         least = "at least " if packed else ""
         raise _NoImageError(
-            f"is truncated, {least}{missing} bytes of its image are missing; copy it "
-            "again from where it came"
+            f"is truncated, {least}{missing} bytes are missing; copy the file again"
         )
 
 
@@ -403,8 +319,7 @@ def _stokes_i(header, axis, length):
         if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
             return round(position)
     raise headers.ContentError(
-        f"has {length} planes on axis STOKES and none of them is I; write the one "
-        "to use to a file of its own"
+        f"has {length} planes on axis STOKES and none of them is I; write one to a file"
     )
 
 
@@ -419,4 +334,36 @@ def looks_like_mask(image):
     return values.size > 0 and np.isin(values, (values.min(), values.max())).all()
 
 
-registry.register_reader("vlbi-fits", CCDData, read_vlbi_fits, force=True)
+def uncertainty_noise(uncertainty, unit, mask):
+    """
+    Return the noise of an image whose pixels have uncertainties.
+
+    The noise is the median standard deviation of the valid pixels, in the ``unit`` of
+    the image, which is also assumed for an NDUncertainty without a unit.  The function
+    also returns a mask of the pixels without a finite standard deviation, and whether
+    the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
+    """
+    kind, given = type(uncertainty).__name__, uncertainty.unit
+    power = next((p for k, p in POWERS.items() if isinstance(uncertainty, k)), None)
+    if power is None:
+        names = ", ".join(known.__name__ for known in POWERS)
+        raise ValueError(f"its uncertainty is a {kind}; give it as {names}, or as None")
+    values = np.asarray(uncertainty.array, dtype=float)
+    if np.any(values < 0):
+        raise ValueError("its uncertainty has negative values; correct or remove it")
+    try:
+        factor = 1.0 if given is None else (given**power).to(unit)
+    except u.UnitConversionError:
+        raise ValueError(
+            f"its uncertainty is a {kind} in {given}, which does not fit images in "
+            f"{unit.to_string() or 'no unit'}; correct or remove it"
+        ) from None
+    with np.errstate(divide="ignore"):
+        sigma = np.broadcast_to(values**power * factor, mask.shape)
+    bad = ~np.isfinite(sigma)
+    valid = sigma[~(mask | bad)]
+    if valid.size == 0:
+        raise ValueError("its uncertainty is finite at no valid pixel; remove it")
+    noise = np.median(valid)
+    even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
+    return noise * unit, bad, bool(even)

@@ -1,30 +1,27 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""One beam and one pixel grid for several images: convolution and resampling."""
+"""Pixel grids: images on one of them, regions as masks, and images cropped to them."""
 
 from __future__ import annotations
 
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
 from astro_scc.exceptions import warn
-from astro_scc.images.beam import (
-    CONTAINS,
-    EQUAL,
-    Beam,
-    as_beam,
-    beam_excess,
-    gaussian_smooth,
-    is_per,
-    smallest_common_beam,
-)
-from astro_scc.images.headers import celestial_wcs
+from astro_scc.images.beam import is_per
+from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series
-from astro_scc.images.validation import as_celestial, naming
+from astro_scc.images.series import ImageSeries, Series, naming
 from astro_scc.quantities import check_choice, named
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
@@ -38,6 +35,10 @@ ORDERS = ("nearest-neighbor", "bilinear", "biquadratic", "bicubic")
 METHODS = ("interp", "exact", "adaptive")
 # Pixels per full width at half maximum with which a beam is sampled.
 SAMPLED = 2.0
+#: Coordinates in degrees with fewer decimal places were written by hand.
+DECIMALS = 5
+#: Rounding may move a region by this fraction of its size.
+MOVED = 0.02
 
 
 def fill_masked(image, mask, n_iterations=20):
@@ -154,15 +155,15 @@ def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
     import reproject
 
     filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
-    options = {"shape_out": shape, "return_footprint": False}
+    options = linear = {"shape_out": shape, "return_footprint": False}
     if method in ("exact", "adaptive"):
-        lay, order, linear = getattr(reproject, f"reproject_{method}"), {}, {}
+        lay = getattr(reproject, f"reproject_{method}")
     else:
-        lay, order = reproject.reproject_interp, {"order": method}
-        linear = {"order": "bilinear"}
+        lay, linear = reproject.reproject_interp, options | {"order": "bilinear"}
+        options = options | {"order": method}
     # reproject maps the pixels once for all images.
-    moved = lay((filled, wcs), new_wcs, **order, **options)
-    weight = lay((bad.astype(float), wcs), new_wcs, **linear, **options)
+    moved = lay((filled, wcs), new_wcs, **options)
+    weight = lay((bad.astype(float), wcs), new_wcs, **linear)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
     return np.where(mask, np.nan, moved), mask
 
@@ -273,19 +274,24 @@ def reproject_cube(
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
     how = order if method == "interp" else method
-    grids = {"wcs": cube.wcs, "grid": wcs, "shape": shape, "unit": cube.unit}
-    data, mask, copied = regrid(cube.data, cube.mask, method=how, **grids)
-    if method == "interp" and not copied:
-        _warn_of_undersampling(cube, wcs)
-    side = (np.sqrt(pixel_area(wcs)) * u.deg).to_value(u.mas)
+    options = {"shape": shape, "unit": cube.unit, "method": how}
+    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
+    side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
+    sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
+    coarse = side > 1.01 * max(own, min(sampled, default=own))
+    if method == "interp" and not copied and coarse:
+        warn(
+            f"pixels of {readable_angle(own)} are interpolated at steps of "
+            f"{readable_angle(side)}, which leaves out those between; use "
+            "method='exact' or 'adaptive' to average them, or smooth them first"
+        )
+    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy()}
     return cube.with_step(
-        f"reprojected onto {shape[1]} x {shape[0]} pixels of {side:.4g} mas "
-        f"({'whole pixels copied' if copied else how})",
-        data=data,
-        mask=mask,
-        wcs=wcs.deepcopy(),
+        f"reprojected onto {shape[1]} x {shape[0]} pixels of "
+        f"{side.to_value(u.mas):.4g} mas ({'whole pixels copied' if copied else how})",
         noise=cube.noise if copied else None,
         epoch_wcs=_new_epoch_wcs(cube, wcs, shape),
+        **fields,
     )
 
 
@@ -301,24 +307,12 @@ def _grid_of(target, shape=None):
     else:
         wcs = as_celestial(target)
         own = wcs.array_shape
-    if shape is None and own is None:
+    shape = own if shape is None else tuple(shape)
+    if shape is None:
         raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
-    shape = tuple(own if shape is None else shape)
     if len(shape) != 2 or any(n != int(n) or n < 1 for n in shape):
         raise ValueError(f"shape={shape} must be two positive integers (ny, nx)")
     return wcs, tuple(int(n) for n in shape)
-
-
-def _warn_of_undersampling(cube, wcs):
-    """Warn if interpolation skips pixels."""
-    side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
-    beams = [beam.minor / SAMPLED for beam in cube.beams or ()]
-    if side > 1.01 * max(own, min(beams, default=own)):
-        warn(
-            f"pixels of {readable_angle(own)} are interpolated at steps of "
-            f"{readable_angle(side)}, which leaves out those between; use "
-            "method='exact' or 'adaptive' to average them, or smooth them first"
-        )
 
 
 def _new_epoch_wcs(cube, wcs, shape):
@@ -393,96 +387,341 @@ def shared_grid(grids):
     covered = np.sum(areas * [ny * nx for (ny, nx), _ in grids])
     # It is NaN if a grid lies beyond the horizon of the projection.
     if not np.prod(size) * areas.min() <= 100 * covered:
-        raise ValueError(
-            "the grids lie too far apart on the sky to share one; "
-            "check that all epochs show one object"
-        )
+        raise ValueError("the grids lie too far apart on the sky to share one")
     shared = moved_wcs(finest, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
 
 
-def common_beam(cube: Series, beam: Beam | None = None) -> Series:
+def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
     """
-    Return the cube with all epochs convolved to the same beam.
-
-    An epoch with beam covariance ``C_i`` is convolved with a Gaussian of
-    covariance ``C - C_i``; intensities per beam are multiplied by the ratio
-    of the beam areas, so that flux densities are conserved.
+    Return the pixels whose centres lie inside a region.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-        With ``beams``.
-    beam : beam, optional
-        `~astro_scc.epochs.Beam`, or anything with the attributes ``major``,
-        ``minor`` and ``pa``.  By default the smallest beam that contains the
-        beams of all epochs.
+        Its ``wcs`` places regions of the sky.
+    region : optional
+        One of: None (everything), a `regions.Region` of pixels, of the sky or
+        of the sphere, a sequence of them (a `regions.Regions`), the path of a
+        DS9 or CRTF region file, or an array of bool of the images' shape.
 
     Returns
     -------
-    `~astro_scc.epochs.EpochCube`
-        Epochs that already have the beam are identical to the bit.  Bad
-        pixels stay bad and do not contribute; good pixels beside them and at
-        the edges keep their level.  ``noise`` is None, and is then measured
-        again, unless no epoch needed convolution.
+    `~numpy.ndarray` of bool, shape (ny, nx)
+        True inside, the opposite of a mask of bad pixels.
 
     Raises
     ------
     ValueError
-        If the epochs have no beams, or one of them does not fit into
-        ``beam``.
+        If the region holds no pixel of the image, an array has another
+        shape, a file holds no region, cannot be understood or was written
+        with too few digits for the size of its regions, or a shape has no
+        inside (points, lines, text).
     TypeError
-        If ``beam`` is not a beam.
+        If ``region`` is none of the above.
+    OSError
+        If the file cannot be read.
+
+    Notes
+    -----
+    The union of all regions is taken, then excluded ones (a leading ``-`` in
+    DS9 and CRTF files, ``meta["include"]`` false) are removed from it.  If all
+    regions are excluded, the rest of the image remains.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from types import SimpleNamespace
+    >>> from regions import CirclePixelRegion, PixCoord
+    >>> cube = SimpleNamespace(shape=(2, 5, 7), wcs=None)
+    >>> region_mask(cube, CirclePixelRegion(PixCoord(3, 2), 1.5)).astype(int)
+    array([[0, 0, 0, 0, 0, 0, 0],
+           [0, 0, 1, 1, 1, 0, 0],
+           [0, 0, 1, 1, 1, 0, 0],
+           [0, 0, 1, 1, 1, 0, 0],
+           [0, 0, 0, 0, 0, 0, 0]])
+    """
+    from regions import Region
+
+    shape, name, places = cube.shape[1:], "region", ()
+    if region is None:
+        return np.ones(shape, dtype=bool)
+    if isinstance(region, str | os.PathLike):
+        name, (region, places) = str(region), _read(region)
+    if isinstance(region, np.ndarray):
+        if region.dtype != bool or region.shape != shape:
+            raise ValueError(
+                f"region is an array of {region.dtype} of shape {region.shape}; "
+                f"give an array of bool of the images' shape {shape}"
+            )
+        inside = region.copy()
+    else:
+        items = [region] if isinstance(region, Region) else region
+        items = list(items) if np.iterable(items) else []
+        if not items or not all(isinstance(item, Region) for item in items):
+            raise TypeError(
+                "region must be a regions.Region, a non-empty list of them, the path "
+                f"of a region file or an array of bool, got {region!r}"
+            )
+        inside = _combine(cube, items, name, places)
+    if not inside.any():
+        raise ValueError(
+            f"{name}: holds no pixel of the {shape[1]} x {shape[0]} image; "
+            "check its coordinates, frame and size"
+        )
+    return inside
+
+
+def _combine(cube, items, name, places):
+    """Return the pixels in any region that is included and in none excluded."""
+    from regions import PixelRegion, SkyRegion
+
+    shape = cube.shape[1:]
+    wanted = [bool(item.meta.get("include", True)) for item in items]
+    inside = {True: np.full(shape, not any(wanted)), False: np.zeros(shape, dtype=bool)}
+    for item, include in zip(items, wanted, strict=True):
+        try:
+            # Images are small enough for spherical regions to be flat in them.
+            pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
+            if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
+                continue
+            mask = pixel.to_mask(mode="center")
+        except (NotImplementedError, OverflowError, ValueError) as error:
+            reason = f"cannot be drawn on the image ({first_line(error)})"
+            if isinstance(error, NotImplementedError):
+                reason = "has no inside"
+            elif isinstance(error, OverflowError):
+                reason = "has a size or place without end"
+            elif "NaN" in reason:
+                reason = "is on another part of the sky"
+            raise ValueError(
+                f"{name}: a {type(item).__name__} {reason}; use circles, ellipses, "
+                "rectangles or polygons, on the part of the sky that the images show"
+            ) from None
+        if places and isinstance(item, SkyRegion):
+            _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
+        # Masks ignore "include".
+        target, source = mask.get_overlap_slices(shape)
+        inside[include][target] |= mask.data[source] > 0
+    return inside[True] & ~inside[False]
+
+
+def _refuse_rounded(item, size, wcs, places, name):
+    """
+    Refuse a region that its file gives with too few digits.
+
+    Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
+    """
+    side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
+    where = getattr(item, "vertices", getattr(item, "center", None)).spherical
+    lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
+    names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
+    sizes = [getattr(item, n).to_value(u.deg) for n in names if hasattr(item, n)]
+    # Numbers that are not round in degrees may be so in hours, minutes and seconds.
+    step = _step([*lon, *lat], places, DECIMALS) or max(
+        _step(lon * 240, places, DECIMALS - 2) / 240,
+        _step(lat * 3600, places, DECIMALS - 2) / 3600,
+    )
+    step = max(step, _step(sizes, places, DECIMALS))
+    if step / 2 > max(side, MOVED * size * side):
+        raise ValueError(
+            f"{name}: a {type(item).__name__} of {readable_angle(size * side * u.deg)} "
+            f"is written in steps of {readable_angle(step * u.deg)}, which moves it; "
+            "write it with more digits (regions: precision=13)"
+        )
+
+
+def _step(values, places, fewest):
+    """
+    Return the step to which numbers with these decimal places were rounded.
+
+    It is 0 for numbers with fewer than ``fewest`` places, which were written by
+    hand, and for numbers that were not rounded.
+    """
+    for end in range(10):
+        ratio = np.multiply(values, 10.0**end)
+        if np.all(np.abs(ratio - np.rint(ratio)) <= 1e-3 * np.minimum(1, abs(ratio))):
+            steps = (10.0**-place for place in places if place >= end >= fewest)
+            return max(steps, default=0.0)
+    return 0.0
+
+
+def _read(path):
+    """Return the regions of a file, and the decimal places of its numbers."""
+    from regions import Regions
+
+    path = Path(path)
+    # Reading the text first distinguishes a missing file from one without regions.
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        text = "SIMPLE  ="
+    if text.startswith("SIMPLE  ="):
+        raise ValueError(f"{path}: is not a text file; give a DS9 or CRTF region file")
+    kind = "crtf" if text.startswith("#CRTF") else "ds9"
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        try:
+            found = Regions.parse(text, format=kind)
+        except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+            raise ValueError(
+                f"{path}: cannot be read as a {kind} region file ({first_line(error)})"
+            ) from error
+    if len(found) == 0:
+        raise ValueError(f"{path}: holds no region that can be used")
+    for item in caught:
+        warn(f"{path}: {item.message}; check that the rest is what you want")
+    return found, {len(digits) for digits in re.findall(r"\.(\d+)", text)}
+
+
+def box(cube, region, pad=0):
+    """
+    Return the bounding box of a region as slices of rows and columns, see `crop`.
+
+    The cube may be anything with a ``shape`` and a ``wcs``.
+    """
+    if pad != int(pad) or pad < 0:
+        raise ValueError(f"pad={pad} must be a whole number of at least 0")
+    shape = cube.shape[1:]
+    if isinstance(region, tuple) and all(isinstance(item, slice) for item in region):
+        if len(region) != 2 or any(item.step not in (None, 1) for item in region):
+            raise ValueError("slices must be two, (y, x), without a step")
+        hits = [np.arange(n)[item] for item, n in zip(region, shape, strict=True)]
+        if not all(hit.size for hit in hits):
+            raise ValueError(
+                f"slices {region} hold no pixel of the {shape[1]} x {shape[0]} image"
+            )
+    else:
+        inside = region_mask(cube, region)
+        hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
+    start, stop = np.transpose([(hit[0], hit[-1] + 1) for hit in hits])
+    start, stop = np.maximum(start - int(pad), 0), np.minimum(stop + int(pad), shape)
+    return tuple(map(slice, start.tolist(), stop.tolist()))
+
+
+def crop(cube: Series, region: Any, pad: int = 0) -> Series:
+    """
+    Return all epochs cut down to the bounding box of a region.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    region : (slice, slice) or region
+        Slices of pixels (y, x), or anything that `region_mask` takes.
+    pad : int, optional
+        Pixels to keep around the box, as far as the image reaches.  The
+        largest wavelet scale needs some.
+
+    Returns
+    -------
+    `~astro_scc.epochs.EpochCube`
+        Smaller images with the same values.  The origin of offsets stays
+        where it is, even if it is no longer inside.
+
+    Raises
+    ------
+    ValueError
+        If no pixel would be left, a slice has a step, or ``pad`` is not a
+        whole number of at least 0; and if `region_mask` raises one.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> import numpy as np
-    >>> from astro_scc.epochs import Beam, EpochCube
+    >>> from astro_scc.epochs import EpochCube
     >>> cube = EpochCube.from_arrays(
-    ...     np.ones((2, 32, 32)),
-    ...     ["2000-01-01", "2001-01-01"],
+    ...     np.ones((1, 16, 16)),
+    ...     ["2000-01-01"],
     ...     pixel_scale=0.1 * u.mas,
-    ...     unit=u.Jy / u.beam,
-    ...     beams=[Beam(s * u.mas, s * u.mas) for s in (0.5, 1)],
+    ...     reference_pixel=(7, 7),
     ... )
-    >>> smooth = common_beam(cube)
-    >>> print(smooth.beams[0])
-    1 x 1 mas at 0.0 deg
-    >>> smooth.data[:, 16, 16].round(6)
-    array([4., 1.])
+    >>> part = crop(cube, (slice(2, 10), slice(4, 16)), pad=1)
+    >>> part.shape, part.wcs.wcs.crpix.tolist()
+    ((1, 10, 13), [5.0, 7.0])
     """
-    if cube.beams is None:
+    window = box(cube, region, pad)
+    cut = {name: getattr(cube, name)[:, *window].copy() for name in ("data", "mask")}
+    own = cube.epoch_wcs and [cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
+    wcs = cut_wcs(cube.wcs, window)
+    return cube.with_step(crop_line(window), wcs=wcs, epoch_wcs=own, **cut)
+
+
+def crop_line(window):
+    """Return the line about slices (y, x) that `crop` adds to the history."""
+    y, x = (f"{part.start} to {part.stop - 1}" for part in window)
+    return f"cropped to pixels x {x}, y {y}"
+
+
+def refuse_pixels(path):
+    """
+    Refuse a region file in pixels if only a part of the images is read.
+
+    Pixels are counted from the corner of that part.
+    """
+    from regions import PixelRegion
+
+    if any(isinstance(item, PixelRegion) for item in _read(path)[0]):
         raise ValueError(
-            "the epochs have no beams, so there is no common one; give them to "
-            "EpochCube as beams=[...], or leave this step out"
+            f"{path}: is in pixels, which are others in a part of the images (crop); "
+            "give it in celestial coordinates"
         )
-    target = smallest_common_beam(cube.beams) if beam is None else as_beam(beam)
-    goal = target.covariance.value
-    to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
-    data = cube.data.copy()
-    changed = []
-    for i, own in enumerate(cube.beams):
-        covariance = own.covariance.value
-        excess = beam_excess(goal, covariance)
-        if excess > 1 + CONTAINS:
-            raise ValueError(
-                f"{cube.labels[i]}: its beam {own} does not fit into {target}; "
-                "choose a larger one, or none for the smallest common beam"
-            )
-        if max(excess, beam_excess(covariance, goal)) <= 1 + EQUAL:
-            continue
-        variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
-        # Rounding errors must not leave a negative variance.
-        difference = (axes * np.maximum(variances, 0)) @ axes.T
-        data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
-        if is_per(cube.unit, "beam"):
-            data[i] *= float(target.area / own.area)
-        changed.append(i)
-    return cube.with_step(
-        f"common beam {target} ({len(changed)} of {len(cube)} epochs convolved)",
-        data=data,
-        beams=(target,) * len(cube),
-        noise=None if changed else cube.noise,
-    )
+
+
+def distance_mask(
+    cube: ImageSeries, r_min: u.Quantity, r_max: u.Quantity,
+    origin: u.Quantity | SkyCoord | None = None,
+) -> np.ndarray:  # fmt: skip
+    """
+    Return the pixels whose centres lie in a ring around a point.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    r_min, r_max : `~astropy.units.Quantity`
+        Angles; ``r_min <= r < r_max``, so that adjacent bins share no pixel.
+    origin : `~astropy.units.Quantity` or `~astropy.coordinates.SkyCoord`, optional
+        Offsets (east, north) from the reference pixel, or a position; by
+        default the reference pixel.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (ny, nx)
+        True inside.
+
+    Raises
+    ------
+    ValueError
+        If not ``0 <= r_min < r_max``, ``origin`` is not a pair of offsets, or
+        no pixel lies in the ring.
+    `~astropy.units.UnitsError`
+        If an argument is not an angle.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import numpy as np
+    >>> from astro_scc.epochs import EpochCube
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((1, 3, 5)), ["2000-01-01"], pixel_scale=1 * u.arcsec
+    ... )
+    >>> distance_mask(cube, 1 * u.arcsec, 1.9 * u.arcsec).astype(int)
+    array([[0, 1, 1, 1, 0],
+           [0, 1, 0, 1, 0],
+           [0, 1, 1, 1, 0]])
+    """
+    low, high = (u.Quantity(r).to_value(u.mas) for r in (r_min, r_max))
+    if not 0 <= low < high:
+        raise ValueError(f"r_min={r_min} and r_max={r_max} must be 0 <= r_min < r_max")
+    if isinstance(origin, SkyCoord):
+        origin = u.Quantity(cube.pixel_to_offset(*cube.wcs.world_to_pixel(origin)))
+    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
+    if origin.shape != (2,):
+        raise ValueError("origin must be a pair of offsets (east, north)")
+    east, north = cube.offsets()
+    distance = np.hypot(east - origin[0], north - origin[1]).to_value(u.mas)
+    # Pixels at r_min up to rounding errors belong to this ring, not to the inner one.
+    slack = 1e-9 * high
+    inside = (distance >= low - slack) & (distance < high - slack)
+    if not inside.any():
+        raise ValueError(f"no pixel of the image is {r_min} to {r_max} from the origin")
+    return inside

@@ -5,6 +5,7 @@ import re
 import warnings
 from contextlib import suppress
 from functools import cache
+from numbers import Integral
 
 import astropy.units as u
 import numpy as np
@@ -27,7 +28,7 @@ _UNIT_WORDS = {
     **dict.fromkeys(("count", "counts", "cts"), "ct"),
     **dict.fromkeys(("second", "seconds", "sec"), "s"),
     **{"bm": "beam", "electrons": "electron", "photons": "ph", "kelvin": "K"},
-    **{name: name for name in ("adu", "sr", "arcsec")},
+    **{name: name for name in ("adu", "sr", "arcsec")} | {"degrees": "deg"},
 }
 #: Keywords of the axes and the angle of a beam.
 BEAM = "BMAJ", "BMIN", "BPA"
@@ -185,12 +186,14 @@ def _header_beam(header, tables):
         return _beam(major, major if minor is None else minor, pa or 0.0)
     for table in tables:
         if table.name.upper() in ("AIPS CG", "BEAMS") and len(table.data):
-            return _beam(*_beam_of_table(table))
-    if isinstance(header, fits.Header):
-        lines = [card.value for card in header.cards if card.keyword == "HISTORY"]
-    else:
-        lines = header.get("HISTORY") or header.get("history")
-    found = _CLEAN_BEAM.findall(str(lines).upper())
+            row = {name: float(table.data[0][name]) for name in BEAM}
+            units = (parse_unit(table.columns[name].unit or "deg") for name in BEAM)
+            pairs = zip(row.values(), units, strict=True)
+            return _beam(*((value * unit).to_value(u.deg) for value, unit in pairs))
+    # Of a header, str would break the lines.
+    lines = header.get("HISTORY") or header.get("history") or ()
+    lines = lines if isinstance(lines, str) else "; ".join(map(str, lines))
+    found = _CLEAN_BEAM.findall(lines.upper())
     numbers = [float(text.replace("D", "E")) for text in found[-1]] if found else [0]
     return _beam(*numbers) if numbers[0] > 0 else None
 
@@ -202,14 +205,6 @@ def _beam(major, minor, pa):
     if minor > major:
         major, minor, pa = minor, major, pa + 90
     return Beam(major * u.deg, minor * u.deg, pa * u.deg)
-
-
-def _beam_of_table(table):
-    """Yield BMAJ, BMIN and BPA of the first row of a table, in degrees."""
-    for name in BEAM:
-        text = (table.columns[name].unit or "deg").strip().lower().rstrip("s")
-        unit = u.deg if text == "degree" else u.Unit(text)
-        yield (float(table.data[0][name]) * unit).to_value(u.deg)
 
 
 def header_facts(header):
@@ -224,20 +219,15 @@ def header_facts(header):
         for fact, keywords in FACTS.items()
     }
     facts["frequency"] = _axis_value(header, "FREQ") or facts["frequency"]
-    facts["filter"] = facts["filter"] or _filter_wheels(header)
+    if facts["filter"] is None:
+        # Of HST's two filter wheels, those in the light path.
+        for name in ("FILTER", "FILTNAM"):
+            wheels = (get(header, f"{name}{k}", kind=str) or "CLEAR" for k in (1, 2))
+            found = [wheel for wheel in wheels if not wheel.startswith("CLEAR")]
+            facts["filter"] = facts["filter"] or " + ".join(found) or None
     if (stokes := _axis_value(header, "STOKES")) is not None:
         facts["stokes"] = _STOKES.get(round(stokes))
     return {key: value for key, value in facts.items() if value is not None}
-
-
-def _filter_wheels(header):
-    """Return the filters in the light path of HST's two filter wheels."""
-    for keyword in ("FILTER", "FILTNAM"):
-        names = (get(header, f"{keyword}{wheel}", kind=str) or "" for wheel in (1, 2))
-        found = [name for name in names if name and not name.startswith("CLEAR")]
-        if found:
-            return " + ".join(found)
-    return None
 
 
 def axis_numbers(header, axis):
@@ -272,8 +262,7 @@ def celestial_wcs(header, fobj=None):
     kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
     if not {"longitude", "latitude"} <= set(kinds):
         raise ContentError(
-            "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays, "
-            "which takes the pixel scale"
+            "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays"
         )
     axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
     if axes[0] > axes[1]:
@@ -332,6 +321,68 @@ def _standard(keyword, value):
     return number
 
 
+def fits_wcs(wcs):
+    """
+    Return the FITS WCS behind a WCS that was sliced or resampled.
+
+    Images that were sliced or rebinned have a
+    `~astropy.wcs.wcsapi.SlicedLowLevelWCS` or a
+    `ndcube.wcs.wrappers.ResampledLowLevelWCS` around a WCS; both are understood.
+
+    Returns
+    -------
+    wcs : `~astropy.wcs.WCS`
+        With all axes; an axis sliced to one pixel starts at that pixel.
+    size : `~numpy.ndarray`
+        Number of original pixels per pixel along each axis.
+    kept : `~numpy.ndarray` of bool
+        Axes that the image still has.
+    """
+    wcs = getattr(wcs, "low_level_wcs", wcs)
+    if isinstance(wcs, WCS):
+        return wcs, np.ones(wcs.naxis), np.ones(wcs.naxis, dtype=bool)
+    single, step = False, 1.0
+    if hasattr(wcs, "_slices_pixel"):
+        single = [isinstance(part, Integral) for part in wcs._slices_pixel]
+        start = [getattr(part, "start", part) or 0 for part in wcs._slices_pixel]
+    elif hasattr(wcs, "_factor"):
+        start, step = wcs._offset, wcs._factor
+    else:
+        raise TypeError(f"wcs must be a WCS, or one sliced, got {type(wcs).__name__}")
+    wcs, size, kept = fits_wcs(wcs._wcs)
+    wcs, kept = wcs.deepcopy(), kept.copy()
+    axes = np.flatnonzero(kept)
+    crpix = wcs.wcs.crpix.copy()
+    crpix[axes] = (crpix[axes] - 0.5 - start) / step + 0.5
+    if np.any(step != 1):
+        size[axes] *= step
+        matrix = wcs.pixel_scale_matrix
+        matrix[:, axes] *= step
+        del wcs.wcs.cd, wcs.wcs.crota
+        wcs.wcs.cdelt, wcs.wcs.pc = np.ones(len(matrix)), matrix
+    wcs.wcs.crpix = crpix
+    wcs.wcs.set()
+    wcs.pixel_shape = None
+    kept[axes] = np.logical_not(single)
+    return wcs, size, kept
+
+
+def as_celestial(wcs):
+    """Return the celestial part of a WCS, two axes without distortions."""
+    wcs, _, kept = fits_wcs(wcs)
+    if not wcs.has_celestial:
+        raise ValueError(f"wcs must have celestial axes, got {list(wcs.wcs.ctype)}")
+    if not kept[[wcs.wcs.lng, wcs.wcs.lat]].all():
+        raise ValueError("wcs has lost a celestial axis by slicing; slice images only")
+    if wcs.naxis != 2:
+        wcs = wcs.celestial
+    if wcs.wcs.lng > wcs.wcs.lat:
+        raise ValueError("wcs has latitude on its first axis; transpose the images")
+    if wcs.has_distortion:
+        raise ValueError("the grid of a cube has no distortions; resample images first")
+    return wcs
+
+
 def axis_kind(ctype):
     """Return "longitude" or "latitude" for a celestial CTYPE, None for others."""
     match = _CELESTIAL.match(ctype.strip().upper())
@@ -346,15 +397,10 @@ def epoch_header(cube, i):
     header["TIMESYS"] = time.scale.upper()
     header["LABEL"] = cube.labels[i].encode("ascii", "replace").decode()
     if cube.beams is not None:
-        header.update(beam_cards(cube.beams[i]))
+        axes = (getattr(cube.beams[i], name) for name in ("major", "minor", "pa"))
+        header.update(zip(BEAM, (axis.to_value(u.deg) for axis in axes), strict=True))
     if cube.noise is not None:
         header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
     facts = cube.epoch_meta[i]
     header.update({key[0]: facts[fact] for fact, key in FACTS.items() if fact in facts})
     return header
-
-
-def beam_cards(beam):
-    """Return BMAJ, BMIN and BPA of a beam, in degrees."""
-    parts = beam.major, beam.minor, beam.pa
-    return dict(zip(BEAM, (part.to_value(u.deg) for part in parts), strict=True))

@@ -1,10 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The record of a series of images on one pixel grid, its geometry and its noise."""
+"""A series of images on one pixel grid, made of what users give, and its geometry."""
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Self, TypeVar, overload
@@ -12,18 +13,19 @@ from typing import Any, Self, TypeVar, overload
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.nddata import CCDData, StdDevUncertainty
+from astropy.nddata import CCDData, NDData, StdDevUncertainty
 from astropy.time import Time
+from astropy.utils.masked import Masked
 from astropy.wcs import WCS
 from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
-from astro_scc.images import positions, validation
-from astro_scc.images.beam import Beam
-from astro_scc.images.headers import epoch_header
-from astro_scc.images.validation import as_celestial, as_epoch_tuple
+from astro_scc.images import positions
+from astro_scc.images.beam import Beam, as_beam
+from astro_scc.images.headers import as_celestial, epoch_header
+from astro_scc.quantities import parse_date, without_doubt
 from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
@@ -59,27 +61,20 @@ class ImageSeries:
     meta: dict = field(default_factory=dict)
 
     def __post_init__(self):
-        data, mask, unit = validation.as_stack(self.data, self.mask, self.unit)
+        data, mask, unit = as_stack(self.data, self.mask, self.unit)
         n = len(data)
-        times = validation.as_times(self.times, n)
-        labels = as_epoch_tuple(self.labels, n, "labels", str)
+        times = as_times(self.times, n)
+        labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
         facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
+        facts = facts or tuple({} for _ in range(n))
         own = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
-        vars(self).update(
-            data=data,
-            mask=validation.as_mask(data, mask),
-            times=times,
-            labels=labels or validation.date_labels(times),
-            beams=validation.as_beams(self.beams, n),
-            noise=validation.as_noise(self.noise, n, unit),
-            epoch_wcs=own,
-            epoch_meta=facts or tuple({} for _ in range(n)),
-            wcs=as_celestial(self.wcs),
-            unit=unit,
-            meta=dict(self.meta),
-        )
+        beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
+        vars(self).update(data=data, mask=as_mask(data, mask), unit=unit, noise=noise)
+        vars(self).update(times=times, beams=beams, labels=labels, epoch_meta=facts)
+        vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=own)
+        vars(self).update(meta=dict(self.meta))
         self._refuse_empty()
-        order = validation.order_of(times)
+        order = order_of(times)
         days = times.jd[order]
         for k in np.flatnonzero(np.diff(days) * 86400 < 1)[:1]:
             date = times.isot[order[k]]
@@ -150,21 +145,15 @@ class ImageSeries:
         return made
 
     def _refuse_empty(self):
-        empty = np.flatnonzero(self.mask.all(axis=(1, 2)))
-        if empty.size:
-            label = self.labels[empty[0]]
-            raise ValueError(f"{label}: no valid pixel; leave this epoch out")
+        for i in np.flatnonzero(self.mask.all(axis=(1, 2))):
+            raise ValueError(f"{self.labels[i]}: no valid pixel; leave this epoch out")
 
     def _picked(self, epochs):
         """Return the fields that have a value for each epoch, for some epochs."""
         found = {name: getattr(self, name) for name in EACH}
-        return {
-            name: tuple(values[i] for i in epochs)
-            if isinstance(values, tuple)
-            else values[epochs]
-            for name, values in found.items()
-            if values is not None
-        }
+        tuples = {k: v for k, v in found.items() if isinstance(v, tuple)}
+        arrays = {k: v[epochs] for k, v in found.items() if hasattr(v, "shape")}
+        return arrays | {k: tuple(v[i] for i in epochs) for k, v in tuples.items()}
 
     def _changed(self, **changes):
         own = {each.name: getattr(self, each.name) for each in fields(self)}
@@ -210,30 +199,21 @@ class ImageSeries:
     def __getitem__(self, item: Any) -> Any:
         if isinstance(item, tuple):
             raise TypeError("index epochs only, cube[i] or cube[i:j]; crop() cuts out")
-        try:
-            return self._image(operator.index(item))
-        except TypeError:
-            pass
-        keep = np.arange(len(self))[item]
-        if keep.ndim != 1 or keep.size == 0:
-            raise ValueError(f"the selection {item!r} holds none of {len(self)} epochs")
-        keep = keep[validation.order_of(self.times[keep])]
-        return self._changed(**self._picked(keep))
-
-    def _image(self, index):
-        index = validation.epoch_index(index, len(self))
-        noise = self.noise
-        if noise is not None:
-            every = np.full(self.shape[1:], noise[index].value)
-            noise = StdDevUncertainty(every, unit=self.unit, copy=False)
-        return CCDData(
-            self.data[index],
-            uncertainty=noise,
-            unit=self.unit,
-            mask=self.mask[index],
-            wcs=self.wcs.deepcopy(),
-            meta=epoch_header(self, index),
-        )
+        if not (hasattr(item, "__index__") and np.ndim(item) == 0):
+            keep = np.arange(len(self))[item]
+            if keep.ndim != 1 or keep.size == 0:
+                raise ValueError(
+                    f"the selection {item!r} holds none of {len(self)} epochs"
+                )
+            keep = keep[order_of(self.times[keep])]
+            return self._changed(**self._picked(keep))
+        index = epoch_index(item, len(self))
+        own = {"unit": self.unit, "wcs": self.wcs.deepcopy()}
+        if self.noise is not None:
+            every = np.full(self.shape[1:], self.noise[index].value)
+            own["uncertainty"] = StdDevUncertainty(every, unit=self.unit, copy=False)
+        mask, meta = self.mask[index], epoch_header(self, index)
+        return CCDData(self.data[index], mask=mask, meta=meta, **own)
 
     def mean_image(self) -> CCDData:
         """
@@ -265,7 +245,7 @@ class ImageSeries:
     @cached_property
     def measured_noise(self) -> u.Quantity:
         """Noise of each epoch as measured in its image."""
-        return u.Quantity(list(map(measure_noise, self.data, self.mask)), self.unit)
+        return u.Quantity([*map(measure_noise, self.data, self.mask)], self.unit)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -376,3 +356,159 @@ class ImageSeries:
         """
         y, x = np.indices(self.shape[1:])
         return self.pixel_to_offset(x, y)
+
+
+@contextmanager
+def naming(name):
+    """Put the name of an image before the message of an error, a ValueError then."""
+    try:
+        yield
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def as_stack(data, mask, unit):
+    """Return data as float64 (epoch, y, x), the mask and the unit."""
+    images = data if isinstance(data, list | tuple) else [data]
+    if any(isinstance(image, NDData) for image in images):
+        raise TypeError(
+            "data are images with unit, mask and coordinates of their own; use "
+            "EpochCube.from_ccddata or from_ndcube, which keep them"
+        )
+    try:
+        unit = u.Unit("" if unit is None else unit)
+    except (TypeError, ValueError):
+        raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
+    try:
+        if images is data and data:
+            masked = any(isinstance(image, np.ma.MaskedArray) for image in data)
+            data = (np.ma if masked else np).stack(data)
+        if isinstance(data, Masked | np.ma.MaskedArray):
+            inner = np.broadcast_to(data.mask, data.shape)
+            mask = inner if mask is None else inner | np.asarray(mask, dtype=bool)
+            data = data.unmasked if isinstance(data, Masked) else data.data
+        if isinstance(data, u.Quantity):
+            unit = data.unit if unit == u.dimensionless_unscaled else unit
+            data = data.to_value(unit)
+        data = as_numbers(data)
+    except (TypeError, ValueError, u.UnitsError) as error:
+        raise TypeError(
+            f"data must be images of real numbers in one unit: {error}"
+        ) from None
+    if data.ndim != 3 or 0 in data.shape:
+        raise ValueError(f"data must have shape (n_epochs, ny, nx), got {data.shape}")
+    return data, mask, unit
+
+
+def as_numbers(data):
+    """Return an array as float64."""
+    data = np.asarray(data)
+    if data.dtype.kind not in "fiub":
+        raise TypeError(f"they are of type {data.dtype}")
+    return data.astype(np.float64, copy=False)
+
+
+def as_mask(data, mask):
+    """Return the mask, to which pixels that are not finite are added."""
+    if mask is not None and np.shape(mask) != data.shape:
+        raise ValueError(f"mask has shape {np.shape(mask)}, data has {data.shape}")
+    bad = ~np.isfinite(data)
+    return bad if mask is None else bad | np.asarray(mask).astype(bool)
+
+
+def as_times(times, n):
+    """Return dates as a Time of shape (n,)."""
+    if not isinstance(times, Time):
+        if isinstance(times, str) or not np.iterable(times):
+            times = [times]
+        try:
+            dates = [parse_date(t) if isinstance(t, str) else Time(t) for t in times]
+        except (TypeError, ValueError) as error:
+            if all(isinstance(value, str) for value in times):
+                raise
+            raise TypeError(
+                f"times must be a Time or strings such as '2006-03-09', got {times!r}"
+            ) from error
+        times = Time(dates or [], format=None if dates else "jd")
+    times = times.reshape(1) if times.isscalar else times
+    if times.shape != (n,):
+        raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
+    if np.any(times.mask):
+        raise ValueError("every epoch needs a date, times has missing values")
+    return without_doubt(times)
+
+
+def order_of(times):
+    """Return the order of dates, of which equal ones stay as they are."""
+    return np.argsort((times - times[0]).jd, kind="stable")
+
+
+def as_beams(beams, n):
+    """Return one beam per epoch, or None."""
+    beams = [beams] * n if hasattr(beams, "major") else beams
+    return as_epoch_tuple(beams, n, "beams", as_beam)
+
+
+def as_noise(noise, n, unit):
+    """Return noise of shape (n,) in the unit of the data, or None."""
+    if noise is None:
+        return None
+    try:
+        noise = u.Quantity(noise).to(unit)
+    except (TypeError, u.UnitConversionError):
+        raise TypeError(f"noise must be a Quantity in {unit}, got {noise!r}") from None
+    if noise.shape not in ((), (n,)):
+        raise ValueError(f"{n} epochs need {n} noises, got shape {noise.shape}")
+    if not np.all(np.isfinite(noise) & (noise.value >= 0)):
+        raise ValueError("noise must be finite and not negative")
+    return noise if noise.shape else np.repeat(noise, n)
+
+
+def as_epoch_tuple(values, n, name, convert):
+    """Return one value per epoch as a tuple, None if there are none."""
+    values = () if values is None else tuple(convert(v) for v in values)
+    if len(values) not in (0, n):
+        raise ValueError(f"{n} epochs need {n} {name}, got {len(values)}")
+    return values or None
+
+
+def epoch_index(epoch, n):
+    """Return the index of one of n epochs, which may be counted from the last."""
+    index = operator.index(epoch)
+    if not -n <= index < n:
+        raise IndexError(f"epoch {index} of a cube with {n} epochs")
+    return index % n
+
+
+def date_labels(times):
+    """Return dates as short text, with the time of day if two dates are equal."""
+    days = tuple(value[:10] for value in times.isot)
+    equal = len(set(days)) < len(days)
+    return tuple(value[:19] for value in times.isot) if equal else days
+
+
+def numbers(column, unit, path, own_unit=None):
+    """
+    Return a column as floats in ``unit``, blanks as NaN.
+
+    ``own_unit`` replaces the unit of the column.  If ``unit`` is
+    `astropy.units.one`, the numbers are returned as they are.
+    """
+    name = column.info.name
+    try:
+        values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
+    except (TypeError, ValueError):
+        raise ValueError(f"{path}: column {name!r} is not numeric") from None
+    for i in np.flatnonzero(np.isinf(values)):
+        raise ValueError(f"{path}, row {i + 1}: {name} is infinite")
+    if unit == u.one:
+        return values
+    own_unit = own_unit or column.unit
+    if own_unit is None:
+        raise ValueError(f"{path}: column {name!r} has no unit, such as {unit}")
+    try:
+        return values * u.Unit(own_unit).to(unit)
+    except (u.UnitConversionError, TypeError, ValueError):
+        raise ValueError(
+            f"{path}: column {name!r} has the unit {own_unit}, expected one like {unit}"
+        ) from None

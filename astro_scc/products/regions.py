@@ -16,7 +16,7 @@ from skimage.measure import find_contours
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import EpochCube
-from astro_scc.images.validation import epoch_index
+from astro_scc.images.series import epoch_index
 from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from astro_scc.components.restoring import add_gaussians, correlated_noise, in_p
 from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
-from astro_scc.images.validation import as_beams, as_epoch_tuple
+from astro_scc.images.series import as_beams, as_epoch_tuple
 from astro_scc.quantities import random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete

@@ -7,7 +7,7 @@ import numpy as np
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.positions import axis_words, ssp_offsets
-from astro_scc.images.validation import epoch_index
+from astro_scc.images.series import epoch_index
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import style
 

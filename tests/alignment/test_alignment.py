@@ -92,15 +92,14 @@ def test_a_table_brings_sources_to_the_reference_pixel(tmp_path, turn):
     record = result.meta["alignment"][1]
     assert (record["epoch"], record["date"]) == (cube.labels[1], "2000-07-01")
     assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
-    assert "aligned on positions of a table" in result.meta["history"][-1]
-    assert "the noise, which had been given, is measured" in result.meta["history"][-1]
+    line = "table: shifts of 0.195 mas (east) and 0.356 mas (north) rms, largest (-0.06"
+    assert f"{line}, +0.52) mas for 2001-07-01; the n" in result.meta["history"][-1]
     offset_table().write(tmp_path / "cores.ecsv")
-    assert_array_equal(align(cube, tmp_path / "cores.ecsv").data, result.data)
     again = align(result, str(tmp_path / "cores.ecsv"))
     assert (len(again.meta["alignment"]), len(result.meta["alignment"])) == (8, 4)
 
 
-def test_whole_pixels_keep_values_and_noise():
+def test_whole_pixels_keep_values_and_noise_and_bad_pixels_travel():
     cube = images([[(0, 0, 1)], [(0.3, -0.2, 1)]], noise=0.01)
     result = align(cube, offset_table([[0, 0], [0.3, -0.2]]))
     assert_array_equal(result.data[0], cube.data[0])
@@ -108,7 +107,15 @@ def test_whole_pixels_keep_values_and_noise():
     assert_array_equal(result.data[1, 2:, 3:], cube.data[1, :-2, :-3])
     assert result.mask[1, :2].all()
     assert result.mask[1, :, :3].all()
-    assert_array_equal(result.noise, cube.noise)
+    assert result.noise is cube.noise
+    mask = np.zeros(cube.shape, dtype=bool)
+    mask[1, 60, 60] = True
+    data = np.where(mask, np.nan, cube.data)
+    cube = EpochCube(data, cube.times, cube.wcs, mask=mask, beams=BEAM)
+    result = align(cube, offset_table([[0, 0], [0.23, 0.47]]))
+    bad = np.argwhere(result.mask[1, 6:-6, 6:-6]) + 6
+    assert_allclose(bad.mean(axis=0), [60 - 4.7, 60 + 2.3], atol=0.5)
+    assert np.isnan(result.data[result.mask]).all()
 
 
 def test_names_carry_units_and_errors(tmp_path):
@@ -190,7 +197,7 @@ def test_the_core_is_found_though_it_is_blended_and_not_the_brightest(turn, core
     assert result.meta["alignment"][0]["shift_east_err_mas"] > 0
 
 
-@pytest.mark.parametrize("distance", [0.6, 0.84, 1.08])
+@pytest.mark.parametrize("distance", [0.6, 1.08])
 def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
     """Up to 1.4 beams there is but one maximum, four times as bright."""
     cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
@@ -224,8 +231,7 @@ def test_bad_pixels_beside_the_core():
     cube = images([[(0.13, -0.08, 1.0)]])
     mask = np.zeros(cube.shape, dtype=bool)
     mask[0, 36:39, 47:52] = True
-    data = np.where(mask, 1e3, cube.data)
-    cube = EpochCube(data, cube.times, cube.wcs, mask=mask, beams=BEAM, noise=1e-6)
+    cube = cube.with_step("", data=np.where(mask, 1e3, cube.data), mask=mask)
     assert_allclose(positions(core_positions(cube)), [[0.13, -0.08]], atol=1e-3)
 
 
@@ -279,7 +285,7 @@ def test_a_known_shift_is_recovered():
         displacement(moved, mask, *arguments[2:], start=(0, 0))
 
 
-@pytest.mark.parametrize(("turn", "reference"), [(0, None), (40, None), (40, -4)])
+@pytest.mark.parametrize(("turn", "reference"), [(40, None), (0, -4)])
 def test_correlation_undoes_displacements(turn, reference):
     cube = shifted_jets(turn=turn, noise=1e-4)
     result = align(cube, "correlate", reference=reference, max_shift=1 * u.mas)
@@ -325,6 +331,7 @@ def test_absolute_coordinates():
         assert_array_equal(wcs.wcs.crval, cube.wcs.wcs.crval)
     # Done once, there is nothing left to do.
     assert_array_equal(align(result, "wcs").data, result.data)
+    assert align(result, "none").data is result.data
     # They follow the other alignments.
     back = align(align(cube, offset_table()), "wcs")
     inside = ~(back.mask | result.mask)
@@ -343,15 +350,12 @@ def test_absolute_coordinates_of_a_turned_camera():
     assert result.noise is None
 
 
+@pytest.fixture(scope="module")
+def shifted():
+    return shifted_jets()
+
+
 # -- in general --------------------------------------------------------------------
-
-
-def test_no_shift():
-    cube = shifted_jets()
-    result = align(cube, "none")
-    assert_array_equal(result.data, cube.data)
-    assert_array_equal(result.noise, cube.noise)
-    assert "reference pixels" in result.meta["history"][-1]
 
 
 @pytest.mark.parametrize(
@@ -376,9 +380,9 @@ def test_no_shift():
         (3, {}, "is none of"),
     ],
 )  # fmt: skip
-def test_alignments_that_are_refused(method, options, message):
+def test_alignments_that_are_refused(shifted, method, options, message):
     with pytest.raises(ValueError, match=message):
-        align(shifted_jets(), method, **options)
+        align(shifted, method, **options)
 
 
 def test_images_without_a_core():
@@ -388,15 +392,3 @@ def test_images_without_a_core():
         core_positions(cube)
     with pytest.raises(ValueError, match="fitted with the beam and the epochs have no"):
         align(cube.with_step("", beams=None), "core")
-
-
-def test_bad_pixels_travel_with_their_epoch():
-    cube = shifted_jets()
-    mask = np.zeros(cube.shape, dtype=bool)
-    mask[1, 60, 60] = True
-    data = np.where(mask, np.nan, cube.data)
-    cube = EpochCube(data, cube.times, cube.wcs, mask=mask, beams=BEAM)
-    result = align(cube, offset_table())
-    bad = np.argwhere(result.mask[1, 6:-6, 6:-6]) + 6
-    assert_allclose(bad.mean(axis=0), [60 - 4.7, 60 + 2.3], atol=0.5)
-    assert np.isnan(result.data[result.mask]).all()

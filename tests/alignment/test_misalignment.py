@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.alignment.registration import misalignment
+from astro_scc.alignment.registration import misalignment, warn_of_misalignment
 from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.exceptions import MeasurementWarning
@@ -35,12 +35,6 @@ def jet():
     return simulate_jet(n_epochs=12, rng=1).cube
 
 
-@pytest.fixture(scope="module")
-def bad(jet):
-    """The same, 0.4 beams off."""
-    return shifted(jet, *(4 * np.random.default_rng(0).normal(size=(2, 12))))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("beams", [0.1, 0.6])
 @pytest.mark.parametrize("standing", [False, True])
@@ -56,13 +50,14 @@ def test_the_scatter_of_epochs_is_what_they_were_shifted_by(jet, beams, standing
 
 def test_epochs_that_are_aligned_or_drift_steadily(jet):
     assert misalignment(jet) < 0.05
-    assert misalignment(simulate_static(n_epochs=5, core=3.0, rng=1).cube) < 0.01
     drift = 12 * jet.years.value
     assert np.std(drift) > 10
     assert (misalignment(shifted(jet, drift)) or 0) < 0.1
 
 
-def test_an_alignment_mends_it_and_masked_pixels_do_not_count(bad):
+def test_an_alignment_mends_it_and_masked_pixels_do_not_count(jet):
+    """The epochs are 0.4 beams off."""
+    bad = shifted(jet, *(4 * np.random.default_rng(0).normal(size=(2, 12))))[:7]
     found = misalignment(bad)
     assert found > 0.2
     with warnings.catch_warnings(action="ignore"):  # the core is blended in some
@@ -157,8 +152,14 @@ def test_the_call_says_it_and_what_mends_it(unaligned):
     assert meta["misalignment_beams"] < 0.05
 
 
-def test_tracking_says_it_and_it_is_measured_once(unaligned):
+def test_it_is_said_and_measured_once(unaligned):
+    with pytest.warns(MeasurementWarning, match=LINE):
+        warn_of_misalignment(unaligned)
+    assert vars(unaligned)["misalignment"] is unaligned.misalignment
+
+
+@pytest.mark.slow
+def test_tracking_says_it(unaligned):
     decompositions = [Decomposer(scales=[2])(image) for image in unaligned.data]
     with pytest.warns(MeasurementWarning, match=LINE):
         FeatureTracker(max_speed=5 * u.mas / u.yr)(unaligned, decompositions)
-    assert vars(unaligned)["misalignment"] is unaligned.misalignment

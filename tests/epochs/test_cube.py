@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.nddata import CCDData
 from astropy.time import Time
 from astropy.wcs import WCS, Sip
 from hypothesis import given, settings
@@ -48,8 +47,7 @@ def celestial(**changes):
 
 
 def distorted():
-    sip, matrix = celestial(ctype=["RA---TAN-SIP", "DEC--TAN-SIP"]), np.zeros((3, 3))
-    matrix[2, 0] = 1e-4
+    sip, matrix = celestial(ctype=["RA---TAN-SIP", "DEC--TAN-SIP"]), np.eye(3)
     sip.sip = Sip(matrix, matrix, None, None, sip.wcs.crpix)
     return sip
 
@@ -68,19 +66,17 @@ def test_everything_is_sorted_by_date():
     assert np.array_equal(cube.data, data[order])
     assert np.array_equal(cube.mask, (data > 1)[order])
     assert [t[:10] for t in cube.times.isot] == [DATES[i] for i in order]
-    assert [b.major.value for b in cube.beams] == [2, 3, 1]
-    assert cube.noise.value.tolist() == [2, 3, 1]
+    assert [b.major.value for b in cube.beams] == cube.noise.value.tolist() == [2, 3, 1]
     assert cube.labels == ("b", "c", "a")
     assert [w.wcs.crval[0] for w in cube.epoch_wcs] == [1, 2, 0]
     assert [m["k"] for m in cube.epoch_meta] == [1, 2, 0]
 
 
 @pytest.mark.filterwarnings("ignore:two images are of")
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(st.permutations(range(5)))
 def test_any_order_gives_the_same_cube(order):
-    data = images(5, 2, 3)
-    days = np.array([0.0, 1.5, 1.5, 30.0, 31.0])
+    data, days = images(5, 2, 3), np.array([0.0, 1.5, 1.5, 30.0, 31.0])
     times = Time(51544 + days[list(order)], format="mjd")
     cube = EpochCube(data[list(order)], times, celestial())
     assert np.all(np.diff(cube.times.mjd) >= 0)
@@ -92,7 +88,11 @@ def test_arrays_become_float64_and_pixels_that_are_not_finite_are_masked():
     data = images()
     data[0, 0, 0], data[1, 1, 1] = np.nan, np.inf
     masked = np.ma.masked_array(data, mask=data == data[2, 2, 2])
-    assert EpochCube(masked, Time(DATES), celestial()).mask.sum() == 3
+    cube = EpochCube(masked, Time(DATES), celestial())
+    assert cube.mask.sum() == 3
+    # The mean leaves masked pixels out.
+    mean, others = cube.mean_image(), data[1:, 0, 0].mean()
+    assert (mean.data[0, 0], mean.mask.any()) == (pytest.approx(others), False)
     integers = np.ones((1, 2, 3), dtype=">i2") * u.mJy
     cube = EpochCube(integers, ["2000-01-01"], celestial())
     assert (cube.unit, cube.data.dtype) == (u.mJy, np.float64)
@@ -104,7 +104,7 @@ def test_beams_and_noise_of_every_epoch_or_of_each():
     cube = make_cube(beams=ROUND, noise=1 * u.mJy / u.beam)
     assert cube.beams == (ROUND,) * 3
     assert (cube.noise.unit, cube.noise.value.tolist()) == (JY_BEAM, [1e-3] * 3)
-    assert np.array_equal(cube.noise_rms(), cube.noise)
+    assert cube.noise_rms() is cube.noise
     radio_beam = pytest.importorskip("radio_beam")
     other = radio_beam.Beam(1 * u.arcsec, 0.5 * u.arcsec, 10 * u.deg)
     alike = SimpleNamespace(major=1 * u.mas, minor=1 * u.mas, pa=0 * u.deg)
@@ -119,7 +119,6 @@ def test_beams_and_noise_of_every_epoch_or_of_each():
         [datetime.fromisoformat(date) for date in DATES],
         np.array(DATES, dtype="datetime64[D]"),
         ["01/01/01", "2000-01-01Z", "2000/06/01"],
-        [Time(date) for date in DATES],
     ],
 )
 def test_dates_are_taken_in_many_forms(times):
@@ -132,9 +131,7 @@ def test_dates_older_than_utc_warn_of_nothing():
     times = ["1939-11-01", "1992-01-01"]
     cube = EpochCube.from_arrays(images(2), times, pixel_scale=0.2 * u.arcsec)
     assert cube.years.value[1] == pytest.approx(52.16, abs=0.01)
-    assert cube.labels[0] == "1939-11-01"
-    assert "1939-11-01" in repr(cube)
-    assert len(cube.epochs) == 2
+    assert (cube.labels[0], len(cube.epochs)) == ("1939-11-01", 2)
 
 
 @pytest.mark.parametrize(
@@ -158,11 +155,10 @@ def test_dates_older_than_utc_warn_of_nothing():
         ({"beams": [ROUND, None, ROUND]}, "a beam has major, minor and pa"),
         ({"noise": [1, 2] * JY_BEAM}, "3 epochs need 3 noises"),
         ({"noise": -1 * JY_BEAM}, "finite and not negative"),
-        ({"noise": 1.0}, "noise must be a Quantity in Jy / beam"),
-        ({"noise": 1 * u.K}, "noise must be a Quantity in Jy / beam"),
+        *(({"noise": no}, "noise must be a Quantity in Jy / beam")
+          for no in (1.0, 1 * u.K)),
         ({"labels": ["a"]}, "3 epochs need 3 labels"),
         ({"epoch_wcs": [celestial()]}, "3 epochs need 3 epoch_wcs"),
-        ({"epoch_meta": [{}]}, "3 epochs need 3 epoch_meta"),
         ({"wcs": None}, "wcs must be a WCS, or one sliced, got"),
         ({"wcs": WCS(naxis=2)}, "wcs must have celestial axes"),
         ({"wcs": celestial(ctype=["DEC--SIN", "RA---SIN"])}, "latitude on its first"),
@@ -179,13 +175,9 @@ def test_bad_arguments(changes, message):
 def test_from_arrays_and_axes_that_are_not_celestial():
     position = SkyCoord("12h29m06.7s +02d03m08.6s")
     cube = make_cube(reference_pixel=(2, 3), position=position)
-    assert cube.reference_pixel == (2, 3)
+    assert (cube.reference_pixel, make_cube().reference_pixel) == ((2, 3), (5.5, 3.5))
     assert SkyCoord(*cube.wcs.wcs.crval * u.deg).separation(position) < 1e-9 * u.deg
-    assert make_cube().reference_pixel == (5.5, 3.5)
-    assert cube.pixel_scale.to_value(u.mas) == pytest.approx(0.1)
     assert np.allclose(cube.pixel_matrix.value, [[-0.1, 0], [0, 0.1]])
-    with pytest.raises(ValueError, match=r"shape \(n_epochs, ny, nx\), got \(8, 12\)"):
-        EpochCube.from_arrays(images()[0], DATES, pixel_scale=1 * u.mas)
     with pytest.raises(ValueError, match="pixel_scale = .* must be finite and above 0"):
         make_cube(pixel_scale=-1 * u.mas)
     four = WCS(naxis=4)
@@ -197,90 +189,59 @@ def test_from_arrays_and_axes_that_are_not_celestial():
 # -- what it gives --------------------------------------------------------------
 
 
-def test_one_epoch_is_a_ccddata_of_its_own():
-    cube = make_cube(beams=ROUND, noise=1 * JY_BEAM)
+def test_epochs_are_images_and_some_of_them_a_cube():
+    cube = make_cube(beams=DIFFERENT, noise=[1, 2, 3] * JY_BEAM)
     image = cube[1]
-    assert isinstance(image, CCDData)
     assert (image.unit, image.wcs.naxis) == (JY_BEAM, 2)
     assert np.array_equal(image.data, cube.data[1])
     assert np.array_equal(image.mask, cube.mask[1])
     assert image.meta["DATE-OBS"] == "2000-06-01T00:00:00.000"
-    assert image.meta["BMAJ"] == pytest.approx(1 / 3.6e6)
+    assert image.meta["BMAJ"] == pytest.approx(3 / 3.6e6)
     image.meta["OBJECT"] = "changed"
-    assert "OBJECT" not in cube[1].meta
-    assert np.array_equal(cube[-1].data, cube.data[-1])
-
-
-@pytest.mark.parametrize(
-    "selection",
-    [slice(1, 3), [False, True, True], [1, 2], np.array([2, 1]), [1, -1]],
-    ids=str,
-)
-def test_some_epochs_are_a_cube(selection):
-    cube = make_cube(beams=DIFFERENT, noise=[1, 2, 3] * JY_BEAM)
-    part = cube[selection]
-    assert np.array_equal(part.data, cube.data[1:])
-    assert (part.beams, part.labels) == (cube.beams[1:], cube.labels[1:])
-    assert np.array_equal(part.noise, cube.noise[1:])
-    assert (part.times == cube.times[1:]).all()
-
-
-@pytest.mark.parametrize(
-    ("selection", "error", "words"),
-    [
+    assert "OBJECT" not in cube[-2].meta
+    for some in (slice(1, 3), [False, True, True], np.array([2, 1]), [1, -1]):
+        part = cube[some]
+        assert np.array_equal(part.data, cube.data[1:])
+        assert (part.beams, part.labels) == (cube.beams[1:], cube.labels[1:])
+        assert np.array_equal(part.noise, cube.noise[1:])
+        assert (part.times == cube.times[1:]).all()
+    for none, error, words in (
         (3, IndexError, "epoch 3 of a cube with 3 epochs"),
-        ([7], IndexError, "out of bounds"),
         ((0, slice(1, 3)), TypeError, "index epochs only"),
-        *((nothing, ValueError, "holds none of 3 epochs")
-          for nothing in (slice(3, 5), [False] * 3, [])),
-    ],
-)  # fmt: skip
-def test_epochs_that_are_not_there(selection, error, words):
-    with pytest.raises(error, match=words):
-        make_cube()[selection]
+        ([False] * 3, ValueError, "holds none of 3 epochs"),
+        (slice(3, 5), ValueError, "holds none of 3 epochs"),
+    ):
+        with pytest.raises(error, match=words):
+            cube[none]
 
 
 def test_steps_leave_a_line_and_the_first_cube_as_it_was():
     cube = make_cube()
+    noise = cube.measured_noise
     other = cube.with_step("doubled", data=2 * cube.data)
     assert other.meta["history"] == ["3 epochs from arrays", "doubled"]
     assert cube.meta["history"] == ["3 epochs from arrays"]
-    assert np.array_equal(other.data, 2 * cube.data)
-    third = other.with_step("named", meta={**other.meta, "object": "x"})
+    # What was measured holds only for the same images.
+    assert np.allclose(other.measured_noise, 2 * noise)
+    third = cube.with_step("nothing")
+    assert third.measured_noise is noise
+    third = third.with_step("named", meta={**third.meta, "object": "x"})
     assert (third.meta["object"], len(third.meta["history"])) == ("x", 3)
 
 
-def test_what_was_measured_holds_only_for_the_same_images():
-    cube = make_cube()
-    noise = cube.measured_noise
-    assert cube.with_step("nothing").measured_noise is noise
-    louder = cube.with_step("louder", data=2 * cube.data).measured_noise
-    assert np.allclose(louder, 2 * noise)
-
-
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(st.floats(-180, 180), st.booleans(), st.floats(-50, 50), st.floats(-50, 50))
-def test_offsets_and_pixels_are_inverse(angle, flipped, x, y):
+def test_offsets_are_those_of_the_sky_and_have_an_inverse(angle, flipped, x, y):
     turn = np.radians(angle)
     rotation = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     wcs = celestial(pc=rotation, cdelt=[1e-7 if flipped else -1e-7, 1e-7])
     cube = EpochCube(images(1), ["2000-01-01"], wcs)
-    again = cube.offset_to_pixel(*cube.pixel_to_offset(x, y))
-    assert np.allclose(again, (x, y), atol=1e-6)
-
-
-def test_offsets_are_those_of_the_sky():
-    cube = EpochCube(images(1), ["2000-01-01"], celestial())
-    east, north = cube.offsets()
-    assert east.shape == north.shape == cube.shape[1:]
-    assert east[4, 3] == north[4, 3] == 0
+    offset = cube.pixel_to_offset(x, y)
+    assert np.allclose(cube.offset_to_pixel(*offset), (x, y), atol=1e-6)
     origin = SkyCoord(10 * u.deg, 20 * u.deg)
-    true = u.Quantity(origin.spherical_offsets_to(cube.wcs.pixel_to_world(0, 0)))
-    assert u.allclose([east[0, 0], north[0, 0]], true, rtol=1e-6)
-    assert u.allclose(cube.pixel_to_offset(0, 0), true, rtol=1e-6)
-    x, y = cube.offset_to_pixel(east.to(u.arcsec), north.to(u.deg))
-    assert np.allclose(x[2], np.arange(12))
-    assert np.allclose(y[:, 2], np.arange(8))
+    true = u.Quantity(origin.spherical_offsets_to(cube.wcs.pixel_to_world(x, y)))
+    assert u.allclose(offset, true, rtol=1e-5, atol=1e-5 * u.mas)
+    assert u.allclose(u.Quantity(cube.offsets())[:, 4, 3], 0 * u.mas)
 
 
 def test_how_it_looks():
@@ -288,69 +249,29 @@ def test_how_it_looks():
     assert table.colnames[:6] == ["epoch", "label", "date", "major", "minor", "pa"]
     assert table["noise"].unit == JY_BEAM
     assert np.isnan(table["frequency"]).all()
-    assert "major" not in make_cube().epochs.colnames
     assert repr(make_cube(beams=ROUND)) == (
         "<EpochCube 3 epochs 2000-01-01 to 2001-01-01, 12 x 8 pixels of 0.1 mas, "
         "Jy / beam, beam 1 mas x 1 mas>"
     )
     assert "beams that differ" in repr(make_cube(beams=DIFFERENT))
-    assert "1 epoch 2001-01-01" in repr(make_cube(1))
-    html = make_cube()._repr_html_()
-    assert html.startswith("<p>EpochCube 3 epochs")
-    assert "<table" in html
+    assert make_cube(1)._repr_html_().startswith("<p>EpochCube 1 epoch 2001-01-01")
     same_day = EpochCube(images(2), ["2000-01-01T01", "2000-01-01T02:00"], celestial())
     assert same_day.labels == ("2000-01-01T01:00:00", "2000-01-01T02:00:00")
     for text in "2 arcsec/50 mas/0.1 mas/0.02 mas/3.125 uas/1 deg".split("/"):
         assert readable_angle(u.Quantity(text).to(u.mas)) == text
 
 
-def test_mean_image_leaves_masked_pixels_out():
-    data = images()
-    data[0, 0, 0] = data[:, 1, 1] = np.nan
-    mean = EpochCube(data, DATES, celestial(), unit=JY_BEAM).mean_image()
-    assert mean.data[0, 0] == pytest.approx(data[1:, 0, 0].mean())
-    assert mean.data[2, 2] == pytest.approx(data[:, 2, 2].mean())
-    assert np.argwhere(mean.mask).tolist() == [[1, 1]]
-    assert np.isnan(mean.data[1, 1])
-    assert mean.unit == JY_BEAM
-
-
-# -- noise ----------------------------------------------------------------------
-
-
-def noise_of(image):
-    return measure_noise(image, ~np.isfinite(image))
-
-
-def test_noise_is_measured_beside_the_source():
-    rng = np.random.default_rng(3)
-    image = rng.normal(scale=0.5, size=(200, 200)) + 7
-    image[50:100, 50:150] += np.geomspace(0.1, 1e4, 100)
-    assert noise_of(image) == pytest.approx(0.5, rel=0.05)
-    mask = np.zeros(image.shape, dtype=bool)
-    mask[50:100, 50:150] = True
-    assert measure_noise(image, mask) == pytest.approx(0.5, rel=0.02)
-    image[mask] = np.nan
-    assert noise_of(image) == pytest.approx(0.5, rel=0.02)
-
-
-def test_noise_of_blanked_and_of_trivial_images():
-    image = np.zeros((100, 100))
-    image[:30] = np.random.default_rng(3).normal(size=(30, 100))
-    assert noise_of(image) == pytest.approx(1, rel=0.05)
+def test_noise_is_measured_beside_the_source_and_what_is_blanked():
+    data = np.random.default_rng(3).normal(scale=0.5, size=(3, 120, 120)) + 7
+    data[0, 50:80, 20:120] += np.geomspace(0.1, 1e4, 100)
+    data[1, :80], data[2, :60] = 0, np.nan
+    cube = EpochCube(data, sorted(DATES), celestial())
+    assert np.allclose(cube.noise_rms().value, 0.5, rtol=0.06)
+    louder = cube.with_step("", data=1e6 * data)
+    assert np.allclose(louder.noise_rms() / cube.noise_rms(), 1e6)
     for value in (0, np.nan, 3.0):
-        assert noise_of(np.full((4, 4), value)) == 0
-    sparse = np.full((10, 10), 2.0)
-    sparse[0] = 3
-    assert noise_of(sparse) == pytest.approx(0.3)
-
-
-@settings(max_examples=30)
-@given(st.floats(1e-9, 1e9), st.floats(-10, 10))
-def test_noise_scales_with_the_image(factor, level):
-    image = images(1, 32, 32)[0]
-    expected = factor * noise_of(image)
-    assert noise_of(factor * (image + level)) == pytest.approx(expected, rel=1e-6)
+        image = np.full((4, 4), value)
+        assert measure_noise(image, np.isnan(image)) == 0
 
 
 # -- from files -----------------------------------------------------------------
@@ -358,91 +279,81 @@ def test_noise_scales_with_the_image(factor, level):
 
 def test_read_sorts_and_lays_on_reference_pixels(make_fits):
     one, two = images(1, 16, 32, 1), images(1, 16, 32, 2)
-    there = {"DATE_OBS": "2000-01-01", "CRVAL1": 187.25001}
+    there = {"DATE_OBS": "2000-01-01", "CRVAL1": 187.25001, "BUNIT": "mJy/beam"}
     paths = [make_fits("a.fits", one), make_fits("b.fits", two, **there)]
     with pytest.warns(EpochWarning, match="reference pixels are .* apart on the sky"):
         cube = EpochCube.read(paths)
     assert cube.labels == ("b.fits", "a.fits")
-    assert np.array_equal(cube.data, [two[0], one[0]])
+    # The unit is that of the first.
+    assert cube.unit == u.mJy / u.beam
+    assert np.allclose(cube.data, [two[0], 1e3 * one[0]], rtol=1e-12)
     assert [w.wcs.crval[0] for w in cube.epoch_wcs] == [187.25001, 187.25]
     assert cube.wcs.wcs.crval[0] == 187.25001
-    assert cube.unit == JY_BEAM
     assert cube.beams[0] == Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-    assert cube.epoch_meta[0]["frequency"] == 15.4e9
     assert cube.epochs["frequency"][0] == 15.4 * u.GHz
-    assert cube.meta["object"] == "3C273"
-    assert cube.meta["history"] == ["2 FITS images, aligned on their reference pixels"]
+    history = ["2 FITS images, aligned on their reference pixels"]
+    assert cube.meta == {"object": "3C273", "history": history}
 
 
 def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
     paths = [make_fits(f"{k}.fits", DATE_OBS=f"200{k}-01-01") for k in range(3)]
     every = f"{tmp_path}/*.fits"
-    numbers = {3: [every, [paths[0], every]], 2: [tmp_path / "[01].fits"]}
-    for n, names in numbers.items():
-        assert [len(EpochCube.read(own)) for own in names] == [n] * len(names)
+    assert len(EpochCube.read([paths[0], every])) == 3
+    assert find_files(tmp_path / "[01].fits") == paths[:2]
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert find_files("~/0.fits") == [tmp_path / "0.fits"]
-    assert find_files(iter([paths[0], paths[0]])) == [paths[0]]
+    assert find_files("~/0.fits") == find_files(iter([paths[0], paths[0]])) == paths[:1]
     odd = tmp_path / "[1].fits"
     odd.write_bytes(paths[0].read_bytes())
     assert find_files(odd) == [odd]
     (tmp_path / "x").mkdir()
     both = [paths[0], make_fits("x/0.fits", DATE_OBS="2007-01-01")]
     assert EpochCube.read(both).labels == tuple(map(str, both))
-
-
-@pytest.mark.parametrize(
-    ("paths", "error", "message"),
-    [
+    for name, error, words in (
         ("nowhere/*.fits", FileNotFoundError, r"nowhere/\*.fits: no file matches this"),
         ("nowhere.fits", FileNotFoundError, "nowhere.fits: no such file"),
         ([], FileNotFoundError, "no files were given"),
         (3, TypeError, "paths must be names or a pattern, got 3"),
         ([b"a.fits"], TypeError, "paths must be text"),
-    ],
-)
-def test_files_that_are_not_there(paths, error, message):
-    with pytest.raises(error, match=message):
-        EpochCube.read(paths)
+    ):
+        with pytest.raises(error, match=words):
+            EpochCube.read(name)
 
 
 def test_given_dates_and_beams_replace_those_of_headers(make_fits):
     paths = [make_fits(f"{k}.fits", DATE_OBS=None, BMAJ=-1.0) for k in range(2)]
-    with pytest.raises(ValueError, match=r"0.fits: no date of observation .*times="):
-        EpochCube.read(paths)
-    for times in (["2001-01-01", "2000-01-01"], Time(["2001-01-01", "2000-01-01"])):
-        cube = EpochCube.read(paths, times=times, beams=ROUND)
-        assert (cube.labels, cube.beams) == (("1.fits", "0.fits"), (ROUND, ROUND))
+    times = ["2001-01-01", "2000-01-01"]
+    cube = EpochCube.read(paths, times=times, beams=ROUND)
+    assert (cube.labels, cube.beams) == (("1.fits", "0.fits"), (ROUND, ROUND))
     other = make_fits("2.fits", DATE_OBS="2003-01-01")
     given_ = {"times": ["2004-01-01", None], "beams": ROUND}
     with pytest.warns(EpochWarning, match="^2.fits: the beam .* given, 1 x 1 mas at"):
         cube = EpochCube.read([paths[0], other], **given_)
     assert cube.labels == ("2.fits", "0.fits")
-    with pytest.raises(ValueError, match="2 images need 2 times, got 1"):
-        EpochCube.read(paths, times="2001-01-01")
-    with pytest.raises(ValueError, match="frame = 'sky' must be one of offset, abs"):
-        EpochCube.read(paths, frame="sky")
+    wide = Beam(1 * u.arcsec, 1 * u.arcsec)
+    for options, words in (
+        ({}, r"0.fits: no date of observation .*times="),
+        ({"times": "2001-01-01"}, "2 images need 2 times, got 1"),
+        ({"times": times, "beams": wide}, "0.fits: the beam that is given, .* larger"),
+        ({"frame": "sky"}, "frame = 'sky' must be one of offset, abs"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            EpochCube.read(paths, **options)
     with pytest.raises(ValueError, match="at least one image"):
         EpochCube.from_ccddata([])
 
 
-@pytest.mark.parametrize("date", ["2198-01-01", "1858-11-17"])
 # Leap seconds of the future are not known.
 @pytest.mark.filterwarnings("ignore:.*dubious year")
-def test_date_at_which_no_image_was_taken_is_a_warning(make_fits, date):
-    paths = make_fits("a.fits"), make_fits("b.fits", DATE_OBS=date)
-    with pytest.warns(EpochWarning, match=f"b.fits: is of {date}, when no image can"):
-        EpochCube.read(paths)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        *(({"DATE_OBS": date}, f"b.fits: is of {date}, when no image can")
+          for date in ("2198-01-01", "1858-11-17")),
         ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "b.fits: its peak is .* ti"),
         ({"OBJECT": "1226+023"}, "b.fits: shows 1226.023, at the same place"),
         ({"BUNIT": "ODD"}, "^a.fits, b.fits, c.fits and 1 more: its unit 'ODD'"),
     ],
-)
+)  # fmt: skip
 def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, words):
     unit = {name: changes[name] for name in changes if name == "BUNIT"}
     paths = [
@@ -454,61 +365,40 @@ def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, wo
     with pytest.warns(EpochWarning, match=words) as caught:
         cube = EpochCube.read(paths)
     assert (len(caught), caught[0].filename, len(cube)) == (1, __file__, 4)
-    assert cube.beams is not None
+
+
+COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "frame", "words", "unchecked"),
     [
-        ({"BMAJ": None}, "b.fits: no beam where other epochs have one; write BMAJ"),
-        ({"DATE_OBS": "2006-03-09"}, "b.fits: is of 2006-03-09, as is a.fits; leave"),
+        ({"OBJECT": "3C120", "CRVAL1": 68.0}, "offset", "shows 3C120, somewhere else, "
+         "where others show 3C273; leave it out .in Python, check=False reads it.", 1),
+        ({"CRVAL3": 43e9}, "offset", "is at 43 GHz, others are at 15.4; leave", 1),
+        ({"CRVAL4": 2.0}, "offset", "is of Stokes Q, others are of I", 1),
+        ({"FILTER": "F1"}, "offset", "is of the filter F1, others are of F502N", 1),
+        ({"data": images(1, 16, 32) > 0}, "offset", "has no more than two diff", 1),
+        ({"BMAJ": None}, "offset", "no beam where other epochs have one; wr", 1),
+        ({"DATE_OBS": "2000-01-01"}, "offset", "is of 2000-01-01, as is 2000", 1),
+        ({"BUNIT": "K"}, "offset", "its unit is K, that of others is Jy / beam", 0),
+        ({"BUNIT": None}, "offset", "its unit is none, that of", 0),
+        (COARSE, "offset", "its pixels are 3.6 mas where others are 0.1 mas", 0),
+        ({"CRVAL1": 188.0}, "absolute", "lies too far from .*2000-01-01.fits", 0),
     ],
-)
-def test_what_is_read_only_without_check(make_fits, changes, words):
-    paths = [
-        make_fits("a.fits"),
-        make_fits("b.fits", **{"DATE_OBS": "2007-01-01", **changes}),
-    ]
-    with pytest.raises(ValueError, match=words):
-        EpochCube.read(paths)
-    with pytest.warns(EpochWarning, match=words):
-        cube = EpochCube.read(paths, check=False)
-    assert (cube.beams is None) == ("BMAJ" in changes)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"OBJECT": "3C120", "CRVAL1": 68.0}, "shows 3C120, somewhere else, where"),
-        ({"CRVAL3": 43e9}, r"is at 43 GHz, others are at 15.4"),
-        ({"CRVAL4": 2.0}, "is of Stokes Q, others are of I"),
-        ({"FILTER": "F673N"}, "is of the filter F673N, others are of F502N"),
-        ({"data": images(1, 16, 32) > 0}, "has no more than two different values"),
-    ],
-)
-def test_files_of_something_else_are_named(make_fits, changes, message):
-    dates = [f"200{k}-01-01" for k in range(3)]
+)  # fmt: skip
+def test_files_of_something_else_are_named(make_fits, changes, frame, words, unchecked):
+    dates = ["2000-01-01", "2001-01-01"]
     paths = [make_fits(f"{d}.fits", DATE_OBS=d, FILTER="F502N") for d in dates]
-    data = changes.pop("data", images(1, 16, 32)).astype(float)
-    paths.insert(1, make_fits("odd.fits", data, **changes))
-    with pytest.raises(ValueError, match=message) as caught:
-        EpochCube.read(paths)
-    assert str(caught.value).startswith(str(paths[1]))
-    assert str(caught.value).endswith("leave it out (in Python, check=False reads it)")
-    with warnings.catch_warnings(action="ignore", category=EpochWarning):
-        assert len(EpochCube.read(paths, check=False)) == 4
-
-
-def test_units_are_brought_to_that_of_the_first(make_fits):
-    data = images(1, 16, 32)
-    one = make_fits("a.fits", data, BUNIT="mJy/beam")
-    cube = EpochCube.read([one, make_fits("b.fits", data, DATE_OBS="2007-01-01")])
-    assert cube.unit == u.mJy / u.beam
-    assert np.allclose(cube.data[1], 1000 * cube.data[0])
-    for unit, name in (("K", "K"), (None, "none")):
-        other = make_fits("c.fits", data, DATE_OBS="2008-01-01", BUNIT=unit)
-        with pytest.raises(ValueError, match=f"c.fits: its unit is {name}, that of"):
-            EpochCube.read([one, other])
+    data = changes.get("data", images(1, 16, 32)).astype(float)
+    odd = make_fits("odd.fits", **{"FILTER": "F502N", **changes, "data": data})
+    with pytest.raises(ValueError, match=f"odd.fits: {words}") as caught:
+        EpochCube.read([*paths, odd], frame=frame)
+    assert "\n" not in str(caught.value)
+    if unchecked:
+        with warnings.catch_warnings(action="ignore", category=EpochWarning):
+            cube = EpochCube.read([*paths, odd], check=False)
+        assert (len(cube), cube.beams is None) == (3, "BMAJ" in changes)
 
 
 def test_whole_cubes_are_not_epochs(make_fits, tmp_path):
@@ -528,23 +418,20 @@ def test_whole_pixels_are_moved_without_interpolation(make_fits):
     one, two = images(1, 16, 32, 1)[0], images(1, 20, 24, 2)[0]
     there = {"DATE_OBS": "2007-01-01", "CRPIX1": 12.0, "CRPIX2": 14.0}
     cube = EpochCube.read([make_fits("a.fits", one), make_fits("b.fits", two, **there)])
-    assert cube.shape == (2, 21, 32)
-    assert cube.reference_pixel == (15, 13)
+    assert (cube.shape, cube.reference_pixel) == ((2, 21, 32), (15, 13))
     assert np.array_equal(cube.data[0, 5:, :], one)
     assert np.array_equal(cube.data[1, :20, 4:28], two)
-    assert cube.mask[0, :5].all()
-    assert not cube.mask[0, 5:].any()
-    assert cube.mask[1].sum() == 21 * 32 - 20 * 24
+    assert cube.mask.sum(axis=(1, 2)).tolist() == [5 * 32, 21 * 32 - 20 * 24]
 
 
 STEP = 0.1 / 3.6e6
-COARSE = {"DATE_OBS": "2007-01-01", "CDELT1": -2 * STEP, "CDELT2": 2 * STEP}
+TWICE = {"DATE_OBS": "2007-01-01", "CDELT1": -2 * STEP, "CDELT2": 2 * STEP}
 
 
 def test_other_grids_are_resampled_in_offsets(make_fits):
     fine = gaussian(64, 64, 31 + 10, 31 + 6)
     coarse = gaussian(40, 40, 19 + 5, 19 + 3, 1.5)
-    own = {**COARSE, "CRPIX1": 20.0, "CRPIX2": 20.0, "CRVAL1": 187.25 + 3 * STEP}
+    own = {**TWICE, "CRPIX1": 20.0, "CRPIX2": 20.0, "CRVAL1": 187.25 + 3 * STEP}
     paths = [
         make_fits("a.fits", fine, CRPIX1=32.0, CRPIX2=32.0),
         make_fits("b.fits", coarse, **own),
@@ -562,30 +449,13 @@ def test_other_grids_are_resampled_in_offsets(make_fits):
     assert np.array_equal(cube.epoch_wcs[1].wcs.crpix, cube.wcs.wcs.crpix)
 
 
-@pytest.mark.parametrize(
-    ("changes", "frame", "words"),
-    [
-        ({"CDELT1": -1e-6, "CDELT2": 1e-6}, "offset", "its pixels are 3.6 mas where"),
-        ({"CRVAL1": 188.0}, "absolute", "lies too far from .*a.fits"),
-    ],
-)
-def test_pixels_or_positions_too_different_for_one_grid(
-    make_fits, changes, frame, words
-):
-    paths = [make_fits("a.fits"), make_fits("b.fits", DATE_OBS="2007-01-01")]
-    paths.append(make_fits("c.fits", DATE_OBS="2008-01-01", **changes))
-    with pytest.raises(ValueError, match=f"c.fits: {words}"):
-        EpochCube.read(paths, frame=frame)
-
-
 def test_absolute_coordinates_are_trusted_when_asked(make_fits):
     data = gaussian(32, 48, 20, 15)
     here = {"CRPIX1": 21.0, "CRPIX2": 16.0, "CRVAL2": 0.0}
     east = {**here, "CRVAL1": 187.25 + 2 * STEP, "DATE_OBS": "2007-01-01"}
     half = {**here, "CRVAL2": 2.5 * STEP, "DATE_OBS": "2008-01-01"}
     paths = [make_fits("a.fits", data, **here), make_fits("b.fits", data, **east)]
-    offset = EpochCube.read(paths)
-    assert np.array_equal(offset.data[0], offset.data[1])
+    assert np.ptp(EpochCube.read(paths).data, axis=0).max() == 0
     paths.append(make_fits("c.fits", data, **half))
     with pytest.warns(EpochWarning, match=r"c.fits: on another grid"):
         cube = EpochCube.read(paths, frame="absolute")
@@ -596,16 +466,12 @@ def test_absolute_coordinates_are_trusted_when_asked(make_fits):
     assert np.allclose(centres - centres[0], [[0, 0], [-2, 0], [0, 2.5]], atol=0.05)
 
 
-# -- real files -----------------------------------------------------------------
-
-
 def test_epochs_of_0003(shared_data):
     cube = EpochCube.read(f"{shared_data}/0003+380/*.fits")
-    assert cube.shape == (10, 256, 256)
+    assert (cube.shape, cube.reference_pixel) == ((10, 256, 256), (127, 128))
     assert cube.pixel_scale.to_value(u.mas) == pytest.approx(0.1)
     assert cube.times[0].isot[:10] == "2006-03-09"
     assert cube.beams[0].major.to_value(u.mas) == pytest.approx(1.084, abs=1e-3)
-    assert cube.reference_pixel == (127, 128)
     paths = sorted((shared_data / "0003+380").glob("*.fits"))
     published = [fits.getval(path, "NOISE") for path in paths]
     assert np.allclose(cube.noise_rms().value, published, rtol=0.1)

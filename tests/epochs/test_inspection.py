@@ -99,17 +99,13 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     assert found[str(paths["good"])] == ""
     assert "its unit is none, that of others is Jy" in found[str(paths["unit"])]
     assert (table["date"].mask.sum(), np.isnan(table["noise"]).sum()) == (8, 7)
-    alone = inspect_epochs(tmp_path / "text.fits")
-    assert alone["date"].mask.all()
-    with pytest.raises(FileNotFoundError, match="no file matches this pattern"):
-        inspect_epochs(f"{tmp_path}/*.fit")
+    assert inspect_epochs(tmp_path / "text.fits")["date"].mask.all()
 
 
 def test_plan_is_that_of_the_formulas():
     plan = plan_intervals(YEARS, BEAM, extent=10 * u.mas)
     b, span = np.sqrt(0.5), (YEARS[-1] - YEARS[0]).to_value(u.yr)
     gap = np.median(np.diff(YEARS.jd)) / 365.25
-    assert plan.n_epochs == 4
     found = [plan.span, plan.median, plan.shortest, plan.longest]
     expected = [span, gap, 182 / 365.25, 365 / 365.25]
     assert u.Quantity(found).to_value(u.yr) == pytest.approx(expected)
@@ -120,13 +116,13 @@ def test_plan_is_that_of_the_formulas():
     assert plan.baseline(1 * SPEED).to_value(u.yr) == pytest.approx([0.3 * b, 1.5 * b])
     assert plan.baseline(0.2 * SPEED)[1] == plan.span
     text = str(plan)
-    assert "4 epochs over 2 yr, 0.498 to 0.999 yr apart, median 0.504 yr" in text
-    assert (
-        "less than a beam and is not searched; what is faster than 9.93 mas / yr"
-        in text
-    )
-    assert "Consecutive epochs suit speeds of 0.42 to 2.1 mas / yr" in text
-    assert "further apart, which are used for them." in text
+    for words in (
+        "4 epochs over 2 yr, 0.498 to 0.999 yr apart, median 0.504 yr",
+        "than a beam and is not searched; what is faster than 9.93 mas / yr",
+        "Consecutive epochs suit speeds of 0.42 to 2.1 mas / yr",
+        "further apart, which are used for them.",
+    ):
+        assert words in text
     assert "leaves" not in str(plan_intervals(YEARS, BEAM))
     assert "further apart" not in str(plan_intervals(YEARS[:2], BEAM))
 
@@ -161,7 +157,7 @@ def test_plans_that_cannot_be_made(call, words):
         call()
 
 
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(
     st.lists(st.integers(0, 8000), min_size=2, max_size=20, unique=True),
     st.floats(0.01, 10),

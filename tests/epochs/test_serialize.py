@@ -67,8 +67,10 @@ def least():
     return EpochCube.from_arrays(np.zeros((1, 1, 1)), time, pixel_scale=1 * u.deg)
 
 
-@pytest.mark.parametrize("make", [make_cube, turned, least])
-@pytest.mark.parametrize("name", ["cube.fits", "cube.fits.gz"])
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [(make_cube, "cube.fits"), (turned, "cube.fits.gz"), (least, "cube.fits")],
+)
 def test_everything_comes_back_to_the_bit(tmp_path, make, name):
     cube, path = make(), tmp_path / name
     cube.write(path)
@@ -97,7 +99,7 @@ def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:two images are of")
-@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=arrays(float, (2, 1, 2), elements=st.floats(width=64)),
     days=st.lists(st.floats(-3e4, 2e4), min_size=2, max_size=2),
@@ -121,14 +123,13 @@ def test_files_are_not_replaced_unasked_nor_by_half(tmp_path, monkeypatch):
     path = tmp_path / "cube.fits"
     make_cube().write(path)
     before = path.read_bytes()
-    with pytest.raises(OSError, match=r"cube.fits: exists; pass overwrite=True"):
-        make_cube().write(path)
-    assert path.read_bytes() == before
 
     def fail(self, part, checksum):
         part.write_text("half")
         raise OSError("disk full")
 
+    with pytest.raises(OSError, match=r"cube.fits: exists; pass overwrite=True"):
+        make_cube().write(path)
     with monkeypatch.context() as patch:
         patch.setattr(fits.HDUList, "writeto", fail)
         with pytest.raises(OSError, match="disk full"):
@@ -137,10 +138,6 @@ def test_files_are_not_replaced_unasked_nor_by_half(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["cube.fits"]
     make_cube()[1:].write(path, overwrite=True)
     assert len(EpochCube.read(path)) == 2
-    with pytest.raises(OSError, match=r"a.fits: its folder .*nowhere does not exist"):
-        make_cube().write(tmp_path / "nowhere" / "a.fits")
-    with pytest.raises(OSError, match="is a directory; give the name of a file"):
-        make_cube().write(tmp_path)
 
 
 def test_damaged_files_and_those_of_later_versions(tmp_path, monkeypatch):
@@ -165,13 +162,14 @@ def test_other_programs_see_images_and_dates(tmp_path):
     with fits.open(tmp_path / "cube.fits") as hdus:
         np.testing.assert_array_equal(hdus["DATA"].data, cube.data)
         np.testing.assert_array_equal(hdus["MASK"].data, cube.mask)
-        assert hdus["DATA"].header["BUNIT"] == "Jy / beam"
-        assert hdus["DATA"].header["CTYPE1"] == "RA---SIN"
+        header = hdus["DATA"].header
+        assert (header["BUNIT"], header["CTYPE1"]) == ("Jy / beam", "RA---SIN")
         assert list(hdus["EPOCHS"].data["JD1"]) == list(cube.times.jd1)
         majors = [beam.major.value for beam in cube.beams]
         assert list(hdus["EPOCHS"].data["BMAJ"]) == majors
     # A unit that the FITS standard does not have.
-    data = np.arange(40.0).reshape(2, 4, 5)
     solar = {"pixel_scale": 1 * u.arcsec, "unit": "DN"}
-    cube = EpochCube.from_arrays(data, DATES[:2], **solar)
+    cube = EpochCube.from_arrays(np.arange(40.0).reshape(2, 4, 5), DATES[:2], **solar)
     assert EpochCube.read(write_epochs(cube, tmp_path / "e")).unit == u.DN
+    with pytest.raises(OSError, match="fits: exists; choose another folder, or overwr"):
+        write_epochs(cube, tmp_path / "e")

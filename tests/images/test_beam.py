@@ -10,17 +10,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam
 from astro_scc.flow import measure_profile
 from astro_scc.images.beam import (
+    common_beam,
     different_beam,
     gaussian_smooth,
     is_per,
     parse_beam,
     smallest_common_beam,
 )
-from astro_scc.images.grid import common_beam
 from astro_scc.tracking import FeatureTracker
 
 DATES = ["2000-01-01", "2000-02-01", "2000-03-01"]
@@ -72,24 +71,19 @@ def test_beams_that_differ_are_refused_until_that_is_stated(tmp_path):
     scc = StackedCrossCorrelation(scales=[2], max_speed=fast)
     stated = StackedCrossCorrelation(scales=[2], max_speed=fast, common_beam=False)
     matched = stated.match(cube, cache=tmp_path / "m.fits")
-    assert len(matched.matches)
-    decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
     calls = [
         lambda: scc(cube, n_trials=2, rng=1),
         # What was kept is no way around the refusal.
         lambda: scc.match(cube, cache=tmp_path / "m.fits"),
         lambda: measure_profile(scc, cube, [0, 1] * u.mas, n_trials=2, rng=1),
-        lambda: FeatureTracker(max_speed=fast)(cube, decompositions),
+        lambda: FeatureTracker(max_speed=fast)(cube, matched.decompositions),
     ]
+    words = r"0.52 x 0.5 mas at 0.0 deg in 2000-02-01: give cube.to_common_beam\(\), or"
     for call in calls:
-        with pytest.raises(ValueError, match="the beams differ") as refused:
+        with pytest.raises(ValueError, match=f"the beams differ, .*{words}"):
             call()
-        text = str(refused.value)
-        assert "0.52 x 0.5 mas at 0.0 deg in 2000-02-01" in text
-        assert "cube.to_common_beam(), or state common_beam=False" in text
     tracker = FeatureTracker(max_speed=fast, common_beam=False)
-    links = tracker.link(cube, matched.decompositions)
-    assert (links.kind == "link").sum() == 2
+    assert (tracker.link(cube, matched.decompositions).kind == "link").sum() == 2
     assert len(scc.match(cube.to_common_beam()).matches)
 
 
@@ -132,18 +126,22 @@ def test_point_sources_come_out_as_the_common_beam(turn):
     grown = common_beam(cube[:1], wider)
     assert_allclose(grown.data[0], source(cube, wider.covariance), atol=5e-6)
     assert np.abs(grown.data[0] - cube.data[0]).max() > 3e-4
+    # A kernel in one direction only.
+    image = np.eye(31)[[15]].T @ np.eye(31)[[15]]
+    smooth = gaussian_smooth(image, [[4, 0], [0, 0]])
+    assert_allclose(smooth[15].sum(), 1, atol=1e-6)
+    assert_allclose(np.delete(smooth, 15, axis=0), 0, atol=1e-12)
 
 
-def test_flux_density_and_intensities_per_pixel_are_conserved():
-    cube = point_sources(beam(1.0, 0.6, -20), beam(0.7, 0.7))
+@pytest.mark.parametrize("unit", [JY_BEAM, u.Jy / u.pix])
+def test_flux_density_and_intensities_per_pixel_are_conserved(unit):
+    cube = point_sources(beam(1.0, 0.6, -20), beam(0.7, 0.7), unit=unit)
     result = common_beam(cube, beam(1.5, 1.2, 10))
-    for images, beams in ((cube.data, cube.beams), (result.data, result.beams)):
-        pixels = [float(b.area / PIXEL**2) for b in beams]
-        assert_allclose(images.sum(axis=(1, 2)) / pixels, 1, rtol=1e-6)
-    cube = point_sources(beam(0.8, 0.8), beam(0.6, 0.6), unit=u.Jy / u.pix)
-    result = common_beam(cube)
-    assert_allclose(result.data.sum(axis=(1, 2)), cube.data.sum(axis=(1, 2)), rtol=1e-9)
-    assert result.data[1].max() < 0.6
+    before, after = (
+        [image.sum() / (b.area if unit == JY_BEAM else 1 * u.mas**2)
+         for image, b in zip(c.data, c.beams, strict=True)] for c in (cube, result)
+    )  # fmt: skip
+    assert u.allclose(before, after, rtol=1e-6)
 
 
 def test_epochs_with_the_beam_stay_as_they_are():
@@ -152,10 +150,9 @@ def test_epochs_with_the_beam_stay_as_they_are():
     result = common_beam(cube, beam(0.83, 0.8, 12))
     assert_array_equal(result.data[0], cube.data[0])
     assert np.any(result.data[1] != cube.data[1])
-    assert result.noise is None
     again = common_beam(result.with_step("noise", noise=[2, 3] * JY_BEAM))
     assert_array_equal(again.data, result.data)
-    assert_array_equal(again.noise.value, [2, 3])
+    assert (result.noise, again.noise.value.tolist()) == (None, [2, 3])
     assert "0 of 2" in again.meta["history"][-1]
 
 
@@ -171,20 +168,12 @@ def test_bad_pixels_and_edges_do_not_darken():
     assert_allclose(result.data[~result.mask], 7, rtol=1e-9)
 
 
-def test_a_kernel_in_one_direction_only():
-    image = np.zeros((31, 31))
-    image[15, 15] = 1
-    smooth = gaussian_smooth(image, [[4, 0], [0, 0]])
-    assert_allclose(smooth[15].sum(), 1, atol=1e-6)
-    assert_allclose(np.delete(smooth, 15, axis=0), 0, atol=1e-12)
-
-
 def test_units_per_beam():
-    known = [JY_BEAM, u.mJy / u.beam, u.Jy / u.pix, u.Jy, u.dimensionless_unscaled]
     texts = "JY/BEAM", "Jy Beam-1", "COUNTS/S"
-    units = [*known, *(u.Unit(text, parse_strict="silent") for text in texts)]
+    units = [JY_BEAM, u.Jy / u.pix, u.Jy, u.dimensionless_unscaled]
+    units += [u.Unit(text, parse_strict="silent") for text in texts]
     found = [is_per(unit, "beam") for unit in units]
-    assert found == [True, True, False, False, False, True, True, False]
+    assert found == [True, False, False, False, True, True, False]
 
 
 def contains(large, small, tolerance=1e-9):
@@ -225,7 +214,7 @@ def test_the_smallest_common_beam_contains_all(shapes):
     assert area <= least_area(beams) * (1 + 1e-5)
 
 
-@pytest.mark.parametrize("scale", [2e-5, 1.0, 3.6e6])
+@pytest.mark.parametrize("scale", [2e-5, 3.6e6])
 def test_common_beams_of_any_size(scale):
     """Micro-arcseconds for the EHT, degrees for single dishes."""
     beams = [beam(scale, 0.5 * scale, pa) for pa in (-20, 20)]
@@ -237,7 +226,7 @@ def test_common_beams_of_any_size(scale):
     assert abs(result.pa.value) < 0.1
 
 
-@pytest.mark.parametrize("spread", [1e-7, 1e-5, 1e-3])
+@pytest.mark.parametrize("spread", [1e-7, 1e-3])
 def test_common_beams_of_nearly_equal_ones(spread):
     steps = np.random.default_rng(0).uniform(-1, 1, (2, 12))
     major, minor = (1 + spread * steps) * [[0.9], [0.6]]

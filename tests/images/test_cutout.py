@@ -26,8 +26,8 @@ from regions import (
 
 from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.exceptions import EpochWarning
-from astro_scc.images.cutout import crop, distance_mask, refuse_pixels, region_mask
 from astro_scc.images.fits import read_plane
+from astro_scc.images.grid import crop, distance_mask, refuse_pixels, region_mask
 
 SHAPE = (40, 50)
 MAS = u.mas.to(u.deg)
@@ -104,8 +104,7 @@ def test_sky_regions_of_milliarcseconds(tmp_path, turn):
     ellipse = EllipseSkyRegion(centre, 1.6 * u.mas, 0.6 * u.mas, 30 * u.deg)
     at = u.Quantity(cube.pixel_to_offset(24, 18))
     east, north = (u.Quantity(cube.offsets()) - at[:, None, None]).to_value(u.mas)
-    # The angle of a region is from west (longitude decreasing to the right)
-    # towards north.
+    # The angle of a region is from west towards north.
     c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
     along, across = -east * c + north * s, east * s + north * c
     expected = (along / 0.8) ** 2 + (across / 0.3) ** 2 < 1
@@ -154,16 +153,14 @@ def test_round_numbers_and_what_regions_writes_by_default(tmp_path):
         assert np.sum(region_mask(CUBE, path) != disc(20, 15, 18)) < 4
     cube = make(25)
     region = CircleSkyRegion(cube.wcs.pixel_to_world(24.3, 18.2), 0.52 * u.mas)
-    Regions([region]).write(path, format="crtf", overwrite=True)
-    # The radius has become 0.
-    with pytest.raises(ValueError, match=r"r.reg: cannot be read .* strictly posit"):
-        region_mask(cube, path)
     Regions([region]).write(path, format="ds9", overwrite=True)
     # Eight decimals are 0.04 mas.
     assert np.sum(region_mask(cube, path) != disc(24.3, 18.2, 5.2)) < 4
-    Regions([ONE]).write(tmp_path / "r.fits", format="fits")
-    with pytest.raises(ValueError, match="r.fits: is not a text file; give a DS9 or"):
-        region_mask(cube, tmp_path / "r.fits")
+    for kind, words in (("crtf", "cannot be read .* strictly p"), ("fits", "is not a")):
+        # In CRTF the radius has become 0.
+        Regions([region if kind == "crtf" else ONE]).write(path, kind, overwrite=True)
+        with pytest.raises(ValueError, match=f"r.reg: {words}"):
+            region_mask(cube, path)
 
 
 def test_regions_on_the_sphere():
@@ -172,13 +169,11 @@ def test_regions_on_the_sphere():
     centre = cube.wcs.pixel_to_world(24.3, 18.2)
     circle = regions.CircleSphericalSkyRegion(centre, 0.52 * u.mas)
     hole = regions.CircleSphericalSkyRegion(centre, 0.2 * u.mas, meta=EXCLUDED)
-    assert_array_equal(region_mask(cube, circle), disc(24.3, 18.2, 5.2))
     expected = disc(24.3, 18.2, 5.2) & ~disc(24.3, 18.2, 2)
     assert_array_equal(region_mask(cube, [circle, hole]), expected)
     corners = cube.wcs.pixel_to_world([10.5, 30.5, 30.5, 10.5], [5.5, 5.5, 20.5, 20.5])
     square = regions.PolygonSphericalSkyRegion(corners)
     assert region_mask(cube, square).sum() == 20 * 15
-    assert region_mask(cube, circle | square).sum() == 320
     limits = {"longitude_range": [1, 2] * u.deg, "frame": "icrs"}
     with pytest.raises(ValueError, match="RangeSphericalSkyRegion cannot be") as e:
         region_mask(cube, regions.RangeSphericalSkyRegion(**limits))
@@ -219,17 +214,17 @@ def test_regions_that_cannot_be_used(tmp_path, region, message):
 
 def test_region_files_in_pixels_are_known(tmp_path):
     path = tmp_path / "r.reg"
+    path.write_text('icrs\ncircle(187d,12d,0.001")\n')
+    assert refuse_pixels(path) is None
     path.write_text('icrs\ncircle(187d,12d,0.001")\nimage\ncircle(20,20,8)\n')
     with pytest.raises(ValueError, match=r"r.reg: is in pixels, which are others in a"):
         refuse_pixels(path)
-    path.write_text('icrs\ncircle(187d,12d,0.001")\n')
-    assert refuse_pixels(path) is None
 
 
 # -- crops --------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.integers(0, 38), st.integers(1, 40), st.integers(0, 48), st.integers(1, 50))
 def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
     cube = make(25, epoch_wcs=[grid(25), grid(25, crval=(187.0, 12.0 + 1e-7))])
@@ -247,14 +242,10 @@ def test_cropping_to_a_region_with_a_margin():
     mask = np.zeros((2, *SHAPE), dtype=bool)
     mask[1, 12, 21] = True
     cube = make(mask=mask, beams=Beam(1 * u.mas, 1 * u.mas), noise=[1, 2] * u.one)
-    region = RectanglePixelRegion(PixCoord(22, 12), 8, 4)
-    part = crop(cube, region, pad=2)
-    inside = np.argwhere(region_mask(cube, region))
-    (ya, xa), (yb, xb) = inside.min(axis=0), inside.max(axis=0)
-    assert_array_equal(part.data, cube.data[:, ya - 2 : yb + 3, xa - 2 : xb + 3])
+    part = crop(cube, RectanglePixelRegion(PixCoord(22, 12), 8, 4), pad=2)
+    assert_array_equal(part.data, cube.data[:, 9:16, 17:28])
     assert part.mask.sum() == 1
-    assert_array_equal(part.noise, cube.noise)
-    assert part.beams == cube.beams
+    assert (part.noise is cube.noise, part.beams) == (True, cube.beams)
     assert "cropped to pixels x 17 to 27" in part.meta["history"][-1]
     part.data[:] = 0
     assert cube.data.any()
@@ -267,16 +258,14 @@ def test_cropping_to_a_region_with_a_margin():
 # -- rings ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [0, 25])
-def test_rings_share_no_pixel_and_leave_none_out(turn):
-    cube = make(turn)
+def test_rings_share_no_pixel_and_leave_none_out():
+    cube = make(25)
     edges = [0, 0.5, 1.0, 1.7, 10] * u.mas
     rings = [distance_mask(cube, a, b) for a, b in zip(edges, edges[1:], strict=False)]
     assert_array_equal(np.sum(rings, axis=0), 1)
     # Pixels five steps away are at 0.5 mas but for rounding.
     assert rings[0][15, 20]
-    assert rings[1][15, 25]
-    assert rings[1][10, 20]
+    assert rings[1][[15, 10], [25, 20]].all()
     offset = u.Quantity(cube.pixel_to_offset(30, 22))
     sky = cube.wcs.pixel_to_world(30, 22)
     for origin in (offset.to(u.uas), sky, sky.galactic):
@@ -340,29 +329,19 @@ def paths(tmp_path):
 def test_as_reading_all_and_cropping(paths, tmp_path):
     whole = EpochCube.read(paths)
     circle = CircleSkyRegion(whole.wcs.pixel_to_world(30, 18), 0.75 * u.mas)
-    for region, pad in ((PART, 0), (circle, 3), (whole.region_mask(circle), 100)):
-        part = EpochCube.read(paths, region=region, pad=pad)
-        assert part.shape[1:] != whole.shape[1:] or pad == 100
-        same(part, whole.crop(region, pad=pad))
+    for region, pad in ((PART, 0), (circle, 3)):
+        same(EpochCube.read(paths, region=region, pad=pad), whole.crop(region, pad=pad))
     path = tmp_path / "jet.reg"
     path.write_text("image\ncircle(21,21,8.5)\nblob(3,4)\n")
-    for use in (whole.region_mask, lambda own: EpochCube.read(paths, region=own)):
-        with pytest.warns(EpochWarning, match="blob") as caught:
-            use(path)
-        assert caught[0].filename == __file__
-
-
-def test_as_reading_a_cube_and_cropping(tmp_path):
+    with pytest.warns(EpochWarning, match="blob") as caught:
+        EpochCube.read(paths, region=path)
+    assert caught[0].filename == __file__
     path, noise = tmp_path / "cube.fits", 1 * u.Jy / u.beam
     for cube in (series(beams=None), series(noise=noise)):
         cube.write(path, overwrite=True)
         part = EpochCube.read(path, region=PART, pad=2)
         same(part, cube.crop(PART, pad=2))
         assert_array_equal(part.noise, cube.noise)
-    with pytest.raises(ValueError, match="hold no pixel of the 60 x 40"):
-        EpochCube.read(path, region=(slice(50, 60), slice(0, 9)))
-    with pytest.raises(TypeError, match="region must be"):
-        EpochCube.read(path, region=7)
 
 
 @pytest.mark.parametrize("frame", ["offset", "absolute"])
@@ -394,11 +373,9 @@ def test_images_of_other_pixels(tmp_path):
         paths += write_epochs(cube, tmp_path / day)
     with pytest.warns(match="on another grid than the finest"):
         part = EpochCube.read(paths, region=(slice(9, 28), slice(26, 45)))
-    assert part.shape[1] < 40
-    assert part.shape[2] < 60
     # A little less, since edges are extrapolated.
     inside = part.crop((slice(3, -3), slice(3, -3)))
-    assert inside.shape[1] * 0.8 >= 18
+    assert 18 <= inside.shape[1] * 0.8 < 32
     assert not inside.mask.any()
     np.testing.assert_allclose(*inside.data, atol=2e-3)
 
@@ -415,14 +392,11 @@ def test_what_a_part_has_not(paths):
         EpochCube.read(paths, region=PART)
     times = ["2001-03-01", "2001-02-01", None]
     assert len(EpochCube.read(paths, region=PART, times=times, check=False)) == 3
-
-
-def test_the_size_of_the_whole_image_tells_sources_apart(paths):
-    """A part is smaller than the scatter of positions of VLBI."""
+    # A part is smaller than the scatter of positions of VLBI, by which sources differ.
     there = fits.getval(paths[1], "CRVAL1")
     fits.setval(paths[1], "CRVAL1", value=there + 0.25 * MAS)
-    part = slice(10, 13), slice(10, 13)
-    same(EpochCube.read(paths, region=part), EpochCube.read(paths).crop(part))
+    part = slice(30, 33), slice(10, 13)
+    assert len(EpochCube.read(paths, region=part, times=times)) == 3
 
 
 def test_parts_of_scaled_and_weighted_images_and_headers_alone(paths):

@@ -4,7 +4,6 @@
 import string
 import warnings
 from contextlib import suppress
-from datetime import datetime
 
 import astropy.units as u
 import numpy as np
@@ -52,28 +51,19 @@ def header_beam(header, tables=()):
         ("21/03/05", "2005-03-21T00:00:00.000"),
         ("21/03/1995", "1995-03-21T00:00:00.000"),
         ("2016-12-31T23:59:60", "2016-12-31T23:59:60.000"),
+        *((text, None) for text in (
+            "", "yesterday", "2006-13-01", "2006-02-30", "31/31/95", "2006.2")),
     ],
 )  # fmt: skip
 def test_dates_of_all_sorts(text, expected):
-    assert parse_date(text).isot == expected
-
-
-@pytest.mark.parametrize(
-    "text", ["", "yesterday", "2006-13-01", "2006-02-30", "31/31/95", "2006.2", "?" * 9]
-)
-def test_what_is_no_date_is_refused(text):
+    if expected is not None:
+        assert parse_date(text).isot == expected
+        return
     with pytest.raises(ValueError, match="is no date; write it as 2006-03-09"):
         parse_date(text)
 
 
-@settings(max_examples=20)
-@given(st.datetimes(datetime(1960, 1, 1), datetime(2025, 1, 1)))
-def test_iso_dates_of_python_are_understood(date):
-    time = parse_date(date.isoformat())
-    assert abs((time - Time(date.isoformat(), scale="utc")).sec) < 1e-6
-
-
-@settings(max_examples=20)
+@settings(max_examples=8)
 @example("1,")
 @given(st.text(string.printable, max_size=25))
 def test_any_text_is_a_date_or_a_value_error_and_a_unit_or_none(text):
@@ -132,10 +122,8 @@ def test_units(text, unit):
 
 def test_get_skips_what_is_not_there():
     header = fits.Header([("A", None), ("B", "1.5D-3"), ("C", " "), ("D", "nan")])
-    assert get(header, "A", "E") is None
     assert get(header, "A", "B", kind=float) == 1.5e-3
-    assert get(header, "C", kind=str) is None
-    assert get(header, "D", "C", kind=float) is None
+    assert get(header, "A", "C", kind=str) is get(header, "D", kind=float) is None
     broken = fits.Header.fromstring("X       = 1 2 3 'a".ljust(80))
     assert get(broken, "X") is None
 
@@ -149,14 +137,17 @@ def test_beam_from_the_header(aips_header):
     assert header_beam({"beam": BEAM}) is BEAM
     for none in (None, 0.0):
         assert header_beam(aips_header(BMAJ=none)) is None
-    for lost in (None, "abc", np.nan):
-        record = read_header(dict(aips_header()) | {"BPA": lost})
+    odd = "BPA is missing or no number, and BMA"
+    for wrong, words in (
+        *(({"BPA": lost}, odd) for lost in (None, "abc", np.nan)),
+        *(
+            (own, "not positive")
+            for own in ({"BMAJ": -1e-7}, {"BMIN": 0}, {"BMIN": -1})
+        ),
+    ):
+        record = read_header(dict(aips_header()) | wrong)
         assert record["beam"] is None
-        assert record["beam_problem"].startswith("BPA is missing or no number, and BMA")
-    for wrong in ({"BMAJ": -1e-7}, {"BMIN": 0.0}, {"BMIN": -1.0}):
-        record = read_header(aips_header(**wrong))
-        assert record["beam"] is None
-        assert "is not positive" in record["beam_problem"]
+        assert words in record["beam_problem"]
 
 
 def test_beam_from_the_history(aips_header):
@@ -177,15 +168,18 @@ def test_beam_from_the_history(aips_header):
 
 @pytest.mark.parametrize(
     ("name", "unit", "scale"),
-    [("AIPS CG", "DEGREES", 1.0), ("BEAMS", "arcsec", 3600.0)],
+    [
+        ("AIPS CG", "DEGREES", 1 / 3.6e6),
+        ("BEAMS", "mas", 1),
+        ("BEAMS", None, 1 / 3.6e6),
+    ],
 )
 def test_beam_from_a_table(aips_header, name, unit, scale):
+    values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7.0)}
     columns = [
         fits.Column(key, "1E", unit=own, array=[value])
-        for key, own, value in (
-            ("BMAJ", unit, scale / 3.6e6), ("BMIN", unit, scale / 7.2e6),
-            ("BPA", "deg", -7.0))
-    ]  # fmt: skip
+        for key, (own, value) in values.items()
+    ]
     tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
     beam = header_beam(aips_header(BMAJ=None), tables)
     assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)
@@ -224,13 +218,11 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, cha
     assert list(wcs.wcs.ctype) == ["RA---SIN", "DEC--SIN"]
     scale = 0.1 / 3.6e6
     assert np.allclose(wcs.pixel_scale_matrix, [[-scale, 0], [0, scale]], rtol=1e-12)
-    assert list(wcs.wcs.crpix) == [16, 9]
-    assert list(wcs.wcs.crval) == [187.25, 2.05]
+    assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
 def test_equinox_reference_value_and_signs(aips_header):
-    systems = {2000.0: "FK5", 1950.0: "FK4"}
-    for epoch, system in systems.items():
+    for epoch, system in ((2000.0, "FK5"), (1950.0, "FK4")):
         assert celestial_wcs(aips_header(EPOCH=epoch)).wcs.radesys == system
     assert celestial_wcs(aips_header(EPOCH=None)).wcs.radesys in ("", "ICRS")
     wcs = celestial_wcs(aips_header(CRVAL1=None, CRVAL2=None, CDELT1=2e-8))

@@ -9,7 +9,7 @@ import pytest
 from astropy.io import fits
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -55,13 +55,11 @@ def test_filling():
     filled = fill_masked(np.where(hole, np.nan, ramp), hole)
     assert_allclose(filled, ramp, atol=0.2)
     assert_array_equal(filled[~hole], ramp[~hole])
-    clean = np.zeros(ramp.shape, dtype=bool)
-    filled = fill_masked(ramp, clean)
-    assert_array_equal(filled, ramp)
-    assert filled is not ramp
-    assert_array_equal(fill_masked(ramp * np.nan, ~clean), 0)
+    assert fill_masked(ramp, hole & False) is not ramp
+    assert_array_equal(fill_masked(ramp * np.nan, hole | True), 0)
 
 
+@settings(max_examples=15)
 @given(st.integers(-9, 9), st.integers(-12, 12))
 def test_whole_pixels_are_copied(dy, dx):
     rng = np.random.default_rng(1)
@@ -82,18 +80,15 @@ def test_parts_of_a_pixel_move_a_source_and_its_bad_pixels():
     def spot(x0, y0):
         return np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * 3**2))
 
-    clean = np.zeros((50, 60), dtype=bool)
-    moved, mask = shift_image(spot(27.3, 24.6), clean, (2.45, -3.7))
+    bad = np.zeros((50, 60), dtype=bool)
+    moved, mask = shift_image(spot(27.3, 24.6), bad, (2.45, -3.7))
     assert_allclose(moved[~mask], spot(29.75, 20.9)[~mask], atol=2e-4)
     # Three columns come from outside on the left, four rows at the top.
-    assert mask[:, :3].all()
-    assert mask[-4:].all()
-    assert not mask[:-4, 3:].any()
-    bad = clean.copy()
+    outside = (x < 3) | (y >= 46)
+    assert_array_equal(mask, outside)
     bad[18:20, 24] = True
     moved, mask = shift_image(np.where(bad, 1e6, spot(20, 20)), bad, (0.5, 0.25))
-    assert mask[INNER].sum() == 6
-    assert mask[18:21, 24:26].all()
+    assert mask[INNER].sum() == mask[18:21, 24:26].sum() == 6
     assert_allclose(moved[~mask], spot(20.5, 20.25)[~mask], atol=5e-3)
 
 
@@ -102,7 +97,7 @@ def test_parts_of_a_pixel_move_a_source_and_its_bad_pixels():
 
 @pytest.mark.parametrize(
     ("order", "tolerance"),
-    [("bilinear", 2e-2), ("biquadratic", 2e-3), ("bicubic", 5e-4)],
+    [("bilinear", 2e-2), ("bicubic", 5e-4)],
 )
 def test_onto_finer_and_turned_pixels(order, tolerance):
     new, new_shape = grid((60, 55), pixel=0.05, turn=30), (110, 120)
@@ -134,9 +129,9 @@ def test_averages_over_larger_pixels(method, atol):
 
 
 def test_white_noise_on_coarser_pixels():
-    noise = np.random.default_rng(1).normal(size=(1, 128, 128))
-    cube = EpochCube(noise, DATES[:1], grid((64.5, 64.5)))
-    coarse = grid((16.5, 16.5), pixel=0.4), (32, 32)
+    noise = np.random.default_rng(1).normal(size=(1, 96, 96))
+    cube = EpochCube(noise, DATES[:1], grid((48.5, 48.5)))
+    coarse = grid((12.5, 12.5), pixel=0.4), (24, 24)
     with pytest.warns(EpochWarning, match="pixels of 0.1 mas are interpolated at"):
         assert np.nanstd(reproject_cube(cube, *coarse).data) > 0.5
     with warnings.catch_warnings(action="error"):
@@ -145,7 +140,7 @@ def test_white_noise_on_coarser_pixels():
         # A beam that is sampled is all there is.
         beams = (Beam(0.8 * u.mas, 0.8 * u.mas),)
         reproject_cube(cube.with_step("", beams=beams), *coarse)
-        reproject_cube(cube, grid((64.5, 64.5), turn=5), (128, 128))
+        reproject_cube(cube, grid((48.5, 48.5), turn=5), (96, 96))
     beams = (Beam(0.7 * u.mas, 0.6 * u.mas),)
     with pytest.warns(EpochWarning, match="use method='exact' or 'adaptive' to"):
         reproject_cube(cube.with_step("", beams=beams), *coarse)
@@ -153,17 +148,16 @@ def test_white_noise_on_coarser_pixels():
 
 def test_grids_of_headers_cubes_and_coordinates():
     cube, new = cube_of(), grid((70.25, 50), pixel=0.05, turn=20)
-    expected = reproject_cube(cube, new, (100, 140))
+    expected = reproject_cube(cube, new, (50, 70))
     header, shaped = new.to_header(), new.deepcopy()
-    header.update({"NAXIS": 2, "NAXIS1": 140, "NAXIS2": 100, "CTYPE2": "DEC---SIN"})
-    shaped.array_shape = (100, 140)
-    other = cube_of(new, (100, 140))
-    for target in (header, shaped, other, other[0]):
+    header.update({"NAXIS": 2, "NAXIS1": 70, "NAXIS2": 50, "CTYPE2": "DEC---SIN"})
+    shaped.array_shape = (50, 70)
+    for target in (header, shaped, cube_of(new, (50, 70))[0]):
         result = cube.reproject_to(target)
         assert_array_equal(result.mask, expected.mask)
         good = ~result.mask
         assert_allclose(result.data[good], expected.data[good], atol=1e-6)
-    assert cube.reproject_to(header, (50, 60), "bilinear").shape == (2, 50, 60)
+    assert cube.reproject_to(header, (40, 60), "bilinear").shape == (2, 40, 60)
 
 
 def test_what_is_kept_and_what_one_bad_pixel_does():
@@ -173,16 +167,15 @@ def test_what_is_kept_and_what_one_bad_pixel_does():
         epoch_meta=({"object": "x"}, {"object": "y"}), meta={"caution": 1},
     )  # fmt: skip
     cube.data[0, 30, 40], cube.mask[0, 30, 40] = np.nan, True
-    new = grid((40.4, 32.3))
-    result = reproject_cube(cube, new, SHAPE)
+    result = reproject_cube(cube, grid((40.4, 32.3)), SHAPE)
     for name in ("unit", "beams", "labels", "epoch_meta"):
         assert getattr(result, name) == getattr(cube, name)
     assert (result.noise, result.meta["caution"]) == (None, 1)
-    assert result.mask[0][INNER].sum() == 4
+    assert (result.mask[0][INNER].sum(), result.mask[1][INNER].sum()) == (4, 0)
     assert result.mask[0, 30, 40]
-    assert not result.mask[1][INNER].any()
     good = ~result.mask
-    assert_allclose(result.data[good], spots(new, SHAPE)[good], atol=2e-3)
+    expected = spots(grid((40.4, 32.3)), SHAPE)
+    assert_allclose(result.data[good], expected[good], atol=2e-3)
 
 
 def test_whole_pixels_of_another_grid_are_copied():
@@ -192,7 +185,7 @@ def test_whole_pixels_of_another_grid_are_copied():
     assert_array_equal(result.data[:, 8:70, :60], cube.data[:, :62, 5:65])
     assert result.mask[:, :8].all()
     assert not result.mask[:, 8:].any()
-    assert_array_equal(result.noise.value, [1, 2])
+    assert result.noise is cube.noise
     assert "copied" in result.meta["history"][-1]
 
 
@@ -256,18 +249,15 @@ def test_the_finest_pixels_and_the_widest_extent_are_shared(grids):
     step = np.array(pixel_to_pixel(finest, wcs, 3, 4))
     assert_allclose(step, np.rint(step), atol=1e-4)
     assert_allclose(wcs.pixel_scale_matrix, finest.pixel_scale_matrix)
-    ends = []
-    for (ny, nx), own in grids:
-        corners = np.array([[0, nx - 1, 0, nx - 1], [0, 0, ny - 1, ny - 1]])
-        ends.append(pixel_to_pixel(own, wcs, *corners))
-    x, y = np.concatenate(ends, axis=1)
+    corners = [
+        pixel_to_pixel(own, wcs, *(np.array([[0, 1, 0, 1], [0, 0, 1, 1]]) * end))
+        for own, end in ((own, [[nx - 1], [ny - 1]]) for (ny, nx), own in grids)
+    ]
+    x, y = np.concatenate(corners, axis=1)
     # It holds all of them, and no more.
     assert -0.02 <= min(x.min(), y.min()) < 1
     assert_allclose([y.max(), x.max()], np.subtract(shape, 1.5), atol=0.52)
     assert wcs.array_shape == shape
-
-
-@pytest.mark.parametrize("far", [(187.1, 12.0), (7.0, -12.0)])
-def test_grids_that_cannot_be_shared_are_refused(far):
-    with pytest.raises(ValueError, match="too far apart"):
-        shared_grid([(SHAPE, grid()), (SHAPE, grid(crval=far))])
+    for far in ((187.1, 12.0), (7.0, -12.0)):
+        with pytest.raises(ValueError, match="too far apart"):
+            shared_grid([*grids, (SHAPE, grid(crval=far))])

@@ -13,7 +13,6 @@ from astropy.table import QTable
 
 from astro_scc.cli import main
 from astro_scc.epochs import EpochCube, read_components
-from astro_scc.images.fits import read_vlbi_fits
 
 
 @pytest.mark.slow
@@ -35,7 +34,7 @@ def test_a_wrong_answer_would_be_seen(inputs):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
-@pytest.mark.parametrize("read", [EpochCube.read, read_vlbi_fits, read_components])
+@pytest.mark.parametrize("read", [EpochCube.read, read_components])
 def test_nobody_waits_for_a_pipe(tmp_path, read):
     path = tmp_path / "pipe.fits"
     os.mkfifo(path)
