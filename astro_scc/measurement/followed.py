@@ -7,13 +7,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from astro_scc.features import motion as motions
-from astro_scc.features.diffusion import measure_diffusion
-from astro_scc.features.trust import LEAST_EPOCHS
+from astro_scc.features.trust import LEAST_EPOCHS, measure_diffusion
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.measurement.axes import frame_positions, turned
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.search_settings import DEFAULT
+from astro_scc.streams.diagram import DEFAULT
 
 #: SSPs and detections as near to each other as this, in beams, are of one emission.
 NEAR = 0.5

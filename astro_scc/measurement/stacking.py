@@ -21,7 +21,7 @@ from astro_scc.stacking.stack import (
     velocity_peak_near,
 )
 from astro_scc.stacking.velocities import baseline_pairs
-from astro_scc.streams.search_settings import DEFAULT
+from astro_scc.streams.diagram import DEFAULT
 from astro_scc.writing import versions
 
 #: Shift of the paper's correction for small displacements, in beams.

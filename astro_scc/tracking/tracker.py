@@ -28,8 +28,15 @@ from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.kinematics.ridge_line import mean_width
 from astro_scc.progress import progress
 from astro_scc.settings import BEAMS, require
-from astro_scc.tracking import likelihood
-from astro_scc.tracking.linking import Links, chains, link
+from astro_scc.tracking.linking import (
+    Links,
+    chains,
+    coarser_ssps,
+    core_ssps,
+    find_candidates,
+    link,
+    lowest,
+)  # fmt: skip
 from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
@@ -196,9 +203,10 @@ class FeatureTracker:
         """
         links = self.link(cube, decompositions, select=select, **how)
         ssps = SSPs.of_epochs(decompositions)
-        return linked_features(
-            cube, ssps, links, select=select, min_epochs=self.min_epochs
-        )
+        core = core_ssps(ssps, cube)
+        jet = ~core if select is None else np.asarray(select) & ~core
+        tracks = [t for t in chains(links, ssps, self.min_epochs) if jet[t].all()]
+        return linked_features(cube, ssps, tracks, core, jet)
 
     def link(
         self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
@@ -245,19 +253,19 @@ class FeatureTracker:
         matches = self._match(cube, decompositions, limits, fwhm, **how)
         target = target_ssps(matches, ssps)
         target = np.where((target >= 0) & select[target], target, -1)
-        core = likelihood.core_ssps(ssps, cube)
+        core = core_ssps(ssps, cube)
 
         def inside(found):
             # Features do not jump into the core or out of it.
             same = core[found.source] == core[found.target]
             return same & self._inside(found, ssps, cube, limits, fwhm)
 
-        candidates = likelihood.find_candidates(
+        candidates = find_candidates(
             matches, target, ssps, cube.years.to_value(u.yr), max_gap=self.max_gap,
             inside=inside,
         )  # fmt: skip
         return link(
-            candidates, ssps, parent=likelihood.coarser_ssps(ssps, cube.shape[2]),
+            candidates, ssps, parent=coarser_ssps(ssps, cube.shape[2]),
             tolerance=self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas),
         )  # fmt: skip
 
@@ -351,9 +359,9 @@ class FeatureTracker:
         return ssps, select
 
 
-def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
+def linked_features(cube, ssps, tracks, core, jet):
     """
-    Return the features that links of SSPs make up, one row for each.
+    Return the features that tracks of SSPs make up, one row for each.
 
     A pattern that is followed on several scales is one feature, that of the finest
     scale.  Detections are the SSPs of these tracks, and of the others those that are
@@ -364,11 +372,10 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
     cube : `~astro_scc.epochs.EpochCube`
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
-    links : `Links`
-    select : array_like of bool, shape (n_ssps,), optional
-        The SSPs that were linked.
-    min_epochs : int, optional
-        Fewest epochs of a track.
+    tracks : list of `~numpy.ndarray` of int
+        SSPs of each.
+    core, jet : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs that are the core, and those that are detections.
 
     Returns
     -------
@@ -376,29 +383,21 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
         There are no disturbed assignments, so ``same_speed`` is 1; no track is
         ``proven``, as the rounds of `link` need not find the best links.
     """
-    core = likelihood.core_ssps(ssps, cube)
-    jet = ~core if select is None else np.asarray(select) & ~core
-    size, keep = ssp_sizes(ssps), np.zeros(len(ssps), bool)
-    tracks = []
-    found = [t for t in chains(links, ssps, min_epochs=min_epochs) if jet[t].all()]
-    for track in sorted(found, key=lambda track: size[track[0]]):
+    size, keep, kept = ssp_sizes(ssps), np.zeros(len(ssps), bool), []
+    for track in sorted(tracks, key=lambda track: size[track[0]]):
         if np.mean([is_new(ssps, keep, k) for k in track.tolist()]) > 0.5:
             keep[track] = True
-            tracks.append(track)
+            kept.append(track)
     own = finest_patterns(ssps, keep, jet)
     number = np.full(len(ssps), -1)
     number[own] = np.arange(len(own))
     # Detections are in the order of the epochs.
-    tracks = sorted((number[track] for track in tracks), key=lambda own: own[0])
+    kept = sorted((number[track] for track in kept), key=lambda own: own[0])
     cores = np.flatnonzero(core)
-    cores = cores[likelihood.lowest(size[cores], ssps.epoch[cores])]
+    cores = cores[lowest(size[cores], ssps.epoch[cores])]
     fwhm = mean_fwhm(cube, np.unique(ssps.scale))
-    return Features(
-        cube=cube,
-        detections=ssps_of(cube, ssps, own, fwhm),
-        core=ssps_of(cube, ssps, cores, fwhm),
-        tracks=tuple(Track(own, 1.0, False) for own in tracks),
-    )
+    detections, core = (ssps_of(cube, ssps, which, fwhm) for which in (own, cores))
+    return Features(cube, detections, core, tuple(Track(k, 1.0, False) for k in kept))
 
 
 def mean_fwhm(cube, scales):

@@ -10,15 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from astro_scc.features import TrackSettings, hypotheses
-from astro_scc.features.hypotheses import (
+import astro_scc.features.tracks as module
+from astro_scc.features import TrackSettings
+from astro_scc.features.tracks import (
     TOLERANCE,
     Assignment,
+    find_tracks,
     log_t,
     position_scatter,
     steady_hypotheses,
 )
-from astro_scc.features.tracks import find_tracks
 
 #: Turns and mirrors of the sky.
 TURNS = {
@@ -298,9 +299,9 @@ def test_it_is_the_best_choice_and_others_are_valid(problem, seed):
 def test_prices_alone_do_not_solve_all_pairs(monkeypatch):
     # Of all pairs of five only two are disjoint, but prices cannot exclude 2.5.
     calls = []
-    solve = hypotheses.milp
+    solve = module.milp
     monkeypatch.setattr(
-        hypotheses, "milp", lambda *a, **k: calls.append(1) or solve(*a, **k)
+        module, "milp", lambda *a, **k: calls.append(1) or solve(*a, **k)
     )
     paths = list(combinations(range(5), 2))
     chosen, proven = Assignment(paths, 5).best(np.ones(10))
@@ -316,7 +317,7 @@ def test_prices_alone_do_not_solve_all_pairs(monkeypatch):
 )
 def test_without_time_or_all_tracks_nothing_is_proven(monkeypatch, limits):
     for name, value in limits.items():
-        monkeypatch.setattr(hypotheses, name, value)
+        monkeypatch.setattr(module, name, value)
     paths, score = hard()
     chosen, proven = Assignment(paths, 60).best(score)
     assert is_packing(paths, chosen)

@@ -13,7 +13,7 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import simulate_static
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.classification import Stream
+from astro_scc.streams.search import Stream
 from astro_scc.streams.dispersion import Population, velocity_of
 
 PM = u.mas / u.yr

@@ -9,7 +9,6 @@ from scipy.stats import norm
 
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.classification import Stream
 from astro_scc.streams.dispersion import (
     ONE_DISPERSIONS,
     TWO_DISPERSIONS,
@@ -18,6 +17,7 @@ from astro_scc.streams.dispersion import (
     random_effects,
     separate_streams,
 )
+from astro_scc.streams.search import Stream
 
 SEARCH = SearchSettings()
 
@@ -175,8 +175,8 @@ class TestSeparateStreams:
             np.sort(rng.normal(0, 0.4, (3, 6)), axis=1),
             rng.uniform(0.02, 0.2, (3, 6)),
         )
-        one, mean, tau, linear = _one(y, e, ONE_DISPERSIONS)
-        two, where = _two(y, e, TWO_DISPERSIONS)
+        one, mean, tau, linear = _one(y, e)
+        two, where = _two(y, e)
         constant = 6 * 0.5 * np.log(2 * np.pi)
         for k in range(3):
             best = -np.inf

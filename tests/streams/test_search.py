@@ -13,10 +13,10 @@ from scipy.stats import combine_pvalues
 import astro_scc.streams.search as module
 from astro_scc.streams import SearchSettings, find_streams
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.classification import P_SECURE, classify, with_secure
 from astro_scc.streams.diagram import Diagram, Rays
 from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
 from astro_scc.streams.permutations import EpochPermutations
+from astro_scc.streams.search import P_SECURE, classify, with_secure
 
 SEARCH = SearchSettings()
 #: Ten uneven dates.
@@ -150,7 +150,7 @@ def test_one_feature_that_was_followed_is_no_second_stream(followed, n_fast, gro
     if followed:
         features = [replace(f, detection=f.epoch) for f in features]
     axis = SimpleNamespace(
-        settings=SEARCH,
+        rays=SimpleNamespace(settings=SEARCH),
         moving=lambda own, speed: own,
         z=lambda speed: 1.0,
         p_values=lambda own, mean: (0.01, 0.01),
@@ -259,7 +259,7 @@ class TestTwoStreams:
     def test_speeds_whose_mean_is_none_of_theirs(self, monkeypatch, two):
         """Where they cannot be told apart those near the largest z are the stream."""
         monkeypatch.setattr(
-            module,
+            module.dispersion,
             "separate_streams",
             lambda f, n, rng, _: (1.0, np.zeros(len(f), bool)),
         )

@@ -15,19 +15,23 @@ from astro_scc import Beam
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.simulation import simulate_static
-from astro_scc.tracking import likelihood
-from astro_scc.tracking.likelihood import (
+from astro_scc.tracking import linking
+from astro_scc.tracking.linking import (
     Candidates,
+    Links,
+    assign,
+    chains,
     chance_density,
     coarse_to_fine,
     coarser_ssps,
     core_ssps,
     equal_pairs,
     find_candidates,
+    link,
+    path_gains,
     similarity,
     steady_motion,
 )
-from astro_scc.tracking.linking import Links, assign, chains, link, path_gains
 
 
 def catalogue(rows, *, scale=1.0, half=2, width=400):
@@ -100,7 +104,7 @@ def test_only_the_best_candidates_of_an_epoch_are_kept(monkeypatch):
     ssps = RANDOM
     matches, landed = random_matches(np.random.default_rng(3), ssps, 500)
     every = find_candidates(matches, landed, ssps, np.arange(4.0))
-    monkeypatch.setattr(likelihood, "MAX_CANDIDATES", 1)
+    monkeypatch.setattr(linking, "MAX_CANDIDATES", 1)
     one = find_candidates(matches, landed, ssps, np.arange(4.0))
     groups = {}
     for i, gap, c in zip(every.source, every.gap, every.coefficient, strict=True):
