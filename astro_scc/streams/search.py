@@ -22,13 +22,7 @@ from numpy.typing import ArrayLike
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import chains, dispersion
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.diagram import (
-    SHORT,
-    Diagram,
-    Rays,
-    SearchSettings,
-    fit_mixture,
-)  # fmt: skip
+from astro_scc.streams.diagram import SHORT, Diagram, Rays, SearchSettings, fit_mixture
 from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
 from astro_scc.streams.permutations import EpochPermutations, persistence
 
