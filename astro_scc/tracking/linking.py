@@ -559,8 +559,7 @@ def link(
     >>> from astro_scc.correlation import Correlator, all_pairs
     >>> from astro_scc.correlation.correlate import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
-    >>> from astro_scc.tracking.likelihood import find_candidates
-    >>> from astro_scc.tracking.linking import link
+    >>> from astro_scc.tracking.linking import find_candidates, link
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):
     ...     return np.exp(-((x - x0) ** 2 + (y - 32) ** 2) / 30)
