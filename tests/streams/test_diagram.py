@@ -12,6 +12,7 @@ from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import (
     SPEED_STEP,
     Diagram,
+    IntervalBins,
     PairDensity,
     Rays,
 )
@@ -98,6 +99,19 @@ def bins_by_loop(years, intervals=(0, np.inf)):
         number = np.floor(np.log((years[j] - years[i]) / shortest) / 0.08 + 1e-9)
         bins.setdefault(number, []).append((i, j))
     return [bins[number] for number in sorted(bins)]
+
+
+@pytest.mark.parametrize("intervals", [(0, np.inf), (0.5, 2.0)])
+def test_every_pair_is_in_the_bin_of_its_interval(intervals):
+    years = np.array([0.0, 0.5, 0.51, 0.51, 1.0, 1.52, 3.0, 4.4])
+    bins = IntervalBins(years, 0.08, intervals)
+    wanted = bins_by_loop(years, intervals)
+    assert bins.number.tolist() == [len(pairs) for pairs in wanted]
+    for k, pairs in enumerate(wanted):
+        here = bins.bin == k
+        assert set(zip(bins.first[here], bins.second[here], strict=True)) == set(pairs)
+        interval = [years[j] - years[i] for i, j in pairs]
+        assert bins.mean[k] == pytest.approx(np.mean(interval))
 
 
 class TestDiagram:
