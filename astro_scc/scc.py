@@ -31,7 +31,7 @@ from astro_scc.quantities import random_generator
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking import stack as paper
 from astro_scc.stacking.velocities import VelocitySamples, baseline_pairs
-from astro_scc.streams.search_settings import DEFAULT
+from astro_scc.streams.diagram import DEFAULT
 from astro_scc.units import comparable
 from astro_scc.writing import versions
 

@@ -45,7 +45,7 @@ from astro_scc.cli import main as astro_scc
 from astro_scc.features import find_features
 from astro_scc.features.tracks import find_tracks
 from astro_scc.features.trust import is_secure, properties
-from astro_scc.streams.search_settings import DEFAULT
+from astro_scc.streams.diagram import DEFAULT
 
 TABLE = "data/mojave_xviii/apjac230ft4_mrt.txt"
 KNOWN = (

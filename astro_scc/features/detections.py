@@ -91,6 +91,23 @@ class Detections:
         """Date of each, in years."""
         return self.years[self.epoch]
 
+    def velocity(self, own: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the slope of a straight line through some detections.
+
+        Parameters
+        ----------
+        own : array_like of int, shape (n,)
+
+        Returns
+        -------
+        velocity, variance : `~numpy.ndarray`, shape (2,)
+            In mas/yr, and the formal variance.
+        """
+        time = self.time[own] - self.time[own].mean()
+        response = time / (time @ time)
+        return response @ self.place[own], response**2 @ self.place_error[own] ** 2
+
     @property
     def fwhm(self) -> float:
         """Geometric mean of the beam's full widths at half maximum, in mas."""
@@ -202,21 +219,18 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         for model in in_order(_fit, work, n_workers):
             models.append(model)
             done(1)
-    parts = {
-        name: np.concatenate([getattr(model, name) for model in models])
+    y, x, y_err, x_err, flux, size = (
+        np.concatenate([getattr(model, name) for model in models])
         for name in ("y", "x", "y_err", "x_err", "flux", "size")
-    }
+    )
     x0, y0 = cube.reference_pixel
-    errors = np.stack([parts["y_err"], parts["x_err"]], axis=1)
+    errors = np.stack([y_err, x_err], axis=1)
     return Detections(
         epoch=np.repeat(np.arange(len(cube)), [len(model) for model in models]),
-        place=np.stack([parts["y"] - y0, parts["x"] - x0], axis=1) @ matrix.T,
-        place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T),
-        flux=parts["flux"],
-        size=parts["size"] * cube.pixel_scale.value,
-        years=_years(cube),
-        beam=_mean_beam(cube),
-    )
+        place=np.stack([y - y0, x - x0], axis=1) @ matrix.T,
+        place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T), flux=flux,
+        size=size * cube.pixel_scale.value, years=_years(cube), beam=_mean_beam(cube),
+    )  # fmt: skip
 
 
 def _fit(image_mask_beam_rms):
@@ -292,15 +306,11 @@ def ssps_of(cube, ssps, own, fwhm=None):
         beam = _mean_beam(cube)
     place = np.stack(positions.ssp_offsets(ssps, cube), axis=1)
     widths = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    errors = positions.position_errors(ssps.snr, widths, 0.0)
     return Detections(
-        epoch=ssps.epoch[own],
-        place=place[own],
-        place_error=positions.position_errors(ssps.snr, widths, 0.0)[own],
-        flux=ssps.flux[own],
-        size=np.zeros(len(own)),
-        years=_years(cube),
-        beam=beam,
-    )
+        epoch=ssps.epoch[own], place=place[own], place_error=errors[own],
+        flux=ssps.flux[own], size=np.zeros(len(own)), years=_years(cube), beam=beam,
+    )  # fmt: skip
 
 
 def _years(cube):

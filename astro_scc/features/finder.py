@@ -20,7 +20,7 @@ from astro_scc.features.detections import (
     finest_patterns,
     gaussians_of,
     ssps_of,
-)
+)  # fmt: skip
 from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
 from astro_scc.features.trust import false_probability, is_secure
@@ -75,10 +75,8 @@ class Features:
     def motions(self) -> tuple[Motion, ...]:
         """Straight line or parabola of each feature."""
         d, each = self.detections, [track.detection for track in self.tracks]
-        return tuple(
-            fit_motion(d.time[own], d.place[own], d.place_error[own], d.fwhm)
-            for own in each
-        )
+        of = d.time, d.place, d.place_error
+        return tuple(fit_motion(*(v[own] for v in of), d.fwhm) for own in each)
 
     @property
     def number(self) -> np.ndarray:
@@ -130,7 +128,21 @@ class Features:
     @cached_property
     def positions(self) -> QTable:
         """One row for each feature and epoch, a `~astropy.table.QTable`."""
-        return position_table(self)
+        cube, d = self.cube, self.detections
+        number = np.repeat(self.number, [len(track) for track in self.tracks])
+        own = np.concatenate([[], *(track.detection for track in self.tracks)])
+        own = own.astype(int)
+        place, error = d.place[own].T * u.mas, d.place_error[own].T * u.mas
+        east, north = zip(place, error, strict=True)
+        offsets = with_errors(ra_offset=east, dec_offset=north)
+        used = np.concatenate([[], *(m.used for m in self.motions)]).astype(bool)
+        table = build_table(
+            "positions", feature=number, epoch=d.epoch[own], used=used,
+            date=_dates(cube, d.epoch[own]), **offsets,
+            flux=d.flux[own] * flux_unit(cube), size=d.size[own] * u.mas,
+        )  # fmt: skip
+        table.meta.update(cube.facts)
+        return round_to_errors(name_by_frame(table, cube))
 
 
 def find_features(
@@ -197,12 +209,8 @@ def find_features(
     jet = found.select(~is_core)
     if region is not None:
         jet = jet.select(_inside(jet, cube, region))
-    return Features(
-        cube=cube,
-        detections=jet,
-        core=found.select(is_core),
-        tracks=tuple(find_tracks(jet, settings, seed=seed)),
-    )
+    tracks = tuple(find_tracks(jet, settings, seed=seed))
+    return Features(cube, jet, found.select(is_core), tracks)
 
 
 def _inside(detections, cube, region):
@@ -233,58 +241,28 @@ def feature_table(features, component=0):
         than a line, and dates of ejection unless the motion is radial.
     """
     rows = [_row(features, k) for k in range(len(features))]
-    cube, unit = features.cube, features.cube.speed_unit
-    years = np.array([row["date"] for row in rows], dtype=float)
+    cube, d, unit = features.cube, features.detections, features.cube.speed_unit
+    own = [track.detection for track in features.tracks]
+    years = np.array([motion.date for motion in features.motions], dtype=float)
     date = Time(years, format="jyear", scale="utc")
     date.format = "isot"
-    own = {
-        name: _dates(cube, [row[name] for row in rows]) for name in ("first", "last")
-    }
-    own["component"] = np.full(len(features), component)
-    own["flux"] = np.array([row["flux"] for row in rows], float) * flux_unit(cube)
-    table = build_table("features", rows, date=date, **own)
+    flux = np.array([np.median(d.flux[k]) for k in own], float) * flux_unit(cube)
+    table = build_table(
+        "features", rows, date=date, flux=flux, feature=features.number,
+        component=np.full(len(features), component), motion=features.moved * u.one,
+        first=_dates(cube, [d.epoch[k[0]] for k in own]),
+        last=_dates(cube, [d.epoch[k[-1]] for k in own]),
+        p_false=features.p_false, secure=features.secure,
+    )  # fmt: skip
     if unit.bases[1] != u.yr:
         years = table["t_ej"].value
         known = np.isfinite(years)
         table["t_ej"], table["t_ej_err"] = years * u.day, table["t_ej_err"].to(u.day)
-        table["t_ej"][known] = (
-            Time(years[known], format="jyear", scale="utc").mjd * u.day
-        )
+        mjd = Time(years[known], format="jyear", scale="utc").mjd
+        table["t_ej"][known] = mjd * u.day
         describe(table, "features")
         table["t_ej"].info.description = "MJD at which it was at the core"
     in_speed_unit(table, unit)
-    table.meta.update(cube.facts)
-    return round_to_errors(name_by_frame(table, cube))
-
-
-def position_table(features):
-    """
-    Return where each feature was seen.
-
-    Parameters
-    ----------
-    features : `~astro_scc.features.Features`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        A row for each feature and epoch.
-    """
-    cube, d = features.cube, features.detections
-    number = np.repeat(np.array(features.number, int), list(map(len, features.tracks)))
-    own = np.concatenate([[], *(track.detection for track in features.tracks)])
-    own = own.astype(int)
-    place, error = d.place[own].T * u.mas, d.place_error[own].T * u.mas
-    table = build_table(
-        "positions",
-        feature=number,
-        epoch=d.epoch[own],
-        date=_dates(cube, d.epoch[own]),
-        **with_errors(ra_offset=(place[0], error[0]), dec_offset=(place[1], error[1])),
-        flux=d.flux[own] * flux_unit(cube),
-        size=d.size[own] * u.mas,
-        used=np.concatenate([[], *(m.used for m in features.motions)]).astype(bool),
-    )
     table.meta.update(cube.facts)
     return round_to_errors(name_by_frame(table, cube))
 
@@ -316,11 +294,7 @@ def _row(features, number):
     pa_err = min(tangential / distance, np.pi) if distance > 0 else np.pi
     bend, bend_err = motion.acceleration, motion.acceleration_err
     return {
-        "feature": features.number[number],
         "n_epochs": len(own),
-        "first": d.epoch[own[0]],
-        "last": d.epoch[own[-1]],
-        "date": motion.date,
         **with_errors(
             ra_offset=(r[0], motion.place_err[0]),
             dec_offset=(r[1], motion.place_err[1]),
@@ -336,10 +310,6 @@ def _row(features, number):
             acc_perpendicular=(bend @ across, np.hypot(*(across * bend_err))),
             t_ej=motion.ejection(features.core_error, d.fwhm),
         ),
-        "flux": np.median(d.flux[own]),
         "size": np.median(d.size[own]),
-        "motion": features.moved[number],
-        "p_false": features.p_false[number],
-        "secure": features.secure[number],
         "proven": track.proven,
     }

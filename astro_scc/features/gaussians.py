@@ -17,6 +17,13 @@ _FWHM = np.sqrt(8 * np.log(2))
 _PEAK, _Y, _X, _VARIANCE = range(4)
 #: All samples of an image.
 EVERYWHERE = slice(None)
+#: Least residual for a new component, and its least peak, in errors of the image there.
+THRESHOLD = 5.0
+#: Error of an image relative to its largest value within half a beam, for what is
+#: neither Gaussian nor well calibrated; added to the noise in quadrature.
+RELATIVE_ERROR = 0.001
+#: Greatest number of components.
+MOST_COMPONENTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +70,13 @@ class Gaussians:
 
 def fit_gaussians(
     image: ArrayLike, beam_covariance: ArrayLike, noise: ArrayLike, *,
-    mask: ArrayLike | None = None, threshold: float = 5.0,
-    relative_error: float = 0.001, max_components: int = 20,
+    mask: ArrayLike | None = None,
 ) -> Gaussians:  # fmt: skip
     r"""
     Fit circular Gaussians, convolved with the beam, to an image.
 
     A component is added where the residual is largest, and fitted together with
-    its neighbours, as long as the residual there exceeds ``threshold`` and the
+    its neighbours, as long as the residual there exceeds five errors and the
     Bayesian information criterion falls (Schwarz 1978),
 
     .. math:: \mathrm{BIC} = \chi^2 + 4 n \ln N,
@@ -79,7 +85,7 @@ def fit_gaussians(
     area of the image in correlation areas of its noise,
     :math:`4 \pi \sqrt{\det B}` (Condon 1997).  Then all components are fitted
     together, and those that the criterion does not need any more are left out, as
-    are those whose peak is below the threshold.
+    are those whose peak is below five errors.
 
     The errors of the positions are those of this fit in noise that is correlated
     as the beam.  For an isolated point they are :math:`\sqrt{2} b / \mathrm{SNR}`
@@ -97,20 +103,11 @@ def fit_gaussians(
     mask : array_like of bool, shape (ny, nx), optional
         True marks missing pixels, as do NaN, and noise that is not positive.  They
         take no part in the fit.
-    threshold : float
-        Least residual for a new component, and its least peak, in units of the
-        error of the image there.
-    relative_error : float
-        Error of the image relative to its largest value within half a beam, for
-        what is neither Gaussian nor well calibrated; added to the noise in
-        quadrature.
-    max_components : int
-        Greatest number of components.
 
     Returns
     -------
     `Gaussians`
-        Without rows if nothing is above the threshold.
+        Without rows if nothing is above five errors.
 
     Raises
     ------
@@ -132,26 +129,22 @@ def fit_gaussians(
     beam = np.asarray(beam_covariance, dtype=float)
     if beam.shape != (2, 2) or not (np.linalg.eigvalsh(beam) > 0).all():
         raise ValueError("the covariance of the beam must be positive definite, 2 x 2")
-    data = _Data.of(image, beam, noise, mask, threshold, relative_error)
-    p = [] if data is None else _grown(data, threshold, max_components)
+    data = _Data.of(image, beam, noise, mask)
+    p = [] if data is None else _grown(data)
     if len(p) == 0:
         return Gaussians(*(np.empty(0) for _ in fields(Gaussians)))
-    p = _least_squares(p, data, EVERYWHERE, 0.0)
-    p = _pruned(p, data)
+    p = _pruned(_least_squares(p, data, EVERYWHERE, 0.0), data)
     y_err, x_err = _position_errors(p, data)
     order = np.argsort(-p[:, _PEAK], kind="stable")
     # Fainter ones are needed by the model, but their places mean little.
-    order = order[_significance(p[order], data) >= threshold]
+    order = order[_significance(p[order], data) >= THRESHOLD]
     p, y_err, x_err = p[order], y_err[order], x_err[order]
+    peak = p[:, _PEAK] * data.unit
     return Gaussians(
-        y=p[:, _Y] + data.origin[0],
-        x=p[:, _X] + data.origin[1],
-        peak=p[:, _PEAK] * data.unit,
-        flux=p[:, _PEAK] * data.unit * np.sqrt(_areas(p, beam) / np.linalg.det(beam)),
-        size=_FWHM * np.sqrt(p[:, _VARIANCE]),
-        y_err=y_err,
-        x_err=x_err,
-    )
+        y=p[:, _Y] + data.origin[0], x=p[:, _X] + data.origin[1], peak=peak,
+        flux=peak * np.sqrt(_areas(p, beam) / np.linalg.det(beam)),
+        size=_FWHM * np.sqrt(p[:, _VARIANCE]), y_err=y_err, x_err=x_err,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +167,7 @@ class _Data:
     independent: float
 
     @classmethod
-    def of(cls, image, beam, noise, mask, threshold, relative_error):
+    def of(cls, image, beam, noise, mask):
         """Return the samples of an image; None if nothing is above the threshold."""
         image = np.asarray(image, dtype=float)
         noise = np.broadcast_to(np.asarray(noise, dtype=float), image.shape)
@@ -182,7 +175,7 @@ class _Data:
         if mask is not None:
             good &= ~np.asarray(mask, dtype=bool)
         bright = np.zeros(image.shape, dtype=bool)
-        bright[good] = image[good] > threshold * noise[good]
+        bright[good] = image[good] > THRESHOLD * noise[good]
         if not bright.any():
             return None
         width = _FWHM * np.sqrt(np.diag(beam))
@@ -201,17 +194,13 @@ class _Data:
         if len(y) == 0:
             return None
         at = y * step[0], x * step[1]
-        error = np.hypot(noise[at] / unit, relative_error * peak[at])
+        error = np.hypot(noise[at] / unit, RELATIVE_ERROR * peak[at])
         return cls(
-            y=at[0].astype(float),
-            x=at[1].astype(float),
-            value=value[at],
-            weight=1 / error,
-            unit=float(unit),
+            y=at[0].astype(float), x=at[1].astype(float), value=value[at],
+            weight=1 / error, unit=float(unit), beam=beam,
             origin=(cut[0].start, cut[1].start),
-            beam=beam,
             independent=step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam))),
-        )
+        )  # fmt: skip
 
     @property
     def penalty(self):
@@ -343,21 +332,20 @@ def _refitted(p, data, at):
     return p, where
 
 
-def _grown(data, threshold, max_components):
+def _grown(data):
     """Return components, added one after the other at the largest residual."""
     p, tried = np.empty((0, 4)), 0
     residual = data.value * data.weight
-    while len(p) < max_components and tried < 3:
+    while len(p) < MOST_COMPONENTS and tried < 3:
         k = np.argmax(residual)
-        if residual[k] < threshold:
+        if residual[k] < THRESHOLD:
             break
         at = data.y[k], data.x[k]
         first = residual[k] / data.weight[k], *at, data.beam.trace() / 32
         new, where = _refitted(np.vstack([p, first]), data, at)
         if data.chi2(p, where) - data.chi2(new, where) > data.penalty:
             p, tried = new, 0
-            left = data.value - data.model(p, EVERYWHERE)
-            residual = left * data.weight
+            residual = (data.value - data.model(p, EVERYWHERE)) * data.weight
         else:
             tried += 1
             residual[data.distance(data.y, data.x, at) < 0.5] = 0.0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -211,26 +212,19 @@ def fit_motion(
     powers = middle ** np.arange(3) / (1, 1, 2)
     n = len(fit.coefficients)
     return Motion(
-        date=float(time.mean() + middle),
-        place=powers[:n] @ fit.coefficients,
+        date=float(time.mean() + middle), place=powers[:n] @ fit.coefficients,
         place_err=np.hypot(fit.errors[0], middle * fit.errors[1]),
         velocity=powers[: n - 1] @ fit.coefficients[1:],
-        velocity_err=np.hypot(line.errors[1], wander),
-        acceleration=bend[0],
-        acceleration_err=bend[1],
-        span=float(span),
-        residual=fit.residual,
+        velocity_err=np.hypot(line.errors[1], wander), acceleration=bend[0],
+        acceleration_err=bend[1], span=float(span), residual=fit.residual,
         used=fit.weight > 0.3,
-    )
+    )  # fmt: skip
 
 
 def motion_in_intervals(
-    motion: Motion,
-    time: np.ndarray,
-    place: np.ndarray,
-    beam: float,
+    motion: Motion, time: np.ndarray, place: np.ndarray, beam: float,
     intervals: tuple[float, float],
-) -> tuple[Motion, np.ndarray]:
+) -> tuple[Motion, np.ndarray]:  # fmt: skip
     r"""
     Return a motion whose velocity is that of some intervals between its dates.
 
@@ -293,15 +287,8 @@ def motion_in_intervals(
     return replace(motion, velocity=response @ place, velocity_err=error), response
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A polynomial: coefficients and errors (degree + 1, 2), and its residuals."""
-
-    coefficients: np.ndarray
-    errors: np.ndarray
-    residual: np.ndarray
-    weight: np.ndarray
-    cost: float
+#: A polynomial: coefficients and errors (degree + 1, 2), and its residuals.
+_Fit = namedtuple("_Fit", "coefficients errors residual weight cost")
 
 
 def _robust(dt, place, scatter, degree):

@@ -21,8 +21,7 @@ from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.frames import mean_width
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.stacking import velocities
-from astro_scc.streams.diagram import Rays
-from astro_scc.streams.search_settings import DEFAULT
+from astro_scc.streams.diagram import DEFAULT, Rays
 from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:

@@ -28,10 +28,9 @@ from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
 from astro_scc.stacking.stack import PermutedStacks, VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
-from astro_scc.streams.diagram import INTERVAL_STEP
+from astro_scc.streams.diagram import DEFAULT, INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
 from astro_scc.streams.search import Search
-from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, unit_name
 from astro_scc.writing import ascii_line
 

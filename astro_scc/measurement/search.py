@@ -8,15 +8,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from astro_scc.features import motion as motions
-from astro_scc.features.diffusion import measure_diffusion
-from astro_scc.features.trust import LEAST_EPOCHS
+from astro_scc.features.trust import LEAST_EPOCHS, measure_diffusion
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import axes
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import find_streams
 from astro_scc.streams.chains import Feature
+from astro_scc.streams.diagram import DEFAULT
 from astro_scc.streams.dispersion import velocity_of
-from astro_scc.streams.search_settings import DEFAULT
 
 #: Number of directions, over half a turn, that are searched if none is known.
 N_AXES = 12

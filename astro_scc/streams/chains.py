@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from astro_scc.streams.search_settings import DEFAULT, SearchSettings
+from astro_scc.streams.diagram import DEFAULT, SearchSettings
 
 #: Motion in beams with which one epoch less than ``least_epochs`` is enough.
 FAR_MOTION = 1.5
@@ -133,9 +133,8 @@ class Feature:
         left = position - position.mean(axis=0) - time[:, None] * velocity
 
         def variance(left, n_parameters):
-            prior = PRIOR_FREEDOM
-            total = (left**2).sum(axis=0) + prior * settings.position_error**2
-            return total / (max(len(years) - n_parameters, 0) + prior)
+            total = (left**2).sum(axis=0) + PRIOR_FREEDOM * settings.position_error**2
+            return total / (max(len(years) - n_parameters, 0) + PRIOR_FREEDOM)
 
         error = np.sqrt(variance(left, 2) * (response @ response))
         bend = bend_error = np.nan
@@ -146,19 +145,12 @@ class Feature:
             left = position[:, 0] - design @ curve
             bend, bend_error = curve[2], np.sqrt(inverse[2, 2] * variance(left, 3))
         return cls(
-            ssp=ssp,
-            epoch=epoch,
-            speed=float(velocity[0]),
-            error=float(error[0]),
-            across=float(velocity[1]),
-            across_error=float(error[1]),
-            middle=position.mean(axis=0),
-            date=float(years.mean()),
-            motion=float(abs(velocity[0]) * np.ptp(years)),
-            response=response,
-            acceleration=float(bend),
-            acceleration_error=float(bend_error),
-        )
+            ssp=ssp, epoch=epoch, speed=float(velocity[0]), error=float(error[0]),
+            across=float(velocity[1]), across_error=float(error[1]),
+            middle=position.mean(axis=0), date=float(years.mean()),
+            motion=float(abs(velocity[0]) * np.ptp(years)), response=response,
+            acceleration=float(bend), acceleration_error=float(bend_error),
+        )  # fmt: skip
 
 
 def find_chains(samples, mixture, settings):
@@ -194,16 +186,18 @@ def find_chains(samples, mixture, settings):
     seeds = seeds[score[seeds] >= LEAST_SCORE]
     found = []
     for chosen in _joined(_chains(seeds, speed, links, d, settings), d, settings):
-        first, last = d.epoch[chosen[0]], d.epoch[chosen[-1]]
-        if len(chosen) < settings.least_epochs - 1:
-            continue
         feature = _feature(chosen, d, settings)
         fewest = settings.least_epochs - (feature.motion >= FAR_MOTION)
-        if len(chosen) >= max(fewest, LEAST_SHARE * (last - first + 1)):
+        if len(feature) >= max(fewest, LEAST_SHARE * (np.ptp(feature.epoch) + 1)):
             found.append(feature)
-    taken = np.zeros(len(d.epoch), dtype=bool)
-    taken[[ssp for feature in found for ssp in feature.ssp]] = True
-    return different(found, d, settings), taken
+    return different(found, d, settings), ssps_of(found, len(d.epoch))
+
+
+def ssps_of(features, n_ssps):
+    """Return which SSPs are those of some features."""
+    taken = np.zeros(n_ssps, dtype=bool)
+    taken[[ssp for feature in features for ssp in feature.ssp]] = True
+    return taken
 
 
 def first_speeds(samples, mixture, settings):
@@ -222,28 +216,24 @@ def first_speeds(samples, mixture, settings):
         Expected number of true matches of the stream that has most of them, from and
         to each SSP, and the speed along the axis that they give.
     """
-    d, n = samples, len(samples.epoch)
-    at = mixture.match
-    x, dt = d.d1[at], d.interval[at]
-    ends = [d.ssp[at], d.target_ssp[at]]
-    both = np.concatenate([ends[0], np.where(ends[1] < 0, n, ends[1])])
+    d, n, at = samples, len(samples.epoch), mixture.match
+    x, dt, target = d.d1[at], d.interval[at], d.target_ssp[at]
+    both = np.concatenate([d.ssp[at], np.where(target < 0, n, target)])
 
     def per_ssp(values):
         return np.bincount(both, np.tile(values, 2), n + 1)[:n]
 
-    number = np.array([per_ssp(member) for member in mixture.membership])
-    own = []
-    for v, member, s in zip(
-        mixture.speed, mixture.membership, mixture.width, strict=True
-    ):
+    number, own = [], []
+    streams = mixture.speed, mixture.membership, mixture.width
+    for v, member, s in zip(*streams, strict=True):
         weight = member / s**2
         # Where nothing moves, the fit may end at rest.
         prior = (FIRST_DISPERSION * max(abs(v), 1e-9)) ** -2
         total = per_ssp(weight * dt**2) + prior
         own.append((per_ssp(weight * x * dt) + prior * v) / total)
-    which = number.argmax(axis=0)
-    every = np.arange(n)
-    return number[which, every], np.array(own)[which, every]
+        number.append(per_ssp(member))
+    which = np.argmax(number, axis=0), np.arange(n)
+    return np.array(number)[which], np.array(own)[which]
 
 
 def standing_features(samples, settings):
@@ -261,10 +251,9 @@ def standing_features(samples, settings):
         Their speeds are at most two standard errors.
     """
     d = samples
-    close = (np.hypot(d.d1, d.d2) <= settings.nearest) & (d.target_ssp >= 0)
     # Images of the same date say nothing about motion.
-    close &= d.interval != 0
-    links = _Links(d.select(close))
+    close = (np.hypot(d.d1, d.d2) <= settings.nearest) & (d.interval != 0)
+    links = _Links(d.select(close & (d.target_ssp >= 0)))
     least = max(settings.least_epochs, len(d.years) / 2)
     number = np.diff(links.start)
     seeds = np.argsort(-number, kind="stable")
@@ -305,8 +294,7 @@ def clear_of(features, standing, samples, settings):
         elif clear.sum() < settings.least_epochs:
             found.append(replace(f, pulled=True))
         else:
-            part = _feature(f.ssp[clear], d, settings)
-            response = np.zeros(len(f))
+            part, response = _feature(f.ssp[clear], d, settings), np.zeros(len(f))
             response[clear] = part.response
             same = {"ssp": f.ssp, "epoch": f.epoch, "motion": f.motion}
             found.append(replace(part, **same, response=response))
@@ -326,10 +314,6 @@ class _Links:
         self.interval = d.years[d.epoch[self.to]] - d.years[d.epoch[self.ssp]]
         self.start = np.searchsorted(self.ssp, np.arange(len(d.epoch) + 1))
 
-    def of_ssps(self, ssps):
-        """Return the indices of the links from some SSPs."""
-        return np.concatenate([np.arange(*self.start[s : s + 2]) for s in ssps])
-
 
 def _chains(seeds, speed, links, d, settings):
     """Yield the SSPs on a line with each seed; each SSP is in one chain only."""
@@ -347,12 +331,12 @@ def _follow(seed, speed, links, d, free, settings):
     front, here, when = [int(seed)], d.position[seed], d.years[d.epoch[seed]]
     across = 0.0
     while front:
-        index = links.of_ssps(front)
+        index = np.concatenate([np.arange(*links.start[s : s + 2]) for s in front])
         to, off = links.to[index], links.along[index] - speed * links.interval[index]
         line = here + np.outer(d.years[d.epoch[to]] - when, (speed, across))
         near = np.abs(d.position[to] - line) <= (settings.line, settings.across)
-        near = near.all(axis=1) & (np.abs(off) <= 2 * settings.smoothing)
-        new = near & free[to] & ~np.isin(d.epoch[to], list(members))
+        new = near.all(axis=1) & (np.abs(off) <= 2 * settings.smoothing)
+        new &= free[to] & ~np.isin(d.epoch[to], list(members))
         value = np.exp(-0.5 * (off[new] / settings.smoothing) ** 2)
         total = np.bincount(to[new], links.weight[index[new]] * value)
         which, front = np.unique(to[new]), []
@@ -393,10 +377,7 @@ def _joined(chains, d, settings):
     sums = np.array([_sums(chain, d) for chain in rest])
     while rest:
         chain, own, sums = rest.pop(0), sums[0], sums[1:]
-        while rest:
-            found = _continuation(chain, own, rest, sums, d, settings)
-            if found is None:
-                break
+        while rest and (found := _continuation(chain, own, rest, sums, d, settings)):
             number, chain = found
             del rest[number]
             own, sums = _sums(chain, d), np.delete(sums, number, axis=0)
@@ -407,8 +388,8 @@ def _sums(chain, d):
     """Return scale, first and last epoch of a chain, and the sums of its slope."""
     epoch = d.epoch[chain]
     t, x = d.years[epoch] - d.years[0], d.position[chain, 0]
-    ends = d.scale[chain[0]], epoch[0], epoch[-1]
-    return np.array([*ends, len(t), t.sum(), x.sum(), t @ t, t @ x])
+    sums = len(t), t.sum(), x.sum(), t @ t, t @ x
+    return np.array([d.scale[chain[0]], epoch[0], epoch[-1], *sums])
 
 
 def _slopes(sums):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The displacement-interval diagram, its rays, and the mixture of its matches."""
+"""Constants of the search, the displacement-interval diagram, and its mixture."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from astro_scc.stacking.velocities import VelocitySamples
-from astro_scc.streams.search_settings import SearchSettings
 
 #: Relative width of the bins of the intervals; finer ones change nothing.
 INTERVAL_STEP = 0.08
@@ -20,6 +19,91 @@ SPEED_STEP = 0.05
 POINTS = 4
 #: Intervals that always count, in units of the shorter quarter of those between epochs.
 SHORT = 2.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """
+    Constants of the search for streams that matter most; lengths are in beams.
+
+    Others, which change little, stand where they are used.
+
+    They were chosen on simulated jets by ``benchmarks/calibration/design.py``,
+    with seeds that the calibration does not use.
+
+    Parameters
+    ----------
+    radius : float
+        Largest displacement between any two epochs that is searched: with
+        1.5, neighbours one spacing apart seldom match.
+    nearest, farthest : float
+        Range of displacements that count for a speed: below 0.2 a standing
+        feature overlaps itself, beyond 1 chance matches prevail.
+    blur : float
+        Standard deviation of the densities of the diagram, so wide that
+        speeds with a dispersion and features that wander share a ray.
+    smoothing : float
+        Scatter of the displacements of one feature.
+    across : float
+        Largest displacement across the flow, three times ``smoothing``.
+    slowest : float
+        Smallest motion of a speed within the time span: blends of standing
+        features whose fluxes vary drift by up to about one beam.
+    drift : float
+        Motion within the time span up to which a speed counts less, by its root:
+        standing features whose fluxes vary slowly blend and drift.
+    line : float
+        Largest distance of an SSP from the line of its feature.
+    position_error : float
+        Error of an SSP's position beyond noise, due to blending.
+    least_epochs : int
+        Smallest number of epochs in which a feature is seen.
+    least_motion : float
+        Smallest motion of a stream's features while they are seen, added in
+        quadrature: three features that move one beam, or one that moves
+        farther than blends of standing features drift.
+    apart : float
+        Smallest difference of two streams, in standard deviations of the
+        difference that a flow with ``lone_dispersion`` gives.
+    same_speed : float
+        Largest relative difference from the tested speed of the features
+        that count if the mean of all is not significant, and of the parts of
+        a feature before and after a long interval from its speed.
+    error_inflation : float
+        Ratio of the errors of features to those from their residuals, as
+        blends move smoothly; measured on simulated jets.
+    lone_dispersion : float
+        Standard deviation of the prior of the dispersion relative to the speed, which
+        is 0.29 for the sources of MOJAVE XVIII with three features or more that moved
+        by more than a beam (root mean square; ``benchmarks/streams.py``).
+
+    Examples
+    --------
+    >>> from astro_scc.streams import SearchSettings
+    >>> SearchSettings().radius
+    1.5
+    """
+
+    radius: float = 1.5
+    nearest: float = 0.2
+    farthest: float = 1.0
+    blur: float = 0.2
+    smoothing: float = 0.12
+    across: float = 0.35
+    slowest: float = 1.0
+    drift: float = 3.0
+    line: float = 0.3
+    position_error: float = 0.06
+    least_epochs: int = 4
+    least_motion: float = 1.75
+    apart: float = 1.75
+    same_speed: float = 0.35
+    error_inflation: float = 1.3
+    lone_dispersion: float = 0.3
+
+
+#: Settings that are used if no others are given.
+DEFAULT = SearchSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,13 +126,12 @@ class Diagram:
         Mean interval of each bin, in years.
     n_pairs : `~numpy.ndarray` of int, shape (n_tau,)
         Number of pairs of dates in each bin.
-    observed, excess : `~numpy.ndarray`, shape (n_tau, n_d)
+    excess : `~numpy.ndarray`, shape (n_tau, n_d)
     """
 
     displacement: np.ndarray
     interval: np.ndarray
     n_pairs: np.ndarray
-    observed: np.ndarray
     excess: np.ndarray
 
     @classmethod
@@ -66,16 +149,10 @@ class Diagram:
         -------
         `Diagram`
         """
-        bins = rays.bins
-        density = PairDensity(samples, rays.radius, settings)
-        observed = bins.sums(density.pairs, np.arange(len(samples.years))[None])
-        return cls(
-            displacement=density.grid,
-            interval=bins.mean,
-            n_pairs=bins.number,
-            observed=observed[0],
-            excess=observed[0] - bins.number[:, None] * density.mean,
-        )
+        bins, density = rays.bins, PairDensity(samples, rays.radius, settings)
+        (observed,) = bins.sums(density.pairs, np.arange(len(samples.years))[None])
+        excess = observed - bins.number[:, None] * density.mean
+        return cls(density.grid, bins.mean, bins.number, excess)
 
 
 class PairDensity:
@@ -126,13 +203,6 @@ class IntervalBins:
         shape = n * n_bins, self.n_dates**2
         parts = np.ones(n * size), columns, np.concatenate([[0], ends])
         return (csr_array(parts, shape=shape) @ pairs).reshape(n, n_bins, -1)
-
-
-def speed_grid(slowest, fastest, step):
-    """Return speeds in both directions, evenly spaced in the logarithm."""
-    n = int(np.ceil(np.log(fastest / slowest) / step))
-    speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
-    return np.concatenate([-speed[::-1], speed])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -218,14 +288,10 @@ class Rays:
         longest = min(years[-1] - years[0], intervals[1])
         fastest = min(radius / used, fastest)
         slowest = min(settings.slowest / longest, 0.25 * fastest)
-        return cls(
-            speed=speed_grid(slowest, fastest, SPEED_STEP),
-            bins=bins,
-            radius=radius,
-            short=SHORT * used,
-            intervals=intervals,
-            settings=settings,
-        )
+        n = int(np.ceil(np.log(fastest / slowest) / SPEED_STEP))
+        speed = slowest * (fastest / slowest) ** (np.arange(n + 1) / n)
+        speed = np.concatenate([-speed[::-1], speed])
+        return cls(speed, bins, radius, SHORT * used, intervals, settings)
 
     def weight(self, motion: ArrayLike, interval: ArrayLike) -> np.ndarray:
         """
@@ -267,7 +333,7 @@ class Rays:
         """
         interval = self.bins.mean
         motion = speed[:, None] * interval
-        weight = self.weight(motion, np.broadcast_to(interval, motion.shape))
+        weight = self.weight(motion, interval)
         step, n = grid[1] - grid[0], len(grid)
         place = (np.clip(motion, grid[0], grid[-1]) - grid[0]) / step
         low = np.minimum(np.floor(place).astype(int), n - 2)

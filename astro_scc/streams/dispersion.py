@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from astro_scc.streams.search_settings import DEFAULT, SearchSettings
+from astro_scc.streams.diagram import DEFAULT, SearchSettings
 
 #: Relative error of a feature's speed from the remaining pull of the core, on simulated
 #: jets.
@@ -220,15 +220,14 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     """
     # The pull of standing features does not make two streams one.
     speed, error = feature_speeds(features, settings, pulled_error=0.0)
-    one_of, two_of = ONE_DISPERSIONS, TWO_DISPERSIONS
     if len(speed) < FEWEST_OF_TWO:
         return 1.0, np.zeros(len(speed), dtype=bool)
     order = np.argsort(np.abs(speed))
     y, e = np.log(np.abs(speed))[order], (error / np.abs(speed))[order]
     # Larger errors tell as little, and their exponentials overflow.
     e = np.minimum(e, 10.0)
-    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None], one_of))
-    two, split = (v[0] for v in _two(y[None], e[None], two_of))
+    one, mean, tau, linear = (v[0] for v in _one(y[None], e[None]))
+    two, split = (v[0] for v in _two(y[None], e[None]))
     width = np.sqrt(tau**2 * len(y) / (len(y) - 1) + e**2)
     trials = width * rng.uniform(-(3**0.5), 3**0.5, size=(n_trials, len(y)))
     # The speeds of a stream have one direction.
@@ -237,14 +236,14 @@ def separate_streams(features, n_trials, rng, settings=DEFAULT):
     sort = np.argsort(trials, axis=1)
     trials = np.take_along_axis(trials, sort, axis=1)
     errors = np.take_along_axis(np.broadcast_to(e, trials.shape), sort, axis=1)
-    ratios = _two(trials, errors, two_of)[0] - _one(trials, errors, one_of)[0]
+    ratios = _two(trials, errors)[0] - _one(trials, errors)[0]
     p_value = ((ratios >= two - one - 1e-9).sum() + 1) / (n_trials + 1)
     second = np.zeros(len(y), dtype=bool)
     second[order[split:]] = True
     return float(p_value), second
 
 
-def _one(y, e, dispersions):
+def _one(y, e):
     """
     Return the largest log-likelihood of one stream, normal or log-normal, per trial.
 
@@ -253,7 +252,7 @@ def _one(y, e, dispersions):
     """
     found, v = [], np.exp(y)
     size = v.mean(axis=1, keepdims=True)
-    for tau in dispersions:
+    for tau in ONE_DISPERSIONS:
         w = 1 / (e**2 + tau**2)
         m = (w * y).sum(axis=1) / w.sum(axis=1)
         variance = e**2 + tau**2
@@ -268,22 +267,17 @@ def _one(y, e, dispersions):
     return found[found[:, 0].argmax(axis=0), :, np.arange(len(y))].T
 
 
-def _two(y, e, dispersions):
+def _two(y, e):
     """Return the largest log-likelihood of two streams, and where they split."""
     n = y.shape[1]
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
-    weights = [1 / (e**2 + tau**2) for tau in dispersions]
-    roots = [np.sqrt(w) for w in weights]
+    weights = [1 / (e**2 + tau**2) for tau in TWO_DISPERSIONS]
+    each = [(w, np.sqrt(w)) for w in weights]
     for split in range(1, n):
+        parts = (slice(split), split / n), (slice(split, n), 1 - split / n)
         slow, fast = (
-            [
-                share * root * np.exp(-0.5 * w * (y - _mean(y, w, part)) ** 2)
-                for w, root in zip(weights, roots, strict=True)
-            ]
-            for part, share in (
-                (slice(split), split / n),
-                (slice(split, n), 1 - split / n),
-            )
+            [s * r * np.exp(-0.5 * w * (y - _mean(y, w, part)) ** 2) for w, r in each]
+            for part, s in parts
         )
         for a, b in product(slow, fast):
             density = a + b + TINY
@@ -364,14 +358,12 @@ def velocity_of(stream, beam, misaligned):
     sense = np.sign(stream.along.mean) * beam[0]
     own_speeds = np.array([f.speed * sense for f in stream.features] or [np.nan])
     return StreamVelocity(
-        value=to_frame @ own,
-        features=to_frame @ np.diag(errors**2) @ to_frame.T,
+        value=to_frame @ own, features=to_frame @ np.diag(errors**2) @ to_frame.T,
         alignment=np.diag(response**2 @ misaligned**2),
         dispersion=stream.along.dispersion * beam[0],
         dispersion_error=stream.along.dispersion_error * beam[0],
-        slowest=float(own_speeds.min()),
-        fastest=float(own_speeds.max()),
-    )
+        slowest=float(own_speeds.min()), fastest=float(own_speeds.max()),
+    )  # fmt: skip
 
 
 def alignment_response(stream, n_epochs):
@@ -388,17 +380,11 @@ def alignment_response(stream, n_epochs):
     `~numpy.ndarray`, shape (n_epochs,)
         In 1/yr.
     """
-    response = np.zeros(n_epochs)
-    for feature, w in zip(stream.features, feature_weights(stream), strict=True):
+    response, (_, error) = np.zeros(n_epochs), feature_speeds(stream.features)
+    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
+    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
         response[feature.epoch] += w * feature.response
     return response
-
-
-def feature_weights(stream):
-    """Return the weights of a stream's features in its mean speed; their sum is 1."""
-    _, error = feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    return weight / weight.sum()
 
 
 def jackknife_covariance(estimates):

@@ -13,14 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from astro_scc.stacking.stack import (
-    MOST,
-    number_of_permutations,
-    random_permutations,
-)
+from astro_scc.stacking.stack import MOST, number_of_permutations, random_permutations
 from astro_scc.stacking.velocities import VelocitySamples
-from astro_scc.streams.diagram import PairDensity, Rays
-from astro_scc.streams.search_settings import DEFAULT, SearchSettings
+from astro_scc.streams.diagram import DEFAULT, PairDensity, Rays, SearchSettings
 
 #: Standard deviations of the permutations are at least this fraction of the largest one
 #: of any axis at the same speed: single matches across the flow are not significant.
@@ -135,25 +130,19 @@ class EpochPermutations:
         each = []
         for kind in zip(*axes, strict=True):
             if any(map(len, kind)) or not each:
-                sums, chance = zip(
-                    *(_ray_sums(a, rays, orders, one_way) for a in kind), strict=True
-                )
-                sums, size = np.stack(sums, axis=1), max((*chance, 1e-294))
-                each.append(_in_deviations(sums, size))
+                axes_of = [_ray_sums(a, rays, orders, one_way) for a in kind]
+                sums, chance = zip(*axes_of, strict=True)
+                size = max((*chance, 1e-294))
+                each.append(_in_deviations(np.stack(sums, axis=1), size))
         z = each[0] if len(each) == 1 else _in_deviations(sum(each), 1.0)
         # Slow drifts of blends are no motion, and permutations have none.
         span = min(years[-1] - years[0], rays.intervals[1])
         drift = np.sqrt(np.minimum(np.abs(speed) * span / rays.settings.drift, 1.0))
-        z = drift * z
         use = speed > (0 if outward else -np.inf)
-        z = z[..., use]
-        return cls(
-            speed=speed[use],
-            weight=drift[use],
-            z=z[0],
-            permuted=z[1:].astype(np.float32),
-            smallest_p=max(1 / len(orders), 1 / number_of_permutations(len(years))),
-        )
+        z = (drift * z)[..., use]
+        smallest_p = max(1 / len(orders), 1 / number_of_permutations(len(years)))
+        permuted = z[1:].astype(np.float32)
+        return cls(speed[use], drift[use], z[0], permuted, smallest_p)
 
     @cached_property
     def maxima(self) -> np.ndarray:

@@ -14,28 +14,17 @@ one mean.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.stacking.velocities import VelocitySamples
-from astro_scc.streams.chains import (
-    clear_of,
-    different,
-    find_chains,
-    standing_features,
-)
-from astro_scc.streams.classification import Stream, classify, with_secure
-from astro_scc.streams.diagram import SHORT, Diagram, Rays, fit_mixture
-from astro_scc.streams.dispersion import (
-    Population,
-    feature_speeds,
-    random_effects,
-    separate_streams,
-)
+from astro_scc.streams import chains, dispersion
+from astro_scc.streams.chains import Feature
+from astro_scc.streams.diagram import SHORT, Diagram, Rays, SearchSettings, fit_mixture
+from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
 from astro_scc.streams.permutations import EpochPermutations, persistence
-from astro_scc.streams.search_settings import SearchSettings
 
 #: Smallest significance of the speed of a stream's feature, in standard deviations of
 #: the permutations.
@@ -46,6 +35,65 @@ MAX_TURNS = 4
 #: Features that are followed from image to image stand for a flow if they are at least
 #: this share of the chains of matches of other emission.
 FOLLOWED_SHARE = 1 / 3
+#: Largest share of static jets of any kind with a secure feature that moves by
+#: ``least_motion`` or more (``benchmarks/features.py simulated``).
+P_SECURE = 0.01
+#: Fewest epochs of a feature that alone stands for a stream and was not followed from
+#: image to image, as of the robust features of surveys (Lister et al. 2021, ApJ 923,
+#: 30).
+LONE_EPOCHS = 5
+#: Smallest distance of a moving speed from rest, in errors: 95% of a normal
+#: distribution, one-sided.
+REST_ERRORS = 1.645
+#: What needs more than so many times the epochs is out of reach.
+MOST_EPOCHS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """
+    A stream: features whose speeds scatter about one mean.
+
+    Attributes
+    ----------
+    kind : {"moving", "not confirmed", "stationary", "not significant"}
+        Not confirmed: ``p_global`` is at most alpha, but something holds it back.
+    reason : str
+        Why it is neither moving nor stationary, or what ``p_global`` rests on, or ''.
+    angle : float
+        Direction of the axis from the first axis of the frame, in radians.
+    along, across : ``Population``
+        Mean and dispersion of the speeds of its features, in beams/yr.
+    z : float
+        Excess along its ray in standard deviations of the permutations.
+    p_local, p_global : float
+        p-values of the permutation test at exactly this speed, see
+        `EpochPermutations`.  Where ``p_global`` is above alpha, the evidence of the
+        first stream's secure features is added.
+    p_distinct : float
+        Probability that one stream fewer gives features that separate as
+        well; for the first stream its ``p_global``.
+    features : tuple of ``Feature``
+
+    Examples
+    --------
+    >>> from astro_scc.streams.dispersion import random_effects
+    >>> from astro_scc.streams.search import Stream
+    >>> still = random_effects([0.01, -0.02], [0.02, 0.02])
+    >>> Stream("stationary", "", 0.0, still, still).kind
+    'stationary'
+    """
+
+    kind: str
+    reason: str
+    angle: float
+    along: Population
+    across: Population
+    z: float = np.nan
+    p_local: float = 1.0
+    p_global: float = 1.0
+    p_distinct: float = 1.0
+    features: tuple[Feature, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,13 +258,14 @@ def find_streams(
         across = Population(0.0, np.nan, np.nan, np.nan)
         streams.append(_stream(axis, along, across, (), alpha))
     # 6. The standing features, without the features that move.
-    streams += _standing_stream(axis, streams)
-    return Search(
-        streams=tuple(streams),
-        diagram=Diagram.of(axis.samples, rays, settings),
-        angle=float(axis.angle),
-        permutations=permutations,
-    )
+    moving = [f for s in streams if s.kind == "moving" for f in s.features]
+    still = chains.standing_features(_without(axis.samples, moving), settings)
+    if still:
+        mean = _population(still, settings)
+        own = "stationary", "", axis.angle, *mean
+        streams.append(Stream(*own, features=tuple(still)))
+    diagram = Diagram.of(axis.samples, rays, settings)
+    return Search(tuple(streams), diagram, float(axis.angle), permutations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +283,6 @@ class _Axis:
     number: int
     followed: Callable | None = None
 
-    @property
-    def settings(self):
-        """Settings of the search."""
-        return self.rays.settings
-
     def z(self, speed):
         """Return the significance of speeds."""
         return self.permutations.significance(self.number, speed)
@@ -255,10 +299,9 @@ class _Axis:
         error = max((f.error for f in features), default=0.0)
         every = self.permutations.speed
         within = np.abs(every - mean) <= np.abs(own - mean).max(initial=0.0) + error
-        within &= every * mean > 0
-        for speed in every[within].tolist():
-            p_global = min(p_global, self.permutations.p_values(self.number, speed)[1])
-        return local, p_global
+        speeds = every[within & (every * mean > 0)]
+        others = (self.permutations.p_values(self.number, v)[1] for v in speeds)
+        return local, min((p_global, *others))
 
     def features(self, speeds):
         """
@@ -268,23 +311,21 @@ class _Axis:
         image to image.  Others are chains of matches, and so are those of a flow in
         which hardly any can be followed.
         """
-        samples, settings = self.samples, self.settings
-        mixture = fit_mixture(samples, speeds, self.rays)
-        chains, taken = find_chains(samples, mixture, settings)
-        if self.followed is None:
-            own = []
-        else:
+        samples, settings = self.samples, self.rays.settings
+        mixture, own = fit_mixture(samples, speeds, self.rays), []
+        found, taken = chains.find_chains(samples, mixture, settings)
+        if self.followed is not None:
             own, theirs = self.followed(self.angle)
             if not self.followed.diffuse:
                 own = [f for f in own if f.speed * speeds[0] > 0]
             taken = taken | theirs
         if own:
             fast = settings.farthest / (self.rays.short / SHORT)
-            chains = different([*own, *chains], samples, settings)[len(own) :]
-            if len(own) >= FOLLOWED_SHARE * len(chains):
-                chains = [f for f in chains if abs(f.speed) > fast]
-        still = standing_features(samples, settings)
-        return own + clear_of(chains, still, samples, settings), taken
+            found = chains.different([*own, *found], samples, settings)[len(own) :]
+            if len(own) >= FOLLOWED_SHARE * len(found):
+                found = [f for f in found if abs(f.speed) > fast]
+        still = chains.standing_features(samples, settings)
+        return own + chains.clear_of(found, still, samples, settings), taken
 
     def moving(self, features, speed):
         """Return the features in the direction of a speed with ``least_z`` or more."""
@@ -292,12 +333,9 @@ class _Axis:
             # They diffuse, and a mean of some would be biased.
             return [f for f in features if f.followed]
         own, test = np.array([f.speed for f in features]), self.permutations
-        least = LEAST_Z * np.interp(own, test.speed, test.weight)
-        return [
-            f
-            for f, high in zip(features, self.z(own) >= least, strict=True)
-            if f.speed * speed > 0 and (f.followed or high)
-        ]
+        high = self.z(own) >= LEAST_Z * np.interp(own, test.speed, test.weight)
+        each = zip(features, high, strict=True)
+        return [f for f, z in each if f.speed * speed > 0 and (f.followed or z)]
 
 
 def _samples(matches, followed, angle, without=()):
@@ -343,16 +381,15 @@ def _turn_to_features(axis, speed, project, n_axes):
 
 def _feature_groups(axis, features, speed, alpha, n_trials, rng):
     """Return the features of each stream, and the p-value of being distinct."""
-    moving, settings = axis.moving(features, speed), axis.settings
+    moving, settings = axis.moving(features, speed), axis.rays.settings
     if not moving:
         return []
     if any(f.speed * speed < 0 for f in moving):
         return [(moving, None)]
-    p_two, is_fast = separate_streams(moving, n_trials, rng, settings)
-    parts = [
-        [f for f, fast in zip(moving, is_fast, strict=True) if fast == which]
-        for which in (False, True)
-    ]
+    p_two, is_fast = dispersion.separate_streams(moving, n_trials, rng, settings)
+    parts = [], []
+    for f, fast in zip(moving, is_fast, strict=True):
+        parts[int(fast)].append(f)
     # One feature that was followed is of no other stream, only of another speed.
     alone = any(len(part) == 1 and part[0].followed for part in parts)
     if p_two <= alpha and not alone and _are_apart(*parts, settings):
@@ -396,41 +433,123 @@ def _stream(axis, along, across, features, alpha, p_distinct=None, beside=False)
     z, n_secure, p_keeps = float(axis.z(along.mean)), 0, np.nan
     diffuse = axis.followed is not None and axis.followed.diffuse
     if p_distinct is None and axis.followed and not diffuse:
-        far = axis.settings.least_motion
+        far = axis.rays.settings.least_motion
         n_secure = sum(f.followed and f.motion >= far for f in features)
     p_global, note = with_secure(p_global, n_secure, alpha)
     if not diffuse and not beside:
-        p_keeps = persistence(axis.samples, along.mean, axis.settings)
-    of = along, z, p_global, features, axis.permutations, alpha, axis.settings
+        p_keeps = persistence(axis.samples, along.mean, axis.rays.settings)
+    of = along, z, p_global, features, axis.permutations, alpha, axis.rays.settings
     kind, reason = classify(*of, p_keeps=p_keeps, beside=beside)
     reason = "; ".join(filter(None, (note, reason)))
-    return Stream(
-        kind=kind,
-        reason=reason,
-        angle=axis.angle,
-        along=along,
-        across=across,
-        z=z,
-        p_local=p_local,
-        p_global=p_global,
-        p_distinct=p_global if p_distinct is None else p_distinct,
-        features=tuple(features),
-    )
-
-
-def _standing_stream(axis, streams):
-    """Return a list with the stream at rest, empty if nothing stands still."""
-    moving = [f for s in streams if s.kind == "moving" for f in s.features]
-    still = standing_features(_without(axis.samples, moving), axis.settings)
-    if not still:
-        return []
-    along, across = _population(still, axis.settings)
-    return [Stream("stationary", "", axis.angle, along, across, features=tuple(still))]
+    p_distinct = p_global if p_distinct is None else p_distinct
+    p = p_local, p_global, p_distinct
+    return Stream(kind, reason, axis.angle, along, across, z, *p, tuple(features))
 
 
 def _without(samples, features):
     """Return the samples of other SSPs than those of the features."""
-    taken = np.zeros(len(samples.epoch), dtype=bool)
-    for feature in features:
-        taken[feature.ssp] = True
-    return samples.without_ssps(taken)
+    return samples.without_ssps(chains.ssps_of(features, len(samples.epoch)))
+
+
+def classify(
+    along, z, p_global, features, permutations, alpha, settings, *, p_keeps=np.nan,
+    beside=False,
+):  # fmt: skip
+    """
+    Return the kind of a stream; if it is not significant, why and what is needed.
+
+    The matches of a stream grow in proportion to the number of epochs, and their
+    scatter under permutations as its square root, so ``(z_alpha / z)^2`` times as
+    many epochs give a significance ``z_alpha``.
+
+    Parameters
+    ----------
+    along : ``Population``
+    z, p_global : float
+        Significance of the mean speed, and its probability.
+    features : sequence of ``Feature``
+    permutations : ``EpochPermutations``
+    alpha : float
+    settings : `~astro_scc.streams.SearchSettings`
+    p_keeps : float
+        See `persistence`; NaN if features diffuse.
+    beside : bool
+        Whether the stream is beside one that moves.
+
+    Returns
+    -------
+    kind, reason : str
+    """
+    smallest_p = permutations.smallest_p
+    moved = np.hypot.reduce([f.motion for f in features])
+    followed = any(f.followed for f in features)
+    lone = len(features) == 1 and not followed and not beside
+    # Where features diffuse, their mean may have either sign.
+    both = len({f.speed > 0 for f in features}) == 2
+    rest = REST_ERRORS * (2 if both else 1)
+    if smallest_p > alpha:
+        reason = f"too few epochs or trials: no p_global below {smallest_p:.2g}"
+    elif p_global > alpha:
+        reason = f"permuted epochs give as strong a peak (p_global {p_global:.2g})"
+        more = (np.quantile(permutations.maxima, 1 - alpha) / max(z, 1e-9)) ** 2
+        if 1 < more <= MOST_EPOCHS:
+            reason += f"; if it is real, {more:.1f} times as many epochs should show it"
+    elif not features:
+        reason = "no single feature is seen to move at this speed"
+    elif moved < settings.least_motion and not followed:
+        reason = (
+            f"its features move {moved:.1f} beams (root of the sum of squares), not "
+            f"{settings.least_motion:g}: blends of standing features drift as far; "
+            f"followed {np.ceil(10 * settings.least_motion / moved) / 10:.1f} times as "
+            "long, they would move enough"
+        )
+    elif lone and len(features[0]) < LONE_EPOCHS:
+        reason = (
+            f"it rests on a single feature in {len(features[0])} epochs, which was "
+            "matched but not followed from image to image; one more feature, or "
+            f"{LONE_EPOCHS} epochs of it, would confirm it"
+        )
+    elif p_keeps > alpha:
+        reason = (
+            "its patterns do not keep this speed from one interval to the next more "
+            f"often than by chance (p {p_keeps:.2g})"
+        )
+    elif abs(along.mean) <= rest * along.error:
+        reason = f"rest is within {rest:g} errors of the speed"
+    else:
+        return "moving", ""
+    passes = max(p_global, smallest_p) <= alpha
+    return "not confirmed" if passes else "not significant", reason
+
+
+def with_secure(p_global, n_secure, alpha):
+    """
+    Return the p-value of permuted epochs and of secure features together.
+
+    They are combined by Fisher's method (1925, Statistical Methods for Research
+    Workers) where the permutations alone do not reject.
+
+    Parameters
+    ----------
+    p_global : float
+        Of the permutation test.
+    n_secure : int
+        Number of secure features that move with the stream, and far enough.
+    alpha : float
+
+    Returns
+    -------
+    p_global : float
+    note : str
+        What it rests on, if that is more than the permutation test.
+    """
+    if n_secure == 0 or p_global <= alpha:
+        return p_global, ""
+    # Minus twice the logarithm of the product has a chi-square of 4 degrees of freedom.
+    product = p_global * P_SECURE
+    both = float(product * (1 - np.log(product)))
+    if both > alpha:
+        return p_global, ""
+    some = "a secure feature" if n_secure == 1 else f"{n_secure} secure features"
+    note = f"permuted epochs alone give p_global {p_global:.2g}, but {some} moved"
+    return both, note

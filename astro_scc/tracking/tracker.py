@@ -27,8 +27,8 @@ from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.kinematics.frames import frame_displacements, mean_width
 from astro_scc.progress import progress
 from astro_scc.settings import BEAMS, require
-from astro_scc.tracking import likelihood
-from astro_scc.tracking.linking import Links, chains, link
+from astro_scc.tracking import linking
+from astro_scc.tracking.linking import Links
 from astro_scc.units import PM_UNIT
 
 #: Without a largest speed, displacements up to this many beams are searched.
@@ -160,15 +160,15 @@ class FeatureTracker:
             If no two epochs have different dates.
         """
         steps = np.diff(cube.years.to_value(u.yr))
-        steps = steps[steps > 0]
-        if len(steps) == 0:
+        if not np.any(steps > 0):
+            date = cube.times[0].isot
             raise ValueError(
-                f"tracking needs epochs of two different dates, all {len(cube)} are "
-                f"of {cube.times[0].isot}"
+                f"tracking needs epochs of two different dates, not {date}"
             )
         if self.max_speed is not None:
             return u.Quantity(self.max_speed)
-        return BEAMS_PER_INTERVAL * mean_fwhm(cube, scales) / np.median(steps) * PM_UNIT
+        step = np.median(steps[steps > 0])
+        return BEAMS_PER_INTERVAL * mean_fwhm(cube, scales) / step * PM_UNIT
 
     def __call__(
         self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
@@ -195,9 +195,12 @@ class FeatureTracker:
         """
         links = self.link(cube, decompositions, select=select, **how)
         ssps = SSPs.of_epochs(decompositions)
-        return linked_features(
-            cube, ssps, links, select=select, min_epochs=self.min_epochs
-        )
+        core = linking.core_ssps(ssps, cube)
+        jet = ~core if select is None else np.asarray(select) & ~core
+        tracks = [
+            t for t in linking.chains(links, ssps, self.min_epochs) if jet[t].all()
+        ]
+        return linked_features(cube, ssps, tracks, core, jet)
 
     def link(
         self, cube: EpochCube, decompositions: Sequence[Decomposition], *,
@@ -244,21 +247,19 @@ class FeatureTracker:
         matches = self._match(cube, decompositions, limits, fwhm, **how)
         target = target_ssps(matches, ssps)
         target = np.where((target >= 0) & select[target], target, -1)
-        core = likelihood.core_ssps(ssps, cube)
+        core = linking.core_ssps(ssps, cube)
 
         def inside(found):
             # Features do not jump into the core or out of it.
             same = core[found.source] == core[found.target]
             return same & self._inside(found, ssps, cube, limits, fwhm)
 
-        candidates = likelihood.find_candidates(
-            matches, target, ssps, cube.years.to_value(u.yr), max_gap=self.max_gap,
-            inside=inside,
-        )  # fmt: skip
-        return link(
-            candidates, ssps, parent=likelihood.coarser_ssps(ssps, cube.shape[2]),
-            tolerance=self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas),
-        )  # fmt: skip
+        how = {"max_gap": self.max_gap, "inside": inside}
+        of = matches, target, ssps, cube.years.to_value(u.yr)
+        candidates = linking.find_candidates(*of, **how)
+        parent = linking.coarser_ssps(ssps, cube.shape[2])
+        tolerance = self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas)
+        return linking.link(candidates, ssps, parent=parent, tolerance=tolerance)
 
     def _match(
         self, cube, decompositions, limits, fwhm, *, select, n_workers, progress_bar
@@ -272,23 +273,20 @@ class FeatureTracker:
         pairs = np.stack(np.triu_indices(len(years), 1), axis=1)
         interval = np.diff(years[pairs])[:, 0]
         limit = np.inf if self.max_interval is None else self.max_interval.value
-        keep = (np.diff(pairs)[:, 0] <= self.max_gap + 1) & (0 < interval)
-        keep &= interval <= limit
+        keep = np.diff(pairs)[:, 0] <= self.max_gap + 1
+        keep &= (0 < interval) & (interval <= limit)
         pairs, interval = pairs[keep], interval[keep]
-        radius = self._fastest(cube, limits) * interval[:, None]
-        margin = (MARGIN + 1) * self.tolerance * fwhm
-        radius += margin / cube.pixel_scale.to_value(u.mas)
+        margin = (MARGIN + 1) * self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas)
+        radius = self._fastest(cube, limits) * interval[:, None] + margin
         radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
         radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
-        columns = []
+        columns, how = [], {"select": select, "n_workers": n_workers}
         correlator = Correlator(self.kappa, self.target, self.min_overlap)
         kinds, kind = np.unique(radius, axis=0, return_inverse=True)
         with progress(len(pairs), "Correlating", show=progress_bar) as done:
             for k, window in enumerate(kinds.tolist()):
                 own = pairs[kind.ravel() == k]
-                part = correlator(
-                    decompositions, own, window, select=select, n_workers=n_workers
-                )
+                part = correlator(decompositions, own, window, **how)
                 columns.append(tuple(getattr(part, name) for name in COLUMNS))
                 done(len(own))
         reach = kinds.max(axis=0, initial=0).tolist()
@@ -335,10 +333,8 @@ class FeatureTracker:
             require_common_beam(cube)
         warn_of_misalignment(cube)
         if len(decompositions) != len(cube):
-            raise ValueError(
-                f"{len(decompositions)} decompositions for {len(cube)} epochs: "
-                "give one for each"
-            )
+            each = f"{len(decompositions)} decompositions for {len(cube)} epochs"
+            raise ValueError(f"{each}: give one for each")
         ssps = SSPs.of_epochs(decompositions)
         require_ssps(ssps, decompositions[0].scales)
         select = np.ones(len(ssps), bool) if select is None else np.asarray(select)
@@ -350,9 +346,9 @@ class FeatureTracker:
         return ssps, select
 
 
-def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
+def linked_features(cube, ssps, tracks, core, jet):
     """
-    Return the features that links of SSPs make up, one row for each.
+    Return the features that tracks of SSPs make up, one row for each.
 
     A pattern that is followed on several scales is one feature, that of the finest
     scale.  Detections are the SSPs of these tracks, and of the others those that are
@@ -363,11 +359,10 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
     cube : `~astro_scc.epochs.EpochCube`
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
-    links : `Links`
-    select : array_like of bool, shape (n_ssps,), optional
-        The SSPs that were linked.
-    min_epochs : int, optional
-        Fewest epochs of a track.
+    tracks : list of `~numpy.ndarray` of int
+        SSPs of each.
+    core, jet : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs that are the core, and those that are detections.
 
     Returns
     -------
@@ -375,29 +370,21 @@ def linked_features(cube, ssps, links, *, select=None, min_epochs=3):
         There are no disturbed assignments, so ``same_speed`` is 1; no track is
         ``proven``, as the rounds of `link` need not find the best links.
     """
-    core = likelihood.core_ssps(ssps, cube)
-    jet = ~core if select is None else np.asarray(select) & ~core
-    size, keep = ssp_sizes(ssps), np.zeros(len(ssps), bool)
-    tracks = []
-    found = [t for t in chains(links, ssps, min_epochs=min_epochs) if jet[t].all()]
-    for track in sorted(found, key=lambda track: size[track[0]]):
+    size, keep, kept = ssp_sizes(ssps), np.zeros(len(ssps), bool), []
+    for track in sorted(tracks, key=lambda track: size[track[0]]):
         if np.mean([is_new(ssps, keep, k) for k in track.tolist()]) > 0.5:
             keep[track] = True
-            tracks.append(track)
+            kept.append(track)
     own = finest_patterns(ssps, keep, jet)
     number = np.full(len(ssps), -1)
     number[own] = np.arange(len(own))
     # Detections are in the order of the epochs.
-    tracks = sorted((number[track] for track in tracks), key=lambda own: own[0])
+    kept = sorted((number[track] for track in kept), key=lambda own: own[0])
     cores = np.flatnonzero(core)
-    cores = cores[likelihood.lowest(size[cores], ssps.epoch[cores])]
+    cores = cores[linking.lowest(size[cores], ssps.epoch[cores])]
     fwhm = mean_fwhm(cube, np.unique(ssps.scale))
-    return Features(
-        cube=cube,
-        detections=ssps_of(cube, ssps, own, fwhm),
-        core=ssps_of(cube, ssps, cores, fwhm),
-        tracks=tuple(Track(own, 1.0, False) for own in tracks),
-    )
+    detections, core = (ssps_of(cube, ssps, which, fwhm) for which in (own, cores))
+    return Features(cube, detections, core, tuple(Track(k, 1.0, False) for k in kept))
 
 
 def mean_fwhm(cube, scales):

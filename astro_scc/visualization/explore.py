@@ -11,8 +11,8 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc.images.positions import sky_columns
+from astro_scc.streams.diagram import DEFAULT
 from astro_scc.streams.dispersion import error_of_speed
-from astro_scc.streams.search_settings import DEFAULT
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style, velocity
 from astro_scc.writing import replace_when_complete

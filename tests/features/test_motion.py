@@ -33,17 +33,13 @@ def on_line(time, place, velocity):
 
 
 def test_a_straight_line():
-    place = on_line(TIME, (3.0, -1.0), (0.4, -0.2))
-    fit = fit_motion(TIME, place, ERROR, 1.0)
+    fit = fit_motion(TIME, on_line(TIME, (3.0, -1.0), (0.4, -0.2)), ERROR, 1.0)
     assert fit.date == pytest.approx(TIME.mean())
-    np.testing.assert_allclose(fit.place, [3, -1])
-    np.testing.assert_allclose(fit.velocity, [0.4, -0.2])
+    np.testing.assert_allclose([fit.place, fit.velocity], [[3, -1], [0.4, -0.2]])
     np.testing.assert_allclose(fit.residual, 0, atol=1e-12)
-    assert fit.speed == pytest.approx(np.hypot(0.4, 0.2))
     assert fit.used.all()
     assert not fit.accelerated
-    assert np.isnan(fit.acceleration).all()
-    assert np.isnan(fit.acceleration_err).all()
+    assert np.isnan([fit.acceleration, fit.acceleration_err]).all()
 
 
 def test_a_parabola():
@@ -70,9 +66,9 @@ def test_a_parabola():
 def test_accelerations_are_rare_where_there_is_none():
     rng = np.random.default_rng(1)
     time = np.linspace(2000, 2008, 15)
-    place = on_line(time, (3, 0), (0.4, 0)) + rng.normal(0, 0.06, (200, 15, 2))
+    place = on_line(time, (3, 0), (0.4, 0)) + rng.normal(0, 0.06, (80, 15, 2))
     fits = [fit_motion(time, one, np.zeros((15, 2)), 1.0) for one in place]
-    assert np.mean([fit.accelerated for fit in fits]) < 0.05
+    assert np.mean([fit.accelerated for fit in fits]) < 0.07
 
 
 def test_errors_of_known_residuals():
@@ -105,10 +101,9 @@ def test_an_outlier_is_set_aside():
     assert np.hypot(*fit.residual[6]) > 1
 
 
-@pytest.mark.parametrize("n", [1, 3])
-def test_one_date_has_no_motion(n):
+def test_one_date_has_no_motion():
     with pytest.raises(ValueError, match="at least two dates"):
-        fit_motion(np.full(n, 2000.0), np.ones((n, 2)), np.ones((n, 2)), 1.0)
+        fit_motion(np.full(3, 2000.0), np.ones((3, 2)), np.ones((3, 2)), 1.0)
 
 
 # -- ejection ------------------------------------------------------------------------
@@ -126,16 +121,6 @@ def motion(place=(4.0, 3.0), velocity=(0.4, 0.3), **changes):
     return replace(made, **changes)
 
 
-def test_a_radial_motion_was_at_the_core():
-    date, error = motion().ejection(0.0, 1.0)
-    assert date == pytest.approx(2000)
-    assert error > 0
-    time = np.arange(2004.0, 2012)
-    place = np.multiply.outer(time - 2001, (0.3, -0.4))
-    fitted = fit_motion(time, place, np.full((8, 2), 0.001), 1.0)
-    assert fitted.ejection(0.0, 1.0)[0] == pytest.approx(2001)
-
-
 @pytest.mark.parametrize("core_error", [0.0, 0.2])
 def test_its_error_is_that_of_many_draws(core_error):
     rng = np.random.default_rng(5)
@@ -144,7 +129,8 @@ def test_its_error_is_that_of_many_draws(core_error):
     place += core_error * rng.normal(size=place.shape)
     velocity = one.velocity + one.velocity_err * rng.normal(size=place.shape)
     dates = one.date - (place * velocity).sum(axis=1) / (velocity**2).sum(axis=1)
-    _, error = one.ejection(core_error, 1.0)
+    date, error = one.ejection(core_error, 1.0)
+    assert date == pytest.approx(2000)
     # Half the range of the middle 68%, as dates have long tails.
     low, high = np.quantile(dates, [0.1587, 0.8413])
     assert error == pytest.approx((high - low) / 2, rel=0.04)
@@ -169,12 +155,9 @@ def test_its_error_is_that_of_many_draws(core_error):
 )
 def test_dates_without_meaning_are_not_given(bad):
     assert np.isnan(motion(**bad).ejection(0.0, 1.0)).all()
-
-
-def test_the_core_may_be_missed_by_one_beam():
-    aside = motion(place=4 * np.array([4.3, 2.6]), place_err=np.zeros(2))
-    assert np.isnan(aside.ejection(0.0, 0.9)[0])
-    assert np.isfinite(aside.ejection(0.0, 2.0)[0])
+    # The core may be missed by one beam.
+    aside = {"place": 4 * np.array([4.3, 2.6]), "place_err": np.zeros(2)}
+    assert np.isfinite(motion(**aside).ejection(0.0, 2.0)[0])
 
 
 def test_velocities_of_some_intervals():
@@ -190,19 +173,14 @@ def test_velocities_of_some_intervals():
         wanted = dt[keep] @ dr[keep] / (dt[keep] @ dt[keep])
         np.testing.assert_allclose(part.velocity, wanted)
         np.testing.assert_allclose(response @ place, wanted)
-        # A constant shift of the positions changes nothing.
-        assert response.sum() == pytest.approx(0, abs=1e-12)
         # A straight line through all positions is the best estimate of all.
         assert (part.velocity_err >= fit.velocity_err * (1 - 1e-9)).all()
     assert part.velocity_err == pytest.approx(fit.velocity_err, rel=1e-3)
     slope = np.polyfit(TIME[fit.used], place[fit.used], 1)[0]
     np.testing.assert_allclose(part.velocity, slope)
 
-
-def test_no_velocity_of_intervals_that_no_two_dates_have():
-    fit = fit_motion(TIME, on_line(TIME, (3, 0), (0.4, 0)), ERROR, 1.0)
-    part, response = motion_in_intervals(fit, TIME, np.ones((8, 2)), 1.0, (9, 10))
-    assert np.isnan(part.velocity).all()
+    nothing, response = motion_in_intervals(fit, TIME, place, 1.0, (9, 10))
+    assert np.isnan(nothing.velocity).all()
     assert not response.any()
 
 
@@ -246,30 +224,39 @@ def test_properties(track_of):
     assert false_probability(d, track, motion) == pytest.approx(p)
 
 
-def test_a_feature_alone_has_no_neighbour_in_reach(track_of):
-    d, track, motion = track_of(straight(6))
-    assert properties(d, track, motion)[5] == FAR
-    d, track, motion = track_of(straight(6, others=[50.0]))
-    assert properties(d, track, motion)[5] == FAR
+@pytest.mark.parametrize(
+    ("others", "nearest"), [((), FAR), ([50.0], FAR), ([0.7], 0.7)]
+)
+def test_the_nearest_neighbour_within_reach(track_of, others, nearest):
+    assert properties(*track_of(straight(6, others=others)))[5] == pytest.approx(
+        nearest
+    )
 
 
-def test_motion_is_in_beams_along_it(track_of):
-    d, track, motion = track_of(straight(6, step=2))
-    for beam, moved in (([1, 1], 2.5), ([4, 4], 1.25), ([4, 1], 1.25), ([1, 4], 2.5)):
-        other = replace(d, beam=np.diag(beam) @ d.beam)
-        assert properties(other, track, motion)[1] == pytest.approx(np.log(moved))
+@pytest.mark.parametrize(
+    ("beam", "moved"), [([4, 4], 1.25), ([4, 1], 1.25), ([1, 4], 2.5)]
+)
+def test_motion_is_in_beams_along_it(track_of, beam, moved):
+    d, *of = track_of(straight(6, step=2))
+    other = replace(d, beam=np.diag(beam) @ d.beam)
+    assert properties(other, *of)[1] == pytest.approx(np.log(moved))
 
 
-def test_what_is_vouched_for(track_of):
+@pytest.mark.parametrize(
+    ("p_false", "moved", "change", "error", "secure"),
+    [
+        (0.3, 1.0, {}, 0.3, True),
+        (0.301, 1.0, {}, 0.3, False),
+        (0.3, 0.999, {}, 0.3, False),
+        (0.3, 1.0, {"same_speed": 0.5}, 0.3, True),
+        (0.3, 1.0, {"same_speed": 0.499}, 0.3, False),
+        (0.0, 9.0, {"detection": np.arange(3)}, 0.3, False),
+        (0.0, 9.0, {"detection": np.arange(4)}, 0.3, True),
+        (0.0, 9.0, {}, 1 / 3.01, True),
+        (0.0, 9.0, {}, 1 / 2.99, False),
+    ],
+)
+def test_what_is_vouched_for(track_of, p_false, moved, change, error, secure):
     _, track, motion = track_of(straight(8))
-    assert is_secure(0.3, 1.0, track, motion)
-    assert not is_secure(0.301, 1.0, track, motion)
-    assert not is_secure(0.3, 0.999, track, motion)
-    assert is_secure(0.3, 1.0, replace(track, same_speed=0.5), motion)
-    assert not is_secure(0.3, 1.0, replace(track, same_speed=0.499), motion)
-    short = replace(track, detection=track.detection[:3])
-    assert not is_secure(0.0, 9.0, short, motion)
-    assert is_secure(0.0, 9.0, replace(short, detection=track.detection[:4]), motion)
-    for error, secure in ((motion.speed / 3.01, True), (motion.speed / 2.99, False)):
-        other = replace(motion, velocity_err=np.full(2, error))
-        assert is_secure(0.0, 9.0, track, other) is secure
+    motion = replace(motion, velocity_err=np.full(2, error * motion.speed))
+    assert is_secure(p_false, moved, replace(track, **change), motion) is secure

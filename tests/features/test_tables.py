@@ -37,9 +37,8 @@ def features(series):
 
 @pytest.fixture(scope="module")
 def empty(features):
-    return replace(
-        features, tracks=(), detections=features.detections.select(np.arange(0))
-    )
+    nothing = features.detections.select(np.arange(0))
+    return replace(features, tracks=(), detections=nothing, core=nothing)
 
 
 def in_sun(features):
@@ -48,76 +47,55 @@ def in_sun(features):
     return replace(features, cube=replace(features.cube, wcs=wcs))
 
 
-def check_columns(table, columns):
-    assert table.colnames == list(columns)
-    for name, known in columns.items():
-        column, kind = table[name], known.kind
-        assert column.info.description == known.meaning
-        if name in ("first", "last", "date"):
-            assert isinstance(column, Time)
-        elif kind in (int, float, bool):
-            assert column.dtype.kind == np.dtype(kind).kind
-        elif kind is None:
-            assert column.unit == u.Jy
-        else:
-            assert column.unit == kind
-
-
 @pytest.mark.parametrize("name", ["features", "empty"])
 def test_each_column_has_a_unit_or_type_and_a_meaning(request, name):
     found = request.getfixturevalue(name)
-    check_columns(found.table, columns_of("features"))
-    check_columns(found.positions, columns_of("positions"))
+    for table, own in ((found.table, "features"), (found.positions, "positions")):
+        assert table.colnames == list(columns_of(own))
+        for column, known in zip(
+            table.itercols(), columns_of(own).values(), strict=True
+        ):
+            assert column.info.description == known.meaning
+            if known.kind in (int, float, bool):
+                assert column.dtype.kind == np.dtype(known.kind).kind
+            elif not isinstance(column, Time):
+                assert column.unit == (known.kind or u.Jy)
     assert len(found.table) == len(found.tracks)
     assert len(found.positions) == sum(map(len, found.tracks))
-    assert all(column.meaning for column in columns_of("features").values())
 
 
 def test_the_motion_of_a_radial_feature(features):
     row = features.table[0]
-    mas, speed = u.mas, u.mas / u.yr
     assert (row["feature"], row["n_epochs"], row["component"]) == (101, N, 0)
-    assert row["ra_offset"].to_value(mas) == pytest.approx(2.4, abs=0.01)
-    assert row["dec_offset"].to_value(mas) == pytest.approx(0, abs=0.01)
-    assert row["separation"].to_value(mas) == pytest.approx(2.4, abs=0.01)
+    assert (row["secure"], row["flux"], row["t_ej_err"] > 0) == (True, 2 * u.Jy, True)
+    wanted = {
+        "ra_offset": 2.4, "dec_offset": 0, "separation": 2.4, "motion": 2.8, "pm": 0.4,
+        "pm_ra_cosdec": 0.4, "pm_radial": 0.4, "pm_nonradial": 0,
+    }  # fmt: skip
+    for name, value in wanted.items():
+        assert row[name].value == pytest.approx(value, abs=0.01)
     for name in ("position_angle", "pm_pa"):
         assert row[name].to_value(u.deg) == pytest.approx(90, abs=0.5)
-    for name in ("pm", "pm_ra_cosdec", "pm_radial"):
-        assert row[name].to_value(speed) == pytest.approx(0.4, abs=2e-3)
-    assert row["pm_nonradial"].to_value(speed) == pytest.approx(0, abs=2e-3)
     assert row["t_ej"].to_value(u.yr) == pytest.approx(1997.5, abs=0.05)
-    assert row["t_ej_err"] > 0
-    assert row["motion"].to_value(u.one) == pytest.approx(2.8, abs=0.01)
-    assert row["flux"] == 2 * u.Jy
     assert row["first"].isot.startswith("2000-01-01")
     assert row["last"].isot.startswith("2007-01-01")
     assert abs(row["date"].jyear - features.motions[0].date) < 0.01
-    assert row["secure"]
     assert np.isnan(row["acc_parallel"])
 
 
 def test_a_bent_feature(features):
     row = features.table[2]
-    assert row["n_epochs"] == N - 1
-    assert not row["proven"]
-    assert not row["secure"]
+    assert (row["n_epochs"], row["proven"], row["secure"]) == (N - 1, False, False)
     assert row["first"].isot.startswith("2001")
     assert np.isnan(row["t_ej"])
-    total = np.hypot(row["acc_parallel"], row["acc_perpendicular"])
-    assert total.to_value(u.mas / u.yr**2) == pytest.approx(0.2, abs=0.02)
     # It bends from west to south: towards smaller position angles.
-    assert row["acc_perpendicular"] < 0
-    assert row["acc_parallel"] > 0
+    parallel, across = row["acc_parallel"].value, row["acc_perpendicular"].value
+    assert np.hypot(parallel, across) == pytest.approx(0.2, abs=0.02)
+    assert across < 0 < parallel
 
 
-def test_numbers_are_those_of_motions(features):
-    for row, motion in zip(features.table, features.motions, strict=True):
-        for part, axis in zip(("pm_ra_cosdec", "pm_dec"), range(2), strict=True):
-            value, error = motion.velocity[axis], motion.velocity_err[axis]
-            assert abs(row[part].value - value) < 0.1 * error
-            assert row[f"{part}_err"].value == pytest.approx(error, rel=0.06)
-    core = features.core
-    square = 0.02**2 / 2 + np.mean(core.place_error**2)
+def test_the_error_of_the_core(features):
+    square = 0.02**2 / 2 + np.mean(features.core.place_error**2)
     assert features.core_error == pytest.approx(np.sqrt(square))
 
 
@@ -165,9 +143,6 @@ def test_fluxes_have_the_unit_of_the_image_times_beams(features, unit, flux):
 
 
 def test_its_summary(features, empty):
-    assert repr(features) == (
-        "<Features: 3 in 8 epochs, 1 of them secure, of 24 detections>"
-    )
-    assert repr(empty).startswith("<Features: 0 in 8 epochs, 0 of them secure")
-    assert len(empty) == 0
-    assert replace(empty, core=empty.detections).core_error == 0
+    words = "<Features: 3 in 8 epochs, 1 of them secure, of 24 detections>"
+    assert repr(features) == words
+    assert (len(empty), empty.core_error) == (0, 0)

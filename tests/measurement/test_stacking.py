@@ -13,8 +13,8 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import simulate_static
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.classification import Stream
 from astro_scc.streams.dispersion import Population, velocity_of
+from astro_scc.streams.search import Stream
 
 PM = u.mas / u.yr
 #: Speed of the features of the jet, 0.6 beam of 1 mas in 30 days.

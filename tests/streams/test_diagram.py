@@ -7,7 +7,6 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import SearchSettings
 from astro_scc.streams.diagram import (
@@ -29,18 +28,14 @@ def random_matches(rng, years=YEARS, n=120, reach=1.8):
     reference = rng.integers(n_epochs, size=n)
     target = (reference + rng.integers(1, n_epochs, size=n)) % n_epochs
     return VelocitySamples(
-        d1=rng.uniform(-reach, reach, n),
-        d2=rng.uniform(-0.6, 0.6, n),
-        weight=rng.uniform(0.5, 1.0, n),
-        reference=reference,
-        target=target,
+        rng.uniform(-reach, reach, n), rng.uniform(-0.6, 0.6, n),
+        weight=rng.uniform(0.5, 1.0, n), reference=reference, target=target,
         ssp=each * reference + rng.integers(each, size=n),
         target_ssp=np.where(rng.random(n) < 0.2, -1, each * target),
         position=rng.uniform(0, 9, (each * n_epochs, 2)),
-        epoch=np.repeat(np.arange(n_epochs), each),
-        scale=np.ones(each * n_epochs),
+        epoch=np.repeat(np.arange(n_epochs), each), scale=np.ones(each * n_epochs),
         years=np.asarray(years, dtype=float),
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -81,32 +76,15 @@ SHARED = 0.01
 
 
 class TestPairDensity:
-    def test_pairs_of_images_are_sums_of_gaussians(self, d):
-        density = PairDensity(d, 1.5, SEARCH)
-        for a, b in permutations(range(5), 2):
-            wanted = density_by_loop(d, a, b, density.grid)
-            found = density.pairs[5 * a + b]
-            np.testing.assert_allclose(found, wanted, atol=SHARED * wanted.max())
-        assert not density.pairs[:: 5 + 1].any()
-
     def test_matches_on_the_grid_are_exact(self, d):
         grid = PairDensity(d, 1.5, SEARCH).grid
-        rng = np.random.default_rng(2)
-        on = replace(d, d1=rng.choice(grid, len(d)))
+        assert (grid[0], grid[-1]) == (-1.5, pytest.approx(1.5))
+        assert (grid[1] - grid[0]) ** 2 / (8 * SEARCH.blur**2) <= SHARED
+        on = replace(d, d1=np.random.default_rng(2).choice(grid, len(d)))
         density = PairDensity(on, 1.5, SEARCH)
         wanted = density_by_loop(on, 1, 3, grid)
         np.testing.assert_allclose(density.pairs[5 * 1 + 3], wanted, atol=1e-12)
         np.testing.assert_allclose(density.mean, mean_by_loop(on, grid), atol=1e-12)
-
-    def test_the_grid_reaches_the_radius_on_both_sides(self):
-        for radius in (0.3, 1.5, 4.1):
-            grid = PairDensity(
-                random_matches(np.random.default_rng(3)), radius, SEARCH
-            ).grid
-            assert grid[0] == -radius
-            assert grid[-1] == pytest.approx(radius)
-            np.testing.assert_allclose(np.diff(grid), grid[1] - grid[0])
-            assert (grid[1] - grid[0]) ** 2 / (8 * SEARCH.blur**2) <= SHARED
 
 
 def bins_by_loop(years, intervals=(0, np.inf)):
@@ -123,37 +101,17 @@ def bins_by_loop(years, intervals=(0, np.inf)):
     return [bins[number] for number in sorted(bins)]
 
 
-class TestIntervalBins:
-    @pytest.mark.parametrize("intervals", [(0, np.inf), (0.5, 2.0)])
-    def test_every_pair_is_in_the_bin_of_its_interval(self, intervals):
-        years = np.array([0.0, 0.5, 0.51, 0.51, 1.0, 1.52, 3.0, 4.4])
-        bins = IntervalBins(years, 0.08, intervals)
-        wanted = bins_by_loop(years, intervals)
-        assert bins.number.tolist() == [len(pairs) for pairs in wanted]
-        for k, pairs in enumerate(wanted):
-            here = bins.bin == k
-            found = zip(bins.first[here], bins.second[here], strict=True)
-            assert set(found) == set(pairs)
-            interval = [years[j] - years[i] for i, j in pairs]
-            assert bins.mean[k] == pytest.approx(np.mean(interval))
-            assert max(interval) <= min(interval) * np.exp(0.08)
-
-    def test_sums_of_all_120_orders_and_their_mean(self, d):
-        density = PairDensity(d, 1.5, SEARCH)
-        bins = IntervalBins(YEARS, 0.08, (0, np.inf))
-        orders = np.array(list(permutations(range(5))))
-        sums = bins.sums(density.pairs, orders)
-        pairs = density.pairs.reshape(5, 5, -1)
-        for order, found in zip(orders, sums, strict=True):
-            wanted = [
-                sum(pairs[order[i], order[j]] for i, j in some)
-                for some in bins_by_loop(YEARS)
-            ]
-            np.testing.assert_allclose(found, wanted, atol=1e-12)
-        # The mean of all orders is known without going through them.
-        np.testing.assert_allclose(
-            sums.mean(axis=0), bins.number[:, None] * density.mean, atol=1e-10
-        )
+@pytest.mark.parametrize("intervals", [(0, np.inf), (0.5, 2.0)])
+def test_every_pair_is_in_the_bin_of_its_interval(intervals):
+    years = np.array([0.0, 0.5, 0.51, 0.51, 1.0, 1.52, 3.0, 4.4])
+    bins = IntervalBins(years, 0.08, intervals)
+    wanted = bins_by_loop(years, intervals)
+    assert bins.number.tolist() == [len(pairs) for pairs in wanted]
+    for k, pairs in enumerate(wanted):
+        here = bins.bin == k
+        assert set(zip(bins.first[here], bins.second[here], strict=True)) == set(pairs)
+        interval = [years[j] - years[i] for i, j in pairs]
+        assert bins.mean[k] == pytest.approx(np.mean(interval))
 
 
 class TestDiagram:
@@ -163,7 +121,6 @@ class TestDiagram:
         for row, pairs in enumerate(bins_by_loop(YEARS)):
             observed = sum(density_by_loop(d, i, j, grid) for i, j in pairs)
             tolerance = SHARED * (observed.max() + len(pairs) * mean.max())
-            np.testing.assert_allclose(found.observed[row], observed, atol=tolerance)
             np.testing.assert_allclose(
                 found.excess[row], observed - len(pairs) * mean, atol=tolerance
             )
@@ -172,34 +129,20 @@ class TestDiagram:
         np.testing.assert_array_equal(found.interval, rays.bins.mean)
 
 
-class TestAxisDisplacements:
-    def test_without_ssps_nothing_from_or_to_them_is_left(self, d):
-        taken = np.zeros(20, dtype=bool)
-        taken[[0, 5, 19]] = True
-        ends = [{s, t} - {-1} for s, t in zip(d.ssp, d.target_ssp, strict=True)]
-        keep = [not any(taken[k] for k in pair) for pair in ends]
-        left = d.without_ssps(taken)
-        np.testing.assert_array_equal(left.d1, d.d1[keep])
-        # A match on no SSP is not one on the last of them.
-        assert (left.target_ssp == -1).any()
-        nothing = d.select(np.zeros(len(d), dtype=bool))
-        assert len(nothing.without_ssps(taken)) == 0
+def test_without_ssps_nothing_from_or_to_them_is_left(d):
+    taken = np.isin(np.arange(20), [0, 5, 19])
+    ends = [{s, t} - {-1} for s, t in zip(d.ssp, d.target_ssp, strict=True)]
+    left = d.without_ssps(taken)
+    # A match on no SSP is not one on the last of them.
+    keep = [not any(taken[k] for k in pair) for pair in ends]
+    np.testing.assert_array_equal(left.d1, d.d1[keep])
 
 
 class TestRays:
-    def test_speeds_from_the_slowest_in_all_to_the_radius_in_the_shortest(self, rays):
-        forth, back = rays.speed[rays.speed > 0], rays.speed[rays.speed < 0]
-        np.testing.assert_array_equal(forth, -back[::-1])
-        gaps = np.diff(YEARS)
-        assert forth.max() == pytest.approx(1.5 / np.quantile(gaps, 0.25))
-        assert forth.min() == pytest.approx(SEARCH.slowest / (YEARS[-1] - YEARS[0]))
-        steps = np.diff(np.log(forth))
-        np.testing.assert_allclose(steps, steps[0])
-        assert steps[0] <= SPEED_STEP
-
     @pytest.mark.parametrize(
         ("years", "limits", "slowest", "fastest"),
         [
+            (YEARS, {}, SEARCH.slowest / 3.2, 1.5 / np.quantile(np.diff(YEARS), 0.25)),
             # Few epochs still have a range of speeds.
             ([0.0, 1.0], {}, 0.375, 1.5),
             (YEARS, {"fastest": 0.9}, 0.225, 0.9),
@@ -215,8 +158,12 @@ class TestRays:
     )
     def test_slowest_and_fastest(self, years, limits, slowest, fastest):
         speed = Rays.of(np.array(years), 1.5, SEARCH, **limits).speed
-        assert speed.max() == pytest.approx(fastest)
-        assert speed[speed > 0].min() == pytest.approx(slowest)
+        forth = speed[speed > 0]
+        assert forth[[0, -1]] == pytest.approx([slowest, fastest])
+        np.testing.assert_array_equal(forth, -speed[speed < 0][::-1])
+        steps = np.diff(np.log(forth))
+        np.testing.assert_allclose(steps, steps[0])
+        assert steps[0] <= SPEED_STEP
 
     def test_intervals_limit_the_bins_and_weights(self):
         some = Rays.of(YEARS, 1.5, SEARCH, intervals=(0.5, 1.0))
@@ -230,43 +177,17 @@ class TestRays:
         with pytest.raises(ValueError, match=words):
             Rays.of(YEARS, 1.5, SEARCH, intervals=limits)
 
-    def test_each_speed_has_the_intervals_in_which_it_moves_a_fifth_to_one_beam(
-        self, rays
-    ):
-        every = np.geomspace(0.05, 4, 200)
-        for speed in rays.speed:
-            motion = abs(speed) * every
-            weight = rays.weight(speed * every, every)
-            np.testing.assert_array_equal(weight, rays.weight(-motion, -every))
-            inside = (motion >= 0.25) & (motion <= 0.9)
-            long = every > rays.short
-            np.testing.assert_array_equal(weight[inside], 1)
-            assert not weight[(motion <= 0.15) | (long & (motion >= 1.1))].any()
-            assert not weight[motion > 1.5].any()
-            # What is faster has the shortest intervals.
-            np.testing.assert_array_equal(
-                weight[~long & (motion >= 0.25) & (motion <= 1.5)], 1
-            )
-
     @pytest.mark.parametrize(
         ("motion", "weight"),
         [(0.15, 0), (0.2, 0.5), (0.25, 1), (0.9, 1), (1.0, 0.5), (1.1, 0)],
     )
     def test_the_ends_are_soft(self, rays, motion, weight):
-        assert rays.weight(motion, 10.0) == pytest.approx(weight)
-
-    def test_sums_over_rays_interpolate_the_diagram(self, d, rays):
-        density = PairDensity(d, 1.5, SEARCH)
-        rng = np.random.default_rng(4)
-        some = rng.normal(size=(len(rays.bins.mean), len(density.grid)))
-        found = rays.matrix(rays.speed, density.grid) @ some.ravel()
-        for speed, total in zip(rays.speed, found, strict=True):
-            wanted = 0.0
-            for interval, row in zip(rays.bins.mean, some, strict=True):
-                motion = speed * interval
-                weight = float(rays.weight(motion, interval))
-                wanted += weight * np.interp(motion, density.grid, row)
-            assert total == pytest.approx(wanted, abs=1e-10)
+        assert rays.weight([motion, -motion], 10.0) == pytest.approx([weight] * 2)
+        # In short intervals, up to the radius.
+        inside = min(weight + (motion > 0.5), 1)
+        assert rays.weight([motion, 1.5, 1.51], rays.short) == pytest.approx(
+            [inside, 1, 0]
+        )
 
 
 def permute(d, rays, *, n_trials=119):
@@ -276,19 +197,18 @@ def permute(d, rays, *, n_trials=119):
 
 class TestEpochPermutations:
     def test_z_is_of_all_orders_by_a_loop(self, d, rays):
-        test = permute(d, rays)
-        density = PairDensity(d, 1.5, SEARCH)
-        pairs = density.pairs.reshape(5, 5, -1)
-        sums = []
+        test, excess = permute(d, rays), Diagram.of(d, rays, SEARCH)
+        sums, grid = [], excess.displacement
         for order in permutations(range(5)):
+            # The images in another order at the same dates.
+            place = np.argsort(order)
+            other = replace(d, reference=place[d.reference], target=place[d.target])
+            found = Diagram.of(other, rays, SEARCH)
             total = np.zeros(len(rays.speed))
-            for some in bins_by_loop(YEARS):
-                row = sum(pairs[order[i], order[j]] for i, j in some)
-                row = row - len(some) * density.mean
-                interval = np.mean([YEARS[j] - YEARS[i] for i, j in some])
+            for interval, row in zip(found.interval, found.excess, strict=True):
                 motion = rays.speed * interval
                 weight = rays.weight(motion, np.full(motion.shape, interval))
-                total += weight * np.interp(motion, density.grid, row)
+                total += weight * np.interp(motion, grid, row)
             sums.append(total)
         sums = np.array(sums)
         np.testing.assert_allclose(sums.mean(axis=0), 0, atol=1e-10)
@@ -328,21 +248,13 @@ class TestEpochPermutations:
 
     @pytest.mark.parametrize(
         ("n_epochs", "n_trials", "smallest"),
-        [
-            (2, 99, 1),
-            (3, 99, 1 / 3),
-            (4, 999, 1 / 12),
-            (5, 999, 1 / 60),
-            (6, 99, 1 / 360),
-            (7, 99, 0.01),
-        ],
+        [(2, 99, 1), (3, 99, 1 / 3), (5, 999, 1 / 60), (6, 99, 1 / 360), (7, 99, 0.01)],
     )
     def test_the_smallest_p_that_the_orders_allow(self, n_epochs, n_trials, smallest):
         years = np.arange(float(n_epochs))
         some = random_matches(np.random.default_rng(5), years)
         test = permute(some, Rays.of(years, 1.5, SEARCH), n_trials=n_trials)
         assert test.smallest_p == pytest.approx(smallest)
-        assert smallest >= 1 / number_of_permutations(n_epochs) * (1 - 1e-9)
         assert test.p_values(*test.largest())[1] >= 1 / (1 + len(test.permuted))
 
     def test_outward_speeds_only(self, d, rays):
@@ -354,13 +266,6 @@ class TestEpochPermutations:
         np.testing.assert_array_equal(outward.speed, both.speed[forth])
         np.testing.assert_allclose(outward.z, both.z[:, forth])
         assert outward.p_values(0, -1.0) == (1.0, 1.0)
-
-    def test_memory_is_used_in_parts(self, d, rays, monkeypatch):
-        at_once = permute(d, rays)
-        monkeypatch.setattr("astro_scc.streams.permutations.BYTES", 1)
-        one_by_one = permute(d, rays)
-        np.testing.assert_allclose(one_by_one.z, at_once.z)
-        np.testing.assert_allclose(one_by_one.permuted, at_once.permuted, atol=1e-5)
 
     def test_the_largest_of_several_axes(self, lines, axis_matches):
         years = np.arange(6.0)
@@ -429,16 +334,10 @@ class TestEpochPermutations:
         assert test.largest() == (0, pytest.approx(true, rel=1e-9))
 
     def test_epochs_that_are_all_the_same_show_nothing(self, lines, axis_matches):
-        """Noiseless standing features, or one image many times."""
-        for years in (np.arange(8.0), np.cumsum(np.geomspace(0.3, 2, 8))):
-            position, epoch = lines([0.0] * 5, 3.0 * np.arange(5), years)
-            d = axis_matches(position, epoch, years)
-            test = permute(d, Rays.of(years, 1.5, SEARCH), n_trials=99)
+        """Noiseless standing features, or no matches."""
+        years = np.cumsum(np.geomspace(0.3, 2, 8))
+        d = axis_matches(*lines([0.0] * 5, 3.0 * np.arange(5), years), years)
+        for some in (d, d.select(d.ssp < 0)):
+            test = permute(some, Rays.of(years, 1.5, SEARCH), n_trials=99)
             assert np.abs(test.z).max() < 1e-6
             assert test.p_values(*test.largest()) == (1.0, 1.0)
-
-    def test_no_matches_show_nothing(self, d, rays):
-        nothing = d.select(np.zeros(len(d), dtype=bool))
-        test = permute(nothing, rays)
-        assert not test.z.any()
-        assert test.p_values(*test.largest()) == (1.0, 1.0)

@@ -29,14 +29,11 @@ def test_one_line_has_its_speed_and_its_matches(lines, axis_matches):
     np.testing.assert_array_equal(found.match, np.flatnonzero(known))
 
 
-def test_speeds_are_unbiased_among_chance_and_rest(two):
+def test_speeds_are_unbiased_and_at_most_one_match_is_true(two):
     found = fit_mixture(two, [0.3, 1.0], RAYS)
     assert found.speed == pytest.approx([0.3, 1.0], rel=0.05)
-
-
-def test_an_ssp_has_at_most_one_true_match_in_an_image(two):
-    found = fit_mixture(two, [0.3, 1.0], RAYS)
     d, total = two, found.membership.sum(axis=0)
+    # Of an SSP in an image.
     source = d.ssp[found.match] * len(YEARS) + d.target[found.match]
     assert np.bincount(source, total).max() <= 1
     assert np.all(found.membership >= 0)

@@ -15,19 +15,22 @@ from astro_scc import Beam
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.simulation import simulate_static
-from astro_scc.tracking import likelihood
-from astro_scc.tracking.likelihood import (
+from astro_scc.tracking.linking import (
     Candidates,
+    Links,
+    assign,
+    chains,
     chance_density,
     coarse_to_fine,
     coarser_ssps,
     core_ssps,
     equal_pairs,
     find_candidates,
+    link,
+    path_gains,
     similarity,
     steady_motion,
 )
-from astro_scc.tracking.linking import Links, assign, chains, link, path_gains
 
 
 def catalogue(rows, *, scale=1.0, half=2, width=400):
@@ -71,7 +74,7 @@ RANDOM = catalogue(
 )
 
 
-@pytest.mark.parametrize("max_gap", [0, 1, 5])
+@pytest.mark.parametrize("max_gap", [0, 5])
 def test_candidates_are_those_of_loops(max_gap):
     ssps = RANDOM
     matches, landed = random_matches(np.random.default_rng(3), ssps, 300)
@@ -86,28 +89,12 @@ def test_candidates_are_those_of_loops(max_gap):
             best[i, k] = max(best.get((i, k), 0), c)
     assert list(zip(found.source, found.target, strict=True)) == sorted(best)
     assert found.coefficient == pytest.approx([best[p] for p in sorted(best)])
-    for i, k, dy, dx, interval, gap in zip(
-        found.source, found.target, found.dy, found.dx, found.interval, found.gap,
-        strict=True,
-    ):  # fmt: skip
-        a, b = ssps.epoch[i], ssps.epoch[k]
-        assert (dy, dx) == (ssps.y[k] - ssps.y[i], ssps.x[k] - ssps.x[i])
-        assert interval == years[b] - years[a]
-        assert gap == b - a - 1
-
-
-def test_only_the_best_candidates_of_an_epoch_are_kept(monkeypatch):
-    ssps = RANDOM
-    matches, landed = random_matches(np.random.default_rng(3), ssps, 500)
-    every = find_candidates(matches, landed, ssps, np.arange(4.0))
-    monkeypatch.setattr(likelihood, "MAX_CANDIDATES", 1)
-    one = find_candidates(matches, landed, ssps, np.arange(4.0))
-    groups = {}
-    for i, gap, c in zip(every.source, every.gap, every.coefficient, strict=True):
-        groups.setdefault((i, gap), []).append(c)
-    assert len(one) == len(groups) < len(every)
-    for i, gap, c in zip(one.source, one.gap, one.coefficient, strict=True):
-        assert c == max(groups[i, gap])
+    a, b = ssps.epoch[found.source], ssps.epoch[found.target]
+    for axis, moved in ((ssps.y, found.dy), (ssps.x, found.dx)):
+        wanted = axis[found.target] - axis[found.source]
+        np.testing.assert_array_equal(moved, wanted)
+    np.testing.assert_array_equal(found.interval, years[b] - years[a])
+    np.testing.assert_array_equal(found.gap, b - a - 1)
 
 
 @pytest.fixture(scope="module")
@@ -126,29 +113,22 @@ def rows_at(places):
 def test_the_core_is_the_nearest_within_half_a_beam(cube):
     near = rows_at([(0, 0), (4.9, 0), (0, -4.9), (5.1, 0), (-3, -3), (None, None)])
     beside = rows_at([(4, 0), (0, 0), (4.9, 0.5), (9, 9), (30, 0), (4, 4)])
-    ssps = catalogue(near + beside)
-    wanted = [k in (0, 2, 4, 6) for k in range(11)]
+    # What passes by is near at few epochs, and on another scale no core.
+    passing = rows_at([(-6, 0), (-2, 0), (2, 0), (8, 0), (10, 0), (14, 0)])
+    ssps = catalogue(near + beside + passing, scale=[1.0] * 11 + [2.0] * 6)
+    wanted = [k in (0, 2, 4, 6) for k in range(17)]
     assert core_ssps(ssps, cube).tolist() == wanted
-
-
-def test_what_is_near_at_few_epochs_is_no_core(cube):
-    passing = rows_at([(-6, 0), (-2, 0), (2, 0), (6, 0), (10, 0), (14, 0)])
-    standing = rows_at([(1, 0), (0, 1), (1, 1), (7, 0), (8, 0), (9, 0)])
-    ssps = catalogue(passing + standing, scale=[1.0] * 6 + [2.0] * 6)
-    assert core_ssps(ssps, cube).tolist() == [6 <= k < 9 for k in range(12)]
     assert len(core_ssps(ssps.empty(), cube)) == 0
 
 
 def test_half_of_a_long_beam_reaches_farther_along_it(cube):
     beam = Beam(2 * u.mas, 0.5 * u.mas, 0 * u.deg)
-    cube = replace(cube, beams=(beam,) * 6)
-    north, west = rows_at([(0, 9)] * 6), rows_at([(3, 0)] * 6)
-    assert core_ssps(catalogue(north), cube).all()
-    assert not core_ssps(catalogue(west), cube).any()
+    north, west = (catalogue(rows_at([xy] * 6), scale=2.0) for xy in ((0, 9), (3, 0)))
     # Without a beam twice the scale, 8 pixels on scale 2.
-    plain = replace(cube, beams=None)
-    assert core_ssps(catalogue(west, scale=2.0), plain).all()
-    assert not core_ssps(catalogue(north, scale=2.0), plain).any()
+    for beams, far, near in (((beam,) * 6, north, west), (None, west, north)):
+        other = replace(cube, beams=beams)
+        assert core_ssps(far, other).all()
+        assert not core_ssps(near, other).any()
 
 
 # -- likelihood --------------------------------------------------------------------
@@ -273,7 +253,7 @@ def streams(seed=1, n_epochs=6):
     return np.array(rows), np.array(feature)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_streams_of_two_speeds_are_distinguished(seed):
     rows, feature = streams(seed)
     ssps = catalogue(rows)
@@ -362,7 +342,7 @@ def slow_gains(source, target, value, between, use):
     return gains
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6))
 def test_gains_are_those_of_all_paths(seed):
     rng = np.random.default_rng(seed)
@@ -405,7 +385,7 @@ pairs = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(pairs)
 def test_it_is_the_best_choice_and_one_to_one(found):
     row, column, weight = np.array(found, dtype=int).reshape(-1, 3).T
