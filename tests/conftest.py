@@ -16,7 +16,7 @@ from astro_scc.simulation import JetSimulation, Stream
 HERE = Path(__file__).parent
 #: Folders and modules whose tests run the command line, or scripts, end to end.
 INTEGRATION = {
-    *("cli", "robustness", "survey"),
+    *("cli", "robustness"),
     *("test_docs_commands", "test_examples", "test_golden"),
 }
 # The same examples everywhere: a commit passes or fails on each machine alike.  Others
@@ -72,17 +72,28 @@ def matched(jet_matched):
     return jet_matched
 
 
-@pytest.fixture(scope="session")
-def sky_result(jet_stacked):
-    """The small jet, stacked along east and north."""
-    return jet_stacked()
+class Results(dict):
+    """Results by the kind of their axes, each measured when it is needed."""
+
+    ANGLES = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
+
+    def __init__(self, stacked):
+        self.stacked = stacked
+
+    def __missing__(self, name):
+        return self.setdefault(name, self.stacked(self.ANGLES[name]))
 
 
 @pytest.fixture(scope="session")
 def jet_results(jet_stacked):
     """Results of the same matches by the kind of their axes."""
-    angles = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
-    return {name: jet_stacked(angle) for name, angle in angles.items()}
+    return Results(jet_stacked)
+
+
+@pytest.fixture(scope="session")
+def sky_result(jet_results):
+    """The small jet, stacked along east and north."""
+    return jet_results["sky"]
 
 
 VOID = {"meta", "img", "br", "link", "hr"}

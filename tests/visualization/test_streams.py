@@ -238,3 +238,13 @@ def test_speeds_with_other_choices(result):
     shown = shown[np.argsort(shown[:, 1])]
     np.testing.assert_allclose(shown[:, 0], table["pm"].value)
     assert [text.get_text() for text in ax.get_yticklabels()][0] == table["choice"][0]
+
+
+def test_a_row_without_features_has_no_ray(result):
+    row = result.components[:1]
+    row["kind"], row["n_features"] = "not significant", 0
+    for name in ("pm_parallel", "pm_ra_cosdec", "pm_dec", "pm", "pm_err"):
+        row[name] = np.nan
+    figure = result.plot("diagram", components=row)
+    assert parts(figure, "ray") == []
+    assert parts(figure, "excess")
