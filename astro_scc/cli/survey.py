@@ -12,8 +12,8 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
+from contextlib import ExitStack
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -27,6 +27,7 @@ from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, read_table, workers_of
 from astro_scc.cli.measure import WORK, write_measurement
 from astro_scc.cli.program import one_line
+from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
 from astro_scc.columns import round_to_errors, table_lines
 from astro_scc.images.grid import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
@@ -47,8 +48,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run_survey"]
 
-SOURCES, STATE, TABLE = "sources", "source.json", "survey.ecsv"
-FEATURES = "features.ecsv"
+TABLE = "survey.ecsv"
 #: Prefix of the folder of a source until it is complete.
 PARTIAL = "partial-"
 #: Why there is nothing to test.
@@ -70,21 +70,6 @@ HEAD = {
     "status": "measured, empty (searched, nothing to test) or failed",
     "message": "why there is no stream",
 }
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a region and scale group; ``folder`` has its products."""
-
-    source: str
-    region: str
-    scale_group: str
-    status: str
-    message: str = ""
-    folder: str = ""
-    n_epochs: int = 0
-    first: str = ""
-    last: str = ""
 
 
 def survey(args, reporter):
@@ -263,7 +248,7 @@ def _write_catalogues(table, features, output):
 
 def _outcomes(every, output, report, n_workers, done, progress_bar):
     """Return the outcomes of the sources, in their order."""
-    found = [finished_outcomes(source, output, report) for source in every]
+    found = [sources.finished_outcomes(source, output, report) for source in every]
     left = [k for k, outcomes in enumerate(found) if outcomes is None]
     before = [pair for pair in enumerate(found) if pair[0] not in left]
     # The largest first, so that no process waits for one at the end.
@@ -283,22 +268,6 @@ def _outcomes(every, output, report, n_workers, done, progress_bar):
             if done is not None:
                 done(every[k].name, outcomes, k not in left)
     return [outcome for outcomes in found for outcome in outcomes]
-
-
-def finished_outcomes(source, output, report):
-    """Return the outcomes of a source whose products are complete, else None."""
-    path = Path(output, SOURCES, source.folder, STATE)
-    needed = ["components.ecsv", FEATURES, "report.html"][: 2 + report]
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        state = json.loads(path.read_text(encoding="utf-8"))
-        found = [Outcome(**outcome) for outcome in state["outcomes"]]
-        if state["key"] == source.key() and all(
-            outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
-            for outcome in found
-            for name in needed
-        ):
-            return found
-    return None
 
 
 # -- the catalogues -------------------------------------------------------------------

@@ -29,6 +29,8 @@ from astro_scc.writing import replace_when_complete, versions
 
 __all__ = ["read_survey"]
 
+#: What a survey's folder has: a folder of sources, in each of which is a file of state.
+SOURCES, STATE, FEATURES = "sources", "source.json", "features.ecsv"
 #: Name of the part without a region, or without scale groups.
 WHOLE = "all"
 ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
@@ -100,6 +102,37 @@ def _facts(path):
         # The time of the content can be set back; the other one changes even then.
         return [str(path), state.st_size, state.st_mtime_ns, state.st_ctime_ns]
     return [str(path), 0]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a region and scale group; ``folder`` has its products."""
+
+    source: str
+    region: str
+    scale_group: str
+    status: str
+    message: str = ""
+    folder: str = ""
+    n_epochs: int = 0
+    first: str = ""
+    last: str = ""
+
+
+def finished_outcomes(source, output, report):
+    """Return the outcomes of a source whose products are complete, else None."""
+    path = Path(output, SOURCES, source.folder, STATE)
+    needed = ["components.ecsv", FEATURES, "report.html"][: 2 + report]
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        state = json.loads(path.read_text(encoding="utf-8"))
+        found = [Outcome(**outcome) for outcome in state["outcomes"]]
+        if state["key"] == source.key() and all(
+            outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
+            for outcome in found
+            for name in needed
+        ):
+            return found
+    return None
 
 
 @dataclass(frozen=True)

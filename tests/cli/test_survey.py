@@ -13,8 +13,8 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.cli.survey import Outcome, measure_source, run_survey
-from astro_scc.cli.survey_sources import folder_names, read_survey
+from astro_scc.cli.survey import measure_source, run_survey
+from astro_scc.cli.survey_sources import Outcome, folder_names, read_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.matching.plan import choose_direction
 from astro_scc.quantities import with_error
