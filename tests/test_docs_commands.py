@@ -142,6 +142,7 @@ def test_toml_of_the_documentation_is_understood(page, text, tmp_path):
         assert Settings(**given).epochs
 
 
+@pytest.mark.slow
 def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
     """The lines of the README for a real jet, on a simulated one of that name."""
     (text,) = blocks(REPOSITORY / "README.rst", "python")

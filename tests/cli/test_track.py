@@ -110,6 +110,7 @@ def profile(tmp_path_factory):
 WEST = ["--position-angle", "270 deg"]
 
 
+@pytest.mark.slow
 def test_the_whole_stretch(profile, done, here, no_figures):
     """Its acceleration, and the speeds of its scales."""
     out, _ = done(*profile, *WEST, "--bins", "0 20 30 mas", "--scales", "1,2")

@@ -354,6 +354,7 @@ def result(sheared):
     return SCC.stack(sheared, n_trials=20, rng=1)
 
 
+@pytest.mark.slow
 def test_sides_have_their_speeds(sheared, sides, result):
     (row,) = compare_speeds(result, sides)
     assert row["p_value"] < 0.05

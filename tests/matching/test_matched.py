@@ -254,6 +254,7 @@ def test_a_cache_is_used_when_only_the_stack_changes(cube, made, counted, tmp_pa
     assert len(counted) == 2 * len(cube)
 
 
+@pytest.mark.slow
 def test_a_part_that_was_chosen_later_is_no_cache(made, cube, tmp_path):
     path = tmp_path / "m.fits"
     part = select_ssps(made, scales=[1])

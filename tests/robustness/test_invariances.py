@@ -96,6 +96,7 @@ def test_turning_all_epochs_turns_velocities(usual, quarters):
     assert velocity(data)[0] == pytest.approx([east, north], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_reversing_time_changes_the_sign(usual):
     found, error = velocity(images()[::-1])
     assert np.hypot(*(found + usual[0])) < 3 * np.hypot(error, usual[1])
