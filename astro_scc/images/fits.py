@@ -288,7 +288,8 @@ def _check_complete(hdu, path):
     if missing > 0:
         least = "at least " if packed else ""
         raise _NoImageError(
-            f"is truncated, {least}{missing} bytes are missing; copy the file again"
+            f"is truncated, {least}{missing} bytes of its image are missing; "
+            "copy the file again"
         )
 
 
