@@ -359,10 +359,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         with progress(n_trials, "Permuting", show=progress_bar) as done:
             how = {"rng": rng, "shift": shift, "progress": done}
             permuted = paper.permute_stacks(samples, pairs, grid, n_trials, **how)
-        scc = paper.stack(samples, pairs, grid)
+        coefficient = paper.stack(samples, pairs, grid)
         box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
         peaks = tuple(
-            paper.velocity_peak_near(scc, grid, box, *v.value) for v in velocities
+            paper.velocity_peak_near(coefficient, grid, box, *v.value)
+            for v in velocities
         )
         errors = tuple(
             paper.jitter_positions(samples, pairs, peak, box, n_trials, rng=own)
@@ -370,8 +371,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         )
         return {
             "grid": grid,
-            "coefficient": scc,
-            "z_score": permuted.z_score(scc),
+            "coefficient": coefficient,
+            "z_score": permuted.z_score(coefficient),
             "permuted": permuted,
             "maxima": peaks,
             "jitters": errors,

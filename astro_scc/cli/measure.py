@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The commands on the velocities in images of one jet, but track."""
+"""The commands measure, profile, demo and explore."""
 
 import math
 import shlex

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Sources of a survey: read from its file, which is made of a table or of folders."""
+"""Sources of a survey: their file, made of a table or of folders, and outcomes."""
 
 import glob
 import hashlib

@@ -108,7 +108,7 @@ class Features:
 
     @cached_property
     def secure(self) -> np.ndarray:
-        """Whether each is vouched for: one feature that moves, with this speed."""
+        """Whether each is reliable: one feature that moves, with this speed."""
         each = zip(self.p_false, self.moved, self.tracks, self.motions, strict=True)
         return np.array([is_secure(*one) for one in each], dtype=bool)
 

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 #: `properties`: constant, and coefficients (``benchmarks/features.py trust``).
 CONSTANT = -5.88
 COEFFICIENTS = np.array([1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62, -7.23])
-#: A feature is vouched for if it is false with at most this probability, has the same
+#: A feature is secure if it is false with at most this probability, has the same
 #: speed in such a share of the disturbed assignments, and has moved so many beams: of
 #: static jets at most one in twenty then has one (``benchmarks/features.py``).
 MOST_FALSE, SAME_SPEED, LEAST_MOTION = 0.3, 0.5, 1.0
-#: Fewest epochs of a feature that is vouched for.
+#: Fewest epochs of a secure feature.
 LEAST_EPOCHS = 4
 #: Beyond so many beams, other detections do not matter.
 FAR = 2.0
@@ -101,7 +101,11 @@ def false_probability(detections: Detections, track: Track, motion: Motion) -> f
 
 def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> bool:
     """
-    Return whether a feature and its speed are vouched for.
+    Return whether a track is one feature with a reliable speed.
+
+    It has at least ``LEAST_EPOCHS`` epochs, a ``p_false`` of at most ``MOST_FALSE``,
+    the same speed in the share ``SAME_SPEED`` of the assignments, and it moves by
+    ``LEAST_MOTION`` beams and ``SIGNIFICANT`` standard errors.
 
     Parameters
     ----------

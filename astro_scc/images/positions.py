@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Positions of pixels and SSPs of a cube on the sky, and their errors."""
+"""Positions of pixels and SSPs on the sky, their errors, and the resolution."""
 
 import re
 

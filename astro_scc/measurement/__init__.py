@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Measurement: what an array of matches means in angles, years and tables."""
+"""Measurement: the search for streams on the sky, the result and its tables."""
 
 from astro_scc.measurement.result import SCCResult
 from astro_scc.measurement.tables import component_table as component_table

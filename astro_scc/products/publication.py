@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tables as journals and archives print them, and what they have printed before."""
+"""Tables for journals and archives, and published features to compare with."""
 
 from __future__ import annotations
 

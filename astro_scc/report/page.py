@@ -213,7 +213,8 @@ def _part_cells(part, row, features, unit, published, folder):
             cells["difference"] = difference
             more["published"] = f"{difference:+.1f} standard errors"
         if "beta_app" in row.colnames:
-            cells["beta_app"] = cell(row, "beta_app").removeprefix("-")
+            beta = cell(row, "beta_app")
+            cells["beta_app"] = "" if beta == "-" else beta
     cells |= {name: cell(row, name, form=".2g") for name in ("p_global", "p_fdr")}
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""

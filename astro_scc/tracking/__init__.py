@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracking: SSPs linked within limits of speed; the command follows features."""
+"""Tracking: SSPs linked within limits of speed (`astro-scc track` uses `features`)."""
 
 from astro_scc.tracking.tracker import FeatureTracker
 

@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Visualization: each function returns a matplotlib figure.
+Visualization: functions that return matplotlib figures, and a page to explore.
 
 Those of a measurement and of images are drawn by `SCCResult.plot
 <astro_scc.measurement.SCCResult.plot>` and `EpochCube.plot
