@@ -99,9 +99,10 @@ def _plane_of(i, image, time, beam):
         elif getattr(getattr(image, "hdu", None), "is_image", False):
             plane = fits.plane_of(HDUList([image.hdu]), None, Path(name))
         else:
-            raise TypeError(
-                f"is a {type(image).__name__}; give NDData, such as CCDData"
-            )
+            plane = None
+    if plane is None:
+        kind = type(image).__name__
+        raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
     if plane.beam is beam is None and getattr(image, "psf", None) is not None:
         warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)

@@ -101,10 +101,6 @@ def find_files(paths, *, missing_ok=False):
         if not isinstance(name, str):
             raise TypeError(f"paths must be text, got {name!r}")
         if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
-            path = Path(name)
-            if path.exists() and not (path.is_file() or path.is_dir()):
-                # Pipes, sockets and devices may have no end.
-                raise OSError(f"{path}: is no ordinary file; give the name of one")
             found.append(name)
         elif matches := sorted(glob.glob(name, recursive=True)):
             found += [match for match in matches if not os.path.isdir(match)]
@@ -113,7 +109,12 @@ def find_files(paths, *, missing_ok=False):
             raise FileNotFoundError(f"{name}: no {what}")
     if not found:
         raise FileNotFoundError("no files were given")
-    return [Path(name) for name in dict.fromkeys(found)]
+    files = [Path(name) for name in dict.fromkeys(found)]
+    for path in files:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            # Pipes, sockets and devices may have no end.
+            raise OSError(f"{path}: is no ordinary file; give the name of one")
+    return files
 
 
 def read_plane(path, hdu=None, *, window=None, pixels=True):

@@ -186,16 +186,20 @@ def _header_beam(header, tables):
         return _beam(major, major if minor is None else minor, pa or 0.0)
     for table in tables:
         if table.name.upper() in ("AIPS CG", "BEAMS") and len(table.data):
-            row = {name: float(table.data[0][name]) for name in BEAM}
-            units = (parse_unit(table.columns[name].unit or "deg") for name in BEAM)
-            pairs = zip(row.values(), units, strict=True)
-            return _beam(*((value * unit).to_value(u.deg) for value, unit in pairs))
+            return _beam(*(_of_table(table, name) for name in BEAM))
     # Of a header, str would break the lines.
     lines = header.get("HISTORY") or header.get("history") or ()
     lines = lines if isinstance(lines, str) else "; ".join(map(str, lines))
     found = _CLEAN_BEAM.findall(lines.upper())
     numbers = [float(text.replace("D", "E")) for text in found[-1]] if found else [0]
     return _beam(*numbers) if numbers[0] > 0 else None
+
+
+def _of_table(table, name):
+    """Return an angle of the first row of a table, in degrees."""
+    text = (table.columns[name].unit or "deg").strip().lower()
+    unit = parse_unit(text) or parse_unit(text.rstrip("s")) or u.Unit(text)
+    return (float(table.data[0][name]) * unit).to_value(u.deg)
 
 
 def _beam(major, minor, pa):

@@ -200,7 +200,7 @@ class ImageSeries:
         if isinstance(item, tuple):
             raise TypeError("index epochs only, cube[i] or cube[i:j]; crop() cuts out")
         if not (hasattr(item, "__index__") and np.ndim(item) == 0):
-            keep = np.arange(len(self))[item]
+            keep = np.asarray(np.arange(len(self))[item])
             if keep.ndim != 1 or keep.size == 0:
                 raise ValueError(
                     f"the selection {item!r} holds none of {len(self)} epochs"

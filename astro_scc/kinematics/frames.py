@@ -562,6 +562,8 @@ class RidgeLine:
         """
         Return the points of the line as a table.
 
+        ``RidgeLine(table["east"], table["north"], table["error"])`` is the line again.
+
         Returns
         -------
         `~astropy.table.QTable`

@@ -73,10 +73,11 @@ def headline(components):
         why = f"p_global {row['p_global']:.2g}, but {row['caution']}"
         speed = f"{_speed(row)} with " if row["n_features"] else ""
         return f"Motion not confirmed: {speed}{why}."
-    unit = rows["pm"].unit
-    ends = (components.meta[f"{k}_searched"] for k in ("slowest", "fastest"))
-    low, high = (f"{end.to_value(unit):.2g}" for end in ends)
-    searched = f" between {low} and {high} {unit_name(unit)}"
+    searched, unit = "", rows["pm"].unit
+    if "fastest_searched" in components.meta:
+        ends = (components.meta[f"{k}_searched"] for k in ("slowest", "fastest"))
+        low, high = (f"{end.to_value(unit):.2g}" for end in ends)
+        searched = f" between {low} and {high} {unit_name(unit)}"
     if len(some := rows[kinds == "not significant"]):
         return (
             f"No significant motion: the strongest peak{searched} has p_global "

@@ -171,6 +171,7 @@ def test_beam_from_the_history(aips_header):
     [
         ("AIPS CG", "DEGREES", 1 / 3.6e6),
         ("BEAMS", "mas", 1),
+        ("BEAMS", "ARCSECS", 1 / 1e3),
         ("BEAMS", None, 1 / 3.6e6),
     ],
 )
