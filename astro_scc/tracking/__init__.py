@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracking: SSPs linked within limits of speed (`astro-scc track` uses `features`)."""
+"""Tracking: SSPs linked within limits of speed, apart from ``astro_scc.features``."""
 
 from astro_scc.tracking.tracker import FeatureTracker
 
