@@ -20,7 +20,7 @@ from astro_scc.features.detections import (
     finest_patterns,
     gaussians_of,
     ssps_of,
-)  # fmt: skip
+)
 from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
 from astro_scc.features.trust import false_probability, is_secure
