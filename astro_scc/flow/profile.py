@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -391,35 +390,12 @@ def measure_profile(
     return Profile(bins, tuple(results), "radius" if ridge is None else "ridge")
 
 
-def write_profile(
-    profile: Profile, components: QTable, directory: Path | str, *,
-    configuration: dict[str, Any] | None = None, text: str | None = None,
-) -> list[Path]:  # fmt: skip
+def write_profile(profile, components, directory, **settings):
     """
-    Write the table and the figures of a profile.
+    Write the table and the figures of a profile into a folder that exists.
 
-    Parameters
-    ----------
-    profile : `Profile`
-    components : `~astropy.table.QTable`
-        `Profile.components`, or `Profile.components_in_c`.
-    directory : path
-        A folder that exists.
-    configuration : dict, optional
-        Settings as plain numbers and text, for the meta of the table.
-    text : str, optional
-        The same settings as TOML, for ``config.toml``.
-
-    Returns
-    -------
-    list of `~pathlib.Path`
-        ``profile.ecsv``, ``profile.png``, ``velocity_maps.png``,
-        ``position_angles.png`` and, if ``text`` is given, ``config.toml``.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
+    ``components`` are `Profile.components`, or those in units of c; ``settings`` are
+    passed to ``write_tables``.  Returns the paths.
 
     Examples
     --------
@@ -432,15 +408,13 @@ def write_profile(
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
     ...                               position_angle=270 * u.deg)
-    >>> matched = scc.match(cube)
-    >>> profile = measure_profile(
-    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> profile = measure_profile(scc, cube, [2, 10, 18] * u.mas, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
     of = {"profile": components}, directory, components.meta
-    _, paths = write_tables(*of, configuration=configuration, text=text)
+    _, paths = write_tables(*of, **settings)
     files = style.figure_files(_figures(profile, components))
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]
