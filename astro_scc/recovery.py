@@ -49,7 +49,6 @@ class FeaturePaths(NamedTuple):
 
     x: np.ndarray
     y: np.ndarray
-    inside: np.ndarray
 
 
 def draw_paths(
@@ -86,8 +85,7 @@ def draw_paths(
     -------
     ``FeaturePaths``
         ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
-        NaN at epochs before a feature has left the origin of a radial flow; and
-        ``inside``, whether the feature, without scatter, is in the area.
+        NaN at epochs before a feature has left the origin of a radial flow.
 
     Raises
     ------
@@ -118,7 +116,7 @@ def draw_paths(
     to_sky = cube.pixel_matrix.value
     to_pixels = np.linalg.inv(to_sky)
     origin = np.array(cube.reference_pixel)
-    lines, insides, number = [], [], 0.0
+    lines, number = [], 0.0
     while number < n_features * (1 - 1e-9):
         epoch, pixel = rng.integers(len(years)), rng.integers(len(rows))
         start = [columns[pixel], rows[pixel]] + rng.uniform(-0.5, 0.5, 2)
@@ -130,14 +128,13 @@ def draw_paths(
         inside = _is_inside(line, area)
         if keep * max(inside.sum(), 1) < 1:
             lines.append(line)
-            insides.append(inside)
             number += inside.mean()
     lines = np.array(lines)
     if scatter is not None:
         sigma = u.Quantity(scatter).to_value(u.mas)
         shift = rng.normal(0, sigma, (len(lines), len(years), 2))
         lines = lines + np.einsum("ij,nej->nie", to_pixels, shift)
-    return FeaturePaths(lines[:, 0], lines[:, 1], np.array(insides))
+    return FeaturePaths(lines[:, 0], lines[:, 1])
 
 
 def _motion(start, origin, to_sky, position_angle):
@@ -420,19 +417,15 @@ def _direction(position_angle, axis):
     """Return the direction of motion, and the fraction of a speed along the axis."""
     axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
     given = axis if position_angle is None else position_angle
-    radial, wanted = (isinstance(k, str) and k == "radial" for k in (axis, given))
-    if not (radial or axis is None or isinstance(axis, u.Quantity)):
-        raise ValueError(
-            "features move on straight lines, so the measurement needs velocity axes "
-            f"of one direction, or 'radial', not {axis}: give it an angle"
-        )
-    if given is None or radial != wanted:
+    radial = [isinstance(k, str) and k == "radial" for k in (axis, given)]
+    if all(radial):
+        return given, 1.0
+    straight = axis is None or isinstance(axis, u.Quantity)
+    if given is None or any(radial) or not straight:
         raise ValueError(
             f"position_angle {given} does not go with that of the measurement, {axis}: "
-            "give an angle, or both 'radial'"
+            "features move on straight lines, so give angles, or 'radial' twice"
         )
-    if radial:
-        return given, 1.0
     how = q.one_quantity, given, "an angle", "65 deg", False
     angle = q.named("position_angle", *how).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))

@@ -73,17 +73,7 @@ def test_a_strong_stream_is_found_and_one_below_the_noise_is_not(sky, settings):
     assert not table["own"].any()
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_table_whatever_the_workers(sky, settings):
-    how = {**QUICK, "speeds": FAST, "fluxes": 20.0}
-    one, two = (completeness(sky, settings, n_workers=n, **how) for n in (1, 3))
-    assert one.colnames == two.colnames
-    for name in one.colnames:
-        a, b = np.ma.asarray(one[name]), np.ma.asarray(two[name])
-        np.testing.assert_array_equal(np.ma.getmaskarray(a), np.ma.getmaskarray(b))
-        np.testing.assert_array_equal(a.data, b.data)
-    assert one.meta["seed"] == 1
-
+def test_cells_have_their_own_generators_whatever_the_workers():
     def work(cell, rng):
         warnings.warn("the data do not support this", MeasurementWarning, stacklevel=2)
         return cell, rng.random()
@@ -140,9 +130,9 @@ REFUSED = [
     ({}, {}, {"n_trials": 18}, "18 trials allow no p_global below 0.053.*n_trials$"),
     ({}, {}, {"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
     ({}, {}, {"tolerance": 1 * u.s}, "tolerance = 1.0 s must be"),
-    ({}, {}, {"position_angle": "radial"}, "radial does not go with .*both 'radial'"),
+    ({}, {}, {"position_angle": "radial"}, "radial does not go with .*'radial' twice"),
     ({}, {"position_angle": None}, {}, "position_angle None does not go with"),
-    ({}, {"position_angle": RIDGE}, {}, "or 'radial', not .*: give"),
+    ({}, {"position_angle": RIDGE}, {}, "RidgeLine.*features move on straight"),
     # All directions are searched, each to the largest speed.
     ({}, {"position_angle": None}, {"speeds": 25 * PM, "position_angle": 45 * u.deg},
      "speed 25 mas/yr is beyond the largest"),
@@ -198,7 +188,7 @@ def test_features_are_gaussians_of_each_epochs_beam():
     cube = cube_of(angle=20, sides=(0.1, 0.13), beams=beams)
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 60, (3, 5)), rng.uniform(0, 40, (3, 5))
-    full = inject(cube, FeaturePaths(x, y, x > 0), 0.7)
+    full = inject(cube, FeaturePaths(x, y), 0.7)
     column, row = np.meshgrid(np.arange(60), np.arange(40))
     for k, beam in enumerate(beams):
         expected = np.zeros((40, 60))
@@ -218,7 +208,7 @@ def test_the_epochs_stay_as_they_are_and_without_beams_a_width_is_needed():
     cube = EpochCube.from_arrays(data, dates, pixel_scale=0.1 * u.mas)
     x = np.full((1, 5), 29.0)
     x[0, 2] = np.nan
-    paths = FeaturePaths(x, 0 * x + 20, x > 0)
+    paths = FeaturePaths(x, 0 * x + 20)
     with pytest.raises(ValueError, match="has no beams: give fwhm, the full width"):
         inject(cube, paths, 1.0)
     full = inject(cube, paths, 5.0, fwhm=0.8 * u.mas)
@@ -248,8 +238,10 @@ def test_features_move_at_the_speed_in_the_direction(angle, turn, speed, seed):
     np.testing.assert_allclose(
         sky, np.broadcast_to(expected[:, None], sky.shape), atol=1e-6
     )
-    assert paths.inside.any(axis=1).all()
-    assert 5 <= paths.inside.sum(axis=0).mean() + 1e-6 < 6.01
+    # Five are in the box on average, to the last of them.
+    inside = (abs(paths.x - 29.5) < 25) & (abs(paths.y - 19.5) < 10)
+    assert inside.any(axis=1).all()
+    assert 5 <= inside.sum(axis=0).mean() + 1e-6 < 6.01
 
 
 def test_radial_features_leave_the_reference_pixel():
@@ -266,7 +258,6 @@ def test_radial_features_leave_the_reference_pixel():
     # None before it was sent off, and none comes back.
     assert gone.any()
     assert not np.any(gone[:, 1:] & ~gone[:, :-1])
-    assert not np.any(gone & paths.inside)
     rate = np.diff(distance, axis=1) / np.diff(cube.years.value)
     np.testing.assert_allclose(rate[np.isfinite(rate)], 2.0, rtol=1e-6)
 
@@ -277,9 +268,7 @@ def test_the_direction_on_the_axes_of_frames():
 
 
 #: One feature that stays at (50, 20) in both epochs.
-PATHS = FeaturePaths(
-    np.full((1, 2), 50.0), np.full((1, 2), 20.0), np.ones((1, 2), bool)
-)
+PATHS = FeaturePaths(np.full((1, 2), 50.0), np.full((1, 2), 20.0))
 
 
 def result(*components):
