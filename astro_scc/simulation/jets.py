@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
-from numpy.typing import ArrayLike
 
 from astro_scc.components.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.cube import EpochCube
@@ -93,8 +92,6 @@ class JetSimulation:
         Limits in x between which features are seen, in pixels from 0.
     axis : float, optional
         y of the jet axis, in pixels from 0.
-    taper : float, optional
-        Length over which features fade at each end of ``extent``, in pixels.
     core : float, optional
         Flux density in Jy of an unresolved, stationary core at the start of
         the jet, which is the reference pixel.  There is none by default.
@@ -157,7 +154,6 @@ class JetSimulation:
     noise: float | Sequence[float] = 0.002
     extent: tuple[float, float] = (20.0, 220.0)
     axis: float = 64.0
-    taper: float = 10.0
     core: float = 0.0
     position_angle: u.Quantity = 270 * u.deg
     flux_variation: float = 0.0
@@ -178,7 +174,7 @@ class JetSimulation:
             raise ValueError("dates must be an array of increasing times")
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
-        names = "noise taper core flux_variation memory alignment_error ripple bowl"
+        names = "noise core flux_variation memory alignment_error ripple bowl"
         check_not_negative(vars(self), names)
         n = len(dates)
         noise = (self.noise,) * n if np.ndim(self.noise) == 0 else self.noise
@@ -204,47 +200,6 @@ class JetSimulation:
     def times(self) -> np.ndarray:
         """Return the dates in intervals from the first."""
         return ((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(u.one)
-
-    def place(
-        self, group: str, along: np.ndarray, across: np.ndarray, flux: np.ndarray,
-        fwhm: np.ndarray,
-    ) -> Features:  # fmt: skip
-        """
-        Return features whose positions are given in beams from the start of the jet.
-
-        Parameters
-        ----------
-        group : str
-        along, across, flux, fwhm : `~numpy.ndarray`, shape (n, n_epochs)
-
-        Returns
-        -------
-        Features
-        """
-        beam = self.beam_length
-        x, y = self.extent[0] + beam * along, self.axis + beam * across
-        return Features(np.full(len(x), group), x, y, flux, beam * fwhm)
-
-    def visibility(self, x: ArrayLike) -> np.ndarray:
-        """
-        Return the fraction of the flux that is seen at x, in pixels from 0.
-
-        It falls to zero at both ends as a raised cosine.
-
-        Parameters
-        ----------
-        x : array_like
-
-        Returns
-        -------
-        `~numpy.ndarray`
-        """
-        start, end = self.extent
-        inside = np.minimum(x - start, end - x)
-        if self.taper == 0:
-            return np.where(inside >= 0, 1.0, 0.0)
-        ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
-        return 0.5 * (1 - np.cos(np.pi * ramp))
 
     def run(self, *, rng: np.random.Generator | int | None = None) -> SimulatedJet:
         """
@@ -286,8 +241,9 @@ class JetSimulation:
         pairs = zip(self.streams, rngs, strict=True)
         parts = [stream.features(self, rng) for stream, rng in pairs]
         if self.core:
-            at = np.zeros((1, self.n_epochs))
-            parts.append(self.place("core", at, at, at + self.core, at))
+            still = np.zeros((1, self.n_epochs))
+            place = self.extent[0] + still, self.axis + still
+            parts.append(Features(np.array(["core"]), *place, self.core + still, still))
         features = Features(*map(np.concatenate, zip(*parts, strict=True)))
         if self.flux_variation:
             series = self._series(len(features.x), flux_rng)
@@ -480,8 +436,7 @@ def simulate_random_velocity(
 
 def simulate_ballistic(
     *, dx: tuple[float, float] = (0.0, 40.0), dy: tuple[float, float] = (-5.0, 5.0),
-    density: float = 1.8, jitter: float = 0.0,
-    rng: np.random.Generator | int | None = None, **options: Any,
+    density: float = 1.8, rng: np.random.Generator | int | None = None, **options: Any,
 ) -> SimulatedJet:  # fmt: skip
     """
     Simulate features that each keep a random velocity of their own.
@@ -495,8 +450,6 @@ def simulate_ballistic(
         the jet, in pixels per interval.
     density : float, optional
         Features per beam length.
-    jitter : float, optional
-        Random walk per epoch and axis, in pixels.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
     **options
@@ -513,8 +466,8 @@ def simulate_ballistic(
     >>> simulate_ballistic(n_epochs=3, rng=1).cube.shape
     (3, 128, 256)
     """
-    how = {"density": density, "half_width": 12.0, "jitter": jitter}
-    return _run("ballistic", rng, options, Stream("ballistic", dx, dy, **how))
+    stream = Stream("ballistic", dx, dy, density=density, half_width=12.0)
+    return _run("ballistic", rng, options, stream)
 
 
 def simulate_static(
@@ -698,8 +651,7 @@ def _run(name, rng, options, *streams):
     return JetSimulation(streams, **{"name": name, **options}).run(rng=rng)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SimulatedShell:
+class SimulatedShell(NamedTuple):
     """
     A simulated shell: its images and the features in them.
 
@@ -719,9 +671,6 @@ class SimulatedShell:
     truth: QTable
     centre: u.Quantity
     radius: u.Quantity
-
-    def __repr__(self):
-        return f"<SimulatedShell: {len(self.cube)} epochs, {len(self.truth)} features>"
 
 
 def simulate_shell(

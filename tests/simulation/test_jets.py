@@ -26,6 +26,7 @@ from astro_scc.simulation import (
     simulate_unrelated,
     write_simulation,
 )
+from astro_scc.simulation.streams import raised_cosine
 
 PM = u.mas / u.yr
 
@@ -76,11 +77,11 @@ def test_images_of_the_paper_from_their_truth(shared_data):
     paper = json.loads((folder / "truth.json").read_text())["features"]
     names = ("x", "y", "fwhm", "peak")
     x, y, width, peak = (np.array([f[name] for f in paper]) for name in names)
-    seen_ = JetSimulation([Stream("all", half_width=1.0)]).visibility(x)
+    visible = raised_cosine(np.minimum(x - 20, 220 - x) / 10)
     covariance = ((width**2 + 100) / (8 * np.log(2)))[:, None, None] * np.eye(2)
     for i, path in enumerate(sorted(folder.glob("*.fits"))[:3]):
         image = np.zeros((128, 256))
-        add_gaussians(image, x[:, i], y[:, i], peak * seen_[:, i], covariance)
+        add_gaussians(image, x[:, i], y[:, i], peak * visible[:, i], covariance)
         residual = fits.getdata(path) - image
         assert residual.std() == pytest.approx(0.002, rel=0.01)
         assert np.abs(residual).max() < 0.01
@@ -158,7 +159,7 @@ def test_acceleration(acceleration):
     assert [start, start + slope * 16 * 0.8] == pytest.approx(expected, rel=0.02)
 
 
-def test_features_fade_and_widen_and_streams_have_their_own_places():
+def test_features_fade_and_widen():
     truth = simulate_jet(rng=1, n_features=80, **BARE).truth
     s = np.abs(truth["east"].value) / 0.8
     near, far = (s > 0.5) & (s < 2), (s > 10) & (s < 13)
@@ -166,13 +167,11 @@ def test_features_fade_and_widen_and_streams_have_their_own_places():
     expected = 0.25 * 0.8 * (1 + s) ** 0.6
     assert_allclose(truth["fwhm"].to_value(u.mas), expected, rtol=1e-6)
     spine = Flow("spine", speed=0.9, size=0.2, widening=0.0, width=0.1)
-    sheath = Flow("sheath", speed=0.3, size=0.8, widening=0.0, offset=1.5, width=0.1)
+    sheath = Flow("sheath", speed=0.3, size=0.8, widening=0.0, width=1.0)
     truth = simulate_jet(rng=1, streams=[spine, sheath], **BARE).truth
     a, b = (truth[truth["group"] == name] for name in ("spine", "sheath"))
     assert np.all(a["fwhm"] < b["fwhm"][0])
-    far = np.abs(b["east"].value) > 8
-    # At position angle 270 deg, larger angles are to the north.
-    assert b["north"][far].value.min() > 0.8 > np.abs(a["north"].value).max()
+    assert a["north"].value.std() < 0.3 * b["north"].value.std()
 
 
 # Images and truth -------------------------------------------------------------
@@ -180,7 +179,7 @@ def test_features_fade_and_widen_and_streams_have_their_own_places():
 
 def test_images_show_the_truth():
     stream = Stream("s", dx=7.0, dy=1.0, half_width=10.0, density=0.05)
-    jet = JetSimulation([stream], n_epochs=2, noise=0, taper=0).run(rng=4)
+    jet = JetSimulation([stream], n_epochs=2, noise=0).run(rng=4)
     cube, truth = jet.cube, jet.truth
     assert truth["visible"].any()
     pixels_a_beam = (cube.beams[0].area / (0.1 * u.mas) ** 2).to_value(u.one)
@@ -266,53 +265,42 @@ def test_a_feature_of_a_shell_moves_away_from_the_centre_at_its_rate(kind):
 
 
 ONE = Stream("s", half_width=5.0)
+NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
+          JetSimulation: {"streams": [ONE]}}  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("make", "options", "message"),
     [
-        (Stream, {"motion": "circular"}, "motion = .* must be one of"),
+        (Stream, {"motion": "circular"}, "stream 's': motion = .* must be one of"),
         (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
         (Stream, {"jitter": np.nan}, "jitter must be zero or positive"),
-        (Stream, {"half_width": np.inf}, "half_width must be zero or positive"),
         (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
         (Stream, {"dx": (1.0, 2.0, 3.0)}, "dx must be a number, two limits"),
-        (Flow, {"distribution": "flat"}, "distribution = .* must be one of"),
+        (Flow, {"distribution": "flat"}, "flow 's': distribution = .* must be one"),
         (Flow, {"positions": (2.0,)}, "they are those of standing features"),
-        (Flow, {"positions": (-2.0,), "speed": 0}, "positions must be zero or positi"),
         (Flow, {"speed": np.nan}, "speed must be zero or positive"),
         (Flow, {"acceleration": 0.0}, "acceleration must be positive"),
         (JetSimulation, {"streams": ONE}, "sequence of Stream"),
-        (JetSimulation, {"streams": []}, "at least one Stream"),
-        (JetSimulation, {"streams": [ONE], "n_epochs": 0}, "n_epochs must be at least"),
-        *((JetSimulation, {"streams": [ONE], "dates": Time(dates)}, "increasing times")
-          for dates in ("2001-01-01", ["2001-01-02", "2001-01-01"])),
-        (JetSimulation, {"streams": [ONE], "beams": [Beam(1 * u.mas, 1 * u.mas)]},
-         "10 epochs need 10 beams, got 1"),
-        *((JetSimulation, {"streams": [ONE], name: ()}, "beams and noise need one val")
-          for name in ("beams", "noise")),
-        (JetSimulation, {"streams": [ONE], "extent": (220.0, 20.0)}, "extent must be"),
-        (JetSimulation, {"streams": [ONE], "taper": -1.0}, "taper must be zero or pos"),
+        (JetSimulation, {"n_epochs": 0}, "n_epochs must be at least"),
+        (JetSimulation, {"dates": Time([2001, 2000], format="jyear")}, "increasing ti"),
+        (JetSimulation, {"beams": [Beam(1 * u.mas, 1 * u.mas)]}, "10 beams, got 1"),
+        (JetSimulation, {"noise": ()}, "beams and noise need one value"),
+        (JetSimulation, {"extent": (220.0, 20.0)}, "extent must be"),
+        (JetSimulation, {"core": -1.0}, "core must be zero or positive"),
         (simulate_two_fluid, {"slow": 5 * u.km / u.s}, "not convertible"),
         (simulate_shell, {"n_epochs": 1}, "n_epochs must be at least 2"),
         (simulate_shell, {"size": 100}, "larger than 100 pixels can show"),
-        (simulate_jet, {"n_epochs": 0}, "n_epochs must be at least 1"),
-        (simulate_jet, {"length": 0.0}, "extent must be"),
         (simulate_jet, {"length": np.nan}, "length must be zero or positive"),
         (simulate_jet, {"streams": [Flow()], "speed": 1.0, "size": 0.1},
          "speed, size: give them to"),
         (simulate_jet, {"noise": -0.001}, r"must be zero or p.* got -0.00\d+$"),
         (simulate_jet, {"standing": -1}, "flow 'standing': n_features must be zero or"),
-        (simulate_jet, {"interval_scatter": np.nan}, "interval_scatter must be zero"),
-        (simulate_jet, {"interval": -1 * u.yr}, "dates must be an array of increasing"),
     ],
 )  # fmt: skip
 def test_what_is_refused(make, options, message):
-    own = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"}}.get(make, {})
-    with pytest.raises(
-        ValueError, match=f"(stream|flow) 's'.*{message}" if own else message
-    ):
-        make(**own | options)
+    with pytest.raises(ValueError, match=message):
+        make(**NEEDED.get(make, {}) | options)
 
 
 def test_written_simulation(tmp_path):
