@@ -43,12 +43,8 @@ def scc():
     )
 
 
-@pytest.fixture(scope="module")
-def profile(scc, matched):
-    return measure_profile(scc, matched, [0, 9, 90, 99] * u.mas, n_trials=20, rng=1)
-
-
-def test_a_bin_is_a_stack_of_its_ssps(matched, profile):
+def test_a_bin_is_a_stack_of_its_ssps(scc, matched):
+    profile = measure_profile(scc, matched, [0, 9, 90, 99] * u.mas, n_trials=20, rng=1)
     inside = ssp_distances(matched).value
     for (low, high), result in zip(profile.bins.value, profile.results, strict=True):
         own = (inside >= low) & (inside < high)
