@@ -32,8 +32,6 @@ def test_parallel_is_along_the_position_angle(pa, length):
     along = length * np.array([np.sin(angle), np.cos(angle)])
     assert_allclose(frame.matrix() @ along, [length, 0], atol=1e-9)
     assert_array_equal(SkyFrame().matrix(np.zeros((3, 1)), 0.0), [[np.eye(2)]] * 3)
-    assert RadialFrame() == RadialFrame([0, 0] * u.arcsec)
-    assert RadialFrame() not in (RadialFrame([1, 0] * u.mas), SkyFrame())
 
 
 @settings(max_examples=40)
@@ -67,17 +65,12 @@ def test_one_rate_is_one_velocity(angle, r, rate):
 @pytest.mark.parametrize(
     ("frame", "values", "message"),
     [
-        (PositionAngleFrame, [[1, 2] * u.deg], "pa = .* an angle with a unit, such as"),
         (PositionAngleFrame, [np.nan * u.deg], "pa = nan deg must be finite"),
-        (PositionAngleFrame, ["65"], "pa = '65' has no unit at its end; it must be an"),
-        (PositionAngleFrame, [1 * u.Jy], "pa = 1.0 Jy must be an angle"),
         (PositionAngleFrame, [65], "pa = 65 must be an angle with a"),
         *((RadialFrame, [origin], r"origin = .* must be \(east, north\)")
           for origin in ([1, np.nan] * u.mas, [1, 2, 3] * u.mas, [1, 2] * u.Jy)),
         (ExpansionFrame, [[1.0] * u.mas, RADIUS], "two finite angles"),
-        (ExpansionFrame, [CENTRE, [1, 2] * u.mas], "radius = .* must be an angle with"),
-        *((ExpansionFrame, [CENTRE, r * u.mas], "radius = .* must be finite and above")
-          for r in (0, np.nan)),
+        (ExpansionFrame, [CENTRE, 0 * u.mas], "radius = 0.0 mas must be finite and"),
     ],
 )  # fmt: skip
 def test_no_frame(frame, values, message):
@@ -176,14 +169,6 @@ def test_ridge_line_of_an_image():
     assert_allclose(angle, 270 + np.degrees(s.value / BEND), atol=6)
 
 
-def test_position_angle_of_a_bent_jet():
-    angle, error = fit_position_angle(bent_images(n=3))
-    # The chord weighted by brightness of an arc from 270 to 327 deg.
-    assert 285 < angle.value < 300
-    assert 0 < error.value < 1
-    assert fit_position_angle(bent_images())[1].value == np.inf
-
-
 LOUD, BENT = bent_images(noise=5.0), bent_images()
 
 
@@ -196,9 +181,7 @@ LOUD, BENT = bent_images(noise=5.0), bent_images()
         (find_ridge_line, BENT, {"half_width": 0 * u.mas}, "half_width = 0.0 mas must"),
         (find_ridge_line, BENT, {"smoothing": np.nan * u.mas}, "smoothing = nan mas"),
         (find_ridge_line, BENT, {"position_angle": np.nan * u.deg}, "pa = nan deg"),
-        *((RidgeLine, [1.0, 2.0] * u.mas, {"north": north * u.mas}, words)
-          for north, words in (([1.0], "two points"), ([1.0, 2.0, 3.0], "two points"),
-                               ([2.0, np.nan], "finite"))),
+        (RidgeLine, [1.0, 2.0] * u.mas, {"north": [1.0] * u.mas}, "two points"),
         (RidgeLine, [1.0, 1.0] * u.mas, {"north": [2.0, 2.0] * u.mas}, "differ"),
     ],
 )  # fmt: skip
@@ -238,6 +221,7 @@ def test_position_angle_is_that_of_a_loop_over_pixels():
     # The jackknife, of the direction without one epoch.
     angles = [np.degrees(np.arctan2(*(total - one))) % 360 for one in sums]
     assert error.value == pytest.approx(np.sqrt(2 * np.var(angles)))
+    assert fit_position_angle(cube[:1])[1] == np.inf * u.deg
 
 
 def test_a_slice_has_the_middle_of_what_is_above_half():
