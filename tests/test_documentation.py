@@ -43,19 +43,10 @@ def packages():
 
 
 ROOMS = sorted({"exceptions", "scc", *packages(), *LISTED})
-#: Pages about what is computed: with equations, sources and a figure.
-NOUNS = {
-    "epochs", "features", "flow", "kinematics", "method", "recovery", "simulation",
-}  # fmt: skip
 #: Methods that users call by an operator.
 SPECIAL = "__call__", "__getitem__", "__iter__", "__len__"
 #: All pages together, in words with their examples and equations.
 LONGEST = 20_000
-#: Labels of the sections of the page on the method, one for each step.
-STEPS = {
-    "decomposition", "correlation", "displacements", "significance", "stacking",
-    "method-features", "differences",
-}  # fmt: skip
 
 
 def public_names():
@@ -160,10 +151,6 @@ def test_every_error_is_documented():
     assert missing == []
 
 
-def test_every_step_of_the_method_has_its_section():
-    assert STEPS <= set(re.findall(r"^\.\. _([\w-]+):$", page("method"), re.MULTILINE))
-
-
 def test_documentation_is_short_and_in_the_table_of_contents():
     pages = [*DOCS.glob("*.rst"), REPOSITORY / "README.rst"]
     words = sum(len(path.read_text(encoding="utf-8").split()) for path in pages)
@@ -173,14 +160,6 @@ def test_documentation_is_short_and_in_the_table_of_contents():
     assert "Your own images" in first
     entries = re.findall(r"^   (\w+)$", page("index"), re.MULTILINE)
     assert sorted([*entries, "index"]) == PAGES
-
-
-@pytest.mark.parametrize("name", sorted(NOUNS))
-def test_pages_of_nouns_have_equations_sources_and_a_figure(name):
-    text = page(name)
-    assert ".. math::" in text
-    assert re.search(r"\((?:[^()]|\n)*\b(19|20)\d\d\b", text), "no source"
-    assert re.search(r"^\.\. (plot|figure|image)::", text, re.MULTILINE)
 
 
 def calibrated(name):
