@@ -58,6 +58,8 @@ def test_one_rate_is_one_velocity(angle, r, rate):
     motion = rate * place
     moved = frame.displacement((position - 0.5 * motion)[None], motion[None])
     assert_allclose(moved, [[rate * 2e4, 0]], atol=1e-6)
+    # Within a fifth of the radius an expansion is hardly a motion.
+    assert np.isnan(frame.matrix(*(CENTRE.to_value(u.mas) + [3.9e3, 0]))).all()
     matrix = frame.matrix(*position) * r / 2e4
     assert_allclose(matrix, RadialFrame(CENTRE).matrix(*position), atol=1e-12)
 
