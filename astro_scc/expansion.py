@@ -139,8 +139,7 @@ def fit_shell(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(NamedTuple):
     """
     Velocity samples of groups of patterns as columns.
 
@@ -156,10 +155,6 @@ class Samples:
     error: np.ndarray
     group: np.ndarray
     kind: np.ndarray
-
-    def select(self, keep):
-        """Return some of the samples."""
-        return Samples(*(column[keep] for column in vars(self).values()))
 
 
 def _samples_of(scc, parts, limit):
@@ -273,7 +268,7 @@ def fit_mixture(samples, start, area, *, fixed=False):
     for k in np.unique(part_of):
         keep = part_of != k
         if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
-            begin = samples.select(keep), place, scatter, share
+            begin = Samples(*(c[keep] for c in samples)), place, scatter, share
             others.append(_climb(*begin, area[keep], widest, fixed)[0])
     covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
