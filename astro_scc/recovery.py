@@ -151,10 +151,9 @@ def _motion(start, origin, to_sky, position_angle):
 def _is_inside(line, area):
     """Return at which epochs a line is in the area."""
     ny, nx = area.shape
-    known = np.isfinite(line).all(axis=0)
-    x, y = np.rint(np.where(known, line, -1)).astype(int)
-    known &= (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
-    return known & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
+    x, y = np.rint(np.nan_to_num(line, nan=-1)).astype(int)
+    within = (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
+    return within & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
 
 
 def inject(
@@ -341,14 +340,12 @@ def completeness(
     plan = scc.plan(cube)
     if fwhm is None and cube.beams is None:
         raise ValueError(NO_BEAMS)
-    width, about = plan.fwhm, ("an angle", "1 mas")
-    if fwhm is not None:
-        width = q.named("fwhm", q.one_quantity, fwhm, *about).to_value(u.mas)
-    about = "a proper motion", "2 mas/yr"
+    given = "fwhm", q.one_quantity, fwhm, "an angle", "1 mas"
+    width = plan.fwhm if fwhm is None else q.named(*given).to_value(u.mas)
     if tolerance is None:
         tolerance = TOLERANCE * width / np.median(plan.pairs.interval) * PM_UNIT
-    tolerance = q.named("tolerance", q.one_quantity, tolerance, *about)
-    tolerance = tolerance.to_value(PM_UNIT)
+    given = "tolerance", q.one_quantity, tolerance, "a proper motion", "2 mas/yr"
+    tolerance = q.named(*given).to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
     limit = plan.speed_limit(cube).to_value(PM_UNIT)
     speeds = _positive("speeds", speeds, PM_UNIT)
@@ -384,16 +381,14 @@ def completeness(
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
         paths = draw_paths(cube, area, speed=speed * PM_UNIT, rng=path_rng, **flow)
-        fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
-        result, rule = measure(fuller, trial_rng), {"tolerance": tolerance}
-        rule |= {"paths": paths, "fwhm": width}
+        result = measure(inject(cube, paths, peak * cube.unit, fwhm=fwhm), trial_rng)
+        rule = {"tolerance": tolerance, "paths": paths, "fwhm": width}
         number = recovered(result, own, speed * axis, **rule)
         if number is None:
             return None
         velocity = result.velocities[number - 1]
-        variance = axis @ velocity.covariance @ axis
-        error = np.sqrt(variance) if np.isfinite(variance) else np.inf
-        return axis @ velocity.value - speed, error
+        variance = np.nan_to_num(axis @ velocity.covariance @ axis, nan=np.inf)
+        return axis @ velocity.value - speed, np.sqrt(variance)
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
