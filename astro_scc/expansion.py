@@ -18,7 +18,7 @@ from astro_scc.matching import MatchedEpochs
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
-from astro_scc.quantities import random_generator
+from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.streams.dispersion import jackknife_covariance
 from astro_scc.units import PM_UNIT
@@ -59,7 +59,7 @@ class ShellFit:
 
 def fit_shell(
     scc: StackedCrossCorrelation, matched: MatchedEpochs | Mapping[str, MatchedEpochs],
-    groups: Mapping[str, np.ndarray] | None = None, *, centre: u.Quantity | None = None,
+    *, centre: u.Quantity | None = None,
 ) -> ShellFit:  # fmt: skip
     r"""
     Fit the centre of a shell and its expansion rates.
@@ -69,11 +69,8 @@ def fit_shell(
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; its velocity axes are not used.
     matched : `~astro_scc.matching.MatchedEpochs` or dict of it
-        In a dict, each value is a group with the key as its name; all must
-        have the same dates.
-    groups : dict of `~numpy.ndarray` of bool, shape (n_ssps,), optional
-        Groups with rates of their own, see `~astro_scc.flow.scale_groups`; by
-        default one group of all SSPs.
+        In a dict, each value is a group that has a rate of its own, with the key
+        as its name; all must have the same dates.
     centre : `~astropy.units.Quantity`, shape (2,), optional
         (east, north) from the reference pixel, if it is known.
 
@@ -88,8 +85,8 @@ def fit_shell(
     Raises
     ------
     ValueError
-        If a group has fewer than ten velocity samples, or if several matches
-        are given with ``groups`` or with different dates.
+        If a group has fewer than ten velocity samples, or if groups have
+        different dates.
 
     Notes
     -----
@@ -115,8 +112,11 @@ def fit_shell(
     >>> bool(abs(fit.rate[0] - 0.11 * u.percent / u.yr) < 0.02 * u.percent / u.yr)
     True
     """
-    parts = _parts(matched, groups)
-    cube = next(iter(parts.values())).cube
+    parts = {"all": matched} if hasattr(matched, "matches") else dict(matched)
+    cube, *others = (part.cube for part in parts.values())
+    dates = cube.times.mjd
+    if not all(np.array_equal(dates, other.times.mjd) for other in others):
+        raise ValueError("the matches of a shell must be of the same dates")
     limit = scc.plan(cube).speed_limit(cube).to_value(PM_UNIT)
     samples, first, weight = _samples_of(scc, parts, limit)
     x = samples.x
@@ -139,22 +139,7 @@ def fit_shell(
     )  # fmt: skip
 
 
-def _parts(matched, groups):
-    """Return the matches of each group by their names."""
-    if hasattr(matched, "matches"):
-        every = {"all": matched.select} if groups is None else groups
-        chosen = {name: matched.select & own for name, own in every.items()}
-        return {name: replace(matched, select=own) for name, own in chosen.items()}
-    if groups is not None:
-        raise ValueError("several matches are groups already: give no groups")
-    first, *others = (part.cube.times.mjd for part in matched.values())
-    if not all(np.array_equal(first, dates) for dates in others):
-        raise ValueError("the matches of a shell must be of the same dates")
-    return dict(matched)
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(NamedTuple):
     """
     Velocity samples of groups of patterns as columns.
 
@@ -171,17 +156,13 @@ class Samples:
     group: np.ndarray
     kind: np.ndarray
 
-    def select(self, keep):
-        """Return some of the samples."""
-        return Samples(*(column[keep] for column in vars(self).values()))
-
 
 def _samples_of(scc, parts, limit):
     """Return velocity samples, and the earlier date and the weight of each."""
     # Use east and north, as radial axes need the centre.
     sky = replace(scc, position_angle=None)
     columns = []
-    for k, part in enumerate(parts.values()):
+    for k, (name, part) in enumerate(parts.items()):
         displacements, _ = sky.displacements(part)
         s = displacements.within(scc.plan(part.cube).pairs, (limit, limit))
         columns.append(
@@ -189,13 +170,11 @@ def _samples_of(scc, parts, limit):
              part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
              np.minimum(s.reference, s.target), s.weight)
         )  # fmt: skip
-    numbers = [len(column[0]) for column in columns]
-    if not any(numbers):
-        raise ValueError("no pattern has a match: there is nothing to fit a centre to")
-    for name, n in zip(parts, numbers, strict=True):
-        if n < FEWEST:
-            what = f"{FEWEST} velocity samples of each group or more, {name} has {n}"
-            raise ValueError(f"an expansion needs {what}")
+        if len(s) < FEWEST:
+            raise ValueError(
+                f"an expansion needs {FEWEST} velocity samples of each group or more, "
+                f"{name} has {len(s)}: choose more SSPs or other scales"
+            )
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     return Samples(*joined[:5], _kinds(*joined[4:7])), *joined[7:]
 
@@ -289,7 +268,7 @@ def fit_mixture(samples, start, area, *, fixed=False):
     for k in np.unique(part_of):
         keep = part_of != k
         if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
-            begin = samples.select(keep), place, scatter, share
+            begin = Samples(*(c[keep] for c in samples)), place, scatter, share
             others.append(_climb(*begin, area[keep], widest, fixed)[0])
     covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
@@ -377,8 +356,7 @@ def expansion_speed(
 
 def measure_expansion(
     scc: StackedCrossCorrelation, matched: MatchedEpochs, centre: u.Quantity,
-    radius: u.Quantity, *, sectors: int | u.Quantity = 1,
-    distance: u.Quantity | None = None, n_trials: int = 1000,
+    radius: u.Quantity, *, sectors: int = 1, n_trials: int = 1000,
     rng: np.random.Generator | int | None = None,
 ) -> QTable:  # fmt: skip
     """
@@ -393,11 +371,8 @@ def measure_expansion(
         (east, north) from the reference pixel, see `fit_shell`.
     radius : `~astropy.units.Quantity`
         Radius of the shell, for which speeds are given.
-    sectors : int or `~astropy.units.Quantity`, optional
-        Number of equal sectors of azimuth from north through east, or the
-        limits of sectors.
-    distance : `~astropy.units.Quantity`, optional
-        Distance of the object, for speeds in km/s at the radius.
+    sectors : int, optional
+        Number of equal sectors of azimuth from north through east.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
 
@@ -407,8 +382,7 @@ def measure_expansion(
         A row for each sector and velocity that was tested: ``pa_min``,
         ``pa_max``, ``rate`` and ``rotation`` in per cent per year with
         errors, ``kind``, p-values (``p_fdr`` adjusted for all sectors),
-        ``n_features``, ``note`` and, with a distance, ``speed`` and
-        ``speed_err``.
+        ``n_features`` and ``caution``.
 
     Raises
     ------
@@ -437,17 +411,17 @@ def measure_expansion(
     >>> table["rate"].round(2)[0]
     <Quantity 0.11 % / yr>
     """
-    limits = _limits(sectors)
+    named("sectors", check_integer, sectors, 1)
+    edges = np.linspace(0, 360, int(sectors) + 1)
     frame = ExpansionFrame(centre, radius)
     stacker = replace(scc, position_angle=frame)
     east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
     x0, y0 = frame.centre.value
     azimuth = np.degrees(np.arctan2(east - x0, north - y0))
     tables = {}
-    rngs = random_generator(rng).spawn(len(limits))
-    for (low, high), own in zip(limits, rngs, strict=True):
-        inside = (azimuth - low) % 360 < high - low
-        part = replace(matched, select=matched.select & inside)
+    rngs = random_generator(rng).spawn(sectors)
+    for (low, high), own in zip(pairwise(edges), rngs, strict=True):
+        part = matched.part(matched.select & ((azimuth - low) % 360 < high - low))
         if part.select.any():
             stacked = stacker.stack(part, n_trials=n_trials, rng=own)
             tables[low, high] = stacked.components
@@ -463,24 +437,4 @@ def measure_expansion(
             for end in ("", "_err"):
                 columns[name + end] = frame.rate(table[of + end])
         rows.append(QTable(columns | {name: table[name] for name in KEPT}))
-    joined = stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})
-    if distance is not None:
-        for name, of in (("speed", "rate"), ("speed_err", "rate_err")):
-            joined[name] = expansion_speed(joined[of], frame.radius, distance)
-        joined.meta["distance"] = u.Quantity(distance)
-    return joined
-
-
-def _limits(sectors):
-    """Return the limits of each sector in azimuth, in degrees."""
-    if isinstance(sectors, u.Quantity):
-        edges = sectors.to_value(u.deg)
-        if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
-            raise ValueError(f"the limits of sectors must increase, got {sectors}")
-        if edges[-1] - edges[0] > 360 * (1 + 1e-12):
-            raise ValueError("sectors must not overlap: they cover more than a turn")
-    elif int(sectors) != sectors or sectors < 1:
-        raise ValueError(f"sectors must be a whole number above 0, got {sectors}")
-    else:
-        edges = np.linspace(0, 360, int(sectors) + 1)
-    return list(pairwise(edges.tolist()))
+    return stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})

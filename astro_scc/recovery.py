@@ -49,7 +49,6 @@ class FeaturePaths(NamedTuple):
 
     x: np.ndarray
     y: np.ndarray
-    inside: np.ndarray
 
 
 def draw_paths(
@@ -86,8 +85,7 @@ def draw_paths(
     -------
     ``FeaturePaths``
         ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
-        NaN at epochs before a feature has left the origin of a radial flow; and
-        ``inside``, whether the feature, without scatter, is in the area.
+        NaN at epochs before a feature has left the origin of a radial flow.
 
     Raises
     ------
@@ -118,7 +116,7 @@ def draw_paths(
     to_sky = cube.pixel_matrix.value
     to_pixels = np.linalg.inv(to_sky)
     origin = np.array(cube.reference_pixel)
-    lines, insides, number = [], [], 0.0
+    lines, number = [], 0.0
     while number < n_features * (1 - 1e-9):
         epoch, pixel = rng.integers(len(years)), rng.integers(len(rows))
         start = [columns[pixel], rows[pixel]] + rng.uniform(-0.5, 0.5, 2)
@@ -130,14 +128,13 @@ def draw_paths(
         inside = _is_inside(line, area)
         if keep * max(inside.sum(), 1) < 1:
             lines.append(line)
-            insides.append(inside)
             number += inside.mean()
     lines = np.array(lines)
     if scatter is not None:
         sigma = u.Quantity(scatter).to_value(u.mas)
         shift = rng.normal(0, sigma, (len(lines), len(years), 2))
         lines = lines + np.einsum("ij,nej->nie", to_pixels, shift)
-    return FeaturePaths(lines[:, 0], lines[:, 1], np.array(insides))
+    return FeaturePaths(lines[:, 0], lines[:, 1])
 
 
 def _motion(start, origin, to_sky, position_angle):
@@ -154,10 +151,9 @@ def _motion(start, origin, to_sky, position_angle):
 def _is_inside(line, area):
     """Return at which epochs a line is in the area."""
     ny, nx = area.shape
-    known = np.isfinite(line).all(axis=0)
-    x, y = np.rint(np.where(known, line, -1)).astype(int)
-    known &= (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
-    return known & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
+    x, y = np.rint(np.nan_to_num(line, nan=-1)).astype(int)
+    within = (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
+    return within & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
 
 
 def inject(
@@ -344,14 +340,12 @@ def completeness(
     plan = scc.plan(cube)
     if fwhm is None and cube.beams is None:
         raise ValueError(NO_BEAMS)
-    width, about = plan.fwhm, ("an angle", "1 mas")
-    if fwhm is not None:
-        width = q.named("fwhm", q.one_quantity, fwhm, *about).to_value(u.mas)
-    about = "a proper motion", "2 mas/yr"
+    given = "fwhm", q.one_quantity, fwhm, "an angle", "1 mas"
+    width = plan.fwhm if fwhm is None else q.named(*given).to_value(u.mas)
     if tolerance is None:
         tolerance = TOLERANCE * width / np.median(plan.pairs.interval) * PM_UNIT
-    tolerance = q.named("tolerance", q.one_quantity, tolerance, *about)
-    tolerance = tolerance.to_value(PM_UNIT)
+    given = "tolerance", q.one_quantity, tolerance, "a proper motion", "2 mas/yr"
+    tolerance = q.named(*given).to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
     limit = plan.speed_limit(cube).to_value(PM_UNIT)
     speeds = _positive("speeds", speeds, PM_UNIT)
@@ -387,16 +381,14 @@ def completeness(
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
         paths = draw_paths(cube, area, speed=speed * PM_UNIT, rng=path_rng, **flow)
-        fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
-        result, rule = measure(fuller, trial_rng), {"tolerance": tolerance}
-        rule |= {"paths": paths, "fwhm": width}
+        result = measure(inject(cube, paths, peak * cube.unit, fwhm=fwhm), trial_rng)
+        rule = {"tolerance": tolerance, "paths": paths, "fwhm": width}
         number = recovered(result, own, speed * axis, **rule)
         if number is None:
             return None
         velocity = result.velocities[number - 1]
-        variance = axis @ velocity.covariance @ axis
-        error = np.sqrt(variance) if np.isfinite(variance) else np.inf
-        return axis @ velocity.value - speed, error
+        variance = np.nan_to_num(axis @ velocity.covariance @ axis, nan=np.inf)
+        return axis @ velocity.value - speed, np.sqrt(variance)
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
@@ -420,19 +412,15 @@ def _direction(position_angle, axis):
     """Return the direction of motion, and the fraction of a speed along the axis."""
     axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
     given = axis if position_angle is None else position_angle
-    radial, wanted = (isinstance(k, str) and k == "radial" for k in (axis, given))
-    if not (radial or axis is None or isinstance(axis, u.Quantity)):
-        raise ValueError(
-            "features move on straight lines, so the measurement needs velocity axes "
-            f"of one direction, or 'radial', not {axis}: give it an angle"
-        )
-    if given is None or radial != wanted:
+    radial = [isinstance(k, str) and k == "radial" for k in (axis, given)]
+    if all(radial):
+        return given, 1.0
+    straight = axis is None or isinstance(axis, u.Quantity)
+    if given is None or any(radial) or not straight:
         raise ValueError(
             f"position_angle {given} does not go with that of the measurement, {axis}: "
-            "give an angle, or both 'radial'"
+            "features move on straight lines, so give angles, or 'radial' twice"
         )
-    if radial:
-        return given, 1.0
     how = q.one_quantity, given, "an angle", "65 deg", False
     angle = q.named("position_angle", *how).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))

@@ -48,28 +48,22 @@ def jet_cube():
 
 
 @pytest.fixture(scope="session")
-def jet_matched(jet_cube):
-    """Correlated on three scales."""
+def matched(jet_cube):
+    """The small jet, correlated on three scales; tests of other jets have their own."""
     return StackedCrossCorrelation(**OPTIONS).match(jet_cube)
 
 
 @pytest.fixture(scope="session")
-def jet_stacked(jet_matched):
+def jet_stacked(matched):
     """Measure the same matches with other settings."""
 
     def run(position_angle=None, **settings):
         scc = StackedCrossCorrelation(
             **{**OPTIONS, "position_angle": position_angle, **settings}
         )
-        return scc.stack(jet_matched, n_trials=40, rng=1)
+        return scc.stack(matched, n_trials=40, rng=1)
 
     return run
-
-
-@pytest.fixture(scope="session")
-def matched(jet_matched):
-    """The small jet, correlated; tests of other jets have their own."""
-    return jet_matched
 
 
 class Results(dict):

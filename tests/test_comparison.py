@@ -39,11 +39,3 @@ def test_no_speed_where_there_is_none():
     v = np.concatenate([rng.normal(5, 1, 90), np.full(40, 20.0)])
     pair = np.concatenate([np.arange(90) % 9, np.full(40, 4)])
     np.testing.assert_allclose(speeds_of(v, pair), [5], atol=0.5)
-
-
-def test_parts_become_a_sample_without_what_is_not_finite():
-    parts = [(0, [1, 2], [3, 4], [5, np.nan], [0, 0]), (3, 1, 1, 6.0, 0.0)]
-    sample = reading.Sample.of(parts)
-    assert sample.pair.tolist() == [0, 3]
-    assert sample.along.tolist() == [5, 6]
-    assert len(reading.Sample.of([]).pair) == 0

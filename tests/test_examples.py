@@ -20,16 +20,6 @@ EARLY = {
     "galaxy_3c120": {"before": "1998-06-01"},
     "galaxy_m87": {"before": "2001-01-01"},
 }
-#: The others take more than two seconds.
-QUICK = ("shell",)
-
-
-def with_marks(names):
-    """Parameters of which those that take long are marked as slow."""
-    return [
-        pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK))
-        for name in names
-    ]
 
 
 @pytest.fixture(autouse=True)
@@ -82,7 +72,7 @@ def test_notebooks_define_what_the_scripts_do(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", with_marks(SIMULATED))
+@pytest.mark.parametrize("name", SIMULATED)
 def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys):
     example = importlib.import_module(name)
     with pytest.MonkeyPatch.context() as patch:
@@ -90,7 +80,6 @@ def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys)
         example.run(example.measure, example.__doc__)
     text = capsys.readouterr().out
     assert text == (tmp_path / f"{name}.txt").read_text(encoding="utf-8")
-    assert (tmp_path / f"{name}.png").is_file()
     # Rows that are not significant depend on the last digits.
     shown, found = (
         [line for line in page.splitlines() if "not significant" not in line]
@@ -106,10 +95,10 @@ def numbers(line):
     return [float(number) for number in re.findall(r"-?\d+\.?\d*", line)]
 
 
-@pytest.mark.parametrize("name", with_marks(EARLY))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EARLY)
 def test_examples_of_real_jets_run(name, shared_data):
     example = importlib.import_module(name)
     table, figure = example.measure(shared_data, n_trials=20, **EARLY[name])
-    header = printed(name).splitlines()[0].split()
-    assert table.colnames == header
+    assert table.colnames == printed(name).splitlines()[0].split()
     assert figure.axes

@@ -40,7 +40,9 @@ from astro_scc.measurement import SCCResult
 MAS_PER_YEAR = u.mas / u.yr
 
 
-def measure(cube: EpochCube) -> QTable:
+def measure(cube: EpochCube, path: Path) -> QTable:
+    given, _ = settings.read_config(path)
+    assert_type(settings.Settings(**given, redshift=0.158).to_toml("measure"), str)
     scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * MAS_PER_YEAR)
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
     StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
@@ -51,12 +53,6 @@ def measure(cube: EpochCube) -> QTable:
     scc.stack(cube)  # type: ignore[arg-type]
     assert_type(scc(cube, region=None, n_trials=1000, rng=1), SCCResult)
     return result.components
-
-
-def configure(path: Path) -> str:
-    given, versions = settings.read_config(path)
-    chosen = settings.Settings(**given, redshift=0.158)
-    return chosen.to_toml("measure", versions=versions)
 
 
 def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
@@ -70,17 +66,14 @@ def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:
     kinematics.apparent_speed(1 * MAS_PER_YEAR, redshift="15.8 %", cosmology="Planck18")
-    kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
     assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
     return kinematics.lorentz_factor(0.9)
 
 
-def follow_the_ridge(cube: EpochCube) -> QTable:
+def follow_the_ridge(cube: EpochCube) -> tuple[u.Quantity, u.Quantity]:
     ridge = kinematics.find_ridge_line(cube, smoothing=0.5 * u.mas)
-    kinematics.fit_position_angle(cube)
-    east, north = ridge.at(2 * u.mas)
-    assert_type(ridge.coordinates(east, north), tuple[u.Quantity, u.Quantity])
-    return ridge.to_table()
+    assert_type(ridge.at(2 * u.mas), tuple[u.Quantity, u.Quantity])
+    return kinematics.fit_position_angle(cube)
 
 
 def profile(
@@ -130,9 +123,7 @@ def simulate() -> list[Path]:
 
 
 def draw(result: SCCResult) -> Figure:
-    cube, components = result.cube, result.components
-    cube.plot(0, result.ssps, unit="mas", vmax=1.0)
-    result.plot("velocity_map", components=components, which="z_score")
+    result.cube.plot(0, result.ssps, unit="mas", vmax=1.0)
     page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
     assert_type(page, Path)
     return result.plot("tracks", unit=u.arcsec)

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -26,20 +25,31 @@ from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, component_table, stack_tables
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.quantities import random_generator
-from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.scc import StackedCrossCorrelation, seeded
 from astro_scc.settings import require
 from astro_scc.stacking.stack import stack
 from astro_scc.visualization import speeds, style
 
-#: Parameters of each model; v0 is the speed at the mean distance.
+
+def _straight(r, r0, v0, gradient=0.0):
+    return v0 + gradient * (r - r0)
+
+
+def _power_law(r, r0, v0, index):
+    return v0 * (r / r0) ** index
+
+
+def _broken(r, _, v0, inner_gradient, outer_gradient, r_break):
+    return v0 + np.where(r < r_break, inner_gradient, outer_gradient) * (r - r_break)
+
+
+#: Speeds of each model at distances r, and its parameters; v0 is the speed at r0.
 MODELS = {
-    "constant": ("v0",),
-    "linear": ("v0", "gradient"),
-    "power-law": ("v0", "index"),
-    "broken": ("v0", "inner_gradient", "outer_gradient", "r_break"),
+    "constant": (_straight, ("v0",)),
+    "linear": (_straight, ("v0", "gradient")),
+    "power-law": (_power_law, ("v0", "index")),
+    "broken": (_broken, ("v0", "inner_gradient", "outer_gradient", "r_break")),
 }
-#: Number of breaks tried between the second and the last but one distance.
-BREAKS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +92,6 @@ class ProfileFit:
     n_free: int
     aicc: float
     p_constant: float
-    unit: u.UnitBase = field(repr=False)
 
     def __call__(self, distance: u.Quantity) -> u.Quantity:
         """
@@ -96,9 +105,10 @@ class ProfileFit:
         -------
         `~astropy.units.Quantity`
         """
+        function, _ = MODELS[self.model]
         values = [p.value for p in self.parameters.values()]
         r = u.Quantity(distance).to_value(self.r0.unit)
-        return _model(self.model, r, self.r0.value, values) * self.unit
+        return function(r, self.r0.value, *values) * self.parameters["v0"].unit
 
 
 def fit_profile(
@@ -152,18 +162,35 @@ def fit_profile(
     e = e.to(v.unit)
     good = np.isfinite(v) & np.isfinite(e) & (e > 0)
     x, y, s = r.value[good], v.value[good], e.value[good]
-    names = MODELS[model]
-    n, k = len(x), len(names)
-    if (n_different := len(np.unique(x))) < k:
+    function, names = MODELS[model]
+    n, k, mean = len(x), len(names), np.average(y, weights=1 / s**2)
+    place = np.unique(x)
+    if len(place) < k:
         raise ValueError(
             f"a {model} profile needs speeds with errors at {k} distances or more, "
-            f"got {n_different}"
+            f"got {len(place)}"
         )
-    if model == "power-law" and not (np.all(x > 0) and np.all(y > 0)):
-        raise ValueError("a power law needs distances and speeds above 0")
-    x0, values, covariance = _solve(model, x, y, s)
-    chi2 = _chi2(y - _model(model, x, x0, values), s)
-    better = _chi2(y - np.average(y, weights=1 / s**2), s) - chi2
+    starts, limits = [[mean, *[0.0] * (k - 1)]], (-np.inf, np.inf)
+    x0 = np.average(x, weights=1 / s**2)
+    if model == "power-law":
+        if not (np.all(x > 0) and np.all(y > 0)):
+            raise ValueError("a power law needs distances and speeds above 0")
+        x0 = np.exp(np.average(np.log(x), weights=(y / s) ** 2))
+    elif model == "broken":
+        # The best break may be near any of the distances.
+        starts = [[mean, 0.0, 0.0, at] for at in place[1:-1]]
+        limits = np.transpose([(-np.inf, np.inf)] * 3 + [place[[1, -2]]])
+
+    def curve(r, *values):
+        return function(r, x0, *values)
+
+    def chi2(speeds):
+        return float((((y - speeds) / s) ** 2).sum())
+
+    how = {"sigma": s, "absolute_sigma": True, "bounds": limits, "method": "trf"}
+    fits = [curve_fit(curve, x, y, start, **how) for start in starts]
+    values, covariance = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
+    least = chi2(curve(x, *values))
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
     units = [units.get(name, v.unit / r.unit) for name in names]
     parameters, errors = (
@@ -172,74 +199,14 @@ def fit_profile(
     )
     return ProfileFit(
         model=model,
-        r0=x0 * r.unit,
+        r0=parameters.get("r_break", x0 * r.unit),
         parameters=parameters,
         errors=errors,
-        chi2=chi2,
+        chi2=least,
         n_free=n - k,
-        aicc=chi2 + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
-        p_constant=float(chdtrc(k - 1, max(better, 0.0))) if k > 1 else 1.0,
-        unit=v.unit,
+        aicc=least + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
+        p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
     )
-
-
-def _model(model, r, r0, values):
-    """Return the speeds of a model at distances."""
-    if model == "power-law":
-        return values[0] * (np.asarray(r, dtype=float) / r0) ** values[1]
-    columns = _columns(model, r, r0)
-    return sum(v * column for v, column in zip(values, columns, strict=False))
-
-
-def _columns(model, r, r0):
-    """Return the columns of the design matrix of straight lines."""
-    away = np.asarray(r, dtype=float) - r0
-    if model == "broken":
-        return [np.ones_like(away), np.minimum(away, 0), np.maximum(away, 0)]
-    return [np.ones_like(away), away][: len(MODELS[model])]
-
-
-def _chi2(rest, s):
-    return float(((rest / s) ** 2).sum())
-
-
-def _solve(model, x, y, s):
-    """Return the distance of v0, the parameters and their covariance."""
-    if model == "power-law":
-        return _solve_power_law(x, y, s)
-    if model != "broken":
-        x0 = float(np.average(x, weights=1 / s**2))
-        return x0, *_linear(_columns(model, x, x0), y, s)
-    place = np.unique(x)
-    tried = np.linspace(place[1], place[-2], BREAKS)
-    fits = [(at, _linear(_columns(model, x, at), y, s)[0]) for at in tried]
-    at, values = min(fits, key=lambda fit: _chi2(y - _model(model, x, *fit), s))
-    # The break is a fourth parameter; its derivative differs between the two sides.
-    turn = np.where(x < at, -values[1], -values[2])
-    _, covariance = _linear([*_columns(model, x, at), turn], y, s)
-    return at, np.array([*values, at]), covariance
-
-
-def _linear(columns, y, s):
-    """Return parameters and covariance of weighted least squares."""
-    weighted = np.stack(columns, axis=1) / s[:, None]
-    covariance = np.linalg.pinv(weighted.T @ weighted)
-    return covariance @ weighted.T @ (y / s), covariance
-
-
-def _solve_power_law(x, y, s):
-    x0 = float(np.exp(np.average(np.log(x), weights=(y / s) ** 2)))
-
-    def curve(r, *values):
-        return _model("power-law", r, x0, values)
-
-    # A difference quotient is too coarse where the index is near 0.
-    def slopes(r, v0, index):
-        power = curve(r, 1.0, index)
-        return np.stack([power, v0 * power * np.log(r / x0)], axis=1)
-
-    how = {"p0": (np.average(y), 0.0), "sigma": s, "absolute_sigma": True}
-    return x0, *curve_fit(curve, x, y, jac=slopes, **how)
 
 
 def bins_of(edges, *, window=None):
@@ -406,7 +373,7 @@ def measure_profile(
     bins = bins_of(edges, window=window)
     if not hasattr(matched, "matches"):
         matched = scc.match(matched, progress_bar=progress_bar)
-    seed = int(rng) if isinstance(rng, int | np.integer) else None
+    rng, seed = seeded(rng)
     results = [None] * len(bins)
     for k, own in enumerate(random_generator(rng).spawn(len(bins))):
         r_min, r_max = bins[k]
@@ -423,35 +390,12 @@ def measure_profile(
     return Profile(bins, tuple(results), "radius" if ridge is None else "ridge")
 
 
-def write_profile(
-    profile: Profile, components: QTable, directory: Path | str, *,
-    configuration: dict[str, Any] | None = None, text: str | None = None,
-) -> list[Path]:  # fmt: skip
+def write_profile(profile, components, directory, **settings):
     """
-    Write the table and the figures of a profile.
+    Write the table and the figures of a profile into a folder that exists.
 
-    Parameters
-    ----------
-    profile : `Profile`
-    components : `~astropy.table.QTable`
-        `Profile.components`, or `Profile.components_in_c`.
-    directory : path
-        A folder that exists.
-    configuration : dict, optional
-        Settings as plain numbers and text, for the meta of the table.
-    text : str, optional
-        The same settings as TOML, for ``config.toml``.
-
-    Returns
-    -------
-    list of `~pathlib.Path`
-        ``profile.ecsv``, ``profile.png``, ``velocity_maps.png``,
-        ``position_angles.png`` and, if ``text`` is given, ``config.toml``.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
+    ``components`` are `Profile.components`, or those in units of c; ``settings`` are
+    passed to ``write_tables``.  Returns the paths.
 
     Examples
     --------
@@ -464,15 +408,13 @@ def write_profile(
     >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
     ...                               position_angle=270 * u.deg)
-    >>> matched = scc.match(cube)
-    >>> profile = measure_profile(
-    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> profile = measure_profile(scc, cube, [2, 10, 18] * u.mas, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
     """
     of = {"profile": components}, directory, components.meta
-    _, paths = write_tables(*of, configuration=configuration, text=text)
+    _, paths = write_tables(*of, **settings)
     files = style.figure_files(_figures(profile, components))
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]

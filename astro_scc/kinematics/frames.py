@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
 from numpy.typing import ArrayLike
 
 from astro_scc.quantities import named, one_quantity, to_quantity
@@ -144,7 +143,7 @@ class PositionAngleFrame:
         return _everywhere(axes_along(np.sin(angle), np.cos(angle)), east, north)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RadialFrame:
     """
     Axes away from a point and around it.
@@ -184,13 +183,6 @@ class RadialFrame:
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
             raise ValueError(f"origin = {origin} {wanted}")
         object.__setattr__(self, "origin", origin)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, RadialFrame):
-            return NotImplemented
-        return bool(np.all(self.origin == other.origin))
-
-    __hash__ = None
 
     def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
@@ -347,10 +339,6 @@ class RidgeLine:
     ----------
     east, north : `~astropy.units.Quantity`, shape (n,)
         Points in the order of the flow, offsets from the reference pixel.
-    error : `~astropy.units.Quantity`, shape (n,), optional
-        Standard errors of the points across the line.
-    meta : dict, optional
-        Facts for the meta of a table.
 
     Raises
     ------
@@ -378,8 +366,6 @@ class RidgeLine:
 
     east: u.Quantity
     north: u.Quantity
-    error: u.Quantity | None = None
-    meta: dict = field(default_factory=dict)
 
     axis_names = ("parallel", "transverse")
     #: Whether the axes are the same everywhere.
@@ -397,9 +383,7 @@ class RidgeLine:
         step = np.hypot(np.diff(east), np.diff(north)).value
         if not np.all(step > 0):
             raise ValueError("the points of a ridge line must be finite and differ")
-        error = 0 * u.mas if self.error is None else u.Quantity(self.error).to(u.mas)
-        error = np.broadcast_to(error, east.shape, subok=True)
-        vars(self).update(east=east, north=north, error=error)
+        vars(self).update(east=east, north=north)
 
     def __repr__(self):
         return (
@@ -421,12 +405,6 @@ class RidgeLine:
             points = CubicSpline(s, points)(fine)
             s = lengths_of(points)
         return points, s
-
-    @property
-    def distances(self) -> u.Quantity:
-        """Distance along the line of each of its points, from 0."""
-        points, s = self._curve
-        return s[:: FINE if len(self.east) > 3 else 1] * u.mas
 
     @property
     def length(self) -> u.Quantity:
@@ -558,22 +536,6 @@ class RidgeLine:
         nearer = square.argmin(axis=0), np.arange(len(flat))
         return found[:, *nearer].reshape(2, *places.shape[:-1])
 
-    def to_table(self) -> QTable:
-        """
-        Return the points of the line as a table.
-
-        ``RidgeLine(table["east"], table["north"], table["error"])`` is the line again.
-
-        Returns
-        -------
-        `~astropy.table.QTable`
-            Columns ``s``, ``east``, ``north``, ``error``, ``pa``.
-        """
-        s = self.distances
-        names = ("s", "east", "north", "error", "pa")
-        values = [s, self.east, self.north, self.error, self.position_angle(s)]
-        return QTable(values, names=names, meta=dict(self.meta))
-
 
 def lengths_of(points):
     """Return the length of the path to each of the points, shape (n, 2)."""
@@ -581,13 +543,13 @@ def lengths_of(points):
 
 
 def fit_position_angle(
-    cube: EpochCube, *, origin: u.Quantity | None = None, threshold: float = 5.0
+    cube: EpochCube, *, threshold: float = 5.0
 ) -> tuple[u.Quantity, u.Quantity]:
     r"""
     Return the position angle of a jet, from the mean of its images.
 
     It is the direction of the mean offset, weighted by brightness, of the
-    pixels above a threshold that lie more than a beam from the core,
+    pixels above a threshold that lie more than a beam from the reference pixel,
 
     .. math:: \tan p = \sum I\, \Delta_\mathrm{east} / \sum I\,
               \Delta_\mathrm{north}.
@@ -595,8 +557,6 @@ def fit_position_angle(
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    origin : `~astropy.units.Quantity`, shape (2,), optional
-        (east, north) of the core, by default the reference pixel.
     threshold : float, optional
         Faintest pixel, in standard deviations of the mean image's noise.
 
@@ -620,11 +580,8 @@ def fit_position_angle(
     True
     """
     image, noise = _mean(cube)
-    start = _origin(origin)
-    east, north = (offset.value for offset in cube.offsets())
-    x, y = east - start[0], north - start[1]
-    width = mean_width(cube)
-    use = (image > threshold * noise) & (np.hypot(x, y) > width)
+    x, y = (offset.value for offset in cube.offsets())
+    use = (image > threshold * noise) & (np.hypot(x, y) > mean_width(cube))
     if not use.any():
         raise ValueError(
             f"no pixel of the mean image is above {threshold:g} times its noise, a "
@@ -634,43 +591,34 @@ def fit_position_angle(
     sums = np.stack([each @ x[use], each @ y[use]], axis=-1)
     total = sums.sum(axis=0)
     angle = np.arctan2(*total)
-    return np.degrees(angle) % 360 * u.deg, _jackknife(sums, total) * u.deg
-
-
-def _jackknife(sums, total):
-    """Return the error of the direction of a sum over the epochs, in degrees."""
-    n = len(sums)
-    if n < 2:
-        return np.inf
-    without = total - sums
-    side = without[:, 0] * total[1] - without[:, 1] * total[0]
-    turn = np.arctan2(side, without @ total)
-    return float(np.degrees(np.sqrt((n - 1) / n * ((turn - turn.mean()) ** 2).sum())))
+    # The jackknife: how far the direction turns without one of the epochs.
+    turn = np.arctan2(*(total - sums).T) - angle
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    error = np.sqrt((len(cube) - 1) * turn.var()) if len(cube) > 1 else np.inf
+    return np.degrees(angle) % 360 * u.deg, np.degrees(error) * u.deg
 
 
 def find_ridge_line(
     cube: EpochCube, *, position_angle: u.Quantity | None = None,
-    origin: u.Quantity | None = None, half_width: u.Quantity | None = None,
-    smoothing: u.Quantity | None = None, threshold: float = 5.0,
-    r_max: u.Quantity | None = None,
+    half_width: u.Quantity | None = None, smoothing: u.Quantity | None = None,
+    threshold: float = 5.0,
 ) -> RidgeLine:  # fmt: skip
     """
     Follow the brightest line of a jet in the mean of its images.
 
-    The line starts at the core and advances by a quarter of a beam.  At each
+    The line starts at the reference pixel and advances by a quarter of a beam.  At each
     step, its point is the mean position of the part of a slice across the jet
     that is brighter than half of the slice's maximum.  The next slice is
     perpendicular to the direction of the last points.  The points are then
-    smoothed by local parabolas.  The line ends where the slice is no longer
-    above the noise, at the edge of the image, or where it would turn back.
+    smoothed by local parabolas, weighted by the squares of the slices' maxima.  The
+    line ends where the slice is no longer above the noise, at the edge of the image,
+    or where it would turn back.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     position_angle : `~astropy.units.Quantity`, optional
         Direction at the core, by default from `fit_position_angle`.
-    origin : `~astropy.units.Quantity`, shape (2,), optional
-        (east, north) of the core, by default the reference pixel.
     half_width : `~astropy.units.Quantity`, optional
         Half length of the slices, by default 1.5 beams.
     smoothing : `~astropy.units.Quantity`, optional
@@ -679,15 +627,10 @@ def find_ridge_line(
     threshold : float, optional
         The line ends where the slice's maximum is below this many standard
         deviations of the mean image's noise.
-    r_max : `~astropy.units.Quantity`, optional
-        Largest length.
 
     Returns
     -------
     `RidgeLine`
-        The error of a slice is due to noise, ``b / (sqrt(2) SNR)`` (Fomalont
-        1999), or the scatter about the smooth line where that is larger; the
-        errors of the points are propagated through the smoothing.
 
     Raises
     ------
@@ -705,43 +648,30 @@ def find_ridge_line(
     """
     image, noise = _mean(cube)
     width = mean_width(cube)
-    step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
     smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
-    # The length is limited, as a line could go in circles.
-    longest = 2 * np.hypot(*cube.shape[1:]) * cube.pixel_scale.value
-    if r_max is not None:
-        longest = min(longest, _length("r_max", r_max))
     if position_angle is None:
-        position_angle, _ = fit_position_angle(cube, origin=origin, threshold=threshold)
+        position_angle, _ = fit_position_angle(cube, threshold=threshold)
     angle = PositionAngleFrame(position_angle).pa.to_value(u.rad)
     direction = np.array([np.sin(angle), np.cos(angle)])
-    points, tops = _follow(
-        cube, image, _origin(origin), direction, half, threshold * noise, longest
-    )
-    length = (len(points) - 1) * step
+    points, tops = _follow(cube, image, direction, half, threshold * noise)
+    length = (len(points) - 1) * STEP * width
     if length < 3 * width:
         raise ValueError(
             f"the jet can be followed over {length:.2g} mas only, less than three "
             "beams: give a position angle instead"
         )
-    snr = tops / noise
-    snr[0] = np.nanmax(snr)
-    error = width / (np.sqrt(2) * snr)
-    # A small error keeps the beginning of the line at the core.
-    error[0] = 1e-2 * error.min()
-    points, error = _smoothed(points, error, smooth, step)
-    meta = {"width": width * u.mas, "smoothing": smooth * u.mas}
-    return RidgeLine(*(points.T * u.mas), error * u.mas, meta=meta)
+    # A large weight keeps the beginning of the line at the core.
+    tops[0] = 100 * np.nanmax(tops)
+    return RidgeLine(*(_smoothed(points, tops, smooth).T * u.mas))
 
 
-def _follow(cube, image, start, direction, half, faintest, longest):
-    """Return the points of slices from a start onwards, and the slices' maxima."""
+def _follow(cube, image, direction, half, faintest):
+    """Return the points of slices from the core onwards, and the slices' maxima."""
     width = mean_width(cube)
-    step = STEP * width
-    points, tops = [start], [np.nan]
-    while len(points) * step <= longest + step:
-        guess = points[-1] + step * direction
+    points, tops = [np.zeros(2)], [np.nan]
+    while True:
+        guess = points[-1] + STEP * width * direction
         found = _slice_point(cube, image, guess, direction, half)
         if found is None or found[1] < faintest:
             break
@@ -787,24 +717,14 @@ def _slice_point(cube, image, guess, direction, half):
     return guess + middle * normal, float(values[top])
 
 
-def _smoothed(points, error, width, step):
-    """Return points smoothed by local parabolas over distance, and their errors."""
+def _smoothed(points, signal, width):
+    """Return points smoothed by local parabolas over distance."""
     s = lengths_of(points)
     distance = (s - s[:, None]) / width
-    windows = np.exp(-0.5 * distance**2)
-    smooth, gains = np.empty_like(points), np.empty_like(windows)
-    for k, x in enumerate(distance):
-        weight = windows[k] / (error / error.max()) ** 2
-        design = np.stack([np.ones_like(x), x, x * x], axis=1)
-        normal = design.T @ (weight[:, None] * design)
-        gains[k] = np.linalg.solve(normal, design.T * weight)[0]
-        smooth[k] = gains[k] @ points
-    # Half of the square in two dimensions is across the line.
-    square = 0.5 * ((points - smooth) ** 2).sum(axis=1)
-    scatter = windows @ square / windows.sum(axis=1)
-    variance = np.maximum(error**2, scatter)
-    # Points within a beam share their noise.
-    return smooth, np.sqrt(gains**2 @ variance / STEP)
+    # polyfit squares its weights.
+    weights = np.exp(-0.25 * distance**2) * signal / signal.max()
+    pairs = zip(distance, weights, strict=True)
+    return np.array([np.polyfit(x, points, 2, w=w)[-1] for x, w in pairs])
 
 
 def _mean(cube):
@@ -820,10 +740,6 @@ def mean_width(cube):
         return 4 * cube.pixel_scale.value
     areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
     return float(np.sqrt(np.mean(areas)))
-
-
-def _origin(origin):
-    return (RadialFrame() if origin is None else RadialFrame(origin)).origin.value
 
 
 def _length(name, value):

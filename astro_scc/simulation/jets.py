@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
-from numpy.typing import ArrayLike
 
 from astro_scc.components.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.cube import EpochCube
@@ -23,8 +22,6 @@ from astro_scc.quantities import random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
-# Width of the negative bowl around a feature, in widths of its image.
-BOWL = 6.0
 # The paper's beam, and about that of the VLBA at 15 GHz.
 PAPER_BEAM, BEAM = (Beam(size * u.mas, size * u.mas) for size in (1, 0.8))
 
@@ -93,8 +90,6 @@ class JetSimulation:
         Limits in x between which features are seen, in pixels from 0.
     axis : float, optional
         y of the jet axis, in pixels from 0.
-    taper : float, optional
-        Length over which features fade at each end of ``extent``, in pixels.
     core : float, optional
         Flux density in Jy of an unresolved, stationary core at the start of
         the jet, which is the reference pixel.  There is none by default.
@@ -108,13 +103,6 @@ class JetSimulation:
         two epochs t apart is ``exp(-t / memory)``.  At 0, variations are white.
     alignment_error : float, optional
         Standard deviation per axis, in beams, of a shift of each image.
-    ripple : float, optional
-        Amplitude, as a fraction of the image's maximum, of a wave around the
-        core that differs from epoch to epoch.  Its wavelength is 1.5 to 4
-        beams, and its amplitude falls to a half at 5 beams.
-    bowl : float, optional
-        Depth of the negative bowl around every feature, six times as wide
-        as its image, as a fraction of its peak.
 
     Raises
     ------
@@ -157,14 +145,11 @@ class JetSimulation:
     noise: float | Sequence[float] = 0.002
     extent: tuple[float, float] = (20.0, 220.0)
     axis: float = 64.0
-    taper: float = 10.0
     core: float = 0.0
     position_angle: u.Quantity = 270 * u.deg
     flux_variation: float = 0.0
     memory: float = 0.0
     alignment_error: float = 0.0
-    ripple: float = 0.0
-    bowl: float = 0.0
 
     def __post_init__(self):
         if isinstance(self.streams, Stream | Flow) or len(self.streams) == 0:
@@ -178,7 +163,7 @@ class JetSimulation:
             raise ValueError("dates must be an array of increasing times")
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
-        names = "noise taper core flux_variation memory alignment_error ripple bowl"
+        names = "noise core flux_variation memory alignment_error"
         check_not_negative(vars(self), names)
         n = len(dates)
         noise = (self.noise,) * n if np.ndim(self.noise) == 0 else self.noise
@@ -205,47 +190,6 @@ class JetSimulation:
         """Return the dates in intervals from the first."""
         return ((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(u.one)
 
-    def place(
-        self, group: str, along: np.ndarray, across: np.ndarray, flux: np.ndarray,
-        fwhm: np.ndarray,
-    ) -> Features:  # fmt: skip
-        """
-        Return features whose positions are given in beams from the start of the jet.
-
-        Parameters
-        ----------
-        group : str
-        along, across, flux, fwhm : `~numpy.ndarray`, shape (n, n_epochs)
-
-        Returns
-        -------
-        Features
-        """
-        beam = self.beam_length
-        x, y = self.extent[0] + beam * along, self.axis + beam * across
-        return Features(np.full(len(x), group), x, y, flux, beam * fwhm)
-
-    def visibility(self, x: ArrayLike) -> np.ndarray:
-        """
-        Return the fraction of the flux that is seen at x, in pixels from 0.
-
-        It falls to zero at both ends as a raised cosine.
-
-        Parameters
-        ----------
-        x : array_like
-
-        Returns
-        -------
-        `~numpy.ndarray`
-        """
-        start, end = self.extent
-        inside = np.minimum(x - start, end - x)
-        if self.taper == 0:
-            return np.where(inside >= 0, 1.0, 0.0)
-        ramp = np.clip(np.nan_to_num(inside / self.taper), 0, 1)
-        return 0.5 * (1 - np.cos(np.pi * ramp))
-
     def run(self, *, rng: np.random.Generator | int | None = None) -> SimulatedJet:
         """
         Draw one jet and make its images.
@@ -264,18 +208,16 @@ class JetSimulation:
         """
         rng = random_generator(rng)
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
-        flux_rng, shift_rng, ripple_rng = rng.spawn(3)
+        flux_rng, shift_rng = rng.spawn(2)
         features = self._features(stream_rngs, flux_rng)
         shift = self.beam_length * self.alignment_error
         dx, dy = shift * shift_rng.standard_normal((2, self.n_epochs))
         seen = features._replace(x=features.x + dx, y=features.y + dy)
         unit = u.Jy / u.beam
-        # The noise of images with artefacts must be measured.
-        noise = None if self.ripple or self.bowl else self.noise * unit
         cube = EpochCube.from_arrays(
-            self._images(seen, noise_rng, ripple_rng), self.dates, unit=unit,
+            self._images(seen, noise_rng), self.dates, unit=unit,
             pixel_scale=self.pixel_scale, reference_pixel=(self.extent[0], self.axis),
-            beams=self.beams, noise=noise,
+            beams=self.beams, noise=self.noise * unit,
             epoch_meta=[{"object": self.name}] * self.n_epochs,
             meta={"object": self.name, "history": [f"simulated: {self.name}"]},
         )  # fmt: skip
@@ -286,8 +228,9 @@ class JetSimulation:
         pairs = zip(self.streams, rngs, strict=True)
         parts = [stream.features(self, rng) for stream, rng in pairs]
         if self.core:
-            at = np.zeros((1, self.n_epochs))
-            parts.append(self.place("core", at, at, at + self.core, at))
+            still = np.zeros((1, self.n_epochs))
+            place = self.extent[0] + still, self.axis + still
+            parts.append(Features(np.array(["core"]), *place, self.core + still, still))
         features = Features(*map(np.concatenate, zip(*parts, strict=True)))
         if self.flux_variation:
             series = self._series(len(features.x), flux_rng)
@@ -309,7 +252,7 @@ class JetSimulation:
                 series[:, i] += kept * series[:, i - 1]
         return series
 
-    def _images(self, features, rng, ripple_rng):
+    def _images(self, features, rng):
         images = np.zeros((self.n_epochs, *self.shape))
         own = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
         rngs = rng.spawn(self.n_epochs)
@@ -322,25 +265,10 @@ class JetSimulation:
             total = own[there, i] + covariance
             peak = flux * beam_area / np.sqrt(np.linalg.det(total))
             add_gaussians(image, x, y, peak, total)
-            if self.bowl:
-                add_gaussians(image, x, y, -self.bowl * peak, BOWL**2 * total)
-            if self.ripple:
-                image += self._ripple(image.max(), ripple_rng)
             if noise:
                 how = {"beam": beam, "pixel_scale": self.pixel_scale, "rng": noise_rng}
                 image += correlated_noise(self.shape, rms=noise, **how)
         return images
-
-    def _ripple(self, peak, rng):
-        """Draw a wave around the core with random direction, wavelength and phase."""
-        beam = self.beam_length
-        wave = 2 * np.pi / (beam * rng.uniform(1.5, 4.0))
-        angle, phase = rng.uniform(0, 2 * np.pi, 2)
-        y, x = np.ogrid[: self.shape[0], : self.shape[1]]
-        x, y = x - self.extent[0], y - self.axis
-        along = x * np.cos(angle) + y * np.sin(angle)
-        falling = 1 / (1 + np.hypot(x, y) / (5 * beam))
-        return self.ripple * peak * falling * np.cos(wave * along + phase)
 
     def _truth(self, features, seen):
         scale = self.pixel_scale.to_value(u.mas)
@@ -480,8 +408,7 @@ def simulate_random_velocity(
 
 def simulate_ballistic(
     *, dx: tuple[float, float] = (0.0, 40.0), dy: tuple[float, float] = (-5.0, 5.0),
-    density: float = 1.8, jitter: float = 0.0,
-    rng: np.random.Generator | int | None = None, **options: Any,
+    density: float = 1.8, rng: np.random.Generator | int | None = None, **options: Any,
 ) -> SimulatedJet:  # fmt: skip
     """
     Simulate features that each keep a random velocity of their own.
@@ -495,8 +422,6 @@ def simulate_ballistic(
         the jet, in pixels per interval.
     density : float, optional
         Features per beam length.
-    jitter : float, optional
-        Random walk per epoch and axis, in pixels.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
     **options
@@ -513,8 +438,8 @@ def simulate_ballistic(
     >>> simulate_ballistic(n_epochs=3, rng=1).cube.shape
     (3, 128, 256)
     """
-    how = {"density": density, "half_width": 12.0, "jitter": jitter}
-    return _run("ballistic", rng, options, Stream("ballistic", dx, dy, **how))
+    stream = Stream("ballistic", dx, dy, density=density, half_width=12.0)
+    return _run("ballistic", rng, options, stream)
 
 
 def simulate_static(
@@ -586,8 +511,8 @@ def simulate_jet(
     interval_scatter: float = 0.8, dates: Time | None = None,
     streams: Sequence[Flow] | None = None, standing: int | Sequence[float] = 0,
     core_flux: float = 1.0, flux_variation: float = 0.35, memory: float = 3.0,
-    alignment_error: float = 0.0, ripple: float = 0.0, bowl: float = 0.0,
-    noise: float = 0.0003, noise_scatter: float = 0.3, length: float = 16.0,
+    alignment_error: float = 0.0, noise: float = 0.0003, noise_scatter: float = 0.3,
+    length: float = 16.0,
     position_angle: u.Quantity = 270 * u.deg, beam: Beam | Sequence[Beam] = BEAM,
     pixel_scale: u.Quantity = 0.1 * u.mas, shape: tuple[int, int] | None = None,
     rng: np.random.Generator | int | None = None, **flow: Any,
@@ -624,8 +549,6 @@ def simulate_jet(
         Correlation time of the variations; 0 for white ones.
     alignment_error : float, optional
         Standard deviation, per axis, of a shift of each image.
-    ripple, bowl : float, optional
-        Artefacts of imaging; see `JetSimulation`.
     noise : float, optional
         Median root mean square of the noise in Jy per beam.
     noise_scatter : float, optional
@@ -682,7 +605,6 @@ def simulate_jet(
         streams, "jet", interval=interval, dates=dates, pixel_scale=pixel_scale,
         beams=beam, noise=noises, core=core_flux, position_angle=position_angle,
         flux_variation=flux_variation, memory=memory, alignment_error=alignment_error,
-        ripple=ripple, bowl=bowl,
     )  # fmt: skip
     # The jet is centred in the image.
     beam_length, angle = jet.beam_length, u.Quantity(position_angle).to_value(u.rad)
@@ -698,8 +620,7 @@ def _run(name, rng, options, *streams):
     return JetSimulation(streams, **{"name": name, **options}).run(rng=rng)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SimulatedShell:
+class SimulatedShell(NamedTuple):
     """
     A simulated shell: its images and the features in them.
 
@@ -719,9 +640,6 @@ class SimulatedShell:
     truth: QTable
     centre: u.Quantity
     radius: u.Quantity
-
-    def __repr__(self):
-        return f"<SimulatedShell: {len(self.cube)} epochs, {len(self.truth)} features>"
 
 
 def simulate_shell(

@@ -18,6 +18,8 @@ from astro_scc.quantities import check_choice, named
 SLOWEST = 0.1
 # Length in beams over which features move off the axis, and fade at the end.
 RAMP = 2.0
+# Length in pixels over which the paper's features fade in and out.
+TAPER = 10.0
 
 
 class Features(NamedTuple):
@@ -33,6 +35,11 @@ class Features(NamedTuple):
     y: np.ndarray
     flux: np.ndarray
     fwhm: np.ndarray
+
+
+def raised_cosine(part):
+    """Return the fraction of the flux that is seen, from 0 to 1 as ``part`` goes."""
+    return 0.5 * (1 - np.cos(np.pi * np.clip(np.nan_to_num(part), 0, 1)))
 
 
 def check_not_negative(values, names=None, whose=""):
@@ -148,7 +155,8 @@ class Stream:
         x, y = self._trajectories(jet, rng)
         fwhm = rng.uniform(*self.fwhm, (len(x), 1))
         peak = rng.uniform(*self.peak, (len(x), 1))
-        flux = peak * (beam**2 + fwhm**2) / beam**2 * jet.visibility(x)
+        visible = raised_cosine(np.minimum(x - start, end - x) / TAPER)
+        flux = peak * (beam**2 + fwhm**2) / beam**2 * visible
         seen = ((x >= start) & (x <= end)).any(axis=1)
         values = (value[seen] for value in (x, y, flux, fwhm + np.zeros_like(x)))
         return Features(np.full(seen.sum(), self.name), *values)
@@ -245,10 +253,7 @@ class Flow:
     widening : float, optional
         Full widths grow as ``(1 + s)**widening``.
     width : float, optional
-        Standard deviation of the features' distances from the flow's axis.
-    offset : float, optional
-        Distance of the flow's axis from the jet's, positive to the left of
-        the direction of the jet on the sky (larger position angles).
+        Standard deviation of the features' distances from the jet's axis.
 
     Raises
     ------
@@ -278,7 +283,6 @@ class Flow:
     size: float = 0.25
     widening: float = 0.6
     width: float = 0.6
-    offset: float = 0.0
 
     def __post_init__(self):
         whose = f"flow {self.name!r}: "
@@ -332,7 +336,8 @@ class Flow:
         -------
         Features
         """
-        times, length = jet.times, np.ptp(jet.extent) / jet.beam_length
+        times, beam = jet.times, jet.beam_length
+        length = np.ptp(jet.extent) / beam
         if self.speed != 0:
             s = self._moving(times, length, rng)
         else:
@@ -341,13 +346,13 @@ class Flow:
                 s = rng.uniform(1, length, round(self.n_features))
             s = np.repeat(np.asarray(s, dtype=float)[:, None], times.size, axis=1)
         n = len(s)
-        across = self.offset + self.width * rng.standard_normal((n, 1))
+        across = self.width * rng.standard_normal((n, 1)) * s / (s + RAMP)
         flux = self.flux * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
-        # They fade at the end.
-        seen = 0.5 * (1 - np.cos(np.pi * np.clip((length - s) / RAMP, 0, 1)))
-        flux = np.nan_to_num(flux * (1 + s) ** -self.fading * seen)
+        flux = flux * (1 + s) ** -self.fading * raised_cosine((length - s) / RAMP)
         fwhm = self.size * (1 + s) ** self.widening
-        return jet.place(self.name, s, across * s / (s + RAMP), flux, fwhm)
+        x, y = jet.extent[0] + beam * s, jet.axis + beam * across
+        group = np.full(n, self.name)
+        return Features(group, x, y, np.nan_to_num(flux), beam * fwhm)
 
     def _moving(self, times, length, rng):
         """Return distances from the core; NaN before the ejection and after the end."""

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -22,10 +21,10 @@ from astro_scc.flow import (
     measure_profile,
     scale_groups,
 )
-from astro_scc.flow.profile import bins_of, write_profile
+from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import BLENDS, _difference, _groups_of, _mean, fit_gradient
 from astro_scc.images.positions import ssp_offsets
-from astro_scc.kinematics import RidgeLine, SkyFrame, paper_cosmology
+from astro_scc.kinematics import RidgeLine, SkyFrame
 from astro_scc.matching.matched import select_ssps, ssp_distances
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.tables import component_table
@@ -44,12 +43,8 @@ def scc():
     )
 
 
-@pytest.fixture(scope="module")
-def profile(scc, matched):
-    return measure_profile(scc, matched, [0, 9, 90, 99] * u.mas, n_trials=20, rng=1)
-
-
-def test_a_bin_is_a_stack_of_its_ssps(matched, profile):
+def test_a_bin_is_a_stack_of_its_ssps(scc, matched):
+    profile = measure_profile(scc, matched, [0, 9, 90, 99] * u.mas, n_trials=20, rng=1)
     inside = ssp_distances(matched).value
     for (low, high), result in zip(profile.bins.value, profile.results, strict=True):
         own = (inside >= low) & (inside < high)
@@ -59,11 +54,9 @@ def test_a_bin_is_a_stack_of_its_ssps(matched, profile):
             # Nothing is correlated again.
             assert result.matched.matches is matched.matches
     table = profile.components
-    names = table.colnames
-    assert names[:3] == ["r_min", "r_max", "r_mid"]
-    assert set(component_table([]).colnames) < set(names)
+    assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
+    assert set(component_table([]).colnames) < set(table.colnames)
     assert np.all(table["p_fdr"] >= table["p_global"])
-    assert table["r_mid"].unit == u.mas
     # An empty bin was searched too, and what stands still is not tested.
     moves = table["kind"] != "stationary"
     tested = [np.sum(moves & (table["r_min"] == low)) for low in profile.bins[:, 0]]
@@ -133,31 +126,14 @@ def test_acceleration_is_that_of_the_features(accelerated):
     assert found.p_value < 0.05
     assert u.isclose(found.acceleration, found.gradient * found.speed)
     assert u.isclose(found.acceleration_err, found.gradient_err * found.speed)
-    assert str(found).startswith("acceleration: ")
+    assert str(found).startswith("acceleration: 0.")
     assert found.centre > 2 * u.mas
-
-
-def test_acceleration_of_what_is_not_there(accelerated):
-    result, _ = accelerated
     (row,) = np.flatnonzero(result.components["kind"] == "stationary")
     still = measure_acceleration(result, row)
     assert np.isnan(still.p_value)
     assert "unknown, as four features are needed" in str(still)
     with pytest.raises(ValueError, match=f"row must be from 0 to {row}, got 9"):
         measure_acceleration(result, 9)
-
-
-@pytest.mark.slow
-def test_products(profile, tmp_path):
-    table = profile.components_in_c(redshift=0.1, cosmology=paper_cosmology())
-    settings = {"configuration": {"seed": 1}, "text": "seed = 1\n"}
-    paths = write_profile(profile, table, tmp_path, **settings)
-    assert sorted(p.name for p in paths) == sorted(p.name for p in tmp_path.iterdir())
-    again = QTable.read(tmp_path / "profile.ecsv", format="ascii.ecsv")
-    assert again.colnames == table.colnames
-    assert again.meta["configuration"] == {"seed": 1}
-    assert again.meta["cosmology"]["Om0"] == 0.27
-    np.testing.assert_array_equal(again["pm"], table["pm"])
 
 
 def test_bins_hold_all_features_in_order_with_their_mean_speeds(accelerated):
@@ -182,11 +158,12 @@ def test_straight_line_is_that_of_numpy():
     rng = np.random.default_rng(1)
     v, e = rng.normal(2, 0.3, 12), rng.uniform(0.1, 0.4, 12)
     fit = fit_profile(R, v * PM, e * PM)
-    slope, offset = np.polyfit(R.value, v, 1, w=1 / e)
-    assert fit.parameters["gradient"].value == pytest.approx(slope)
-    np.testing.assert_allclose(fit(R).value, slope * R.value + offset)
-    _, covariance = np.polyfit(R.value, v, 1, w=1 / e, cov="unscaled")
+    line, covariance = np.polyfit(R.value, v, 1, w=1 / e, cov="unscaled")
+    np.testing.assert_allclose(fit(R).value, np.polyval(line, R.value))
     assert fit.errors["gradient"].value == pytest.approx(np.sqrt(covariance[0, 0]))
+    chi2 = (((v - np.polyval(line, R.value)) / e) ** 2).sum()
+    assert (fit.chi2, fit.n_free) == (pytest.approx(chi2), 10)
+    assert fit.aicc == pytest.approx(chi2 + 4 + 12 / 9)
 
 
 @settings(max_examples=25)
@@ -195,9 +172,7 @@ def test_straight_line_is_that_of_numpy():
 def test_power_law_of_a_power_law(v0, k):
     v = v0 * R.value**k
     fit = fit_profile(R, v, 0.05 * v, model="power-law")
-    assert fit.parameters["index"].value == pytest.approx(k, abs=1e-6)
     np.testing.assert_allclose(fit(R).value, v, rtol=1e-6)
-    assert fit.chi2 < 1e-6
     # With equal relative errors it is a straight line of logarithms.
     x = np.log(R.value)
     _, covariance = np.polyfit(x, k * x, 1, w=np.full(12, 20.0), cov="unscaled")
@@ -208,10 +183,9 @@ def test_power_law_of_a_power_law(v0, k):
 def test_broken_line_finds_the_break():
     v = 2 + 0.3 * np.minimum(R.value - 6, 0) - 0.2 * np.maximum(R.value - 6, 0)
     fit = fit_profile(R, v, np.full(12, 0.02), model="broken")
-    assert fit.parameters["r_break"].value == pytest.approx(6, abs=0.1)
-    assert fit.parameters["outer_gradient"].value == pytest.approx(-0.2, abs=0.02)
-    straight = fit_profile(R, v, np.full(12, 0.02))
-    assert fit.aicc < straight.aicc
+    found = [p.value for p in fit.parameters.values()]
+    np.testing.assert_allclose(found, [2, 0.3, -0.2, 6], rtol=1e-4)
+    assert fit.aicc < fit_profile(R, v, np.full(12, 0.02)).aicc
     assert fit.p_constant < 1e-10
     assert 0 < fit.errors["r_break"].value < 0.5
 
@@ -326,8 +300,6 @@ def test_a_line_through_values_that_scatter():
 
 
 PER_PIXEL = 0.1 / 30 * 365.25
-
-
 SCC = StackedCrossCorrelation(
     scales=[1, 2], max_speed=20 * PM, position_angle=270 * u.deg
 )
@@ -343,25 +315,16 @@ def sheared():
     return SCC.match(jet.run(rng=2).cube)
 
 
-@pytest.fixture(scope="module")
-def sides(sheared):
-    _, north = ssp_offsets(sheared.ssps, sheared.cube, centroid=True)
-    return {"south": north < -0.5, "north": north > 0.5}
-
-
-@pytest.fixture(scope="module")
-def result(sheared):
-    return SCC.stack(sheared, n_trials=20, rng=1)
-
-
 @pytest.mark.slow
-def test_sides_have_their_speeds(sheared, sides, result):
+def test_sides_have_their_speeds(sheared):
+    result = SCC.stack(sheared, n_trials=20, rng=1)
+    _, north = ssp_offsets(sheared.ssps, sheared.cube, centroid=True)
+    sides = {"south": north < -0.5, "north": north > 0.5}
     (row,) = compare_speeds(result, sides)
     assert row["p_value"] < 0.05
     error = row["difference_err"].value
     assert abs(row["difference"].value - 4 * PER_PIXEL) < 3 * error
     assert abs(row["first_speed"].value - 4 * PER_PIXEL) < 1
-    assert abs(row["second_speed"].value - 8 * PER_PIXEL) < 1
     assert row["first_n_ssp"] == sides["south"].sum()
     number = sum(len(s.features) for s in result.search.streams if s.kind == "moving")
     assert row["first_n_features"] + row["second_n_features"] == number

@@ -19,12 +19,7 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.kinematics.frames import (
-    STEP,
-    _slice_point,
-    _smoothed,
-    frame_displacements,
-)
+from astro_scc.kinematics.frames import _slice_point, _smoothed, frame_displacements
 
 OFFSET = st.floats(-50, 50)
 CENTRE, RADIUS = [3.0, -2.0] * u.arcsec, 20 * u.arcsec
@@ -37,8 +32,6 @@ def test_parallel_is_along_the_position_angle(pa, length):
     along = length * np.array([np.sin(angle), np.cos(angle)])
     assert_allclose(frame.matrix() @ along, [length, 0], atol=1e-9)
     assert_array_equal(SkyFrame().matrix(np.zeros((3, 1)), 0.0), [[np.eye(2)]] * 3)
-    assert RadialFrame() == RadialFrame([0, 0] * u.arcsec)
-    assert RadialFrame() not in (RadialFrame([1, 0] * u.mas), SkyFrame())
 
 
 @settings(max_examples=40)
@@ -65,6 +58,8 @@ def test_one_rate_is_one_velocity(angle, r, rate):
     motion = rate * place
     moved = frame.displacement((position - 0.5 * motion)[None], motion[None])
     assert_allclose(moved, [[rate * 2e4, 0]], atol=1e-6)
+    # Within a fifth of the radius an expansion is hardly a motion.
+    assert np.isnan(frame.matrix(*(CENTRE.to_value(u.mas) + [3.9e3, 0]))).all()
     matrix = frame.matrix(*position) * r / 2e4
     assert_allclose(matrix, RadialFrame(CENTRE).matrix(*position), atol=1e-12)
 
@@ -72,17 +67,12 @@ def test_one_rate_is_one_velocity(angle, r, rate):
 @pytest.mark.parametrize(
     ("frame", "values", "message"),
     [
-        (PositionAngleFrame, [[1, 2] * u.deg], "pa = .* an angle with a unit, such as"),
         (PositionAngleFrame, [np.nan * u.deg], "pa = nan deg must be finite"),
-        (PositionAngleFrame, ["65"], "pa = '65' has no unit at its end; it must be an"),
-        (PositionAngleFrame, [1 * u.Jy], "pa = 1.0 Jy must be an angle"),
         (PositionAngleFrame, [65], "pa = 65 must be an angle with a"),
         *((RadialFrame, [origin], r"origin = .* must be \(east, north\)")
           for origin in ([1, np.nan] * u.mas, [1, 2, 3] * u.mas, [1, 2] * u.Jy)),
         (ExpansionFrame, [[1.0] * u.mas, RADIUS], "two finite angles"),
-        (ExpansionFrame, [CENTRE, [1, 2] * u.mas], "radius = .* must be an angle with"),
-        *((ExpansionFrame, [CENTRE, r * u.mas], "radius = .* must be finite and above")
-          for r in (0, np.nan)),
+        (ExpansionFrame, [CENTRE, 0 * u.mas], "radius = 0.0 mas must be finite and"),
     ],
 )  # fmt: skip
 def test_no_frame(frame, values, message):
@@ -130,7 +120,7 @@ def test_straight_line_is_the_frame_of_its_position_angle(pa, x, y):
     assert_allclose(*pair, atol=1e-8)
 
 
-def test_goes_on_straight_beyond_its_ends_and_comes_back_from_a_table():
+def test_goes_on_straight_beyond_its_ends():
     line = RidgeLine([0, -5, -10] * u.mas, [0, 0, 0] * u.mas)
     s, n = line.coordinates([3, -14] * u.mas, [1, 2] * u.mas)
     assert_allclose(s.value, [-3, 14])
@@ -138,10 +128,6 @@ def test_goes_on_straight_beyond_its_ends_and_comes_back_from_a_table():
     assert_allclose(n.value, [1, 2])
     assert_allclose(u.Quantity(line.at([-3, 14] * u.mas)).value, [[3, -14], [0, 0]])
     assert line.position_angle(12 * u.mas).value == pytest.approx(270)
-    table = CIRCLE.to_table()
-    again = RidgeLine(table["east"], table["north"], table["error"])
-    assert_array_equal(again.east, CIRCLE.east)
-    assert again.length == CIRCLE.length
     assert "60 points" in repr(CIRCLE)
 
 
@@ -181,22 +167,8 @@ def test_ridge_line_of_an_image():
     east, north = line.at(s)
     away = np.hypot(east.value, north.value - BEND) - BEND
     assert np.abs(away).max() < 0.1
-    assert np.all(line.error.value < 0.05)
     angle = line.position_angle(s).value
     assert_allclose(angle, 270 + np.degrees(s.value / BEND), atol=6)
-
-
-def test_position_angle_and_end_of_a_line():
-    angle, error = fit_position_angle(bent_images(n=3))
-    # The chord weighted by brightness of an arc from 270 to 327 deg.
-    assert 285 < angle.value < 300
-    assert 0 < error.value < 1
-    cube = bent_images()
-    assert fit_position_angle(cube)[1].value == np.inf
-    options = {"half_width": 1 * u.mas, "smoothing": 0.5 * u.mas, "r_max": 5 * u.mas}
-    origin = [0, 0] * u.mas
-    line = find_ridge_line(cube, position_angle=WEST, origin=origin, **options)
-    assert 4 < line.length.value < 5.5
 
 
 LOUD, BENT = bent_images(noise=5.0), bent_images()
@@ -206,16 +178,12 @@ LOUD, BENT = bent_images(noise=5.0), bent_images()
     ("function", "cube", "options", "words"),
     [
         (fit_position_angle, LOUD, {"threshold": 10}, "give a position angle"),
-        (fit_position_angle, LOUD, {"origin": 3 * u.mas}, r"origin = 3.0 mas must be"),
         (find_ridge_line, LOUD, {"position_angle": WEST, "threshold": 10},
          "less than three beams"),
         (find_ridge_line, BENT, {"half_width": 0 * u.mas}, "half_width = 0.0 mas must"),
-        *((find_ridge_line, BENT, {name: np.nan * u.mas}, f"{name} = nan mas must")
-          for name in ("smoothing", "r_max")),
+        (find_ridge_line, BENT, {"smoothing": np.nan * u.mas}, "smoothing = nan mas"),
         (find_ridge_line, BENT, {"position_angle": np.nan * u.deg}, "pa = nan deg"),
-        *((RidgeLine, [1.0, 2.0] * u.mas, {"north": north * u.mas}, words)
-          for north, words in (([1.0], "two points"), ([1.0, 2.0, 3.0], "two points"),
-                               ([2.0, np.nan], "finite"))),
+        (RidgeLine, [1.0, 2.0] * u.mas, {"north": [1.0] * u.mas}, "two points"),
         (RidgeLine, [1.0, 1.0] * u.mas, {"north": [2.0, 2.0] * u.mas}, "differ"),
     ],
 )  # fmt: skip
@@ -224,28 +192,17 @@ def test_lines_that_cannot_be(function, cube, options, words):
         function(cube, **options)
 
 
-@pytest.mark.parametrize("size", [1.0, 0.02])
-def test_smoothing_is_a_parabola_at_each_point(size):
-    # Large errors are more than the scatter, small ones less.
+def test_smoothing_is_a_parabola_at_each_point():
     rng = np.random.default_rng(1)
     points = np.cumsum(rng.uniform(0.1, 0.4, (14, 2)), axis=0)
-    error = size * rng.uniform(0.05, 0.2, 14)
-    width = 0.8
+    signal, width = rng.uniform(1, 5, 14), 0.8
     s = np.append(0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    smooth, spread = _smoothed(points, error, width, 0.1)
-    windows = np.exp(-((s - s[:, None]) ** 2) / (2 * width**2))
-    gains = np.empty((14, 14))
-    for k in range(14):
-        # polyfit squares its weights.
-        fit = {"x": s - s[k], "deg": 2, "w": np.sqrt(windows[k]) / error}
-        assert_allclose(smooth[k], np.polyfit(y=points, **fit)[-1], atol=1e-9)
-        gains[k] = np.polyfit(y=np.eye(14), **fit)[-1]
-    rest = ((points - smooth) ** 2).sum(axis=1) / 2
-    own = [
-        max(e**2, np.average(rest, weights=w))
-        for e, w in zip(error, windows, strict=True)
-    ]
-    assert_allclose(spread, np.sqrt(gains**2 @ own / STEP), rtol=1e-9)
+    smooth = _smoothed(points, signal, width)
+    for x, found in zip(s - s[:, None], smooth, strict=True):
+        weight = np.exp(-(x**2) / (2 * width**2)) * signal**2
+        design = np.stack([np.ones(14), x, x**2])
+        expected = np.linalg.solve(weight * design @ design.T, weight * design @ points)
+        assert_allclose(found, expected[0], atol=1e-9)
 
 
 def test_position_angle_is_that_of_a_loop_over_pixels():
@@ -253,20 +210,20 @@ def test_position_angle_is_that_of_a_loop_over_pixels():
     data = rng.normal(0, 1e-3, (3, 12, 15)) + 0.01 * rng.random((12, 15))
     data[0, 3, 4] = np.nan
     cube = cube_of(data, beam=0.35, reference=(7, 3))
-    start = np.array([0.1, -0.05])
     mean, noise = np.nanmean(data, axis=0), 1e-3 / np.sqrt(3)
-    away = np.stack([o.value for o in cube.offsets()], axis=-1) - start
+    away = np.stack([o.value for o in cube.offsets()], axis=-1)
     sums = np.zeros((3, 2))
     for place, value in np.ndenumerate(mean):
         if value > 8 * noise and np.hypot(*away[place]) > 0.35:
             for epoch in range(3):
                 sums[epoch] += np.nan_to_num(data[epoch][place]) * away[place]
-    angle, error = fit_position_angle(cube, origin=start * u.mas, threshold=8)
+    angle, error = fit_position_angle(cube, threshold=8)
     total = sums.sum(axis=0)
     assert angle.value == pytest.approx(np.degrees(np.arctan2(*total)) % 360)
     # The jackknife, of the direction without one epoch.
     angles = [np.degrees(np.arctan2(*(total - one))) % 360 for one in sums]
     assert error.value == pytest.approx(np.sqrt(2 * np.var(angles)))
+    assert fit_position_angle(cube[:1])[1] == np.inf * u.deg
 
 
 def test_a_slice_has_the_middle_of_what_is_above_half():
@@ -305,22 +262,6 @@ def test_a_jet_longer_than_the_image_is_wide_and_one_that_comes_back():
     assert line.length.value == pytest.approx(0.5 * (3.5 + end), abs=1.0)
 
 
-def test_errors_of_a_line_are_those_of_its_slices():
-    # A straight jet of even brightness: every slice has the same error, but
-    # for the core's, and nothing scatters.
-    cube = along(-np.linspace(0, 9, 300), np.zeros(300), n=4, noise=2e-3)
-    line = find_ridge_line(cube, position_angle=WEST)
-    inner = (line.distances > 2 * u.mas) & (line.distances < 7 * u.mas)
-    snr = np.nanmax(cube.data) / (2e-3 / np.sqrt(4))
-    every = np.full(len(line.east), 1 / (np.sqrt(2) * snr))
-    every[0] *= 1e-2
-    points = np.stack([line.east.value, line.north.value], axis=1)
-    _, expected = _smoothed(points, every, 2.0, STEP)
-    assert_allclose(line.error[inner].value, expected[inner], rtol=0.1)
-    assert line.error[0] < 0.1 * line.error[inner].mean()
-    assert [k.value for k in line.meta.values()] == pytest.approx([1.0, 2.0])
-
-
 def test_defaults_are_in_beams():
     t = np.linspace(0, 1.2, 300)
     cube = along(-7 * np.sin(t), 7 * (1 - np.cos(t)), beam=0.8, reference=(30, 20))
@@ -340,10 +281,10 @@ def test_the_direction_is_that_of_the_same_pixels():
     # Something faint aside turns the mean direction.
     cube = along(-np.linspace(0, 7, 300), np.zeros(300), reference=(30, 60))
     cube.data[:, 80:110, 40:60] += 0.15
-    options = {"origin": [-0.2, 0.1] * u.mas, "threshold": 200}
     line, (angle, _) = (
-        f(cube, **options) for f in (find_ridge_line, fit_position_angle)
+        f(cube, threshold=200) for f in (find_ridge_line, fit_position_angle)
     )
-    again = find_ridge_line(cube, position_angle=angle, **options)
+    again = find_ridge_line(cube, position_angle=angle, threshold=200)
     assert_array_equal(line.north, again.north)
-    assert line.at(0 * u.mas)[0].value == pytest.approx(-0.2, abs=0.01)
+    # Its first slice does not pull the line off the core.
+    assert np.hypot(*line.at(0 * u.mas)).value < 0.01
