@@ -66,14 +66,17 @@ def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:
     kinematics.apparent_speed(1 * MAS_PER_YEAR, redshift="15.8 %", cosmology="Planck18")
+    kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
     assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
     return kinematics.lorentz_factor(0.9)
 
 
-def follow_the_ridge(cube: EpochCube) -> tuple[u.Quantity, u.Quantity]:
+def follow_the_ridge(cube: EpochCube) -> QTable:
     ridge = kinematics.find_ridge_line(cube, smoothing=0.5 * u.mas)
-    assert_type(ridge.at(2 * u.mas), tuple[u.Quantity, u.Quantity])
-    return kinematics.fit_position_angle(cube)
+    kinematics.fit_position_angle(cube)
+    east, north = ridge.at(2 * u.mas)
+    assert_type(ridge.coordinates(east, north), tuple[u.Quantity, u.Quantity])
+    return ridge.to_table()
 
 
 def profile(

@@ -14,9 +14,11 @@ from astro_scc.kinematics.frames import (
 from astro_scc.kinematics.relativity import (
     beta_intrinsic,
     doppler_factor,
+    intrinsic_table,
     lorentz_factor,
     maximum_viewing_angle,
     minimum_lorentz_factor,
+    two_sided_jet,
     viewing_angle,
 )
 
@@ -31,9 +33,11 @@ __all__ = [
     "doppler_factor",
     "find_ridge_line",
     "fit_position_angle",
+    "intrinsic_table",
     "lorentz_factor",
     "maximum_viewing_angle",
     "minimum_lorentz_factor",
     "paper_cosmology",
+    "two_sided_jet",
     "viewing_angle",
 ]

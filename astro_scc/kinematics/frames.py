@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 from numpy.typing import ArrayLike
 
 from astro_scc.quantities import named, one_quantity, to_quantity
@@ -339,6 +340,10 @@ class RidgeLine:
     ----------
     east, north : `~astropy.units.Quantity`, shape (n,)
         Points in the order of the flow, offsets from the reference pixel.
+    error : `~astropy.units.Quantity`, shape (n,), optional
+        Standard errors of the points across the line.
+    meta : dict, optional
+        Facts for the meta of a table.
 
     Raises
     ------
@@ -366,6 +371,8 @@ class RidgeLine:
 
     east: u.Quantity
     north: u.Quantity
+    error: u.Quantity | None = None
+    meta: dict = field(default_factory=dict)
 
     axis_names = ("parallel", "transverse")
     #: Whether the axes are the same everywhere.
@@ -383,7 +390,9 @@ class RidgeLine:
         step = np.hypot(np.diff(east), np.diff(north)).value
         if not np.all(step > 0):
             raise ValueError("the points of a ridge line must be finite and differ")
-        vars(self).update(east=east, north=north)
+        error = 0 * u.mas if self.error is None else u.Quantity(self.error).to(u.mas)
+        error = np.broadcast_to(error, east.shape, subok=True)
+        vars(self).update(east=east, north=north, error=error)
 
     def __repr__(self):
         return (
@@ -405,6 +414,12 @@ class RidgeLine:
             points = CubicSpline(s, points)(fine)
             s = lengths_of(points)
         return points, s
+
+    @property
+    def distances(self) -> u.Quantity:
+        """Distance along the line of each of its points, from 0."""
+        points, s = self._curve
+        return s[:: FINE if len(self.east) > 3 else 1] * u.mas
 
     @property
     def length(self) -> u.Quantity:
@@ -536,6 +551,22 @@ class RidgeLine:
         nearer = square.argmin(axis=0), np.arange(len(flat))
         return found[:, *nearer].reshape(2, *places.shape[:-1])
 
+    def to_table(self) -> QTable:
+        """
+        Return the points of the line as a table.
+
+        ``RidgeLine(table["east"], table["north"], table["error"])`` is the line again.
+
+        Returns
+        -------
+        `~astropy.table.QTable`
+            Columns ``s``, ``east``, ``north``, ``error``, ``pa``.
+        """
+        s = self.distances
+        names = ("s", "east", "north", "error", "pa")
+        values = [s, self.east, self.north, self.error, self.position_angle(s)]
+        return QTable(values, names=names, meta=dict(self.meta))
+
 
 def lengths_of(points):
     """Return the length of the path to each of the points, shape (n, 2)."""
@@ -610,9 +641,8 @@ def find_ridge_line(
     step, its point is the mean position of the part of a slice across the jet
     that is brighter than half of the slice's maximum.  The next slice is
     perpendicular to the direction of the last points.  The points are then
-    smoothed by local parabolas, weighted by the squares of the slices' maxima.  The
-    line ends where the slice is no longer above the noise, at the edge of the image,
-    or where it would turn back.
+    smoothed by local parabolas.  The line ends where the slice is no longer
+    above the noise, at the edge of the image, or where it would turn back.
 
     Parameters
     ----------
@@ -631,6 +661,9 @@ def find_ridge_line(
     Returns
     -------
     `RidgeLine`
+        The error of a slice is due to noise, ``b / (sqrt(2) SNR)`` (Fomalont
+        1999), or the scatter about the smooth line where that is larger; the
+        errors of the points are propagated through the smoothing.
 
     Raises
     ------
@@ -648,6 +681,7 @@ def find_ridge_line(
     """
     image, noise = _mean(cube)
     width = mean_width(cube)
+    step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
     smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
     if position_angle is None:
@@ -655,23 +689,29 @@ def find_ridge_line(
     angle = PositionAngleFrame(position_angle).pa.to_value(u.rad)
     direction = np.array([np.sin(angle), np.cos(angle)])
     points, tops = _follow(cube, image, direction, half, threshold * noise)
-    length = (len(points) - 1) * STEP * width
+    length = (len(points) - 1) * step
     if length < 3 * width:
         raise ValueError(
             f"the jet can be followed over {length:.2g} mas only, less than three "
             "beams: give a position angle instead"
         )
-    # A large weight keeps the beginning of the line at the core.
-    tops[0] = 100 * np.nanmax(tops)
-    return RidgeLine(*(_smoothed(points, tops, smooth).T * u.mas))
+    snr = tops / noise
+    snr[0] = np.nanmax(snr)
+    error = width / (np.sqrt(2) * snr)
+    # A small error keeps the beginning of the line at the core.
+    error[0] = 1e-2 * error.min()
+    points, error = _smoothed(points, error, smooth, step)
+    meta = {"width": width * u.mas, "smoothing": smooth * u.mas}
+    return RidgeLine(*(points.T * u.mas), error * u.mas, meta=meta)
 
 
 def _follow(cube, image, direction, half, faintest):
     """Return the points of slices from the core onwards, and the slices' maxima."""
     width = mean_width(cube)
+    step = STEP * width
     points, tops = [np.zeros(2)], [np.nan]
     while True:
-        guess = points[-1] + STEP * width * direction
+        guess = points[-1] + step * direction
         found = _slice_point(cube, image, guess, direction, half)
         if found is None or found[1] < faintest:
             break
@@ -717,14 +757,24 @@ def _slice_point(cube, image, guess, direction, half):
     return guess + middle * normal, float(values[top])
 
 
-def _smoothed(points, signal, width):
-    """Return points smoothed by local parabolas over distance."""
+def _smoothed(points, error, width, step):
+    """Return points smoothed by local parabolas over distance, and their errors."""
     s = lengths_of(points)
     distance = (s - s[:, None]) / width
-    # polyfit squares its weights.
-    weights = np.exp(-0.25 * distance**2) * signal / signal.max()
-    pairs = zip(distance, weights, strict=True)
-    return np.array([np.polyfit(x, points, 2, w=w)[-1] for x, w in pairs])
+    windows = np.exp(-0.5 * distance**2)
+    smooth, gains = np.empty_like(points), np.empty_like(windows)
+    for k, x in enumerate(distance):
+        weight = windows[k] / (error / error.max()) ** 2
+        design = np.stack([np.ones_like(x), x, x * x], axis=1)
+        normal = design.T @ (weight[:, None] * design)
+        gains[k] = np.linalg.solve(normal, design.T * weight)[0]
+        smooth[k] = gains[k] @ points
+    # Half of the square in two dimensions is across the line.
+    square = 0.5 * ((points - smooth) ** 2).sum(axis=1)
+    scatter = windows @ square / windows.sum(axis=1)
+    variance = np.maximum(error**2, scatter)
+    # Points within a beam share their noise.
+    return smooth, np.sqrt(gains**2 @ variance / STEP)
 
 
 def _mean(cube):

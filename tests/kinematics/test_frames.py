@@ -19,7 +19,12 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.kinematics.frames import _slice_point, _smoothed, frame_displacements
+from astro_scc.kinematics.frames import (
+    STEP,
+    _slice_point,
+    _smoothed,
+    frame_displacements,
+)
 
 OFFSET = st.floats(-50, 50)
 CENTRE, RADIUS = [3.0, -2.0] * u.arcsec, 20 * u.arcsec
@@ -120,7 +125,7 @@ def test_straight_line_is_the_frame_of_its_position_angle(pa, x, y):
     assert_allclose(*pair, atol=1e-8)
 
 
-def test_goes_on_straight_beyond_its_ends():
+def test_goes_on_straight_beyond_its_ends_and_comes_back_from_a_table():
     line = RidgeLine([0, -5, -10] * u.mas, [0, 0, 0] * u.mas)
     s, n = line.coordinates([3, -14] * u.mas, [1, 2] * u.mas)
     assert_allclose(s.value, [-3, 14])
@@ -128,6 +133,10 @@ def test_goes_on_straight_beyond_its_ends():
     assert_allclose(n.value, [1, 2])
     assert_allclose(u.Quantity(line.at([-3, 14] * u.mas)).value, [[3, -14], [0, 0]])
     assert line.position_angle(12 * u.mas).value == pytest.approx(270)
+    table = CIRCLE.to_table()
+    again = RidgeLine(table["east"], table["north"], table["error"])
+    assert_array_equal(again.east, CIRCLE.east)
+    assert again.length == CIRCLE.length
     assert "60 points" in repr(CIRCLE)
 
 
@@ -167,8 +176,17 @@ def test_ridge_line_of_an_image():
     east, north = line.at(s)
     away = np.hypot(east.value, north.value - BEND) - BEND
     assert np.abs(away).max() < 0.1
+    assert np.all(line.error.value < 0.05)
     angle = line.position_angle(s).value
     assert_allclose(angle, 270 + np.degrees(s.value / BEND), atol=6)
+
+
+def test_position_angle_and_end_of_a_line():
+    angle, error = fit_position_angle(bent_images(n=3))
+    # The chord weighted by brightness of an arc from 270 to 327 deg.
+    assert 285 < angle.value < 300
+    assert 0 < error.value < 1
+    assert fit_position_angle(bent_images())[1].value == np.inf
 
 
 LOUD, BENT = bent_images(noise=5.0), bent_images()
@@ -192,17 +210,28 @@ def test_lines_that_cannot_be(function, cube, options, words):
         function(cube, **options)
 
 
-def test_smoothing_is_a_parabola_at_each_point():
+@pytest.mark.parametrize("size", [1.0, 0.02])
+def test_smoothing_is_a_parabola_at_each_point(size):
+    # Large errors are more than the scatter, small ones less.
     rng = np.random.default_rng(1)
     points = np.cumsum(rng.uniform(0.1, 0.4, (14, 2)), axis=0)
-    signal, width = rng.uniform(1, 5, 14), 0.8
+    error = size * rng.uniform(0.05, 0.2, 14)
+    width = 0.8
     s = np.append(0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    smooth = _smoothed(points, signal, width)
-    for x, found in zip(s - s[:, None], smooth, strict=True):
-        weight = np.exp(-(x**2) / (2 * width**2)) * signal**2
-        design = np.stack([np.ones(14), x, x**2])
-        expected = np.linalg.solve(weight * design @ design.T, weight * design @ points)
-        assert_allclose(found, expected[0], atol=1e-9)
+    smooth, spread = _smoothed(points, error, width, 0.1)
+    windows = np.exp(-((s - s[:, None]) ** 2) / (2 * width**2))
+    gains = np.empty((14, 14))
+    for k in range(14):
+        # polyfit squares its weights.
+        fit = {"x": s - s[k], "deg": 2, "w": np.sqrt(windows[k]) / error}
+        assert_allclose(smooth[k], np.polyfit(y=points, **fit)[-1], atol=1e-9)
+        gains[k] = np.polyfit(y=np.eye(14), **fit)[-1]
+    rest = ((points - smooth) ** 2).sum(axis=1) / 2
+    own = [
+        max(e**2, np.average(rest, weights=w))
+        for e, w in zip(error, windows, strict=True)
+    ]
+    assert_allclose(spread, np.sqrt(gains**2 @ own / STEP), rtol=1e-9)
 
 
 def test_position_angle_is_that_of_a_loop_over_pixels():
@@ -262,6 +291,22 @@ def test_a_jet_longer_than_the_image_is_wide_and_one_that_comes_back():
     assert line.length.value == pytest.approx(0.5 * (3.5 + end), abs=1.0)
 
 
+def test_errors_of_a_line_are_those_of_its_slices():
+    # A straight jet of even brightness: every slice has the same error, but
+    # for the core's, and nothing scatters.
+    cube = along(-np.linspace(0, 9, 300), np.zeros(300), n=4, noise=2e-3)
+    line = find_ridge_line(cube, position_angle=WEST)
+    inner = (line.distances > 2 * u.mas) & (line.distances < 7 * u.mas)
+    snr = np.nanmax(cube.data) / (2e-3 / np.sqrt(4))
+    every = np.full(len(line.east), 1 / (np.sqrt(2) * snr))
+    every[0] *= 1e-2
+    points = np.stack([line.east.value, line.north.value], axis=1)
+    _, expected = _smoothed(points, every, 2.0, STEP)
+    assert_allclose(line.error[inner].value, expected[inner], rtol=0.1)
+    assert line.error[0] < 0.1 * line.error[inner].mean()
+    assert [k.value for k in line.meta.values()] == pytest.approx([1.0, 2.0])
+
+
 def test_defaults_are_in_beams():
     t = np.linspace(0, 1.2, 300)
     cube = along(-7 * np.sin(t), 7 * (1 - np.cos(t)), beam=0.8, reference=(30, 20))
@@ -281,10 +326,10 @@ def test_the_direction_is_that_of_the_same_pixels():
     # Something faint aside turns the mean direction.
     cube = along(-np.linspace(0, 7, 300), np.zeros(300), reference=(30, 60))
     cube.data[:, 80:110, 40:60] += 0.15
+    options = {"origin": [-0.2, 0.1] * u.mas, "threshold": 200}
     line, (angle, _) = (
-        f(cube, threshold=200) for f in (find_ridge_line, fit_position_angle)
+        f(cube, **options) for f in (find_ridge_line, fit_position_angle)
     )
-    again = find_ridge_line(cube, position_angle=angle, threshold=200)
+    again = find_ridge_line(cube, position_angle=angle, **options)
     assert_array_equal(line.north, again.north)
-    # Its first slice does not pull the line off the core.
-    assert np.hypot(*line.at(0 * u.mas)).value < 0.01
+    assert line.at(0 * u.mas)[0].value == pytest.approx(-0.2, abs=0.01)
