@@ -22,6 +22,8 @@ from astro_scc.quantities import random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
+# Width of the negative bowl around a feature, in widths of its image.
+BOWL = 6.0
 # The paper's beam, and about that of the VLBA at 15 GHz.
 PAPER_BEAM, BEAM = (Beam(size * u.mas, size * u.mas) for size in (1, 0.8))
 
@@ -103,6 +105,13 @@ class JetSimulation:
         two epochs t apart is ``exp(-t / memory)``.  At 0, variations are white.
     alignment_error : float, optional
         Standard deviation per axis, in beams, of a shift of each image.
+    ripple : float, optional
+        Amplitude, as a fraction of the image's maximum, of a wave around the
+        core that differs from epoch to epoch.  Its wavelength is 1.5 to 4
+        beams, and its amplitude falls to a half at 5 beams.
+    bowl : float, optional
+        Depth of the negative bowl around every feature, six times as wide
+        as its image, as a fraction of its peak.
 
     Raises
     ------
@@ -150,6 +159,8 @@ class JetSimulation:
     flux_variation: float = 0.0
     memory: float = 0.0
     alignment_error: float = 0.0
+    ripple: float = 0.0
+    bowl: float = 0.0
 
     def __post_init__(self):
         if isinstance(self.streams, Stream | Flow) or len(self.streams) == 0:
@@ -163,7 +174,7 @@ class JetSimulation:
             raise ValueError("dates must be an array of increasing times")
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
-        names = "noise core flux_variation memory alignment_error"
+        names = "noise core flux_variation memory alignment_error ripple bowl"
         check_not_negative(vars(self), names)
         n = len(dates)
         noise = (self.noise,) * n if np.ndim(self.noise) == 0 else self.noise
@@ -208,16 +219,18 @@ class JetSimulation:
         """
         rng = random_generator(rng)
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
-        flux_rng, shift_rng = rng.spawn(2)
+        flux_rng, shift_rng, ripple_rng = rng.spawn(3)
         features = self._features(stream_rngs, flux_rng)
         shift = self.beam_length * self.alignment_error
         dx, dy = shift * shift_rng.standard_normal((2, self.n_epochs))
         seen = features._replace(x=features.x + dx, y=features.y + dy)
         unit = u.Jy / u.beam
+        # The noise of images with artefacts must be measured.
+        noise = None if self.ripple or self.bowl else self.noise * unit
         cube = EpochCube.from_arrays(
-            self._images(seen, noise_rng), self.dates, unit=unit,
+            self._images(seen, noise_rng, ripple_rng), self.dates, unit=unit,
             pixel_scale=self.pixel_scale, reference_pixel=(self.extent[0], self.axis),
-            beams=self.beams, noise=self.noise * unit,
+            beams=self.beams, noise=noise,
             epoch_meta=[{"object": self.name}] * self.n_epochs,
             meta={"object": self.name, "history": [f"simulated: {self.name}"]},
         )  # fmt: skip
@@ -252,7 +265,7 @@ class JetSimulation:
                 series[:, i] += kept * series[:, i - 1]
         return series
 
-    def _images(self, features, rng):
+    def _images(self, features, rng, ripple_rng):
         images = np.zeros((self.n_epochs, *self.shape))
         own = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
         rngs = rng.spawn(self.n_epochs)
@@ -265,10 +278,25 @@ class JetSimulation:
             total = own[there, i] + covariance
             peak = flux * beam_area / np.sqrt(np.linalg.det(total))
             add_gaussians(image, x, y, peak, total)
+            if self.bowl:
+                add_gaussians(image, x, y, -self.bowl * peak, BOWL**2 * total)
+            if self.ripple:
+                image += self._ripple(image.max(), ripple_rng)
             if noise:
                 how = {"beam": beam, "pixel_scale": self.pixel_scale, "rng": noise_rng}
                 image += correlated_noise(self.shape, rms=noise, **how)
         return images
+
+    def _ripple(self, peak, rng):
+        """Draw a wave around the core with random direction, wavelength and phase."""
+        beam = self.beam_length
+        wave = 2 * np.pi / (beam * rng.uniform(1.5, 4.0))
+        angle, phase = rng.uniform(0, 2 * np.pi, 2)
+        y, x = np.ogrid[: self.shape[0], : self.shape[1]]
+        x, y = x - self.extent[0], y - self.axis
+        along = x * np.cos(angle) + y * np.sin(angle)
+        falling = 1 / (1 + np.hypot(x, y) / (5 * beam))
+        return self.ripple * peak * falling * np.cos(wave * along + phase)
 
     def _truth(self, features, seen):
         scale = self.pixel_scale.to_value(u.mas)
@@ -511,8 +539,8 @@ def simulate_jet(
     interval_scatter: float = 0.8, dates: Time | None = None,
     streams: Sequence[Flow] | None = None, standing: int | Sequence[float] = 0,
     core_flux: float = 1.0, flux_variation: float = 0.35, memory: float = 3.0,
-    alignment_error: float = 0.0, noise: float = 0.0003, noise_scatter: float = 0.3,
-    length: float = 16.0,
+    alignment_error: float = 0.0, ripple: float = 0.0, bowl: float = 0.0,
+    noise: float = 0.0003, noise_scatter: float = 0.3, length: float = 16.0,
     position_angle: u.Quantity = 270 * u.deg, beam: Beam | Sequence[Beam] = BEAM,
     pixel_scale: u.Quantity = 0.1 * u.mas, shape: tuple[int, int] | None = None,
     rng: np.random.Generator | int | None = None, **flow: Any,
@@ -549,6 +577,8 @@ def simulate_jet(
         Correlation time of the variations; 0 for white ones.
     alignment_error : float, optional
         Standard deviation, per axis, of a shift of each image.
+    ripple, bowl : float, optional
+        Artefacts of imaging; see `JetSimulation`.
     noise : float, optional
         Median root mean square of the noise in Jy per beam.
     noise_scatter : float, optional
@@ -605,6 +635,7 @@ def simulate_jet(
         streams, "jet", interval=interval, dates=dates, pixel_scale=pixel_scale,
         beams=beam, noise=noises, core=core_flux, position_angle=position_angle,
         flux_variation=flux_variation, memory=memory, alignment_error=alignment_error,
+        ripple=ripple, bowl=bowl,
     )  # fmt: skip
     # The jet is centred in the image.
     beam_length, angle = jet.beam_length, u.Quantity(position_angle).to_value(u.rad)

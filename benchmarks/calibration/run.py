@@ -17,7 +17,6 @@ import csv
 import os
 import sys
 import warnings
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -29,10 +28,8 @@ import numpy as np
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc import simulation as sim
-from astro_scc.components.restoring import add_gaussians
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.flow import compare_speeds, measure_acceleration, scale_groups
-from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.simulation import Flow, Stream
 
 RESULTS = Path(__file__).parent / "results"
@@ -68,41 +65,6 @@ def static(**options):
     return jet(n_features=0, **{"standing": 8, **options})
 
 
-def with_artefacts(simulate, ripple=0.004, bowl=0.01):
-    """
-    Return a function that adds two artefacts of imaging to the images of a jet.
-
-    ``ripple`` is the amplitude, as a fraction of an image's maximum, of a wave around
-    the core that differs from epoch to epoch, 1.5 to 4 beams long; it falls to a half
-    at 5 beams.  ``bowl`` is the depth of the negative bowl around every feature, six
-    times as wide as its image, as a fraction of its peak.
-    """
-
-    def artefacts(seed):
-        jet, rng = simulate(seed), np.random.default_rng([seed, 1])
-        cube, setup = jet.cube, jet.simulation
-        data, beam = cube.data.copy(), setup.beam_length
-        sigma = FWHM_TO_SIGMA * beam
-        y, x = np.indices(cube.shape[1:])
-        x, y = x - setup.extent[0], y - setup.axis
-        for epoch, image in enumerate(data):
-            own = jet.truth[(jet.truth["epoch"] == epoch) & jet.truth["visible"]]
-            width = FWHM_TO_SIGMA * (own["fwhm"] / setup.pixel_scale).to_value(u.one)
-            square = width**2 + sigma**2
-            peak = own["flux"].value * sigma**2 / square
-            covariance = 36 * square[:, None, None] * np.eye(2)
-            place = own["x"].value, own["y"].value
-            add_gaussians(image, *place, -bowl * peak, covariance)
-            angle, phase = rng.uniform(0, 2 * np.pi, 2)
-            turns = (x * np.cos(angle) + y * np.sin(angle)) / rng.uniform(1.5, 4.0)
-            wave = np.cos(2 * np.pi * turns / beam + phase)
-            image += ripple * image.max() * wave / (1 + np.hypot(x, y) / (5 * beam))
-        # The noise must be measured.
-        return replace(jet, cube=replace(cube, data=data, noise=None))
-
-    return artefacts
-
-
 KINDS = {f"single-{d}": jet(dispersion=d / 100) for d in (0, 10, 20, 30)}
 KINDS |= {f"epochs8-{d}": jet(n_epochs=8, dispersion=d / 100) for d in (10, 20)}
 KINDS |= {f"features4-{d}": jet(n_features=4, dispersion=d / 100) for d in (10, 20)}
@@ -116,7 +78,7 @@ KINDS["two-streams"] = streams(
 )
 KINDS["static-flux"] = static(memory=0.0, flux_variation=0.4)
 KINDS["static-comb"] = static(standing=tuple(1.5 * np.arange(1, 9)))
-KINDS["static-ripple"] = with_artefacts(static())
+KINDS["static-ripple"] = static(ripple=0.004, bowl=0.01)
 KINDS |= {f"static-align{a}": static(alignment_error=a / 10) for a in (1, 2, 3)}
 KINDS["static-red"] = static(memory=5.0, flux_variation=0.8)
 KINDS["vlba"] = vlba

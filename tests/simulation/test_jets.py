@@ -212,6 +212,21 @@ def test_truth_has_the_motions_of_the_features_in_view():
     assert flow["n_seen"] == len(speeds)
 
 
+def test_artefacts():
+    options = {"rng": 1, "noise": 0.0, "n_epochs": 4}
+    clean = simulate_jet(**options).cube
+    rippled = simulate_jet(**options, ripple=0.01).cube
+    peaks = clean.data.max(axis=(1, 2))
+    wave = (rippled.data - clean.data) / peaks[:, None, None]
+    assert 0.005 < np.abs(wave).max() <= 0.01
+    assert not np.array_equal(wave[0], wave[1])
+    assert rippled.noise is None
+    bowls = simulate_jet(**options, bowl=0.01).cube.data - clean.data
+    assert bowls.max() <= 0
+    depth = -bowls.min(axis=(1, 2)) / peaks
+    assert np.all((depth > 0.009) & (depth < 0.03))
+
+
 @pytest.mark.parametrize("kind", ["knots", "ring"])
 def test_a_feature_of_a_shell_moves_away_from_the_centre_at_its_rate(kind):
     number = {"n_knots": 1, "n_clumps": 0} if kind == "knots" else {"n_knots": 0}
