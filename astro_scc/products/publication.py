@@ -346,9 +346,6 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
             texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
             plain[name] = Column(texts, description=values.info.description)
             dates.append(name)
-        elif values.dtype == np.int8:
-            # VOTable has no type for signed 8-bit integers.
-            plain[name] = values.astype(np.int16)
     votable = from_table(plain)
     resource, written = votable.resources[0], votable.get_first_table()
     written.description = " ".join(facts_of(table.meta)) or None
@@ -440,7 +437,9 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     return QTable(columns)[order]
 
 
-def with_published(table: QTable, features: Features, published: QTable) -> QTable:
+def with_published(
+    table: QTable, features: Features, published: QTable | None
+) -> QTable:
     """
     Return a table of features with the published ones and their proper motions.
 
@@ -454,15 +453,17 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
     table : `~astropy.table.QTable`
         Of the features.
     features : `~astro_scc.features.Features`
-    published : `~astropy.table.QTable`
+    published : `~astropy.table.QTable` or None
         See `published_positions`.
 
     Returns
     -------
     `~astropy.table.QTable`
         With the columns ``published``, ``published_pm`` and ``published_pm_err``,
-        masked where no published feature is the same.
+        masked where no published feature is the same; the table itself for None.
     """
+    if published is None:
+        return table
     d, paths = features.detections, {}
     for number in np.unique(published["published"]).tolist():
         own = published[published["published"] == number]

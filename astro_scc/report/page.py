@@ -299,11 +299,9 @@ def write_report(
         if it is there.
     all_figures : bool, optional
         Draw ``velocity_map.png``, ``significance.png``, ``members.png``,
-        ``epochs.png``, ``intervals.png`` and ``sensitivity.png``, too, which take
-        longer than the others.
+        ``epochs.png`` and ``sensitivity.png``, too, which take longer than the others.
     pdf : bool, optional
-        Write each figure as a PDF file, too, as wide as a column of a journal and
-        with letters of 8 pt.
+        Write each figure as a PDF file, too.
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
         ``astro_scc.products.publication.published_positions``.
@@ -330,7 +328,8 @@ def write_report(
     >>> path.name
     'report.html'
     """
-    directory, own = Path(directory), result.features
+    directory = Path(directory)
+    own = with_published(result.features, result.tracked_features, published)
     components = result.components if components is None else components
     make_folder(directory, directory)
     shown = printed(components)
@@ -338,8 +337,6 @@ def write_report(
     jet = components[np.isin(components["component"], shown["component"])]
     how = {"every": all_figures, "pdf": pdf, "published": published}
     files = draw_figures(result, jet, **how)
-    if published is not None:
-        own = with_published(own, result.tracked_features, published)
     features = table_in_c_as(printed(own), components)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
@@ -460,7 +457,7 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
         options |= {"tracks": own, "separation": own | per_pm}
     if every:
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
-        options |= {"epochs": {}, "intervals": {}}
+        options |= {"epochs": {}}
         options |= {"members": rows} if len(components) else {}
         options |= {"sensitivity": per_pm} if len(result.sensitivity) else {}
     figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}
