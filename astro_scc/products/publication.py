@@ -413,8 +413,6 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     try:
         found = read_components(path, source=name and str(name))
     except ValueError as error:
-        if not name:
-            raise
         try:
             # A table of one source may give it another name.
             found = read_components(path)

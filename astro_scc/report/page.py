@@ -103,13 +103,10 @@ def feature_rows(features, most=MOST):
     """
     columns = headed(features, FEATURES, own="features").values()
     heads, _, columns = zip(*columns, strict=True)
-    secure = np.asarray(features["secure"], bool)
-    first = np.argsort(-(secure * features["n_epochs"]), kind="stable")[:most]
-    first = set(first[secure[first]])
-    shown, others = [], []
-    for k, row in enumerate(zip(*columns, strict=True)):
-        (shown if k in first else others).append((row, secure[k]))
-    return heads, shown, others
+    rows = [*zip(zip(*columns, strict=True), features["secure"], strict=True)]
+    first = answer.longest(features, most)
+    others = np.setdiff1d(np.arange(len(rows)), first)
+    return heads, [rows[k] for k in first], [rows[k] for k in others]
 
 
 def acceleration_text(features):
@@ -333,10 +330,8 @@ def write_report(
     components = result.components if components is None else components
     make_folder(directory, directory)
     shown = printed(components)
-    # Of all rows that the figures mark they need the places.
-    jet = components[np.isin(components["component"], shown["component"])]
     how = {"every": all_figures, "pdf": pdf, "published": published}
-    files = draw_figures(result, jet, **how)
+    files = draw_figures(result, shown, **how)
     features = table_in_c_as(printed(own), components)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
@@ -417,7 +412,7 @@ def write_overview(table, features, parts, folder, *, published):
         Path of the page.
     """
     folder, files = Path(folder), {}
-    found = speeds.population(features)
+    found = speeds.population(features) if len(features) else {"moving": np.array([])}
     if found["moving"].any():
         plot = partial(speeds.plot_population, features)
         files = style.figure_files({"population": plot})

@@ -110,17 +110,7 @@ def population(features):
         three standard errors.  ``at rest`` are features of
         at least ten epochs that are false with a probability of at most 0.3 and slower
         than three standard errors; secure ones have moved by a beam.
-
-    Examples
-    --------
-    >>> from astropy.table import QTable
-    >>> from astro_scc.visualization.speeds import population
-    >>> population(QTable())["moving"].sum()
-    np.int64(0)
     """
-    if len(features) == 0:
-        names = ("moving", "at rest", "inward", "judged", "accelerated")
-        return dict.fromkeys(names, np.zeros(0, dtype=bool))
 
     def ratio(name):
         value, error = (_plain(features[k]) for k in (name, f"{name}_err"))
