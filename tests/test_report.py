@@ -233,19 +233,12 @@ def test_what_the_page_says_of_components(
     assert unsaid not in words
 
 
-def test_the_headline_is_that_of_the_terminal(result, words_of):
-    for kinds, begin in (
-        (["not significant"], "No significant motion: the strongest peak between "),
-        (["not confirmed", "not significant"], "Motion not confirmed: "),
-        (["moving", "moving", "not confirmed"], "Motion: "),
-    ):
-        table = result.components[[0] * len(kinds)]
-        table["kind"] = kinds
-        said = headline(table)
-        assert said.startswith(begin)
-        assert said.count("towards PA") == kinds.count("moving")
-        assert component_lines(table, result.features)[0] == said
-    assert said.replace("+-", "±") in words_of(result, table)
+def test_the_headline_names_each_stream(result):
+    table = result.components[[0, 0, 0]]
+    table["kind"] = ["moving", "moving", "not confirmed"]
+    said = headline(table)
+    assert said.count("towards PA") == 2
+    assert component_lines(table, result.features)[0] == said
 
 
 def test_choices_that_change_the_speed_are_named(result, words_of):
@@ -258,19 +251,19 @@ def test_choices_that_change_the_speed_are_named(result, words_of):
     assert FAST not in words
 
 
-def test_what_does_not_move_has_a_limit(result):
-    table = result.components.copy()
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_what_does_not_move_has_a_limit(result, share):
+    table, features = result.components.copy(), result.features
+    own = features[features["component"] == 1]
     assert table["pm_limit"][1] == table["pm"][1] + 1.645 * table["pm_err"][1]
+    table["pm_limit"][0] = share * own["pm"].max()
+    named = ", ".join(map(str, own["feature"]))
     # The core has none, and neither have features of which one is faster.
-    assert "upper limit" not in " ".join(notes(table, result.features))
-    own = result.features[result.features["component"] == 1]
-    table["pm_limit"][0] = 1.1 * own["pm"].max()
-    assert notes(table, result.features)[0] == (
+    said = [line for line in notes(table, features) if "upper limit" in line]
+    assert said == (share > 1) * [
         f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper limit (95%) "
-        f"of the mean speed of its features ({', '.join(map(str, own['feature']))})"
-    )
-    table["pm_limit"][0] = 0.9 * own["pm"].max()
-    assert "upper limit" not in " ".join(notes(table, result.features))
+        f"of the mean speed of its features ({named})"
+    ]
 
 
 def test_a_core_is_known_by_its_beam(result, words_of):

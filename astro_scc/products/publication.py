@@ -338,14 +338,13 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     >>> QTable.read("components.vot")["pm"].unit
     Unit("mas / yr")
     """
-    plain, dates = Table(table), []
-    for name in table.colnames:
-        values = plain[name]
-        if isinstance(values, Time):
-            # An empty array of dates does not have the type of text.
-            texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
-            plain[name] = Column(texts, description=values.info.description)
-            dates.append(name)
+    plain = Table(table)
+    dates = [name for name in table.colnames if isinstance(table[name], Time)]
+    for name in dates:
+        values = table[name]
+        # An empty array of dates does not have the type of text.
+        texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
+        plain[name] = Column(texts, description=values.info.description)
     votable = from_table(plain)
     resource, written = votable.resources[0], votable.get_first_table()
     written.description = " ".join(facts_of(table.meta)) or None
