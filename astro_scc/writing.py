@@ -7,13 +7,9 @@ import platform
 import re
 import secrets
 import shutil
-import time
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-
-#: Seconds for which a folder must be held to count as held, and number of trials.
-PATIENCE, TRIES = 1.0, 50
 
 
 @contextmanager
@@ -181,29 +177,6 @@ def hold(folder):
             # Windows and some network file systems have no such locks.
             held = False
         yield held
-
-
-def is_held(folder):
-    """
-    Return whether a process holds a folder.
-
-    The workers of a killed process keep its lock until they end, so this
-    function waits for up to `PATIENCE` seconds.
-
-    Parameters
-    ----------
-    folder : path
-
-    Returns
-    -------
-    bool
-        False also if that cannot be known.
-    """
-    for _ in range(TRIES):
-        with suppress(BlockingIOError), hold(folder):
-            return False
-        time.sleep(PATIENCE / TRIES)
-    return True
 
 
 def ascii_line(text):

@@ -160,6 +160,6 @@ def read_results(result: SCCResult, cube: EpochCube) -> list[Path]:
     result.matched.write("matches.fits")
     matched = MatchedEpochs.read("matches.fits", cube)
     inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
-    regions = products.ssp_regions(inner.ssps, cube, 0, shape="circle")
+    regions = products.ssp_regions(inner.ssps, cube, 0, frame="epoch")
     regions.write("ssps.reg")
     return products.write_products(result, result.components, "out")

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 from astropy.table import Table
+from matplotlib.colors import Normalize
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import main
@@ -115,8 +116,7 @@ def plot_planes(cube, epoch, scales=(1, 2, 3)):
     for ax, plane, scale in zip(others, planes, scales, strict=True):
         limit = 0.05 * plane.max()
         part = replace(cube[epoch : epoch + 1], data=plane[None])
-        part.plot(0, ax=ax, colorbar=False, stretch="linear", vmin=-limit,
-                   vmax=limit)  # fmt: skip
+        part.plot(0, ax=ax, colorbar=False, norm=Normalize(-limit, limit))
         ax.images[0].set_cmap("RdBu_r")
         size = 2**scale * cube.pixel_scale
         ax.set(xlabel="", ylabel="", **INNER)

@@ -69,10 +69,8 @@ def measure(args, reporter):
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.matched.ssps, epochs.cube, folder)
-    features = result.features
-    if epochs.published is not None:
-        own = result.tracked_features
-        features = with_published(features, own, epochs.published)
+    own = result.features, result.tracked_features
+    features = with_published(*own, epochs.published)
     reporter.say(
         *answer.component_lines(components, features),
         *answer.published_lines(features),

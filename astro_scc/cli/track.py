@@ -71,9 +71,8 @@ def _find(epochs, reporter):
 
 def _write(features, epochs, folder):
     """Write the tables, and return that of the features."""
-    how, table, cube = epochs.settings.in_c, features.table, features.cube
-    if epochs.published is not None:
-        table = with_published(table, features, epochs.published)
+    how, cube = epochs.settings.in_c, features.cube
+    table = with_published(features.table, features, epochs.published)
     table = table_in_c(table, **how) if how else table
     meta = {
         "configuration": epochs.settings.to_dict("track"),

@@ -273,10 +273,10 @@ class EpochCube(ImageSeries):
         ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
             SSPs to draw on the images.
         **kwargs
-            ``unit`` of the offsets; ``stretch``, "asinh", "log" or "linear"; ``vmin``
-            and ``vmax``, the brightness at the ends of the colours; ``zoom``, whether
-            to show only the part with SSPs.  Of one epoch also ``ax`` and ``colorbar``,
-            of several ``figure`` and ``max_panels``.
+            ``unit`` of the offsets; ``norm``, a `matplotlib.colors.Normalize` of the
+            brightness, by default linear up to three times the noise and logarithmic
+            above; ``zoom``, whether to show only the part with SSPs.  Of one epoch also
+            ``ax`` and ``colorbar``, of several ``figure`` and ``max_panels``.
 
         Returns
         -------

@@ -400,12 +400,12 @@ class SCCResult(tables.Components):
             Fig. 2 of Mertens & Lobanov (2016); ``"diagram"``, the displacement-interval
             diagram with the rays of the streams; ``"members"``, the matches of each
             component; ``"speeds"``, ``"tracks"`` and ``"separation"`` of the features;
-            ``"epochs"``, the images with their SSPs; ``"intervals"``, the pairs of
-            epochs; ``"sensitivity"``, the speed with other choices of the data.
+            ``"epochs"``, the images with their SSPs; ``"sensitivity"``, the speed
+            with other choices of the data.
         **options
             ``ax``, the axes to draw on, or for "paper", "members", "tracks" and
-            "epochs" ``figure``; ``unit`` of the axes, but for "speeds",
-            "intervals" and "sensitivity".  Of figures with components: their table
+            "epochs" ``figure``; ``unit`` of the axes, but for "speeds" and
+            "sensitivity".  Of figures with components: their table
             ``components``; of figures with speeds: ``beta_per_pm``, the apparent speed
             in units of c of 1 mas/yr, for a second axis.  Also ``which``, the map
             "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "members" and

@@ -338,17 +338,13 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     >>> QTable.read("components.vot")["pm"].unit
     Unit("mas / yr")
     """
-    plain, dates = Table(table), []
-    for name in table.colnames:
-        values = plain[name]
-        if isinstance(values, Time):
-            # An empty array of dates does not have the type of text.
-            texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
-            plain[name] = Column(texts, description=values.info.description)
-            dates.append(name)
-        elif values.dtype == np.int8:
-            # VOTable has no type for signed 8-bit integers.
-            plain[name] = values.astype(np.int16)
+    plain = Table(table)
+    dates = [name for name in table.colnames if isinstance(table[name], Time)]
+    for name in dates:
+        values = table[name]
+        # An empty array of dates does not have the type of text.
+        texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
+        plain[name] = Column(texts, description=values.info.description)
     votable = from_table(plain)
     resource, written = votable.resources[0], votable.get_first_table()
     written.description = " ".join(facts_of(table.meta)) or None
@@ -416,8 +412,6 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     try:
         found = read_components(path, source=name and str(name))
     except ValueError as error:
-        if not name:
-            raise
         try:
             # A table of one source may give it another name.
             found = read_components(path)
@@ -440,7 +434,9 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     return QTable(columns)[order]
 
 
-def with_published(table: QTable, features: Features, published: QTable) -> QTable:
+def with_published(
+    table: QTable, features: Features, published: QTable | None
+) -> QTable:
     """
     Return a table of features with the published ones and their proper motions.
 
@@ -454,15 +450,17 @@ def with_published(table: QTable, features: Features, published: QTable) -> QTab
     table : `~astropy.table.QTable`
         Of the features.
     features : `~astro_scc.features.Features`
-    published : `~astropy.table.QTable`
+    published : `~astropy.table.QTable` or None
         See `published_positions`.
 
     Returns
     -------
     `~astropy.table.QTable`
         With the columns ``published``, ``published_pm`` and ``published_pm_err``,
-        masked where no published feature is the same.
+        masked where no published feature is the same; the table itself for None.
     """
+    if published is None:
+        return table
     d, paths = features.detections, {}
     for number in np.unique(published["published"]).tolist():
         own = published[published["published"] == number]

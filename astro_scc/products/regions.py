@@ -8,13 +8,11 @@ import re
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
 from skimage.measure import find_contours
 
 from astro_scc.decomposition import SSPs
-from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.images.series import epoch_index
 from astro_scc.writing import replace_when_complete
@@ -33,10 +31,13 @@ DIGITS = 13
 
 def ssp_regions(
     ssps: SSPs, cube: EpochCube, epoch: int, *, scales: ArrayLike | None = None,
-    shape: str = "outline", frame: str = "cube",
+    frame: str = "cube",
 ) -> Regions:  # fmt: skip
     """
     Return the SSPs of an epoch as regions on the sky.
+
+    They are polygons around the centres of the pixels of each SSP; holes are not cut
+    out.
 
     Parameters
     ----------
@@ -47,9 +48,6 @@ def ssp_regions(
         Index of the epoch.
     scales : sequence of float, optional
         By default all scales.
-    shape : {"outline", "circle"}
-        Polygons around the centres of the pixels of each SSP (holes are not
-        cut out), or circles around the maxima, as wide as the scale.
     frame : {"cube", "epoch"}
         The coordinates of the cube, as in the files of
         `~astro_scc.epochs.write_epochs`, or those that the epoch's own file
@@ -59,16 +57,16 @@ def ssp_regions(
     Returns
     -------
     `regions.Regions`
-        Each is a `~regions.PolygonSkyRegion` or `~regions.CircleSkyRegion`.
-        Its text is its number in ``ssps``, its colour shows the scale.
+        Each is a `~regions.PolygonSkyRegion`.  Its text is its number in ``ssps``,
+        its colour shows the scale.
 
     Raises
     ------
     IndexError
         If there is no such epoch.
     ValueError
-        If the shape or the frame is unknown, or if the coordinates of the
-        epoch's own file are wanted but the cube was not read from files.
+        If the frame is unknown, or if the coordinates of the epoch's own file are
+        wanted but the cube was not read from files.
 
     Examples
     --------
@@ -84,18 +82,15 @@ def ssp_regions(
     # It imports matplotlib.
     from regions import Regions
 
-    if shape not in ("outline", "circle"):
-        raise ValueError(f"shape must be 'outline' or 'circle', got {shape!r}")
     if frame not in ("cube", "epoch"):
         raise ValueError(f"frame must be 'cube' or 'epoch', got {frame!r}")
     if frame == "epoch" and cube.epoch_wcs is None:
         raise ValueError("the cube was not read from files; there is no frame 'epoch'")
     wcs = cube.wcs if frame == "cube" else cube.epoch_wcs[epoch]
-    make = _outline if shape == "outline" else _circle
     colors = {s: COLORS[k % len(COLORS)] for k, s in enumerate(np.unique(ssps.scale))}
     found = Regions([])
     for index in _chosen(ssps, cube, epoch, scales):
-        region = make(ssps, index, cube, wcs)
+        region = _outline(ssps, index, cube, wcs)
         region.meta["text"] = str(index)
         region.visual["color"] = colors[ssps.scale[index]]
         found.append(region)
@@ -117,7 +112,7 @@ def write_ssp_regions(
         A file, commonly ``.reg``.
     overwrite : bool, optional
     **options
-        ``scales``, ``shape`` and ``frame`` of `ssp_regions`.
+        ``scales`` and ``frame`` of `ssp_regions`.
 
     Returns
     -------
@@ -225,14 +220,6 @@ def _outline(ssps, index, cube, wcs):
     return PolygonSkyRegion(wcs.pixel_to_world(x + x0 - 1, y + y0 - 1))
 
 
-def _circle(ssps, index, cube, wcs):
-    from regions import CircleSkyRegion
-
-    size = scale_size(ssps.scale[index]) * cube.pixel_scale
-    centre = wcs.pixel_to_world(ssps.x[index], ssps.y[index])
-    return CircleSkyRegion(centre, (size / 2).to(u.arcsec))
-
-
 def write_epoch_regions(
     ssps: SSPs, cube: EpochCube, directory: Path | str, **options: Any
 ) -> list[Path]:
@@ -248,7 +235,7 @@ def write_epoch_regions(
         Its folder ``ssp_regions`` is made if needed; files of the same names
         are replaced.
     **options
-        ``scales`` and ``shape`` of `ssp_regions`.
+        ``scales`` of `ssp_regions`.
 
     Returns
     -------

@@ -228,16 +228,21 @@ def feature_lines(features, most=MOST):
     list of str
         If no feature is secure, they say what the nearest to it lacks.
     """
-    secure = features[np.asarray(features["secure"], dtype=bool)]
-    n = len(features)
-    said = f"{n} {'feature' if n == 1 else 'features'}, {len(secure)} of them secure"
-    if len(secure) == 0:
+    n, n_secure = len(features), np.sum(features["secure"])
+    said = f"{n} {'feature' if n == 1 else 'features'}, {n_secure} of them secure"
+    if n_secure == 0:
         return [f"{said}.", *_lacking(features)]
-    longest = np.argsort(-secure["n_epochs"], kind="stable")[:most]
-    if len(longest) < len(secure):
+    if most < n_secure:
         said += f"; the {most} that were seen in most epochs"
-    lines = column_lines(_followed(secure[np.sort(longest)]), FEATURES)
+    lines = column_lines(_followed(features[longest(features, most)]), FEATURES)
     return ["", f"{said}:", *lines, ""]
+
+
+def longest(features, most):
+    """Return the rows of secure features, of many those seen in most epochs."""
+    secure = np.flatnonzero(features["secure"])
+    order = np.argsort(-features["n_epochs"][secure], kind="stable")
+    return np.sort(secure[order[:most]])
 
 
 def published_lines(features):

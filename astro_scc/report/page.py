@@ -103,13 +103,10 @@ def feature_rows(features, most=MOST):
     """
     columns = headed(features, FEATURES, own="features").values()
     heads, _, columns = zip(*columns, strict=True)
-    secure = np.asarray(features["secure"], bool)
-    first = np.argsort(-(secure * features["n_epochs"]), kind="stable")[:most]
-    first = set(first[secure[first]])
-    shown, others = [], []
-    for k, row in enumerate(zip(*columns, strict=True)):
-        (shown if k in first else others).append((row, secure[k]))
-    return heads, shown, others
+    rows = [*zip(zip(*columns, strict=True), features["secure"], strict=True)]
+    first = answer.longest(features, most)
+    others = np.setdiff1d(np.arange(len(rows)), first)
+    return heads, [rows[k] for k in first], [rows[k] for k in others]
 
 
 def acceleration_text(features):
@@ -299,11 +296,9 @@ def write_report(
         if it is there.
     all_figures : bool, optional
         Draw ``velocity_map.png``, ``significance.png``, ``members.png``,
-        ``epochs.png``, ``intervals.png`` and ``sensitivity.png``, too, which take
-        longer than the others.
+        ``epochs.png`` and ``sensitivity.png``, too, which take longer than the others.
     pdf : bool, optional
-        Write each figure as a PDF file, too, as wide as a column of a journal and
-        with letters of 8 pt.
+        Write each figure as a PDF file, too.
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
         ``astro_scc.products.publication.published_positions``.
@@ -330,16 +325,13 @@ def write_report(
     >>> path.name
     'report.html'
     """
-    directory, own = Path(directory), result.features
+    directory = Path(directory)
+    own = with_published(result.features, result.tracked_features, published)
     components = result.components if components is None else components
     make_folder(directory, directory)
     shown = printed(components)
-    # Of all rows that the figures mark they need the places.
-    jet = components[np.isin(components["component"], shown["component"])]
     how = {"every": all_figures, "pdf": pdf, "published": published}
-    files = draw_figures(result, jet, **how)
-    if published is not None:
-        own = with_published(own, result.tracked_features, published)
+    files = draw_figures(result, shown, **how)
     features = table_in_c_as(printed(own), components)
     meta = {**result.meta, **components.meta}
     page = _template("report.html").render(
@@ -420,7 +412,7 @@ def write_overview(table, features, parts, folder, *, published):
         Path of the page.
     """
     folder, files = Path(folder), {}
-    found = speeds.population(features)
+    found = speeds.population(features) if len(features) else {"moving": np.array([])}
     if found["moving"].any():
         plot = partial(speeds.plot_population, features)
         files = style.figure_files({"population": plot})
@@ -460,7 +452,7 @@ def draw_figures(result, components, *, every=False, pdf=False, published=None):
         options |= {"tracks": own, "separation": own | per_pm}
     if every:
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
-        options |= {"epochs": {}, "intervals": {}}
+        options |= {"epochs": {}}
         options |= {"members": rows} if len(components) else {}
         options |= {"sensitivity": per_pm} if len(result.sensitivity) else {}
     figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}

@@ -8,7 +8,7 @@ Those of a measurement and of images are drawn by `SCCResult.plot
 """
 
 from astro_scc.visualization import tracks, velocity
-from astro_scc.visualization.images import plot_epochs, plot_intervals
+from astro_scc.visualization.images import plot_epochs
 from astro_scc.visualization.speeds import (
     plot_feature_speeds,
     plot_profile,
@@ -39,7 +39,6 @@ FIGURES = {
     "tracks": _of_features(tracks.plot_tracks),
     "separation": _of_features(tracks.plot_separation),
     "epochs": lambda result, **how: plot_epochs(result.cube, result.ssps, **how),
-    "intervals": lambda result, **how: plot_intervals(result.cube, result.pairs, **how),
     "sensitivity": lambda result, **how: plot_sensitivity(result.sensitivity, **how),
 }
 

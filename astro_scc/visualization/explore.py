@@ -148,8 +148,8 @@ class Page:
         else:
             angle = np.radians(self.angle)
             along = np.array([np.sin(angle), np.cos(angle)]) @ motion
-        to_length = u.mas.to(self.length)
-        columns = {name: [] for name in ("xs", "ys", "ts", "ds", "lt", "ld", "ry")}
+        to_length, to_time = u.mas.to(self.length), u.yr.to(self.pm_unit.bases[1])
+        columns = {name: [] for name in ("xs", "ys", "ts", "ds", "ld", "rx", "ry")}
         for k, ray in enumerate(along):
             at = self.row == k
             x, y, t, d = (points[name][at] for name in "xytd")
@@ -158,7 +158,8 @@ class Page:
             # Outliers are not of the line.
             start = np.median(self.place[:, at] - moved, axis=1)
             line = np.hypot(*(start[:, None] + moved)) * to_length
-            parts = x, y, t, d, t, line, ray * years[[0, -1]] * to_length
+            seen = years[[0, -1]]
+            parts = x, y, t, d, line, seen * to_time, ray * seen * to_length
             for name, values in zip(columns, parts, strict=True):
                 columns[name].append(np.round(values, 5).tolist())
         speeds = {"pm": table, "pm_err": table, "pm_axis1": own, "pm_axis2": own}
@@ -373,8 +374,6 @@ class Page:
         mapper = models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}
         plot.image([level], x=0, y=-top, color_mapper=mapper, **size)
-        life = [u.ms.to(time, t[-1] - t[0]) for t in self.features.data["ts"]]
-        self.features.data["rx"] = [[0, v] for v in life]
         lines = self._lines(plot, "rx", "ry")
         middle = {"text_align": "center", "text_baseline": "middle"}
         numbers = self.components["component"]
@@ -393,7 +392,7 @@ class Page:
         label = f"Core separation ({unit_name(self.length)})"
         plot = self._figure("Date", label, x_axis_type="datetime")
         self._lines(plot, "ts", "ds", 0.8)
-        lines = self._lines(plot, "lt", "ld", 1.6, 0.7)
+        lines = self._lines(plot, "ts", "ld", 1.6, 0.7)
         dots = self._dots(plot, "t", "d", 5, legend_group="label")
         self._now(plot, "t", "d")
         self._tools(plot, lines, dots)

@@ -41,14 +41,16 @@ class View:
         See `ssp_points`.
     image : `numpy.ma.MaskedArray`
         One or more images, which decide on the colours.
+    epochs : index
+        Those whose noise counts for the colours.
     zoom : bool, optional
         Show only the part with SSPs.
     edge : float, optional
         Share of the SSPs' weight that may lie beyond each side.
     unit : `~astropy.units.Unit`, optional
         Unit of the offsets.
-    **colors
-        See `plotting_norm`.
+    norm : `matplotlib.colors.Normalize`, optional
+        By default that of `plotting_norm`.
 
     Attributes
     ----------
@@ -58,13 +60,16 @@ class View:
         Converts mas to the unit.
     """
 
-    def __init__(self, cube, points, image, zoom=True, edge=EDGE, unit=None, **colors):
+    def __init__(
+        self, cube, points, image, epochs, zoom=True, edge=EDGE, unit=None, norm=None
+    ):
         self.cube, self.points = cube, points
         limits = image_limits(cube, points if zoom else None, edge)
         self.unit = offset_unit(np.ptp(limits, axis=1).max(), unit)
         self.factor = u.mas.to(self.unit)
         self.limits = limits * self.factor
-        self.norm = plotting_norm(cube, image, **colors)
+        self.norm = norm or plotting_norm(cube, image, epochs)
+        self.norm.autoscale_None(image.compressed())
         *words, self.to_the_left = axis_words(cube)
         self.labels = axis_labels("Offset", words, self.unit)
 
@@ -112,26 +117,18 @@ def image_limits(cube, points=None, edge=EDGE):
     return np.clip(near, whole[:, :1], whole[:, 1:])
 
 
-def plotting_norm(
-    cube, image, epochs=slice(None), stretch="asinh", vmin=None, vmax=None
-):
+def plotting_norm(cube, image, epochs=slice(None)):
     """Return the norm that maps brightness to colour, for the noise of the epochs."""
-    from matplotlib.colors import AsinhNorm, LogNorm, Normalize
+    from matplotlib.colors import AsinhNorm, Normalize
 
-    if stretch not in ("asinh", "log", "linear"):
-        raise ValueError(f"unknown stretch {stretch!r}: use 'asinh', 'log' or 'linear'")
     noise = cube.noise_rms().value[epochs]
     noise = noise[np.isfinite(noise) & (noise > 0)]
-    top = float(image.max()) if vmax is None else vmax
+    top = float(image.max())
     noise = np.median(noise) if len(noise) else abs(top) / 1e3
-    if stretch == "log":
-        low = noise if vmin is None else vmin
-        low = low if low > 0 else 1e-3
-        return LogNorm(low, top if top > low else 10 * low, clip=True)
-    bottom = max(float(image.min()), -noise) if vmin is None else vmin
+    bottom = max(float(image.min()), -noise)
     if not top > bottom:
         bottom, top = bottom - 0.5, bottom + 0.5
-    if stretch == "linear" or noise == 0:
+    if noise == 0:
         return Normalize(bottom, top)
     return AsinhNorm(LINEAR_NOISE * noise, vmin=bottom, vmax=top)
 
@@ -255,7 +252,7 @@ def mean_image_panels(cube, points, n, *, figure, unit, edge):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
-    view = View(cube, points, image, unit=unit, edge=edge)
+    view = View(cube, points, image, slice(None), unit=unit, edge=edge)
     figure, axes = image_panels(view, n, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     for ax in axes:
@@ -441,10 +438,8 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
         Axes to draw on instead of a new figure.
     unit : `~astropy.units.Unit`, optional
         Unit of the offsets.
-    stretch : {"asinh", "log", "linear"}
-        "asinh" is linear up to three times the noise and logarithmic above.
-    vmin, vmax : float, optional
-        Brightness at the ends of the colours, in the unit of the cube.
+    norm : `matplotlib.colors.Normalize`, optional
+        By default linear up to three times the noise and logarithmic above.
     zoom : bool, optional
         Show only the part of the image that holds SSPs, except the outermost,
         which may be noise.
@@ -457,13 +452,13 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     Raises
     ------
     ValueError
-        If the stretch is unknown, or the unit is not an angle.
+        If the unit is not an angle.
     IndexError
         If there is no such epoch.
     """
     index = epoch_index(epoch, len(cube))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
-    view = View(cube, ssp_points(cube, ssps), image, epochs=[index], **view)
+    view = View(cube, ssp_points(cube, ssps), image, [index], **view)
     width, height = np.ptp(view.limits, axis=1)
     height = float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
@@ -497,7 +492,7 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
         If there are more epochs, the first, the last and others evenly between
         them are drawn.
     **view
-        ``unit``, ``stretch``, ``vmin``, ``vmax`` and ``zoom``, see `plot_epoch`.
+        ``unit``, ``norm`` and ``zoom``, see `plot_epoch`.
 
     Returns
     -------
@@ -506,15 +501,14 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
     Raises
     ------
     ValueError
-        If ``max_panels`` is below 1, the stretch is unknown, or the unit is
-        not an angle.
+        If ``max_panels`` is below 1, or the unit is not an angle.
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")
     n = len(cube)
     chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
-    view = View(cube, ssp_points(cube, ssps), images, epochs=chosen, **view)
+    view = View(cube, ssp_points(cube, ssps), images, chosen, **view)
     figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = epoch_names(cube.times)
     of_beam, of_date, *_ = empty_corners(view, images.max(axis=0))
@@ -528,52 +522,6 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
     if handles:
         place = {"loc": "outside upper center", "markerscale": 1.6}
         figure.legend(handles=handles, **place, **LEGEND)
-    return figure
-
-
-def plot_intervals(cube, pairs, *, ax=None):
-    """
-    Draw the dates of the epochs, and the pairs of epochs that are compared.
-
-    Each pair is a bar from its first to its second date, drawn at the height of
-    the interval between them, over which motion is measured.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    pairs : ``DatePairs``
-        For example ``result.pairs``.
-    ax : `matplotlib.axes.Axes`, optional
-        Axes to draw on instead of a new figure.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-    """
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 2.6))
-    longest = pairs.interval.max(initial=0.0) or 1.0
-    unit = next((v for v in (u.yr, u.d, u.h) if longest >= v.to(u.yr)), u.min)
-    height = u.yr.to(unit, pairs.interval)
-    dates = cube.times.plot_date
-    first, second = dates[pairs.first], dates[pairs.second]
-    many = len(pairs) > 60
-    width, alpha = (0.8, 0.4) if many else (1.8, 0.9)
-    bar = {"colors": style.BLUE, "linewidths": width, "alpha": alpha}
-    ax.hlines(height, first, second, gid="pairs", **bar)
-    if not many:
-        ends = np.stack([first, second])
-        ax.plot(ends, [height, height], "o", color=style.BLUE, markersize=3)
-    top = 1.15 * height.max(initial=0.0) or 1.0
-    ax.vlines(dates, -0.12 * top, -0.02 * top, color=style.BLACK, linewidth=1.2)
-    ax.axhline(0, color=style.BLACK, linewidth=0.6)
-    margin = 0.03 * np.ptp(dates) or 1.0
-    ax.set(xlim=(dates[0] - margin, dates[-1] + margin), ylim=(-0.14 * top, top))
-    locator = AutoDateLocator(minticks=3, maxticks=8)
-    ax.xaxis.set_major_locator(locator)
-    ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-    ax.set(xlabel="Date of observation", ylabel=f"Time between epochs ({unit})")
     return figure
 
 

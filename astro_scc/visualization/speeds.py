@@ -50,7 +50,7 @@ def plot_feature_speeds(
     if profile is not None and len(profile):
         look = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
         look["label"] = "mean of bin"
-        style.draw_bins(ax, profile, "pm_parallel", unit, speeds, **look)
+        style.draw_bins(ax, profile, unit, speeds, **look)
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Core separation ({unit_name(unit)})")
@@ -110,17 +110,7 @@ def population(features):
         three standard errors.  ``at rest`` are features of
         at least ten epochs that are false with a probability of at most 0.3 and slower
         than three standard errors; secure ones have moved by a beam.
-
-    Examples
-    --------
-    >>> from astropy.table import QTable
-    >>> from astro_scc.visualization.speeds import population
-    >>> population(QTable())["moving"].sum()
-    np.int64(0)
     """
-    if len(features) == 0:
-        names = ("moving", "at rest", "inward", "judged", "accelerated")
-        return dict.fromkeys(names, np.zeros(0, dtype=bool))
 
     def ratio(name):
         value, error = (_plain(features[k]) for k in (name, f"{name}_err"))
@@ -217,10 +207,9 @@ ANGLE_BINS = 24
 
 def plot_profile(
     table: QTable, *, cube: EpochCube | None = None, line: RidgeLine | None = None,
-    column: str = "pm_parallel",
     fits: Sequence[Callable[[u.Quantity], u.Quantity]] = (),
     others: Sequence[tuple[str, u.Quantity, u.Quantity, u.Quantity]] = (),
-    beta_per_pm: float | None = None, figure: Figure | None = None,
+    beta_per_pm: float | None = None,
 ) -> Figure:  # fmt: skip
     """
     Draw speed against distance, with the jet above it.
@@ -233,8 +222,6 @@ def plot_profile(
         Cube whose mean image is drawn above, on the same scale of distances.
     line : `~astro_scc.kinematics.RidgeLine`, optional
         Line along which the jet is drawn; it needs the cube.
-    column : str, optional
-        Column of the speed that is drawn.
     fits : sequence of `~astro_scc.flow.ProfileFit`, optional
         Fits that are drawn as curves.
     others : sequence of (str, distance, speed, error), optional
@@ -242,8 +229,6 @@ def plot_profile(
     beta_per_pm : float, optional
         Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
         second axis.
-    figure : `matplotlib.figure.Figure`, optional
-        Figure to draw on instead of a new one.
 
     Returns
     -------
@@ -263,26 +248,26 @@ def plot_profile(
     >>> table = QTable({"r_min": [0, 1] * u.mas, "r_max": [1, 2] * u.mas,
     ...                 "r_mid": [0.5, 1.5] * u.mas,
     ...                 "kind": ["moving", "not significant"],
+    ...                 "main": [True, True], "n_features": [6, 2],
     ...                 "pm_parallel": speed, "pm_parallel_err": 0.1 * speed})
     >>> plot_profile(table).axes[0].get_xlabel()
     'Core separation (mas)'
     """
     above = cube is not None and line is not None
-    if figure is None:
-        figure = style.new_figure((style.WIDTH, 4.6 if above else 3.4))
+    figure = style.new_figure((style.WIDTH, 4.6 if above else 3.4))
     if above:
         figure.set_layout_engine("constrained")
         strip, ax = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
     else:
         ax = figure.add_subplot()
-    speeds = table[column].unit
+    speeds = table["pm_parallel"].unit
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
     for name, r, *speed in others:
         r = u.Quantity(r).to_value(u.mas)
         look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
         ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **look)
         far = max(far, float(np.max(r, initial=0)))
-    _draw_components(ax, table, column)
+    _draw_components(ax, table)
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
@@ -292,34 +277,31 @@ def plot_profile(
     ax.set_xlim(0, 1.02 * far)
     if len(table):
         # Very large errors must not squeeze the rest.
-        speed = table[column].value
+        speed = table["pm_parallel"].value
         low, high = speed.min(initial=0.0), speed.max(initial=0.0)
         margin = 0.35 * max(high - low, 1e-9)
         bottom, top = ax.get_ylim()
         ax.set_ylim(max(bottom, low - margin), min(top, high + margin))
     ax.set_xlabel("Core separation (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
-    if ax.get_legend_handles_labels()[0]:
-        style.legend_above(ax)
+    style.legend_above(ax)
     style.add_speed_axis(ax, speeds, beta_per_pm, "right")
     if above:
         _draw_strip(strip, cube, line, far)
     return figure
 
 
-def _draw_components(ax, table, column):
+def _draw_components(ax, table):
     """Draw the components by kind, those that do not represent their bin smaller."""
-    if "n_features" in table.colnames:
-        # What has no feature has no speed.
-        table = table[np.asarray(table["n_features"]) > 0]
-    kinds = np.asarray(table["kind"], dtype=str)
-    main = table["main"] if "main" in table.colnames else np.ones(len(table), bool)
+    # What has no feature has no speed.
+    table = table[np.asarray(table["n_features"]) > 0]
+    kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
     for kind, sign in style.KINDS.items():
         own = kinds == kind
         for part, size in ((own & main, 5), (own & ~main, 3)):
             if part.any():
                 style.draw_bins(
-                    ax, table[part], column, u.mas, table[column].unit, ms=size,
+                    ax, table[part], u.mas, table["pm_parallel"].unit, ms=size,
                     fmt=sign.on_profile, lw=1.0, zorder=3,
                     color=style.VERMILION if kind == "stationary" else style.BLUE,
                     mfc="white" if kind.startswith("not") else None,

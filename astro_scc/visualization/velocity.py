@@ -60,6 +60,8 @@ class Scene:
         Whether the axes of the result are east and north.
     words : (str, str, bool)
         See `~astro_scc.images.positions.axis_words`.
+    labels : list of str
+        Labels of the axes of velocities.
     """
 
     def __init__(self, result, figsize, ax=None, components=None, unit=None):
@@ -70,12 +72,8 @@ class Scene:
         self.kinds = self.components["kind"].tolist()
         self.on_sky = result.frame.axis_names[0] in SKY
         self.words = axis_words(result.cube)
+        self.labels = velocity_labels(result.frame.axis_names, self.words, self.unit)
         self.figure, self.ax = style.figure_and_axes(ax, figsize)
-
-    @property
-    def labels(self):
-        """Labels of the axes of velocities."""
-        return velocity_labels(self.result.frame.axis_names, self.words, self.unit)
 
     def streams(self, *columns):
         """Yield row, kind, whether it was found, and numbers in columns of each."""
@@ -212,11 +210,8 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     speed, axis, highest = _along_jet(scene)
     speed = PM_UNIT.to(unit, speed)
     ax.axhline(0, color=GREY, linewidth=0.6)
-    for values, color, width, label in (
-        (highest, GREY, 0.8, "highest, any transverse speed"),
-        (axis, style.BLUE, 1.6, "at zero transverse speed"),
-    ):
-        ax.plot(speed, values, color=color, linewidth=width, label=label)
+    ax.plot(speed, highest, color=GREY, lw=0.8, label="highest, any transverse speed")
+    ax.plot(speed, axis, color=style.BLUE, lw=1.6, label="at zero transverse speed")
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(unit, max(result.grid.step))
     for row, kind, strong, numbers in scene.streams(*names):
@@ -242,8 +237,7 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
         angle = f"{result.position_angle.to_value(u.deg) % 360:.0f} deg"
         label = f"Proper motion along position angle {angle} ({unit_name(unit)})"
     ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
-    how = {"ncols": style.legend_columns(2), "frameon": False}
-    ax.legend(loc="upper left", fontsize="small", **how)
+    ax.legend(loc="upper left", fontsize="small", ncols=2, frameon=False)
     style.add_speed_axis(ax, unit, beta_per_pm)
     return scene.figure
 

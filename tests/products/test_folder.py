@@ -13,15 +13,14 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement.result import velocity_hdus
-from astro_scc.products import folder as products
 from astro_scc.products import write_products
 from astro_scc.products.folder import product_folder
 from astro_scc.writing import _machine
 
 SETTINGS = {"scales": [2], "max_speed": "36 mas / yr"}
+NEW = {"one.txt": "new", "images": False, "images/a.fits": "new"}
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +34,15 @@ def result(sky_result):
 
 
 @pytest.fixture(scope="module")
-def written(result, tmp_path_factory):
-    components = result.components_in_c(redshift=0.158, cosmology=Planck18)
+def components(result):
+    return result.components_in_c(redshift=0.158, cosmology=Planck18)
+
+
+@pytest.fixture(scope="module")
+def written(result, components, tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")
-    text = "# Größe\nscales = [2]\n"
-    paths = write_products(
-        result, components, folder, configuration=SETTINGS, text=text
-    )
+    how = {"configuration": SETTINGS, "text": "# Größe\nscales = [2]\n"}
+    paths = write_products(result, components, folder, **how)
     assert all(path.is_file() for path in paths)
     names = "components features positions sensitivity epochs ssps".split()
     kept = [f"{name}.ecsv" for name in names] + ["config.toml", "scc.fits"]
@@ -65,19 +66,16 @@ def fill(target, error=None, **options):
         (folder / "one.txt").write_text("new")
         (folder / "images").mkdir()
         (folder / "images" / "a.fits").write_text("new")
+        # It appears when it is complete.
+        assert target.exists() == bool(options)
         if error:
             raise error
 
 
-NEW = {"one.txt": "new", "images": False, "images/a.fits": "new"}
-
-
-def test_a_folder_appears_when_it_is_complete_and_is_filled_again_if_asked(tmp_path):
+def test_a_folder_is_made_with_its_parents_and_filled_again_if_asked(tmp_path):
     target = tmp_path / "a" / "b"
-    with product_folder(target) as folder:
-        (folder / "one.txt").write_text("1")
-        assert not target.exists()
-    assert tree(tmp_path / "a") == {"b": False, "b/one.txt": "1"}
+    fill(target)
+    assert tree(target) == NEW
     # Others may read it as they may read any new folder.
     (tmp_path / "plain").mkdir()
     assert target.stat().st_mode == (tmp_path / "plain").stat().st_mode
@@ -85,62 +83,28 @@ def test_a_folder_appears_when_it_is_complete_and_is_filled_again_if_asked(tmp_p
         fill(target)
     for name in ("mine.txt", "one.txt", "old.txt"):
         (target / name).write_text("old")
+    (target / "pages").mkdir()
     for name in ("images", "pages"):
-        (target / name).mkdir()
         (target / name / "mine.fits").write_text("old")
     fill(target, overwrite=True, stale=("one.txt", "old.txt", "older.txt", "pages"))
     assert tree(target) == NEW | {"mine.txt": "old", "images/mine.fits": "old"}
 
 
-@pytest.mark.parametrize(
-    ("error", "before"), [(ValueError, {}), (KeyboardInterrupt, {"one.txt": "old"})]
-)
-def test_an_error_changes_nothing(tmp_path, error, before):
-    for name, text in before.items():
-        (tmp_path / name).write_text(text)
-    with pytest.raises(error):
-        fill(tmp_path if before else tmp_path / "a" / "b", error(), overwrite=True)
-    assert tree(tmp_path) == before
-
-
 @pytest.mark.parametrize("exists", [True, False])
-def test_what_a_killed_run_left_is_taken_away_and_others_are_told(tmp_path, exists):
+def test_an_error_changes_nothing_and_what_a_killed_run_left_goes(tmp_path, exists):
     pytest.importorskip("fcntl")
-    out, end = tmp_path / "out", f"{_machine()}-0123abcd"
-    left = [tmp_path / f".out.partial-{end}", tmp_path / f".other.partial-{end}"]
-    left += [out / f".partial-{end}"] * exists
-    elsewhere = tmp_path / ".out.partial-01234567-0123abcd"
-    for folder in (*left, elsewhere):
+    out, end = tmp_path / "a" / "out", f"{_machine()}-0123abcd"
+    left = [out.parent / f".{k}.partial-{end}" for k in ("out", "other")]
+    for folder in (*left, *[out / f".partial-{end}"] * exists):
         folder.mkdir(parents=True)
         (folder / "half").write_text("x")
-    line = rf"{elsewhere}: is of another run, which goes on or was killed; delete it"
-    with pytest.warns(MeasurementWarning, match=line) as said:
-        fill(out)
-    assert [warning.filename for warning in said] == [__file__]
-    names = [elsewhere.name, left[1].name, "out"]
-    assert {p.name for p in tmp_path.iterdir()} == {*names}
-    assert tree(out) == NEW
-
-
-@pytest.mark.parametrize(("exists", "looks"), [(True, 0), (False, 2), (True, 2)])
-def test_a_second_run_at_once_is_refused(tmp_path, monkeypatch, exists, looks):
-    """Also if it looks before the first has made its folder: it looks again."""
-    pytest.importorskip("fcntl")
-    monkeypatch.setattr("astro_scc.writing.PATIENCE", 0.01)
-    out, real, looked = tmp_path / "deep" / "out", products.writing.remove_left, []
-
-    def look(parent, prefix):
-        looked.append(prefix)
-        return [] if len(looked) <= looks else real(parent, prefix)
-
-    if exists:
-        out.mkdir(parents=True)
-    with product_folder(out) as first:
-        (first / "a.txt").write_text("first")
-        monkeypatch.setattr(products.writing, "remove_left", look)
-        with pytest.raises(OSError, match="out: another run is at work for this"):
-            fill(out, overwrite=True)
-    assert tree(out) == {"a.txt": "first"}
+    other = tree(left[1])
+    for error in (ValueError, KeyboardInterrupt):
+        with pytest.raises(error):
+            fill(out, error(), **{"overwrite": True} if exists else {})
+    assert {path.name for path in out.parent.iterdir()} - {"out"} == {left[1].name}
+    assert tree(left[1]) == other
+    assert not exists or tree(out) == {}
 
 
 @pytest.mark.parametrize(
@@ -169,32 +133,41 @@ def test_what_the_disk_refuses(tmp_path, place, error, words):
     assert tree(tmp_path) == {"file": "mine"} | left
 
 
-# -- tables ------------------------------------------------------------------------
+def test_an_interrupt_while_files_are_moved_comes_too_late(tmp_path, monkeypatch):
+    # A job in the background ignores interrupts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    real = os.replace
+
+    def replace(old, new):
+        os.kill(os.getpid(), signal.SIGINT)
+        real(old, new)
+
+    monkeypatch.setattr("astro_scc.products.folder.os.replace", replace)
+    fill(tmp_path, overwrite=True)
+    assert tree(tmp_path) == NEW
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
 
 
-def test_tables_are_the_ones_of_the_result(written, result):
-    expected = result.components_in_c(redshift=0.158, cosmology=Planck18)
-    for name, own in (("components", expected), ("features", result.features)):
+# -- tables and maps ---------------------------------------------------------------
+
+
+def test_tables_are_the_ones_of_the_result(written, result, components):
+    for name, own in (("components", components), ("features", result.features)):
         table = QTable.read(written / f"{name}.ecsv")
         more = ["beta_app", "beta_app_err"] if name == "features" else []
         assert table.colnames == own.colnames + more
         for column in own.colnames:
-            one, other = table[column], own[column]
-            np.testing.assert_array_equal(
-                *(np.asarray(getattr(k, "isot", k)) for k in (one, other))
-            )
+            one, other = (getattr(k, "isot", k) for k in (table[column], own[column]))
+            np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
             assert getattr(one, "unit", None) == getattr(other, "unit", None)
-    meta = table.meta
-    ratio = (table["beta_app"] / table["pm"]).value
-    np.testing.assert_allclose(ratio, (expected["beta_app"] / expected["pm"])[0].value)
+    meta, ratio = table.meta, (table["beta_app"] / table["pm"]).value
+    wanted = (components["beta_app"] / components["pm"])[0].value
+    np.testing.assert_allclose(ratio, wanted)
     assert meta["configuration"] == SETTINGS
     assert "settings" not in meta
     assert (meta["seed"], meta["n_trials"], meta["redshift"]) == (1, 40, 0.158)
     assert meta["history"] == ["simulated: here"]
     assert meta["cosmology"]["name"] == "Planck18"
-
-
-# -- maps --------------------------------------------------------------------------
 
 
 def test_maps_satisfy_the_standard(written, result):
@@ -244,27 +217,9 @@ def test_the_fits_file_holds_the_diagram(result, radial):
     by_hand = header["CRVAL1"] * np.exp(step * (x + 1 - header["CRPIX1"]))
     np.testing.assert_allclose(interval, by_hand)
     table = QTable.read(hdus["INTERVALS"])
-    np.testing.assert_array_equal(table["interval"], image.meta["interval"])
-    np.testing.assert_array_equal(table["n_pairs"], image.meta["n_pairs"])
+    for name in ("interval", "n_pairs"):
+        np.testing.assert_array_equal(table[name], image.meta[name])
     assert header["BEAM"] == image.meta["beam"].value
     assert ("radial" in header.comments["CNAME2"]) == radial
     angle = image.meta["position_angle"]
     assert header.get("DISPPA") == (None if radial else angle.value)
-
-
-def test_an_interrupt_while_files_are_moved_comes_too_late(tmp_path, monkeypatch):
-    # A job in the background ignores interrupts.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    real = os.replace
-
-    def replace(old, new):
-        os.kill(os.getpid(), signal.SIGINT)
-        real(old, new)
-
-    monkeypatch.setattr("astro_scc.products.folder.os.replace", replace)
-    (tmp_path / "out").mkdir()
-    with product_folder(tmp_path / "out") as folder:
-        for name in "abc":
-            (folder / name).touch()
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b", "c"]
-    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler

@@ -9,7 +9,7 @@ import matplotlib
 import pytest
 from matplotlib.figure import Figure
 
-from astro_scc.visualization import FIGURES
+from astro_scc.visualization import FIGURES, style
 
 ON_FIGURES = ["paper", "members", "epochs", "tracks"]
 
@@ -52,26 +52,32 @@ REFUSED = [
     ("members", {"max_panels": 0}, "max_panels must be at least 1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
     (0, {"unit": "Jy"}, "unit must be an angle"),
-    (0, {"stretch": "sqrt"}, "unknown stretch 'sqrt': use 'asinh'"),
     (8, {}, "epoch 8 of a cube with 8 epochs"),
     (0.5, {}, "cannot be interpreted as an integer"),
     ("diagram", {"ax": "of a WCS"}, "ax is a WCSAxes, .* without projection="),
-    (0, {"ax": "of a WCS"}, "ax is a WCSAxes, .* without projection="),
 ]
 
 
 @pytest.mark.parametrize(("what", "options", "words"), REFUSED)
-def test_what_is_refused(result, what, options, words):
+def test_what_is_refused(result, bare, what, options, words):
     plot = result.plot if isinstance(what, str) else result.cube.plot
     if "ax" in options:
         options = {"ax": Figure().add_subplot(projection=result.cube.wcs)}
     with pytest.raises((ValueError, IndexError, TypeError), match=words):
         plot(what, **options)
-
-
-def test_a_sensitivity_of_nothing_is_refused(bare):
     with pytest.raises(ValueError, match="no rows: nothing moves significantly"):
         bare.plot("sensitivity")
+
+
+def test_files_have_fonts_that_journals_take(result, monkeypatch):
+    monkeypatch.setattr(style, "DPI", 20)
+    before = dict(matplotlib.rcParams)
+    figures = {"significance": lambda: result.plot("significance")}
+    files = style.figure_files(figures, pdf=True)
+    assert list(files) == ["significance.png", "significance.pdf"]
+    assert b"/Type3" not in files["significance.pdf"]
+    assert b"/FontFile2" in files["significance.pdf"]
+    assert dict(matplotlib.rcParams) == before
 
 
 @pytest.mark.slow

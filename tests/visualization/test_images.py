@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images, their SSPs and dates: what is drawn where, in which unit and how bright."""
+"""Images and their SSPs: what is drawn where, in which unit and how bright."""
 
 import re
 from dataclasses import replace
@@ -17,24 +17,24 @@ from matplotlib.transforms import Affine2D
 
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition import SSPs
-from astro_scc.report.page import component_tables
-from astro_scc.stacking.velocities import consecutive_pairs
 from astro_scc.units import offset_unit, speed_unit
-from astro_scc.visualization.images import (
-    image_limits,
-    plot_intervals,
-    plotting_norm,
-    ticks_of,
-)
+from astro_scc.visualization.images import epoch_names, image_limits, ticks_of
 
 
 def small_cube(**kwargs):
-    rng = np.random.default_rng(1)
-    data = rng.standard_normal((3, 20, 30))
+    data = np.random.default_rng(1).standard_normal((3, 20, 30))
     data[:, 5, 7] = 100
     times = ["2000-01-01", "2000-07-01", "2001-01-01"]
     values = {"data": data, "times": times, "pixel_scale": 0.1 * u.mas, **kwargs}
     return EpochCube.from_arrays(**values)
+
+
+def labels(ax):
+    return ax.get_xlabel(), ax.get_ylabel()
+
+
+def legend(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
 
 
 def test_a_pixel_is_drawn_at_its_offset():
@@ -46,15 +46,14 @@ def test_a_pixel_is_drawn_at_its_offset():
     cube = replace(small_cube(), wcs=wcs)
     ax = cube.plot(0, unit="uas").axes[0]
     to_axes = ax.images[0].get_transform() - ax.transData
-    drawn = to_axes.transform([(7, 5), (0, 0)])
     offsets = u.Quantity(cube.pixel_to_offset([7, 0], [5, 0])).to_value(u.uas)
+    drawn = to_axes.transform([(7, 5), (0, 0)])
     np.testing.assert_allclose(drawn, offsets.T, atol=1e-6)
     # Nothing of the image is cut off.
     corners = to_axes.transform([(-0.5, -0.5), (29.5, -0.5), (29.5, 19.5)])
     left, right = ax.get_xlim()
     assert right - 1e-6 <= corners[:, 0].min() < corners[:, 0].max() <= left + 1e-6
-    labels = ax.get_xlabel(), ax.get_ylabel()
-    assert labels == ("Relative R.A. (uas)", "Relative Decl. (uas)")
+    assert labels(ax) == ("Relative R.A. (uas)", "Relative Decl. (uas)")
 
 
 def test_the_beam_is_as_long_and_turned_as_it_is():
@@ -76,20 +75,21 @@ def test_the_beam_is_as_long_and_turned_as_it_is():
 
 
 def test_ssps_of_the_epoch_are_drawn_by_scale_and_pale_outside_the_region(result):
-    ssps = result.ssps.copy()
+    ssps, here = result.ssps.copy(), result.ssps["epoch"] == 2
     ssps["in_region"] = ssps["east"] > -8 * u.mas
     ax = result.cube.plot(2, ssps, zoom=False).axes[0]
+
+    def east(lines):
+        return np.sort(np.concatenate([line.get_xdata() for line in lines]))
+
     for scale in (1.0, 2.0, 3.0):
-        lines = [x for x in ax.lines if x.get_gid() == f"ssps {scale:g}"]
-        east = np.concatenate([line.get_xdata() for line in lines])
-        here = (ssps["epoch"] == 2) & (ssps["scale"] == scale)
-        np.testing.assert_allclose(np.sort(east), np.sort(ssps["east"][here].value))
-    pale = [x for x in ax.lines if x.get_gid() and x.get_alpha() < 1]
-    east = np.concatenate([line.get_xdata() for line in pale])
-    assert len(east) == np.sum((ssps["epoch"] == 2) & ~ssps["in_region"])
-    assert np.all(east <= -8)
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels == ["SSPs of scale 0.2", "0.4", "0.8 mas", "not used"]
+        drawn = east(x for x in ax.lines if x.get_gid() == f"ssps {scale:g}")
+        own = ssps["east"][here & (ssps["scale"] == scale)].value
+        np.testing.assert_allclose(drawn, np.sort(own))
+    pale = east(x for x in ax.lines if x.get_gid() and x.get_alpha() < 1)
+    own = ssps["east"][here & ~ssps["in_region"]].value
+    np.testing.assert_allclose(pale, np.sort(own))
+    assert legend(ax) == ["SSPs of scale 0.2", "0.4", "0.8 mas", "not used"]
 
 
 def test_outlines_are_the_edges_of_the_pixels():
@@ -109,35 +109,23 @@ def test_outlines_are_the_edges_of_the_pixels():
     np.testing.assert_allclose(middles[order[0]], wanted[order[1]], atol=1e-9)
 
 
-def test_masked_pixels_are_no_data_and_named():
+def test_brightness_has_limits_unit_and_ticks_that_fit():
     mask = np.zeros((3, 20, 30), bool)
     mask[0, :5, :5] = True
-    ax = small_cube(data=np.where(mask, 1e6, 1.0), mask=mask).plot(0).axes[0]
+    data = np.where(mask, 1e6, 1.0)
+    ax = small_cube(data=data, mask=mask, unit="Jy / beam").plot(0).axes[0]
+    # Masked pixels are no data, and named.
     (drawn,) = ax.images
     assert np.ma.getmaskarray(drawn.get_array()).sum() == 25
-    assert drawn.norm.vmax < 1e6
-    (text,) = ax.get_legend().get_texts()
-    assert text.get_text() == "masked"
-
-
-def test_flat_images_have_colours():
-    for value in (0.0, -1.0, 5.0):
-        cube = small_cube(data=np.full((3, 20, 30), value))
-        for stretch in ("asinh", "log", "linear"):
-            norm = plotting_norm(cube, cube.data, stretch=stretch)
-            assert norm.vmin < norm.vmax
-
-
-def test_brightness_has_the_limits_unit_and_ticks_that_fit():
-    ax = small_cube(unit="Jy / beam").plot(0, vmin=-2, vmax=50).axes[0]
-    norm = ax.images[0].norm
-    assert isinstance(norm, AsinhNorm)
-    assert (norm.vmin, norm.vmax) == (-2, 50)
+    assert drawn.norm.vmin < drawn.norm.vmax < 1e6
+    assert legend(ax) == ["masked"]
     # The bar is laid beside the axes as their child.
     assert ax.child_axes[0].get_ylabel() == "Brightness (Jy/beam)"
-    ax = small_cube().plot(0, stretch="log", vmin=0.5, colorbar=False).axes[0]
-    assert isinstance(ax.images[0].norm, LogNorm)
-    assert ax.images[0].norm.vmin == 0.5
+    for value in (0.0, -1.0):
+        (drawn,) = small_cube(data=np.full(mask.shape, value)).plot(0).axes[0].images
+        assert drawn.norm.vmin < drawn.norm.vmax
+    ax = small_cube().plot(0, norm=LogNorm(vmin=0.5), colorbar=False).axes[0]
+    assert (ax.images[0].norm.vmin, ax.images[0].norm.vmax) == (0.5, 100)
     assert not ax.child_axes
     assert ticks_of(AsinhNorm(0.004, vmin=-1e-3, vmax=3)) == [0, 0.01, 0.1, 1]
     assert ticks_of(AsinhNorm(0.4, vmin=-1, vmax=3)) is None
@@ -146,31 +134,26 @@ def test_brightness_has_the_limits_unit_and_ticks_that_fit():
 def test_of_many_epochs_some_are_chosen_evenly():
     dates = [f"20{k:02d}-01-01" for k in range(40)]
     cube = small_cube(data=np.zeros((40, 16, 16)), times=dates)
-
-    def columns(figure):
+    columns = []
+    for size in ((3, 9), (9, 2)):
+        figure = cube.plot(max_panels=7, figure=Figure(figsize=size))
         panels = [ax for ax in figure.axes if ax.images]
-        return len({ax.get_subplotspec().colspan.start for ax in panels})
-
-    narrow, wide = Figure(figsize=(3, 9)), Figure(figsize=(9, 2))
-    for figure in (narrow, wide):
-        cube.plot(max_panels=7, figure=figure)
-    years = [int(ax.texts[0].get_text()[:4]) for ax in narrow.axes if ax.texts]
+        columns.append(len({ax.get_subplotspec().colspan.start for ax in panels}))
+    assert columns[0] < columns[1]
+    years = [int(ax.texts[0].get_text()[:4]) for ax in panels]
     assert (len(years), years[0], years[-1]) == (7, 2000, 2039)
     assert np.ptp(np.diff(years)) <= 1
-    assert columns(narrow) < columns(wide)
     # In the same colours.
-    assert len({id(ax.images[0].norm) for ax in wide.axes if ax.images}) == 1
-    assert wide.get_supxlabel() == "Relative R.A. (mas)"
+    assert len({id(ax.images[0].norm) for ax in panels}) == 1
+    assert figure.get_supxlabel() == "Relative R.A. (mas)"
 
 
 def test_the_beam_and_the_date_lie_where_there_is_no_light():
     data = np.full((2, 40, 40), 1e-3)
     data[:, :9, :9] = data[:, -9:, -9:] = 1.0
     data += np.random.default_rng(1).normal(0, 1e-4, data.shape)
-    cube = small_cube(
-        data=data, times=["2000-01-01", "2001-01-01"], pixel_scale=1 * u.mas,
-        beams=Beam(2 * u.mas, 2 * u.mas),
-    )  # fmt: skip
+    how = {"pixel_scale": 1 * u.mas, "beams": Beam(2 * u.mas, 2 * u.mas)}
+    cube = small_cube(data=data, times=["2000-01-01", "2001-01-01"], **how)
     for ax in cube.plot().axes[:2]:
         (beam,), (text,) = ax.patches, ax.texts
         x, y = ax.transAxes.inverted().transform(ax.transData.transform(beam.center))
@@ -180,12 +163,11 @@ def test_the_beam_and_the_date_lie_where_there_is_no_light():
         assert corners == {(True, False), (False, True)}
 
 
+SSP = st.tuples(st.floats(-3, 3), st.floats(-2, 2), st.floats(4, 1e4))
+
+
 @settings(max_examples=10, deadline=None)
-@given(
-    st.lists(
-        st.tuples(st.floats(-3, 3), st.floats(-2, 2), st.floats(4, 1e4)), min_size=1
-    )
-)
+@given(st.lists(SSP, min_size=1))
 def test_limits_are_a_part_of_the_image_that_is_not_empty(ssps):
     cube = small_cube(pixel_scale=0.3 * u.mas)
     east, north, snr = np.array(ssps).T
@@ -196,69 +178,43 @@ def test_limits_are_a_part_of_the_image_that_is_not_empty(ssps):
     assert np.all((near >= whole[:, :1] - 1e-9) & (near <= whole[:, 1:] + 1e-9))
 
 
-@pytest.mark.parametrize(
-    ("step", "unit"), [(400, "yr"), (0.1, "h"), (0.01, "min"), (20, "d")]
-)
-def test_pairs_of_epochs_are_bars_as_high_as_their_interval(step, unit):
-    n = 70 if unit == "d" else 3
-    times = Time("2000-01-01") + step * np.arange(n) * u.day
-    cube = small_cube(data=np.ones((n, 8, 8)), times=times)
-    ax = plot_intervals(cube, consecutive_pairs(cube.years.value)).axes[0]
-    (bars,) = (c.get_segments() for c in ax.collections if c.get_gid() == "pairs")
-    bars, dates = np.array(bars), times.plot_date
-    np.testing.assert_allclose(bars[:, :, 1], (step * u.d).to_value(unit))
-    np.testing.assert_allclose(bars[:, :, 0], np.stack([dates[:-1], dates[1:]], axis=1))
-    assert ax.get_ylabel() == f"Time between epochs ({unit})"
-
-
-# -- other frames on the sky ---------------------------------------------------------
-
-
-def in_frame(result, *ctype):
-    wcs = result.cube.wcs.deepcopy()
-    wcs.wcs.ctype = ctype
-    cube = replace(result.cube, wcs=wcs)
-    return replace(result, matched=replace(result.matched, cube=cube))
-
-
 def test_the_sun_has_west_to_the_right(jet_results):
-    sun = in_frame(jet_results["sky"], "HPLN-TAN", "HPLT-TAN")
-    ssps, here = sun.ssps, sun.ssps["epoch"] == 0
-    ax = sun.cube.plot(0, ssps).axes[0]
-    labels = ax.get_xlabel(), ax.get_ylabel()
-    assert labels == ("Offset to solar west (mas)", "Offset to solar north (mas)")
+    sky, wcs = jet_results["sky"], jet_results["sky"].cube.wcs.deepcopy()
+    wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
+    sun = replace(sky, matched=replace(sky.matched, cube=replace(sky.cube, wcs=wcs)))
+    ax = sun.cube.plot(0, sun.ssps).axes[0]
+    assert labels(ax) == ("Offset to solar west (mas)", "Offset to solar north (mas)")
     assert not ax.xaxis_inverted()
     shown = np.concatenate([line.get_xdata() for line in ax.lines])
-    assert sorted(shown) == pytest.approx(sorted(ssps["lon_offset"][here].value))
+    own = sun.ssps["lon_offset"][sun.ssps["epoch"] == 0].value
+    assert sorted(shown) == pytest.approx(sorted(own))
     figure = sun.plot("members")
     assert figure.get_supxlabel() == "Offset to solar west (mas)"
     assert not figure.axes[0].xaxis_inverted()
-    ax, sky = (result.plot().axes[0] for result in (sun, jet_results["sky"]))
+    ax, other = (result.plot().axes[0] for result in (sun, sky))
     assert ax.get_xlabel() == "Proper motion to solar west (mas/yr)"
-    assert (ax.xaxis_inverted(), sky.xaxis_inverted()) == (False, True)
+    assert (ax.xaxis_inverted(), other.xaxis_inverted()) == (False, True)
     # The arrow points where the features go.
-    arrows = [next(t for t in k.texts if t.get_gid() == "jet") for k in (ax, sky)]
+    arrows = [next(t for t in k.texts if t.get_gid() == "jet") for k in (ax, other)]
     assert np.prod([arrow.xy[0] - arrow.xyann[0] for arrow in arrows]) < 0
     label = sun.plot("diagram").axes[0].get_ylabel()
     assert re.match(r"Displacement 2\d\d° from north to solar west", label)
-    # So are columns and maps named.
-    tables = component_tables(sun.components)
-    heads = {heading for columns in tables for heading, *_ in columns}
-    assert {"longitude (mas/yr)", "latitude (mas/yr)"} <= heads
-    image = sun.velocity_map()
-    assert list(image.wcs.wcs.ctype) == ["LON", "LAT"]
-    assert image.meta["axes"] == ("lon", "lat")
+    assert list(sun.velocity_map().wcs.wcs.ctype) == ["LON", "LAT"]
 
 
-def test_units_are_easily_read():
+def test_units_and_dates_are_easily_read():
     units = {1e-4: "uas", 0.1: "mas", 300: "arcsec", 2e4: "arcmin", 2e6: "deg"}
     assert {scale: offset_unit(20 * scale) for scale in units} == units
     for span, resolution, interval, unit in (
-        (20 * u.yr, 1 * u.mas, 0.2 * u.yr, u.mas / u.yr),
         (12 * u.yr, 0.1 * u.arcsec, 2 * u.yr, u.mas / u.yr),
         (12 * u.yr, 2 * u.arcsec, 1 * u.yr, u.arcsec / u.yr),
         (11 * u.d, 30 * u.mas, 1 * u.d, u.mas / u.d),
         (8 * u.h, 20 * u.uas, 2 * u.min, u.mas / u.h),
-        (8 * u.h, 1.2 * u.arcsec, 12 * u.min, u.arcsec / u.h),
     ):
         assert speed_unit(span, resolution, interval) == unit
+    for days, names in (
+        ([0, 1], ["2000-01-01", "2000-01-02"]),
+        ([0, 0.25], ["2000-01-01 00:00", "2000-01-01 06:00"]),
+        ([0, 0], ["2000-01-01 00:00:00.000 (0)", "2000-01-01 00:00:00.000 (1)"]),
+    ):
+        assert epoch_names(Time("2000-01-01", scale="utc") + days * u.day) == names

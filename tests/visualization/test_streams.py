@@ -13,11 +13,13 @@ from astro_scc.units import PM_UNIT
 from astro_scc.visualization.images import sky_place
 from astro_scc.visualization.velocity import longest_interval
 
+#: Labels of the velocities, and of the displacement, by the kind of axes.
 LABELS = {
-    "jet": ("Proper motion parallel to the jet", "Transverse proper motion"),
-    "sky": ("Proper motion to the east", "Proper motion to the north"),
-    "radial": ("Radial proper motion", "Transverse proper motion"),
-}
+    "jet": ("Proper motion parallel to the jet", "Transverse proper motion",
+            "along the jet (mas)"),
+    "sky": ("Proper motion to the east", "Proper motion to the north", "towards PA 2"),
+    "radial": ("Radial proper motion", "Transverse proper motion", "outward ("),
+}  # fmt: skip
 KINDS = ["moving", "stationary", "not significant"]
 
 
@@ -40,16 +42,17 @@ def legend(figure):
 def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, jet_results):
     result, grid = jet_results[frame], jet_results[frame].grid
     ax = result.plot(unit="uas/yr", beta_per_pm=2.0).axes[0]
-    labels = ax.get_xlabel(), ax.get_ylabel()
-    assert labels == tuple(f"{name} (uas/yr)" for name in LABELS[frame])
+    labels = [
+        label.removesuffix(" (uas/yr)") for label in (ax.get_xlabel(), ax.get_ylabel())
+    ]
+    assert labels == [*LABELS[frame][:2]]
     assert ax.xaxis_inverted() == (frame == "sky")
     assert numbers(ax) == [str(n) for n in result.components["component"]]
     assert legend(ax.figure) == result.components["kind"].tolist()
     for ellipse, velocity in zip(parts(ax, "error"), result.velocities, strict=True):
-        errors = np.sqrt(np.diag(velocity.covariance))
+        size = ellipse.get_width(), ellipse.get_height()
         assert ellipse.get_center() == pytest.approx(1000 * velocity.value)
-        size = (ellipse.get_width(), ellipse.get_height())
-        assert size == pytest.approx(2000 * errors)
+        assert size == pytest.approx(2000 * np.sqrt(np.diag(velocity.covariance)))
     (axis,) = (own for own in ax.child_axes if own.get_xlabel())
     assert axis.get_xlabel() == "Apparent speed (c)"
     ax.figure.draw_without_rendering()
@@ -60,17 +63,6 @@ def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, jet_results
     n2, n1 = grid.shape
     assert left + (right - left) * 0.5 / n1 == pytest.approx(grid.v1[0])
     assert bottom + (top - bottom) * (n2 - 0.5) / n2 == pytest.approx(grid.v2[-1])
-
-
-def test_the_arrow_points_along_the_jet(jet_results):
-    def direction(result):
-        (arrow,) = parts(result.plot().axes[0], "jet")
-        return np.subtract(arrow.xy, arrow.get_position())
-
-    x, y = direction(replace(jet_results["sky"], position_angle=-45 * u.deg))
-    assert x == pytest.approx(y)
-    assert x > 0
-    assert direction(jet_results["jet"])[0] > 0.1
 
 
 def test_kinds_that_are_not_significant_and_what_is_unknown(result, empty):
@@ -102,10 +94,13 @@ def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(jet_results):
     sky, theta = jet_results["sky"], np.radians(33)
     along = sky.grid.v1 * np.sin(theta) + sky.grid.v2[:, None] * np.cos(theta)
     across = sky.grid.v1 * np.cos(theta) - sky.grid.v2[:, None] * np.sin(theta)
-    turned = replace(
-        sky, z_score=along + 0.1 * across, position_angle=33 * u.deg, maxima=(),
-        velocities=(), jitters=(),
-    )  # fmt: skip
+    nothing = {"maxima": (), "velocities": (), "jitters": ()}
+    z_score, angle = along + 0.1 * across, 33 * u.deg
+    turned = replace(sky, z_score=z_score, position_angle=angle, **nothing)
+    # The arrow of the map points along it, and east is to the left.
+    (arrow,) = parts(turned.plot().axes[0], "jet")
+    x, y = np.subtract(arrow.xy, arrow.get_position())
+    assert np.arctan2(-x, y) == pytest.approx(theta)
     ax = turned.plot("significance").axes[0]
     speed, z_score = ax.lines[2].get_data()
     known = np.isfinite(z_score)
@@ -135,8 +130,6 @@ def test_members_are_arrows_from_ssps_to_their_next_match(frame, jet_results):
     axes = result.frame.matrix(*start)
     moved = np.einsum("nai,in->an", axes, [arrows.U, arrows.V])
     np.testing.assert_allclose(moved, [d.d1[member], d.d2[member]], atol=1e-9)
-    # The jet flows to the west.
-    assert np.all(arrows.U < 0)
 
 
 def test_components_that_were_found_come_first(result, empty):
@@ -153,21 +146,18 @@ def test_components_that_were_found_come_first(result, empty):
 # -- the diagram ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "label"),
-    [("jet", "along the jet (mas)"), ("sky", "towards PA 2"), ("radial", "outward (")],
-)
-def test_the_ray_is_on_the_red_ridge(name, label, jet_results):
+@pytest.mark.parametrize("frame", LABELS)
+def test_the_ray_is_on_the_red_ridge(frame, jet_results):
     # Features that move to the west: down the jet, and towards PA 270 deg.
-    figure = jet_results[name].plot("diagram")
+    figure = jet_results[frame].plot("diagram")
     ax = figure.axes[0]
-    assert ax.get_ylabel().startswith(f"Displacement {label}")
+    assert ax.get_ylabel().startswith(f"Displacement {LABELS[frame][2]}")
     assert ax.get_xlabel() == "Interval between epochs (yr)"
     (beams,) = [a for a in ax.child_axes if a.get_ylabel() == "Displacement (beams)"]
     figure.draw_without_rendering()
     # The beam is 1 mas.
     np.testing.assert_allclose(beams.get_ylim(), ax.get_ylim(), rtol=0.01)
-    speed = jet_results[name].components["pm"][0].to_value(PM_UNIT)
+    speed = jet_results[frame].components["pm"][0].to_value(PM_UNIT)
     assert parts(figure, "ray")[0].get_slope() == pytest.approx(speed, rel=0.02)
     (mesh,) = parts(figure, "excess")
     assert mesh.norm.vmin == -mesh.norm.vmax < 0
@@ -180,14 +170,16 @@ def test_the_ray_is_on_the_red_ridge(name, label, jet_results):
     np.testing.assert_allclose(peaks, speed * interval[moved], atol=0.2)
 
 
-def test_rays_have_the_slopes_and_lines_of_their_kinds(result, bare):
-    rows = result.components[[0] * 3]
-    rows["component"], rows["kind"] = [1, 2, 3], KINDS
-    velocities = [[6.0, 4.0], [0.1, 0.0], [-3.0, 0.0]] * PM_UNIT
+def test_rays_have_the_slopes_and_lines_of_their_kinds(result):
+    rows = result.components[[0] * 4]
+    rows["component"], rows["kind"] = [1, 2, 3, 4], [*KINDS, "not confirmed"]
+    # The last one has no feature, so no speed.
+    velocities = [[6.0, 4.0], [0.1, 0.0], [-3.0, 0.0], [np.nan] * 2] * PM_UNIT
     # The axes are orthogonal, so their transpose leads back to the sky.
     rows["pm_ra_cosdec"], rows["pm_dec"] = result.frame.matrix().T @ velocities.T
-    rows["pm"], rows["pm_err"] = np.hypot(*velocities.T), [0.1, 0.1, np.nan] * PM_UNIT
-    rows["dispersion"] = [1.5, 0.2, np.nan] * PM_UNIT
+    rows["pm"] = np.hypot(*velocities.T)
+    rows["pm_err"] = [0.1, 0.1, np.nan, np.nan] * PM_UNIT
+    rows["dispersion"] = [1.5, 0.2, np.nan, np.nan] * PM_UNIT
     figure = result.plot("diagram", components=rows, colorbar=False, unit="uas")
     rays = parts(figure, "ray")
     assert [ray.get_linestyle() for ray in rays] == ["-", "--", ":"]
@@ -198,9 +190,6 @@ def test_rays_have_the_slopes_and_lines_of_their_kinds(result, bare):
     # The band is one dispersion wide.
     band = [line.get_slope() for line in parts(figure, "dispersion")]
     np.testing.assert_allclose(band, [4500, 7500])
-    figure = bare.plot("diagram")
-    assert not parts(figure, "ray")
-    assert not np.any(parts(figure, "excess")[0].get_array())
 
 
 @pytest.mark.parametrize(
@@ -221,7 +210,7 @@ def test_intervals_are_shown_until_the_slowest_stream_has_left(kinds, slopes, en
 # -- speeds of features --------------------------------------------------------------
 
 
-def test_speeds_of_features_are_radial(result):
+def test_speeds_are_those_of_the_tables(result):
     table = result.features
     figure = result.plot("speeds", profile=feature_profile(result), beta_per_pm=4.5)
     bars = figure.axes[0].containers[: len(table)]
@@ -229,22 +218,9 @@ def test_speeds_of_features_are_radial(result):
     np.testing.assert_allclose(shown[:, 0], table["separation"].to_value(u.mas))
     np.testing.assert_allclose(shown[:, 1], table["pm_radial"].to_value(PM_UNIT))
     assert legend(figure)[0] == "mean of bin"
-
-
-def test_speeds_with_other_choices(result):
     table = result.sensitivity
     ax = result.plot("sensitivity", beta_per_pm=4.5).axes[0]
     shown = np.concatenate([own.lines[0].get_xydata() for own in ax.containers])
     shown = shown[np.argsort(shown[:, 1])]
     np.testing.assert_allclose(shown[:, 0], table["pm"].value)
     assert [text.get_text() for text in ax.get_yticklabels()][0] == table["choice"][0]
-
-
-def test_a_row_without_features_has_no_ray(result):
-    row = result.components[:1]
-    row["kind"], row["n_features"] = "not significant", 0
-    for name in ("pm_parallel", "pm_ra_cosdec", "pm_dec", "pm", "pm_err"):
-        row[name] = np.nan
-    figure = result.plot("diagram", components=row)
-    assert parts(figure, "ray") == []
-    assert parts(figure, "excess")

@@ -1,12 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figures of features: separations, paths, ejections, published ones; for journals."""
+"""Figures of features: separations, paths, ejections and published ones."""
 
 import itertools
-import re
 from dataclasses import replace
 
 import astropy.units as u
-import matplotlib
 import numpy as np
 import pytest
 from astropy.table import QTable
@@ -18,6 +16,8 @@ from matplotlib.figure import Figure
 from astro_scc import EpochCube
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import plot_separation, plot_tracks
+
+MODULE = "astro_scc.visualization.tracks"
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def features(result):
 
 
 def dots(ax):
-    """Positions that are drawn."""
+    """Positions that are drawn, shape (2, n)."""
     own = [line for line in ax.lines if line.get_marker() == "o"]
-    return np.concatenate([np.stack(line.get_data(), axis=1) for line in own])
+    return np.concatenate([line.get_xydata() for line in own]).T
 
 
 def lines_of(ax, gid):
@@ -48,25 +48,25 @@ def names(ax):
 def test_separations_fits_and_residuals(features):
     ax, lower = plot_separation(features, unit=u.uas, beta_per_pm=10.0).axes
     table, d = features.positions, features.detections
+    time, distance = dots(ax)
     wanted = np.hypot(table["ra_offset"], table["dec_offset"]).to_value(u.uas)
-    assert dots(ax)[:, 1] == pytest.approx(wanted)
-    assert dots(ax)[:, 0] == pytest.approx(table["date"].jyear)
+    assert distance == pytest.approx(wanted)
+    assert time == pytest.approx(table["date"].jyear)
     fits = [k for k in ax.lines if k.get_marker() == "None" and not k.get_gid()]
     pale = [0.5 if k == 1 else 1.0 for k in range(len(features))]
     assert [line.get_alpha() for line in fits] == pale
+
+    def separation(m, time):
+        dt = (np.asarray(time) - m.date)[..., None]
+        path = m.velocity * dt + np.nan_to_num(m.acceleration) * dt**2 / 2
+        return 1000 * np.hypot(*np.moveaxis(m.place + path, -1, 0))
+
     left = []
     for line, track, m in zip(fits, features.tracks, features.motions, strict=True):
-
-        def place(time, m=m):
-            dt = (np.asarray(time) - m.date)[..., None]
-            path = m.velocity * dt + np.nan_to_num(m.acceleration) * dt**2 / 2
-            return 1000 * np.hypot(*np.moveaxis(m.place + path, -1, 0))
-
-        time, distance = line.get_data()
-        assert distance[-1] == pytest.approx(place(time[-1]))
-        own = track.detection
-        left.extend(1000 * np.hypot(*d.place[own].T) - place(d.time[own]))
-    assert dots(lower)[:, 1] == pytest.approx(np.array(left), abs=1e-6)
+        own, (time, distance) = track.detection, line.get_data()
+        assert distance[-1] == pytest.approx(separation(m, time[-1]))
+        left.extend(1000 * np.hypot(*d.place[own].T) - separation(m, d.time[own]))
+    assert dots(lower)[1] == pytest.approx(np.array(left), abs=1e-6)
     # Secure features have their speeds beside their numbers.
     facts = zip(features.number, features.motions, features.secure, strict=True)
     wanted = {f"{n} ({10 * m.speed:.2g} c)" if sure else f"{n}" for n, m, sure in facts}
@@ -75,14 +75,11 @@ def test_separations_fits_and_residuals(features):
 
 
 def test_paths_over_the_mean_image(features):
-    figure = Figure()
-    assert plot_tracks(features, figure=figure, unit=u.mas) is figure
-    (ax,) = figure.axes
-    table = features.positions
-    assert dots(ax)[:, 0] == pytest.approx(table["ra_offset"].value)
-    assert dots(ax)[:, 1] == pytest.approx(table["dec_offset"].value)
+    (ax,) = plot_tracks(features, unit=u.mas).axes
+    x, y = dots(ax)
+    assert x == pytest.approx(features.positions["ra_offset"].value)
+    assert y == pytest.approx(features.positions["dec_offset"].value)
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    x, y = dots(ax).T
     assert np.all((x < left) & (x > right) & (y > bottom) & (y < top))
     # Contours double from three times the noise of the mean on.
     (contours,) = (k for k in ax.collections if isinstance(k, QuadContourSet))
@@ -93,26 +90,15 @@ def test_paths_over_the_mean_image(features):
 
 
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
-def test_numbers_do_not_overlap_and_of_many_the_longest_have_one(
-    features, monkeypatch, plot
+def test_numbers_do_not_overlap_and_colours_are_of_the_components(
+    plot, features, monkeypatch
 ):
-    figure = plot(features)
-    ax = figure.axes[0]
+    component = np.arange(len(features)) % 3
+    ax = plot(features, component=component).axes[0]
     frame = ax.get_window_extent()
     boxes = [text.get_window_extent() for text in ax.texts if text.get_text()]
     assert all(frame.x0 < box.x0 < box.x1 < frame.x1 for box in boxes)
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
-    for name in ("CROWDED", "NAMED"):
-        monkeypatch.setattr(f"astro_scc.visualization.tracks.{name}", 2)
-    n = np.array([len(track) for track in features.tracks]) * features.secure
-    longest = features.number[np.argsort(-n, kind="stable")[:2]]
-    assert names(plot(features).axes[0]) <= {str(number) for number in longest}
-
-
-@pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
-def test_colours_are_of_the_components(plot, features):
-    component = np.arange(len(features)) % 3
-    ax = plot(features, component=component).axes[0]
     said = [text.get_text() for text in ax.get_legend().get_texts()]
     assert said == ["stream 1", "stream 2", "no stream"]
     # Each as its secure features.
@@ -121,20 +107,23 @@ def test_colours_are_of_the_components(plot, features):
     lines = [line for line in ax.lines if line.get_marker() == "o"]
     shown = [to_hex(line.get_color()).upper() for line in lines]
     assert shown == [colors[k] for k in component]
+    # Of many, those of most epochs have numbers.
+    for name in ("CROWDED", "NAMED"):
+        monkeypatch.setattr(f"{MODULE}.{name}", 2)
+    n = np.array([len(track) for track in features.tracks]) * features.secure
+    longest = features.number[np.argsort(-n, kind="stable")[:2]]
+    assert names(plot(features).axes[0]) <= {str(number) for number in longest}
     nothing = features.detections.select(np.zeros(len(features.detections), bool))
     core = features.core.select(np.zeros(len(features.core), bool))
     plot(replace(features, detections=nothing, core=core, tracks=()))
 
 
 def test_dashes_lead_to_the_ejections(features, monkeypatch):
-    monkeypatch.setattr("astro_scc.visualization.tracks.EARLIER", 20.0)
+    monkeypatch.setattr(f"{MODULE}.EARLIER", 20.0)
     upper, _ = plot_separation(features).axes
-    years = features.cube.times.jyear
-    known = sorted(
-        motion.ejection(features.core_error, features.detections.fwhm)[0]
-        for motion, secure in zip(features.motions, features.secure, strict=True)
-        if secure
-    )
+    years, fwhm = features.cube.times.jyear, features.detections.fwhm
+    secure = itertools.compress(features.motions, features.secure)
+    known = sorted(m.ejection(features.core_error, fwhm)[0] for m in secure)
     known = [date for date in known if date >= years[0] - 20 * np.ptp(years)]
     drawn = [line.get_data() for line in lines_of(upper, "ejection")]
     assert sorted(x[0] for x, _ in drawn) == pytest.approx(known)
@@ -168,39 +157,13 @@ def test_published_features_are_grey_and_of_the_time_of_the_images(features):
         (2 * u.h, "Hours since 2020-01-01 00:00 UTC", 12.0),
     ],
 )
-def test_dates_have_the_unit_of_the_series(features, step, label, first):
+def test_dates_have_the_unit_of_the_series(cube, step, label, first):
     times = Time("2020-01-01T12:00:00") + np.arange(4) * step
-    cube = features.cube[:4]
-    how = {"pixel_scale": cube.pixel_scale, "beams": cube.beams}
-    cube = EpochCube.from_arrays(cube.data, times, **how)
+    how = {"pixel_scale": cube.pixel_scale, "beams": cube.beams[0]}
     ax = Figure().add_subplot()
-    ends = style.date_axis(ax, cube)(times.jyear[[0, -1]])
+    to_axis = style.date_axis(ax, EpochCube.from_arrays(cube.data[:4], times, **how))
+    ends = to_axis(times.jyear[[0, -1]])
     assert ax.get_xlabel() == label
     assert ends == pytest.approx([first, first + 3 * step.value], abs=2e-3)
     low, high = ax.get_xlim()
     assert low < ends[0] < ends[1] < high
-
-
-def test_figures_for_a_journal(result, monkeypatch):
-    monkeypatch.setattr(style, "DPI", 20)
-    before, drawn = dict(matplotlib.rcParams), []
-
-    def significance():
-        drawn.append(result.plot("significance"))
-        return drawn[-1]
-
-    figures = {"significance": significance, "epochs": lambda: style.new_figure((6, 1))}
-    files = style.figure_files(figures, pdf=True)
-    assert set(files) == {f"{n}.{k}" for n in figures for k in ("png", "pdf")}
-    assert dict(matplotlib.rcParams) == before
-    for name, columns in (("significance", 1), ("epochs", 2)):
-        width = re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", files[f"{name}.pdf"])[1]
-        assert float(width) / 72 == pytest.approx(columns * style.COLUMN, abs=0.2)
-    assert b"/Type3" not in files["significance.pdf"]
-    assert b"/FontFile2" in files["significance.pdf"]
-    # Lines, symbols and letters of a narrow figure are smaller.
-    wide, narrow = ((ax.lines[0], ax.texts[-1]) for ax in (f.axes[0] for f in drawn))
-    for name in ("markersize", "linewidth"):
-        sizes = [getattr(one[0], f"get_{name}")() for one in (wide, narrow)]
-        assert sizes[1] < sizes[0]
-    assert narrow[1].get_fontsize() < 8.1 < wide[1].get_fontsize()
