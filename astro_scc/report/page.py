@@ -298,7 +298,8 @@ def write_report(
         Draw ``velocity_map.png``, ``significance.png``, ``members.png``,
         ``epochs.png`` and ``sensitivity.png``, too, which take longer than the others.
     pdf : bool, optional
-        Write each figure as a PDF file, too.
+        Write each figure as a PDF file, too, as wide as a column of a journal and
+        with letters of 8 pt.
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
         ``astro_scc.products.publication.published_positions``.

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Style that the figures share: colours, markers, units of axes, and colour bars."""
 
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from io import BytesIO
 from typing import NamedTuple
 
@@ -24,6 +26,19 @@ LINES = ("-", "--", ":")
 #: Width and largest height of a figure in inches, for a page.
 WIDTH = 6.0
 HEIGHT = 9.5
+#: Width of a column of a journal in inches, and settings of figures for it: journals
+#: take letters of 8 pt and no fonts of Type 3.
+COLUMN = 3.46
+#: Figures of many panels, which need two columns.
+WIDE = ("epochs", "members")
+JOURNAL = {
+    "font.size": 8.0,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 0.8,
+    "lines.markersize": 3.0,
+    "pdf.fonttype": 42,
+}
+_SCALE = ContextVar("scale", default=1.0)
 #: Label of features of no stream.
 NONE = "no stream"
 #: Dots per inch of a page.
@@ -69,8 +84,21 @@ def new_figure(figsize):
     """Return an empty figure that makes room for its labels."""
     from matplotlib.figure import Figure
 
-    scale = min(1.0, HEIGHT / figsize[1])
+    scale = min(_SCALE.get(), HEIGHT / figsize[1])
     return Figure(figsize=[scale * side for side in figsize], layout="compressed")
+
+
+@contextmanager
+def for_journal(columns=1):
+    """Make new figures as wide as columns of a journal, with its letters and fonts."""
+    from matplotlib import rc_context
+
+    token = _SCALE.set(columns * COLUMN / WIDTH)
+    try:
+        with rc_context(JOURNAL):
+            yield
+    finally:
+        _SCALE.reset(token)
 
 
 def figure_files(figures, *, pdf=False):
@@ -82,20 +110,43 @@ def figure_files(figures, *, pdf=False):
     figures : dict of callable
         Functions without arguments that draw them, by their names.
     pdf : bool, optional
-        Write them as PDF, too, with fonts that journals take, not of Type 3.
+        Draw them for a column of a journal as well, as PDF; wide ones for two.
     """
-    from matplotlib import rc_context
-
-    files, metadata = {}, {"png": None}
-    if pdf:
-        metadata["pdf"] = {"CreationDate": None}
+    files = {}
+    metadata = {"png": None, "pdf": {"CreationDate": None}}
     for name, plot in figures.items():
-        figure = plot()
-        for form, about in metadata.items():
-            with rc_context({"pdf.fonttype": 42}), BytesIO() as buffer:
-                figure.savefig(buffer, format=form, dpi=DPI, metadata=about)
-                files[f"{name}.{form}"] = buffer.getvalue()
+        for kind in ("png", "pdf") if pdf else ("png",):
+            width = for_journal(2 if name in WIDE else 1)
+            with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
+                figure = plot()
+                thin(figure)
+                figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
+                files[f"{name}.{kind}"] = buffer.getvalue()
     return files
+
+
+def thin(figure):
+    """Draw lines and symbols of a narrow figure smaller."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+
+    scale = min(_SCALE.get(), 1.0)
+    for ax in figure.axes if scale < 1 else ():
+        drawn = [*ax.lines, *ax.collections]
+        drawn += ax.get_legend().findobj() if ax.get_legend() else []
+        for artist in drawn:
+            if isinstance(artist, Line2D):
+                artist.set_markersize(scale * artist.get_markersize())
+            if isinstance(artist, Line2D | LineCollection):
+                artist.set_linewidth(scale * np.asarray(artist.get_linewidth()))
+        for text in ax.texts:
+            if arrow := getattr(text, "arrow_patch", None):
+                arrow.set_mutation_scale(scale * arrow.get_mutation_scale())
+
+
+def legend_columns(n):
+    """Return the number of columns of a legend: half of n in a narrow figure."""
+    return n if _SCALE.get() >= 1 else max(n // 2, 1)
 
 
 def scale_colors(scales):
@@ -158,7 +209,7 @@ def legend_above(ax):
     if each := {text: handle for text, _, handle in each}:
         ax.legend(
             each.values(), each.keys(), fontsize="small", frameon=False,
-            ncols=4, loc="lower left", bbox_to_anchor=(0, 1),
+            ncols=legend_columns(4), loc="lower left", bbox_to_anchor=(0, 1),
             borderaxespad=0,
         )  # fmt: skip
 

@@ -237,7 +237,8 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
         angle = f"{result.position_angle.to_value(u.deg) % 360:.0f} deg"
         label = f"Proper motion along position angle {angle} ({unit_name(unit)})"
     ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
-    ax.legend(loc="upper left", fontsize="small", ncols=2, frameon=False)
+    columns = style.legend_columns(2)
+    ax.legend(loc="upper left", fontsize="small", ncols=columns, frameon=False)
     style.add_speed_axis(ax, unit, beta_per_pm)
     return scene.figure
 
