@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse.csgraph import connected_components
 from scipy.special import gammaln, ndtri
 
 from astro_scc.features.detections import Detections
@@ -207,25 +208,12 @@ def _agreed(d, settings, seed):
     for chosen in solutions:
         used = np.bincount(which[np.isin(owner, chosen)], minlength=len(links))
         share += used / len(solutions)
-    before, after = np.divmod(links[share > settings.agreed], len(d))
-    follows = dict(zip(before.tolist(), after.tolist(), strict=True))
-    tracks = []
-    for chain in _chains(follows):
-        if len(chain) < settings.least_epochs:
-            continue
-        detection = np.array(chain)
-        same = _same_speed(d, detection, paths, solutions)
-        tracks.append(Track(detection, same, proven))
-    return tracks
-
-
-def _chains(follows):
-    """Yield chains of detections that follow each other."""
-    for start in sorted(follows.keys() - set(follows.values())):
-        chain = [start]
-        while chain[-1] in follows:
-            chain.append(follows[chain[-1]])
-        yield chain
+    links = np.divmod(links[share > settings.agreed], len(d))
+    return [
+        Track(own, _same_speed(d, own, paths, solutions), proven)
+        for own in chains(*links, len(d))
+        if len(own) >= settings.least_epochs
+    ]
 
 
 def _same_speed(d, detection, paths, solutions):
@@ -432,8 +420,8 @@ def _one_way(d, o, way):
         live["missed"] = live["missed"] + 1
         live["score"] = live["score"] + np.log(1 - o.detected)
         live = {k: np.concatenate([longer[k], live[k]]) for k in live}
-        rank = _rank(-live["score"], live["root"])
-        live = _select(live, np.flatnonzero(rank < o.hypotheses))
+        kept = lowest(-live["score"], live["root"], n=o.hypotheses)
+        live = _select(live, np.sort(kept))
         live = {k: np.concatenate([live[k], start[k]]) for k in live}
     ended.append(_select(live, live["length"] >= o.least_epochs))
     node, best, root = (
@@ -443,23 +431,46 @@ def _one_way(d, o, way):
     node, first = np.unique(node, return_index=True)
     best, root = best[first], root[first]
     last = np.concatenate(tracks_of.detection)[node]
-    keep = (_rank(-best, root) < o.kept) | (_rank(-best, last) < o.kept)
-    keep &= best > 0
-    if keep.any():
+    kept = [lowest(-best, group, n=o.kept) for group in (root, last)]
+    keep = np.union1d(*kept)
+    keep = keep[best[keep] > 0]
+    if len(keep):
         paths = tracks_of.paths(node[keep])
         for row, score in zip(paths.tolist(), best[keep].tolist(), strict=True):
             path = [k for k in row if k >= 0]
             yield tuple(path[::-way]), score
 
 
-def _rank(value, group):
-    """Return the rank of each value within its group, from 0."""
-    order = np.lexsort((value, group))
-    ordered = group[order]
-    rank = np.empty(len(order), dtype=int)
-    rank[order] = np.arange(len(order)) - np.searchsorted(ordered, ordered)
-    return rank
+# -- groups and chains -------------------------------------------------------------
 
+
+def rank_in_group(*keys):
+    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
+    new = np.ones(len(keys[0]), bool)
+    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
+
+
+def lowest(value, *keys, n=1):
+    """Return the indices of the n lowest values for equal keys, sorted by the keys."""
+    order = np.lexsort((value, *keys[::-1]))
+    return order[rank_in_group(*(key[order] for key in keys)) < n]
+
+
+def connected(one, other, n):
+    """Return the number of each node's group, for n nodes connected in pairs."""
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
+    return connected_components(graph, directed=False)[1]
+
+
+def chains(before, after, n):
+    """Return the chains of n nodes, of which some come before others, each in order."""
+    group = connected(before, after, n)
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+
+
+# -- the choice among tracks -------------------------------------------------------
 
 #: Iterations of the prices, without and with prices to start from.
 ITERATIONS, ITERATIONS_AGAIN = 150, 60
