@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from astro_scc.streams.diagram import DEFAULT, SearchSettings
+from astro_scc.streams.diagram import DEFAULT, SearchSettings, fit_mixture
 
 #: Motion in beams with which one epoch less than ``least_epochs`` is enough.
 FAR_MOTION = 1.5
@@ -153,7 +153,7 @@ class Feature:
         )  # fmt: skip
 
 
-def find_chains(samples, mixture, settings):
+def find_chains(samples, speeds, rays):
     """
     Find features that move, each with its own speed.
 
@@ -168,8 +168,9 @@ def find_chains(samples, mixture, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.streams.diagram.Mixture`
-    settings : `~astro_scc.streams.SearchSettings`
+    speeds : sequence of float
+        About those of the streams, in beams/yr.
+    rays : `~astro_scc.streams.diagram.Rays`
 
     Returns
     -------
@@ -178,10 +179,10 @@ def find_chains(samples, mixture, settings):
     taken : `~numpy.ndarray` of bool, shape (n_ssps,)
         SSPs of features, on all scales.
     """
-    d = samples
+    d, settings = samples, rays.settings
     keep = (np.abs(d.d2) <= settings.across) & (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links(d.select(keep))
-    score, speed = first_speeds(d, mixture, settings)
+    score, speed = first_speeds(d, speeds, rays)
     seeds = np.argsort(-score, kind="stable")
     seeds = seeds[score[seeds] >= LEAST_SCORE]
     found = []
@@ -200,15 +201,16 @@ def ssps_of(features, n_ssps):
     return taken
 
 
-def first_speeds(samples, mixture, settings):
+def first_speeds(samples, speeds, rays):
     """
     Return the speed of each SSP, from the matches that are true of one stream.
 
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.streams.diagram.Mixture`
-    settings : `~astro_scc.streams.SearchSettings`
+    speeds : sequence of float
+        See `find_chains`.
+    rays : `~astro_scc.streams.diagram.Rays`
 
     Returns
     -------
@@ -216,16 +218,15 @@ def first_speeds(samples, mixture, settings):
         Expected number of true matches of the stream that has most of them, from and
         to each SSP, and the speed along the axis that they give.
     """
-    d, n, at = samples, len(samples.epoch), mixture.match
+    d, n, number, own = samples, len(samples.epoch), [], []
+    speeds, at, *streams = fit_mixture(d, speeds, rays)
     x, dt, target = d.d1[at], d.interval[at], d.target_ssp[at]
     both = np.concatenate([d.ssp[at], np.where(target < 0, n, target)])
 
     def per_ssp(values):
         return np.bincount(both, np.tile(values, 2), n + 1)[:n]
 
-    number, own = [], []
-    streams = mixture.speed, mixture.membership, mixture.width
-    for v, member, s in zip(*streams, strict=True):
+    for v, member, s in zip(speeds, *streams, strict=True):
         weight = member / s**2
         # Where nothing moves, the fit may end at rest.
         prior = (FIRST_DISPERSION * max(abs(v), 1e-9)) ** -2
@@ -281,13 +282,11 @@ def clear_of(features, standing, samples, settings):
         affect the speed.  A feature with fewer than ``least_epochs`` other SSPs is
         ``pulled``.
     """
-    if not standing:
-        return list(features)
-    d = samples
-    places = np.array([d.position[f.ssp].mean(axis=0) for f in standing])
-    found = []
+    d, found = samples, []
+    places = np.reshape([d.position[f.ssp].mean(axis=0) for f in standing], (-1, 2))
     for f in features:
-        away = np.hypot(*(d.position[f.ssp][:, None] - places).T).min(axis=0)
+        away = np.hypot(*(d.position[f.ssp][:, None] - places).T)
+        away = away.min(axis=0, initial=np.inf)
         clear = away > PULL
         if clear.all():
             found.append(f)
