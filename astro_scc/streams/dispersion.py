@@ -346,7 +346,11 @@ def velocity_of(stream, beam, misaligned):
     to_frame = np.array([[cos, -sin], [sin, cos]])
     own = np.array([stream.along.mean, stream.across.mean]) * beam
     errors = np.array([stream.along.error, stream.across.error]) * beam
-    response = alignment_response(stream, len(misaligned))
+    # Change of the mean speed for a displacement of each epoch, in 1/yr.
+    response, (_, error) = np.zeros(len(misaligned)), feature_speeds(stream.features)
+    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
+    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
+        response[feature.epoch] += w * feature.response
     sense = np.sign(stream.along.mean) * beam[0]
     own_speeds = np.array([f.speed * sense for f in stream.features] or [np.nan])
     return StreamVelocity(
@@ -356,27 +360,6 @@ def velocity_of(stream, beam, misaligned):
         dispersion_error=stream.along.dispersion_error * beam[0],
         slowest=float(own_speeds.min()), fastest=float(own_speeds.max()),
     )  # fmt: skip
-
-
-def alignment_response(stream, n_epochs):
-    """
-    Return the change of a stream's mean speed per displacement of each epoch.
-
-    Parameters
-    ----------
-    stream : ``Stream``
-    n_epochs : int
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs,)
-        In 1/yr.
-    """
-    response, (_, error) = np.zeros(n_epochs), feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
-        response[feature.epoch] += w * feature.response
-    return response
 
 
 def jackknife_covariance(estimates):

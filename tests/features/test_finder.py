@@ -137,11 +137,6 @@ def test_missing_pixels_do_not_spread(jet, features):
         assert np.hypot(*(a.velocity - b.velocity)) < 0.1 * b.speed_err
 
 
-@pytest.mark.slow
-def test_two_processes_find_what_one_does(jet, features):
-    assert_same(find_features(jet.cube, n_workers=2), features)
-
-
 def test_a_region_restricts_detections(jet, features):
     x0, _ = jet.cube.reference_pixel
     mask = np.zeros(jet.cube.shape[1:], dtype=bool)

@@ -45,44 +45,25 @@ def catalogue(rows, *, scale=1.0):
 # -- candidates --------------------------------------------------------------------
 
 
-def random_matches(rng, ssps, n):
-    source = rng.integers(0, len(ssps), n)
-    landed = rng.integers(-1, len(ssps), n)
-    target = np.where(landed >= 0, ssps.epoch[landed], rng.integers(0, 4, n))
-    columns = (source, target, np.zeros(n), np.zeros(n), rng.random(n), np.ones(n),
-               np.ones(n))  # fmt: skip
-    return Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0), landed
-
-
-RANDOM = catalogue(
-    [
-        [k // 3, *place, k // 3 + 1.0]
-        for k, place in enumerate(np.random.default_rng(2).uniform(5, 90, (12, 2)))
-    ]
-)
-
-
 @pytest.mark.parametrize("max_gap", [0, 5])
-def test_candidates_are_those_of_loops(max_gap):
-    ssps = RANDOM
-    matches, landed = random_matches(np.random.default_rng(3), ssps, 300)
+def test_candidates_are_the_highest_peaks_at_a_later_date(max_gap):
+    # The second and the third epoch are of one date.
+    ssps = catalogue([[t, 10 * t, 5 + t**2, 1.0] for t in (0, 1, 2, 3)])
     years = np.array([2000.0, 2000.3, 2000.3, 2001.0])
-    found = find_candidates(matches, landed, ssps, years, max_gap=max_gap)
-    best = {}
-    for i, k, c in zip(matches.ssp, landed, matches.coefficient, strict=True):
-        if k < 0:
-            continue
-        a, b = ssps.epoch[i], ssps.epoch[k]
-        if 0 < b - a <= max_gap + 1 and years[b] > years[a]:
-            best[i, k] = max(best.get((i, k), 0), c)
-    assert list(zip(found.source, found.target, strict=True)) == sorted(best)
-    assert found.coefficient == pytest.approx([best[p] for p in sorted(best)])
-    a, b = ssps.epoch[found.source], ssps.epoch[found.target]
-    for axis, moved in ((ssps.y, found.dy), (ssps.x, found.dx)):
-        wanted = axis[found.target] - axis[found.source]
-        np.testing.assert_array_equal(moved, wanted)
-    np.testing.assert_array_equal(found.interval, years[b] - years[a])
-    np.testing.assert_array_equal(found.gap, b - a - 1)
+    # Sources, the SSPs on which their peaks fall, and the coefficients.
+    peaks = [(2, 3, 0.5), (0, 1, 0.7), (0, 1, 0.9), (0, 1, 0.8), (0, -1, 0.9),
+             (1, 0, 0.9), (1, 2, 0.9), (0, 3, 0.6)]  # fmt: skip
+    source, landed, coefficient = np.array(peaks).T
+    source, landed, zero = source.astype(int), landed.astype(int), np.zeros(8)
+    columns = source, np.maximum(landed, 1), zero, zero, coefficient, zero, zero
+    matches = Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0)
+    found = find_candidates(matches, landed, ssps, years, max_gap)
+    use = [True, max_gap == 5, True]
+    for name, wanted in {
+        "source": [0, 0, 2], "target": [1, 3, 3], "dy": [10, 30, 10], "dx": [1, 9, 5],
+        "interval": [0.3, 1.0, 0.7], "gap": [0, 2, 0], "coefficient": [0.9, 0.6, 0.5],
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(getattr(found, name), np.array(wanted)[use])
 
 
 @pytest.fixture(scope="module")
