@@ -55,7 +55,8 @@ def test_candidates_are_the_highest_peaks_at_a_later_date(max_gap):
              (1, 0, 0.9), (1, 2, 0.9), (0, 3, 0.6)]  # fmt: skip
     source, landed, coefficient = np.array(peaks).T
     source, landed, zero = source.astype(int), landed.astype(int), np.zeros(8)
-    columns = source, np.maximum(landed, 1), zero, zero, coefficient, zero, zero
+    target = np.where(landed < 0, 1, landed)
+    columns = source, target, zero, zero, coefficient, zero, zero
     matches = Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0)
     found = find_candidates(matches, landed, ssps, years, max_gap)
     use = [True, max_gap == 5, True]
@@ -166,10 +167,9 @@ def everything(ssps, *, most=20.0, max_gap=1):
     step = ssps.epoch[None, :] - ssps.epoch[:, None]
     dy, dx = (v[None, :] - v[:, None] for v in (ssps.y, ssps.x))
     near = np.hypot(dy, dx) <= most * np.maximum(step, 1)
-    same = ssps.scale[None, :] == ssps.scale[:, None]
-    i, k = np.nonzero((step > 0) & (step <= max_gap + 1) & near & same)
-    gap = step[i, k] - 1
-    return Links(i, k, dy[i, k], dx[i, k], gap + 1.0, gap, np.full(len(i), 0.97))
+    return candidates_of(
+        ssps, np.argwhere((step > 0) & (step <= max_gap + 1) & near), 0.97
+    )
 
 
 def streams(seed=1, n_epochs=6):
