@@ -136,8 +136,12 @@ def fit_gaussians(
     p = _pruned(_least_squares(p, data, EVERYWHERE, 0.0), data)
     y_err, x_err = _position_errors(p, data)
     order = np.argsort(-p[:, _PEAK], kind="stable")
-    # Fainter ones are needed by the model, but their places mean little.
-    order = order[_significance(p[order], data) >= THRESHOLD]
+    # Their peaks are compared with the error beside them: fainter ones are needed by
+    # the model, but their places mean little.
+    square = np.subtract.outer(p[order, _Y], data.y) ** 2
+    square += np.subtract.outer(p[order, _X], data.x) ** 2
+    beside = data.weight[square.argmin(axis=1)]
+    order = order[p[order, _PEAK] * beside >= THRESHOLD]
     p, y_err, x_err = p[order], y_err[order], x_err[order]
     peak = p[:, _PEAK] * data.unit
     return Gaussians(
@@ -154,7 +158,8 @@ class _Data:
 
     ``value`` and ``weight`` (inverse errors) are in ``unit``s of the noise, the
     positions ``y`` and ``x`` count from ``origin``.  ``independent`` is the number
-    of independent samples for each sample.
+    of independent samples for each sample, ``penalty`` the least decrease of chi^2 for
+    a component.
     """
 
     y: np.ndarray
@@ -165,6 +170,7 @@ class _Data:
     origin: tuple[int, int]
     beam: np.ndarray
     independent: float
+    penalty: float
 
     @classmethod
     def of(cls, image, beam, noise, mask):
@@ -193,19 +199,15 @@ class _Data:
         y, x = np.nonzero((near & good)[:: step[0], :: step[1]])
         if len(y) == 0:
             return None
+        independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
         at = y * step[0], x * step[1]
         error = np.hypot(noise[at] / unit, RELATIVE_ERROR * peak[at])
         return cls(
             y=at[0].astype(float), x=at[1].astype(float), value=value[at],
             weight=1 / error, unit=float(unit), beam=beam,
             origin=(cut[0].start, cut[1].start),
-            independent=step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam))),
+            independent=independent, penalty=4 * np.log(max(len(y) * independent, 2)),
         )  # fmt: skip
-
-    @property
-    def penalty(self):
-        """Least decrease of chi^2 for a component."""
-        return 4 * np.log(max(len(self.y) * self.independent, 2))
 
     def distance(self, y, x, at):
         """Return distances from a position in full widths of the beam."""
@@ -360,13 +362,6 @@ def _pruned(p, data):
         if data.chi2(new, where) - data.chi2(p, where) < data.penalty:
             p = new
     return p
-
-
-def _significance(p, data):
-    """Return the peaks of components in units of the error beside them."""
-    square = np.subtract.outer(p[:, _Y], data.y) ** 2
-    square += np.subtract.outer(p[:, _X], data.x) ** 2
-    return p[:, _PEAK] * data.weight[square.argmin(axis=1)]
 
 
 def _position_errors(p, data):

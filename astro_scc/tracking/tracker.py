@@ -130,8 +130,7 @@ class FeatureTracker:
             raise ValueError(
                 f"position_angle = {self.position_angle!r} must be an angle or 'radial'"
             )
-        limited = self.along is not None or self.across is not None
-        if limited and self.position_angle is None:
+        if self._limited and self.position_angle is None:
             raise ValueError("along and across need a position_angle")
 
     def __call__(
@@ -227,8 +226,10 @@ class FeatureTracker:
         interval = np.diff(years[pairs])[:, 0]
         keep = (np.diff(pairs)[:, 0] <= self.max_gap + 1) & (interval > 0)
         pairs, interval = pairs[keep], interval[keep]
-        radius = self._fastest(cube, limits) * interval[:, None]
-        radius += (MARGIN + 1) * tolerance
+        fastest = np.hypot(*np.abs(limits).max(axis=1)) if self._limited else limit
+        # Pixels may not be square.
+        side = np.hypot(*cube.pixel_matrix.value)[::-1]
+        radius = fastest * interval[:, None] / side + (MARGIN + 1) * tolerance
         radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
         radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
         columns, correlator = [], Correlator(self.kappa, self.target, self.min_overlap)
@@ -250,24 +251,9 @@ class FeatureTracker:
         return linking.link(found, ssps, tolerance)
 
     @property
-    def _frame(self):
-        """Axes of the limits of speed; None if speeds are limited in any direction."""
-        if self.along is None and self.across is None:
-            return None
-        radial = isinstance(self.position_angle, str)
-        return RadialFrame() if radial else PositionAngleFrame(self.position_angle)
-
-    def _fastest(self, cube, limits):
-        """Return the largest speeds along (y, x), in pixels per year."""
-        frame = self._frame
-        matrix = np.linalg.inv(cube.pixel_matrix.value)
-        if isinstance(frame, PositionAngleFrame):
-            corners = np.stack(np.meshgrid(*limits)).reshape(2, -1)
-            # The frame's matrix is symmetric and orthogonal, so it is its own inverse.
-            return np.abs(matrix @ frame.matrix() @ corners).max(axis=1)[::-1]
-        ends = np.abs(limits).max(axis=1)
-        fastest = ends[0] if frame is None else np.hypot(*ends)
-        return fastest * np.hypot(*matrix.T)[::-1]
+    def _limited(self):
+        """Whether speeds are limited along and across a direction, not in all alike."""
+        return self.along is not None or self.across is not None
 
     def _inside(self, candidates, ssps, cube, limits, fwhm):
         """Return which candidates are within the limits of speed."""
@@ -275,10 +261,12 @@ class FeatureTracker:
         sky = pixels @ cube.pixel_matrix.value.T
         (low, high), spare = limits.T, MARGIN * self.tolerance * fwhm
         time = candidates.interval[:, None]
-        if self._frame is None:
+        if not self._limited:
             return np.hypot(*sky.T) <= high[0] * candidates.interval + spare
+        radial = isinstance(self.position_angle, str)
+        frame = RadialFrame() if radial else PositionAngleFrame(self.position_angle)
         position = np.stack(ssp_offsets(ssps, cube), axis=1)[candidates.source]
-        moved = frame_displacements(self._frame, position, sky)
+        moved = frame_displacements(frame, position, sky)
         # A radial frame has no axes at its origin, and any will do there.
         moved = np.where(np.isfinite(moved), moved, sky)
         inside = (moved >= low * time - spare) & (moved <= high * time + spare)
