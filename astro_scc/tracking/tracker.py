@@ -221,12 +221,30 @@ class FeatureTracker:
         given = self.along, self.across
         limits = np.array([[-limit, limit] if v is None else v.value for v in given])
         tolerance = self.tolerance * fwhm / cube.pixel_scale.to_value(u.mas)
-        # The window of each pair of epochs is as large as its interval requires.
+        fastest = np.hypot(*np.abs(limits).max(axis=1)) if self._limited else limit
+        how = {"n_workers": n_workers, "progress_bar": progress_bar}
+        matches = self._match(cube, decompositions, fastest, tolerance, **how)
+        target = target_ssps(matches, ssps)
+        found = linking.find_candidates(matches, target, ssps, years, self.max_gap)
+        # Features do not jump into the core or out of it.
+        core = linking.core_ssps(ssps, cube)
+        found = found.select(core[found.source] == core[found.target])
+        found = found.select(self._inside(found, ssps, cube, limits, fwhm))
+        return linking.link(found, ssps, tolerance)
+
+    def _match(
+        self, cube, decompositions, fastest, tolerance, n_workers, progress_bar
+    ):  # fmt: skip
+        """
+        Correlate the SSPs of each epoch with the next epochs.
+
+        The window of each pair of epochs is as large as its interval requires.
+        """
+        years = cube.years.to_value(u.yr)
         pairs = np.stack(np.triu_indices(len(years), 1), axis=1)
         interval = np.diff(years[pairs])[:, 0]
         keep = (np.diff(pairs)[:, 0] <= self.max_gap + 1) & (interval > 0)
         pairs, interval = pairs[keep], interval[keep]
-        fastest = np.hypot(*np.abs(limits).max(axis=1)) if self._limited else limit
         # Pixels may not be square.
         side = np.hypot(*cube.pixel_matrix.value)[::-1]
         radius = fastest * interval[:, None] / side + (MARGIN + 1) * tolerance
@@ -241,14 +259,7 @@ class FeatureTracker:
                 columns.append(tuple(getattr(part, name) for name in COLUMNS))
                 done(len(own))
         reach = kinds.max(axis=0).tolist()
-        matches = Matches.from_columns(columns, pairs, reach, self.kappa)
-        target = target_ssps(matches, ssps)
-        found = linking.find_candidates(matches, target, ssps, years, self.max_gap)
-        # Features do not jump into the core or out of it.
-        core = linking.core_ssps(ssps, cube)
-        found = found.select(core[found.source] == core[found.target])
-        found = found.select(self._inside(found, ssps, cube, limits, fwhm))
-        return linking.link(found, ssps, tolerance)
+        return Matches.from_columns(columns, pairs, reach, self.kappa)
 
     @property
     def _limited(self):
