@@ -41,8 +41,8 @@ class Links:
     ----------
     source, target : `~numpy.ndarray` of int, shape (n,)
         Indices in the catalogue of the SSPs of all epochs.
-    dy, dx : `~numpy.ndarray`, shape (n,)
-        Displacement from maximum to maximum, in pixels.
+    motion : `~numpy.ndarray`, shape (n, 2)
+        Displacement (y, x) from maximum to maximum, in pixels.
     interval : `~numpy.ndarray`, shape (n,)
         Time from source to target, positive.
     gap : `~numpy.ndarray` of int, shape (n,)
@@ -55,28 +55,22 @@ class Links:
     >>> import numpy as np
     >>> from astro_scc.tracking.linking import Links
     >>> found = Links(
-    ...     source=np.array([0, 1]), target=np.array([2, 2]), dy=np.zeros(2),
-    ...     dx=np.array([5.0, -3.0]), interval=np.full(2, 0.1), gap=np.zeros(2, int),
-    ...     coefficient=np.array([0.95, 0.7]))
+    ...     source=np.array([0, 1]), target=np.array([2, 2]),
+    ...     motion=np.array([[0.0, 5.0], [0.0, -3.0]]), interval=np.full(2, 0.1),
+    ...     gap=np.zeros(2, int), coefficient=np.array([0.95, 0.7]))
     >>> len(found.select(found.coefficient > 0.8))
     1
     """
 
     source: np.ndarray
     target: np.ndarray
-    dy: np.ndarray
-    dx: np.ndarray
+    motion: np.ndarray
     interval: np.ndarray
     gap: np.ndarray
     coefficient: np.ndarray
 
     def __len__(self) -> int:
         return len(self.source)
-
-    @property
-    def motion(self) -> np.ndarray:
-        """Displacements (y, x), shape (n, 2)."""
-        return np.stack([self.dy, self.dx], axis=1)
 
     def select(self, keep: ArrayLike) -> Links:
         """
@@ -136,8 +130,8 @@ def find_candidates(
     >>> matches = Correlator()(epochs, all_pairs(3), 14)
     >>> found = find_candidates(
     ...     matches, target_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0])
-    >>> found.source.tolist(), found.target.tolist(), found.dx.round(1).tolist()
-    ([0, 0, 1], [1, 2, 2], [6.0, 12.0, 6.0])
+    >>> found.source, found.target, found.motion[:, 1].round(1)
+    (array([0, 0, 1]), array([1, 2, 2]), array([ 6., 12.,  6.]))
     """
     years = np.asarray(years, dtype=float)
     source, target = matches.ssp.astype(int), np.asarray(target_ssp, dtype=int)
@@ -147,10 +141,11 @@ def find_candidates(
     # Keep the highest peak of each pair of SSPs.
     use = use[lowest(-matches.coefficient[use], source[use], target[use])]
     source, target, at, to = source[use], target[use], at[use], to[use]
+    place = np.stack([ssps.y, ssps.x], axis=1)
     return Links(
-        source=source, target=target, dy=ssps.y[target] - ssps.y[source],
-        dx=ssps.x[target] - ssps.x[source], interval=years[to] - years[at],
-        gap=to - at - 1, coefficient=matches.coefficient[use].astype(float),
+        source=source, target=target, motion=place[target] - place[source],
+        interval=years[to] - years[at], gap=to - at - 1,
+        coefficient=matches.coefficient[use].astype(float),
     )  # fmt: skip
 
 

@@ -268,8 +268,7 @@ class FeatureTracker:
 
     def _inside(self, candidates, ssps, cube, limits, fwhm):
         """Return which candidates are within the limits of speed."""
-        pixels = np.stack([candidates.dx, candidates.dy], axis=1)
-        sky = pixels @ cube.pixel_matrix.value.T
+        sky = candidates.motion[:, ::-1] @ cube.pixel_matrix.value.T
         (low, high), spare = limits.T, MARGIN * self.tolerance * fwhm
         time = candidates.interval[:, None]
         if not self._limited:

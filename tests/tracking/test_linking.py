@@ -61,7 +61,7 @@ def test_candidates_are_the_highest_peaks_at_a_later_date(max_gap):
     found = find_candidates(matches, landed, ssps, years, max_gap)
     use = [True, max_gap == 5, True]
     for name, wanted in {
-        "source": [0, 0, 2], "target": [1, 3, 3], "dy": [10, 30, 10], "dx": [1, 9, 5],
+        "source": [0, 0, 2], "target": [1, 3, 3], "motion": [[10, 1], [30, 9], [10, 5]],
         "interval": [0.3, 1.0, 0.7], "gap": [0, 2, 0], "coefficient": [0.9, 0.6, 0.5],
     }.items():  # fmt: skip
         np.testing.assert_allclose(getattr(found, name), np.array(wanted)[use])
@@ -107,11 +107,9 @@ def test_half_of_a_long_beam_reaches_farther_along_it(cube):
 def candidates_of(ssps, pairs, coefficient=1.0):
     source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
     step = ssps.epoch[target] - ssps.epoch[source]
-    dy, dx = (v[target] - v[source] for v in (ssps.y, ssps.x))
-    return Links(
-        source, target, dy, dx,
-        step.astype(float), step - 1, np.broadcast_to(coefficient, len(source)),
-    )  # fmt: skip
+    place = np.stack([ssps.y, ssps.x], axis=1)
+    motion, same = place[target] - place[source], np.full(len(source), coefficient)
+    return Links(source, target, motion, step.astype(float), step - 1, same)
 
 
 def test_similarities_are_ratios_of_densities():
@@ -275,9 +273,8 @@ def test_gains_are_those_of_all_paths(seed):
     values = rng.normal(0, 1, len(transitions[0]))
     pairs = zip(*(part.tolist() for part in transitions), strict=True)
     between = dict(zip(pairs, values, strict=True))
-    zeros = np.zeros(len(pick))
     gains = path_gains(
-        Links(source, target, zeros, zeros, zeros, zeros, zeros), value,
+        Links(source, target, *4 * [np.zeros(len(pick))]), value,
         transitions, np.stack([values, values]), step, use=use,
     )  # fmt: skip
     assert gains == pytest.approx(slow_gains(source, target, value, between, use))
