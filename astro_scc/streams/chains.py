@@ -127,10 +127,9 @@ class Feature:
         -------
         `Feature`
         """
-        time = years - years.mean()
-        response = time / (time @ time)
-        velocity = response @ position
-        left = position - position.mean(axis=0) - time[:, None] * velocity
+        velocity, middle, date, response = line_through(years, position)
+        time = years - date
+        left = position - middle - time[:, None] * velocity
 
         def variance(left, n_parameters):
             total = (left**2).sum(axis=0) + PRIOR_FREEDOM * settings.position_error**2
@@ -147,10 +146,22 @@ class Feature:
         return cls(
             ssp=ssp, epoch=epoch, speed=float(velocity[0]), error=float(error[0]),
             across=float(velocity[1]), across_error=float(error[1]),
-            middle=position.mean(axis=0), date=float(years.mean()),
+            middle=middle, date=float(date),
             motion=float(abs(velocity[0]) * np.ptp(years)), response=response,
             acceleration=float(bend), acceleration_error=float(bend_error),
         )  # fmt: skip
+
+
+def line_through(years, position):
+    """
+    Return the straight line through positions.
+
+    Returned are the velocity, the mean position and the mean date, and the change of
+    the velocity for a change of each position.
+    """
+    time = years - years.mean()
+    response = time / (time @ time)
+    return response @ position, position.mean(axis=0), years.mean(), response
 
 
 def find_chains(samples, speeds, rays):
@@ -328,11 +339,12 @@ def _follow(seed, speed, links, d, free, settings):
     """Return the SSPs along a line from a seed, one per epoch."""
     members = {int(d.epoch[seed]): int(seed)}
     front, here, when = [int(seed)], d.position[seed], d.years[d.epoch[seed]]
-    across = 0.0
+    velocity = np.array([speed, 0.0])
     while front:
         index = np.concatenate([np.arange(*links.start[s : s + 2]) for s in front])
-        to, off = links.to[index], links.along[index] - speed * links.interval[index]
-        line = here + np.outer(d.years[d.epoch[to]] - when, (speed, across))
+        to, moved = links.to[index], velocity[0] * links.interval[index]
+        off = links.along[index] - moved
+        line = here + np.outer(d.years[d.epoch[to]] - when, velocity)
         near = np.abs(d.position[to] - line) <= (settings.line, settings.across)
         new = near.all(axis=1) & (np.abs(off) <= 2 * settings.smoothing)
         new &= free[to] & ~np.isin(d.epoch[to], list(members))
@@ -345,15 +357,9 @@ def _follow(seed, speed, links, d, free, settings):
                 members[epoch] = ssp
                 front.append(ssp)
         if len(members) >= 3:
-            (speed, across), here, when = _line(np.array(list(members.values())), d)
+            line = d.years[list(members)], d.position[list(members.values())]
+            velocity, here, when, _ = line_through(*line)
     return np.array([members[epoch] for epoch in sorted(members)])
-
-
-def _line(chosen, d):
-    """Return the velocity, the mean position and the mean date of some SSPs."""
-    years, place = d.years[d.epoch[chosen]], d.position[chosen]
-    time = years - years.mean()
-    return time @ place / (time @ time), place.mean(axis=0), years.mean()
 
 
 def _on_line(chosen, d, settings):
@@ -429,9 +435,9 @@ def _continuation(chain, own, rest, sums, d, settings):
 
 def _off_line(chosen, d):
     """Return the distances of SSPs from their line along and across the axis."""
-    velocity, middle, when = _line(chosen, d)
-    time = d.years[d.epoch[chosen]] - when
-    return np.abs(d.position[chosen] - middle - time[:, None] * velocity)
+    years, position = d.years[d.epoch[chosen]], d.position[chosen]
+    velocity, middle, date, _ = line_through(years, position)
+    return np.abs(position - middle - (years - date)[:, None] * velocity)
 
 
 def _feature(chosen, d, settings):
