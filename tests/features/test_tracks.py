@@ -62,15 +62,15 @@ def test_what_holds_for_all_tracks(series, seed):
     assert found(d) == [track.detection.tolist() for track in tracks]
 
 
-def test_crossing_features_keep_their_identity(crossing):
-    tracks = find_tracks(crossing)
-    assert sorted(track.detection.tolist() for track in tracks) == [
-        list(range(0, 16, 2)),
-        list(range(1, 16, 2)),
-    ]
-    for track in tracks:
-        assert track.proven
-        assert track.same_speed > 0.9
+def test_crossing_features_keep_their_identity(series):
+    """Two features that meet between two epochs; even and odd detections."""
+    rows = []
+    for t in range(8):
+        rows += [(t, 0.4 * t, 0.3 * t - 1.05, 1.0), (t, 0.4 * t, 1.05 - 0.3 * t, 0.3)]
+    tracks = find_tracks(series(rows))
+    each = sorted(track.detection.tolist() for track in tracks)
+    assert each == [list(range(0, 16, 2)), list(range(1, 16, 2))]
+    assert all(track.proven and track.same_speed > 0.9 for track in tracks)
 
 
 @pytest.mark.parametrize("left_out", [0, 3])
