@@ -33,9 +33,6 @@ from astro_scc.units import PM_UNIT
 BEAMS_PER_INTERVAL = 4.0
 #: Displacements may exceed the limits by this many tolerances.
 MARGIN = 2.0
-#: Sizes of windows in pixels; few sizes mean few calls of the correlation.
-WINDOWS = (8, 12, 16, 20, 24, 32, 40, 48, 56, 64, 72, 80, 96, 112, 128, 160, 192, 224,
-           256, 320, 384, 448, 512, 768, 1024)  # fmt: skip
 #: Checks of the settings that a measurement does not have, and their units.
 SPEEDS = (q.check_range, "a smallest and a largest speed", "-1 4 mas/yr")
 CHECKS = {
@@ -77,8 +74,6 @@ class FeatureTracker:
         Fewest epochs of a track.
     kappa : float, optional
         Smallest correlation of a candidate.
-    target, min_overlap
-        See `~astro_scc.correlation.Correlator`.
     common_beam : bool, optional
         Refuse epochs whose beams differ; ``cube.to_common_beam()`` gives them
         the same beam.  False tracks them as they are.
@@ -112,8 +107,6 @@ class FeatureTracker:
     max_gap: int = 1
     min_epochs: int = 3
     kappa: float = 0.5
-    target: str = "segments"
-    min_overlap: float = 0.8
     common_beam: bool = True
 
     def __post_init__(self):
@@ -248,9 +241,10 @@ class FeatureTracker:
         # Pixels may not be square.
         side = np.hypot(*cube.pixel_matrix.value)[::-1]
         radius = fastest * interval[:, None] / side + (MARGIN + 1) * tolerance
-        radius = np.array(WINDOWS)[np.searchsorted(WINDOWS[:-1], radius)]
+        # Few sizes of windows, two an octave, mean few calls of the correlation.
+        radius = np.ceil(2 ** (np.ceil(2 * np.log2(radius)) / 2)).astype(int)
         radius = np.minimum(radius, np.array(cube.shape[1:]) - 1)
-        columns, correlator = [], Correlator(self.kappa, self.target, self.min_overlap)
+        columns, correlator = [], Correlator(self.kappa)
         kinds, kind = np.unique(radius, axis=0, return_inverse=True)
         with progress(len(pairs), "Correlating", show=progress_bar) as done:
             for k, window in enumerate(kinds.tolist()):
