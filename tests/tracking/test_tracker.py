@@ -118,6 +118,9 @@ def test_limits_along_and_across_are_those_of_the_links(angle):
     # Displacements may exceed the limits by 0.24 mas, which is 0.47 mas/yr.
     (only,) = FeatureTracker(position_angle=angle, **limits)(*jet()).table
     assert only["pm_ra_cosdec"].value == pytest.approx(-0.6, abs=0.02)
+    # Without limits across it is as fast as the largest speed in either direction.
+    (alone,) = FeatureTracker(position_angle=angle, along=limits["along"])(*jet()).table
+    assert alone["pm_ra_cosdec"] == only["pm_ra_cosdec"]
 
 
 def test_images_without_beams_and_too_few_epochs(tracker):
