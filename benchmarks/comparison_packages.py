@@ -140,16 +140,17 @@ def members(result, numbers):
 def tracked(cube):
     """Return velocities of features from one epoch of a track to the next."""
     from astro_scc.decomposition import Decomposer, SSPs
+    from astro_scc.features.tracks import chains
     from astro_scc.tracking import FeatureTracker
-    from astro_scc.tracking.linking import chains
 
     decompose = Decomposer(scales=(1, 2, 3))
     tracker = FeatureTracker(max_speed=LARGEST * pixel_an_epoch(cube))
     decompositions = [decompose(image) for image in cube.data]
     ssps = SSPs.of_epochs(decompositions)
-    parts = []
-    for own in chains(tracker.link(cube, decompositions), ssps, min_epochs=3):
-        parts += links(ssps.epoch[own], ssps.x[own], ssps.y[own])
+    found, parts = tracker.link(cube, decompositions), []
+    for own in chains(found.source, found.target, len(ssps)):
+        if len(own) >= 3:
+            parts += links(ssps.epoch[own], ssps.x[own], ssps.y[own])
     return None, Sample.of(parts)
 
 

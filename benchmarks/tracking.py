@@ -17,9 +17,9 @@ from common import PM_UNIT, write_table
 
 from astro_scc import EpochCube
 from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.features.tracks import chains
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.tracking import FeatureTracker
-from astro_scc.tracking.linking import chains
 
 #: Limits for the paper's jet, where 1 pixel per epoch is 1.2175 mas/yr.
 WINDOW = {
@@ -100,12 +100,11 @@ def compare(cube, x, y, seen, group, tracker):
     """Return the counts of right and wrong links in one jet."""
     decompositions = decomposed(cube)
     ssps, links = SSPs.of_epochs(decompositions), tracker.link(cube, decompositions)
-    one = links.kind == "link"
     next_of = np.full(len(ssps), -1)
-    direct = one & (links.gap == 0)
+    direct = links.gap == 0
     next_of[links.source[direct]] = links.target[direct]
-    tracks = chains(links, ssps, min_epochs=tracker.min_epochs)
-    counts = {"links": one.sum(), "ssps": len(ssps)}
+    tracks = [t for t in chains(links.source, links.target, len(ssps)) if len(t) > 2]
+    counts = {"links": len(links), "ssps": len(ssps)}
     counts["share"] = sum(map(len, tracks)) / len(ssps)
     features = tracker(cube, decompositions)
     counts["features"] = right_features(features, x, y, seen)
@@ -125,7 +124,7 @@ def compare(cube, x, y, seen, group, tracker):
             ]
             right = sum(next_of[i] == k for i, k in pairs)
             counts[f"{key} {name}"] = right, len(pairs)
-        i, k = links.source[one], links.target[one]
+        i, k = links.source, links.target
         known = (owner[i] >= 0) & (owner[k] >= 0)
         counts[f"{key} wrong"] = np.sum(owner[i] != owner[k], where=known), known.sum()
     return counts

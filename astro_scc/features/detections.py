@@ -15,6 +15,7 @@ from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.images import positions
 from astro_scc.parallel import in_order
 from astro_scc.progress import progress
+from astro_scc.streams.chains import line_through
 
 #: Distance from the origin within which the core lies if the epochs are not aligned,
 #: and its scatter if they are, in beams.
@@ -104,9 +105,8 @@ class Detections:
         velocity, variance : `~numpy.ndarray`, shape (2,)
             In mas/yr, and the formal variance.
         """
-        time = self.time[own] - self.time[own].mean()
-        response = time / (time @ time)
-        return response @ self.place[own], response**2 @ self.place_error[own] ** 2
+        velocity, *_, response = line_through(self.time[own], self.place[own])
+        return velocity, response**2 @ self.place_error[own] ** 2
 
     @property
     def fwhm(self) -> float:
@@ -210,10 +210,10 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         The brightest of each epoch first.
     """
     # From (y, x) in pixels to offsets on the two axes.
-    matrix = cube.pixel_matrix.value[:, ::-1]
+    matrix, every = cube.pixel_matrix.value[:, ::-1], np.arange(len(cube))
+    beams = positions.beam_covariance(cube, every, every)
     inverse, noise = np.linalg.inv(matrix), cube.noise_rms().value
-    covariances = (inverse @ b.covariance.value @ inverse.T for b in cube.beams)
-    work = zip(cube.data, cube.mask, covariances, noise, strict=True)
+    work = zip(cube.data, cube.mask, inverse @ beams @ inverse.T, noise, strict=True)
     models = []
     with progress(len(cube), "Fitting", show=progress_bar) as done:
         for model in in_order(_fit, work, n_workers):
@@ -226,10 +226,10 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
     x0, y0 = cube.reference_pixel
     errors = np.stack([y_err, x_err], axis=1)
     return Detections(
-        epoch=np.repeat(np.arange(len(cube)), [len(model) for model in models]),
+        epoch=np.repeat(every, [len(model) for model in models]),
         place=np.stack([y - y0, x - x0], axis=1) @ matrix.T,
         place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T), flux=flux,
-        size=size * cube.pixel_scale.value, years=_years(cube), beam=_mean_beam(cube),
+        size=size * cube.pixel_scale.value, years=_years(cube), beam=beams.mean(axis=0),
     )  # fmt: skip
 
 
@@ -257,13 +257,11 @@ def finest_patterns(ssps, keep=None, of=True):
     `~numpy.ndarray` of int, shape (n,)
         In the order of the epochs.
     """
-    size = ssp_sizes(ssps)
     keep = np.zeros(len(ssps), dtype=bool) if keep is None else keep.copy()
     of = np.broadcast_to(of, keep.shape)
-    for k in np.lexsort((-ssps.snr, size)).tolist():
+    for k in np.lexsort((-ssps.snr, ssps.scale)).tolist():
         keep[k] |= of[k] and is_new(ssps, keep, k)
-    own = np.flatnonzero(keep)
-    return own[np.argsort(ssps.epoch[own], kind="stable")]
+    return np.flatnonzero(keep)
 
 
 def is_new(ssps, keep, k):
@@ -273,12 +271,7 @@ def is_new(ssps, keep, k):
     return not (off <= SAME_PATTERN * scale_size(ssps.scale[k])).any()
 
 
-def ssp_sizes(ssps):
-    """Return the size of the scale of each SSP in pixels."""
-    return np.array([scale_size(scale) for scale in ssps.scale], dtype=float)
-
-
-def ssps_of(cube, ssps, own, fwhm=None):
+def ssps_of(cube, ssps, own):
     """
     Return SSPs as detections.
 
@@ -289,35 +282,25 @@ def ssps_of(cube, ssps, own, fwhm=None):
         Of all epochs.
     own : `~numpy.ndarray` of int, shape (n,)
         Those that are detections, in the order of the epochs.
-    fwhm : float, optional
-        Resolution in mas of a cube without beams, by default that of the finest scale.
 
     Returns
     -------
     `Detections`
-        With errors of the positions from the signal-to-noise ratio.
+        With errors of the positions from the signal-to-noise ratio.  Without beams
+        the resolution is that of the finest scale.
     """
-    if cube.beams is None:
-        if fwhm is None:
-            finest = ssp_sizes(ssps).min(initial=np.inf) if len(ssps) else 1.0
-            fwhm = positions.SCALES_PER_FWHM * finest * cube.pixel_scale.value
-        beam = np.eye(2) * fwhm**2 / (8 * np.log(2))
-    else:
-        beam = _mean_beam(cube)
+    finest = np.full(len(cube), ssps.scale.min() if len(ssps) else 0)
+    beams = positions.beam_covariance(cube, np.arange(len(cube)), finest)
     place = np.stack(positions.ssp_offsets(ssps, cube), axis=1)
     widths = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     errors = positions.position_errors(ssps.snr, widths, 0.0)
     return Detections(
         epoch=ssps.epoch[own], place=place[own], place_error=errors[own],
-        flux=ssps.flux[own], size=np.zeros(len(own)), years=_years(cube), beam=beam,
+        flux=ssps.flux[own], size=np.zeros(len(own)), years=_years(cube),
+        beam=beams.mean(axis=0),
     )  # fmt: skip
 
 
 def _years(cube):
     """Return the dates as Julian years."""
     return cube.times[0].jyear + cube.years.to_value(u.yr)
-
-
-def _mean_beam(cube):
-    """Return the mean covariance of the beams in mas^2."""
-    return np.mean([beam.covariance.value for beam in cube.beams], axis=0)

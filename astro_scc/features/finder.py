@@ -23,7 +23,7 @@ from astro_scc.features.detections import (
 )
 from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
-from astro_scc.features.trust import false_probability, is_secure
+from astro_scc.features.trust import COEFFICIENTS, CONSTANT, is_secure, properties
 from astro_scc.images.positions import name_by_frame
 from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit
@@ -98,7 +98,9 @@ class Features:
     def p_false(self) -> np.ndarray:
         """Probability of each that it is no feature, or parts of several."""
         each = zip(self.tracks, self.motions, strict=True)
-        return np.array([false_probability(self.detections, *one) for one in each])
+        known = [properties(self.detections, *one) for one in each]
+        logit = CONSTANT + np.reshape(known, (-1, len(COEFFICIENTS))) @ COEFFICIENTS
+        return 1 / (1 + np.exp(logit))
 
     @property
     def moved(self) -> np.ndarray:

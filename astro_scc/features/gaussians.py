@@ -69,9 +69,8 @@ class Gaussians:
 
 
 def fit_gaussians(
-    image: ArrayLike, beam_covariance: ArrayLike, noise: ArrayLike, *,
-    mask: ArrayLike | None = None,
-) -> Gaussians:  # fmt: skip
+    image: ArrayLike, beam: np.ndarray, noise: float, *, mask: ArrayLike = False
+) -> Gaussians:
     r"""
     Fit circular Gaussians, convolved with the beam, to an image.
 
@@ -96,23 +95,17 @@ def fit_gaussians(
     ----------
     image : array_like, shape (ny, nx)
         Only positive components are fitted.
-    beam_covariance : array_like, shape (2, 2)
+    beam : `~numpy.ndarray`, shape (2, 2)
         Covariance of the Gaussian beam over (y, x) in square pixels.
-    noise : float or array_like, shape (ny, nx)
-        Standard deviation of the noise of each pixel, in the unit of the image.
+    noise : float
+        Standard deviation of the noise, in the unit of the image.
     mask : array_like of bool, shape (ny, nx), optional
-        True marks missing pixels, as do NaN, and noise that is not positive.  They
-        take no part in the fit.
+        True marks missing pixels, as does NaN.  They take no part in the fit.
 
     Returns
     -------
     `Gaussians`
         Without rows if nothing is above five errors.
-
-    Raises
-    ------
-    ValueError
-        If the covariance of the beam is not positive definite.
 
     Examples
     --------
@@ -126,9 +119,6 @@ def fit_gaussians(
     >>> found.y.round(2), found.x.round(2), found.size.round(2)
     (array([20.3, 30. ]), array([30.6, 40. ]), array([0.  , 7.06]))
     """
-    beam = np.asarray(beam_covariance, dtype=float)
-    if beam.shape != (2, 2) or not (np.linalg.eigvalsh(beam) > 0).all():
-        raise ValueError("the covariance of the beam must be positive definite, 2 x 2")
     data = _Data.of(image, beam, noise, mask)
     p = [] if data is None else _grown(data)
     if len(p) == 0:
@@ -136,10 +126,14 @@ def fit_gaussians(
     p = _pruned(_least_squares(p, data, EVERYWHERE, 0.0), data)
     y_err, x_err = _position_errors(p, data)
     order = np.argsort(-p[:, _PEAK], kind="stable")
-    # Fainter ones are needed by the model, but their places mean little.
-    order = order[_significance(p[order], data) >= THRESHOLD]
+    # Their peaks are compared with the error beside them: fainter ones are needed by
+    # the model, but their places mean little.
+    square = np.subtract.outer(p[order, _Y], data.y) ** 2
+    square += np.subtract.outer(p[order, _X], data.x) ** 2
+    beside = data.weight[square.argmin(axis=1)]
+    order = order[p[order, _PEAK] * beside >= THRESHOLD]
     p, y_err, x_err = p[order], y_err[order], x_err[order]
-    peak = p[:, _PEAK] * data.unit
+    peak = p[:, _PEAK] * noise
     return Gaussians(
         y=p[:, _Y] + data.origin[0], x=p[:, _X] + data.origin[1], peak=peak,
         flux=peak * np.sqrt(_areas(p, beam) / np.linalg.det(beam)),
@@ -152,30 +146,29 @@ class _Data:
     """
     Samples of an image near its bright parts, three to a beam.
 
-    ``value`` and ``weight`` (inverse errors) are in ``unit``s of the noise, the
+    ``value`` and ``weight`` (inverse errors) are in units of the noise, the
     positions ``y`` and ``x`` count from ``origin``.  ``independent`` is the number
-    of independent samples for each sample.
+    of independent samples for each sample, ``penalty`` the least decrease of chi^2 for
+    a component.
     """
 
     y: np.ndarray
     x: np.ndarray
     value: np.ndarray
     weight: np.ndarray
-    unit: float
     origin: tuple[int, int]
     beam: np.ndarray
     independent: float
+    penalty: float
 
     @classmethod
     def of(cls, image, beam, noise, mask):
         """Return the samples of an image; None if nothing is above the threshold."""
-        image = np.asarray(image, dtype=float)
-        noise = np.broadcast_to(np.asarray(noise, dtype=float), image.shape)
-        good = np.isfinite(image) & np.isfinite(noise) & (noise > 0)
-        if mask is not None:
-            good &= ~np.asarray(mask, dtype=bool)
-        bright = np.zeros(image.shape, dtype=bool)
-        bright[good] = image[good] > THRESHOLD * noise[good]
+        if not noise > 0:
+            return None
+        good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
+        value = np.where(good, image, 0.0) / noise
+        bright = value > THRESHOLD
         if not bright.any():
             return None
         width = _FWHM * np.sqrt(np.diag(beam))
@@ -184,28 +177,21 @@ class _Data:
             slice(max(at.min() - m, 0), at.max() + m + 1)
             for at, m in zip(np.nonzero(bright), margin, strict=True)
         )
-        good, bright, noise = good[cut], bright[cut], noise[cut]
-        unit = np.median(noise[good])
-        value = np.where(good, image[cut], 0.0) / unit
+        good, bright, value = good[cut], bright[cut], value[cut]
         peak = ndimage.maximum_filter(value, size=tuple(width.astype(int) | 1))
         near = ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
         step = np.maximum(width.astype(int) // 3, 1)
         y, x = np.nonzero((near & good)[:: step[0], :: step[1]])
         if len(y) == 0:
             return None
+        independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
         at = y * step[0], x * step[1]
-        error = np.hypot(noise[at] / unit, RELATIVE_ERROR * peak[at])
+        error = np.hypot(1.0, RELATIVE_ERROR * peak[at])
         return cls(
             y=at[0].astype(float), x=at[1].astype(float), value=value[at],
-            weight=1 / error, unit=float(unit), beam=beam,
-            origin=(cut[0].start, cut[1].start),
-            independent=step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam))),
+            weight=1 / error, beam=beam, origin=(cut[0].start, cut[1].start),
+            independent=independent, penalty=4 * np.log(max(len(y) * independent, 2)),
         )  # fmt: skip
-
-    @property
-    def penalty(self):
-        """Least decrease of chi^2 for a component."""
-        return 4 * np.log(max(len(self.y) * self.independent, 2))
 
     def distance(self, y, x, at):
         """Return distances from a position in full widths of the beam."""
@@ -360,13 +346,6 @@ def _pruned(p, data):
         if data.chi2(new, where) - data.chi2(p, where) < data.penalty:
             p = new
     return p
-
-
-def _significance(p, data):
-    """Return the peaks of components in units of the error beside them."""
-    square = np.subtract.outer(p[:, _Y], data.y) ** 2
-    square += np.subtract.outer(p[:, _X], data.x) ** 2
-    return p[:, _PEAK] * data.weight[square.argmin(axis=1)]
 
 
 def _position_errors(p, data):

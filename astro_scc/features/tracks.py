@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse.csgraph import connected_components
 from scipy.special import gammaln, ndtri
 
 from astro_scc.features.detections import Detections
@@ -207,25 +208,12 @@ def _agreed(d, settings, seed):
     for chosen in solutions:
         used = np.bincount(which[np.isin(owner, chosen)], minlength=len(links))
         share += used / len(solutions)
-    before, after = np.divmod(links[share > settings.agreed], len(d))
-    follows = dict(zip(before.tolist(), after.tolist(), strict=True))
-    tracks = []
-    for chain in _chains(follows):
-        if len(chain) < settings.least_epochs:
-            continue
-        detection = np.array(chain)
-        same = _same_speed(d, detection, paths, solutions)
-        tracks.append(Track(detection, same, proven))
-    return tracks
-
-
-def _chains(follows):
-    """Yield chains of detections that follow each other."""
-    for start in sorted(follows.keys() - set(follows.values())):
-        chain = [start]
-        while chain[-1] in follows:
-            chain.append(follows[chain[-1]])
-        yield chain
+    links = np.divmod(links[share > settings.agreed], len(d))
+    return [
+        Track(own, _same_speed(d, own, paths, solutions), proven)
+        for own in chains(*links, len(d))
+        if len(own) >= settings.least_epochs
+    ]
 
 
 def _same_speed(d, detection, paths, solutions):
@@ -327,6 +315,13 @@ def steady_hypotheses(detections, settings):
     return paths, np.array([found[path] for path in paths])
 
 
+#: State of a track: its last detection as a node, its first one, position and velocity
+#: with their variances and covariance, and likelihood.
+STATE = [("node", int), ("root", int), ("x", float, 2), ("v", float, 2),
+         ("variance", float, 3), ("time", float), ("light", float), ("score", float),
+         ("best", float), ("length", int), ("missed", int)]  # fmt: skip
+
+
 class _Filter:
     """Kalman filter of position and velocity, equal on both axes, in one direction."""
 
@@ -343,29 +338,25 @@ class _Filter:
         # Each node is a detection after another node; hypotheses share them.
         self.detection, self.parent, self.n_nodes = [], [], 0
 
-    def _tracks(self, own, parent, root, x, v, variance, light, score, length):
+    def _tracks(self, own, parent, **state):
         """Return tracks that end with some detections after the ``parent`` nodes."""
         self.detection.append(own)
-        self.parent.append(parent)
+        self.parent.append(np.broadcast_to(parent, own.shape))
+        tracks = np.zeros(len(own), dtype=STATE)
+        tracks["node"] = self.n_nodes + np.arange(len(own))
         self.n_nodes += len(own)
-        return {
-            "node": np.arange(self.n_nodes - len(own), self.n_nodes), "root": root,
-            "x": x, "v": v, "variance": variance, "time": self.time[own],
-            "light": light, "score": score, "best": score, "length": length,
-            "missed": np.zeros(len(own), dtype=int),
-        }  # fmt: skip
+        for name, values in state.items():
+            tracks[name] = values
+        tracks["time"], tracks["best"] = self.time[own], tracks["score"]
+        return tracks
 
     def start(self, own):
         """Return a new track from each detection of an epoch."""
-        n = len(own)
-        variance = np.zeros((n, 3))
-        variance[:, 0], variance[:, 2] = self.scatter[own] ** 2, self.speed**2
-        before = np.full(n, -1)
-        score, length = np.full(n, self.entry), np.ones(n, dtype=int)
-        return self._tracks(
-            own, before, own, self.u[own], np.zeros((n, 2)), variance,
-            self.light[own], score, length,
-        )  # fmt: skip
+        state = {"x": self.u[own], "light": self.light[own], "score": self.entry}
+        tracks = self._tracks(own, -1, root=own, length=1, **state)
+        tracks["variance"][:, 0] = self.scatter[own] ** 2
+        tracks["variance"][:, 2] = self.speed**2
+        return tracks
 
     def continued(self, h, own):
         """Return tracks continued by the most likely detections of an epoch."""
@@ -394,10 +385,11 @@ class _Filter:
         by_place, by_speed = weight * p0[i], weight * p1[i]
         parts = (1 - by_place) * p0[i], (1 - by_place) * p1[i], p2[i] - by_speed * p1[i]
         return self._tracks(
-            own[k], h["node"][i], h["root"][i], x[i] + by_place[:, None] * off[i, k],
-            h["v"][i] + by_speed[:, None] * off[i, k], np.stack(parts, axis=1),
-            0.5 * (h["light"][i] + self.light[own[k]]), h["score"][i] + gain[i, k],
-            h["length"][i] + 1,
+            own[k], h["node"][i], root=h["root"][i], length=h["length"][i] + 1,
+            x=x[i] + by_place[:, None] * off[i, k],
+            v=h["v"][i] + by_speed[:, None] * off[i, k],
+            variance=np.stack(parts, axis=1), score=h["score"][i] + gain[i, k],
+            light=0.5 * (h["light"][i] + self.light[own[k]]),
         )  # fmt: skip
 
     def paths(self, node):
@@ -408,10 +400,6 @@ class _Filter:
             steps.append(np.where(node >= 0, detection[node], -1))
             node = np.where(node >= 0, parent[node], -1)
         return np.stack(steps, axis=1)
-
-
-def _select(tracks, keep):
-    return {name: values[keep] for name, values in tracks.items()}
 
 
 def _one_way(d, o, way):
@@ -427,39 +415,59 @@ def _one_way(d, o, way):
             continue
         longer = tracks_of.continued(live, own) if len(own) else start
         lost = live["missed"] >= o.most_missed
-        ended.append(_select(live, lost & (live["length"] >= o.least_epochs)))
-        live = _select(live, ~lost)
-        live["missed"] = live["missed"] + 1
-        live["score"] = live["score"] + np.log(1 - o.detected)
-        live = {k: np.concatenate([longer[k], live[k]]) for k in live}
-        rank = _rank(-live["score"], live["root"])
-        live = _select(live, np.flatnonzero(rank < o.hypotheses))
-        live = {k: np.concatenate([live[k], start[k]]) for k in live}
-    ended.append(_select(live, live["length"] >= o.least_epochs))
-    node, best, root = (
-        np.concatenate([part[k] for part in ended]) for k in ("node", "best", "root")
-    )
+        ended.append(live[lost])
+        live = live[~lost]
+        live["missed"] += 1
+        live["score"] += np.log(1 - o.detected)
+        live = np.concatenate([longer, live])
+        kept = lowest(-live["score"], live["root"], n=o.hypotheses)
+        live = np.concatenate([live[np.sort(kept)], start])
+    ended = np.concatenate([*ended, live])
+    ended = ended[ended["length"] >= o.least_epochs]
     # A track that then only misses epochs ends with its last detection.
-    node, first = np.unique(node, return_index=True)
-    best, root = best[first], root[first]
+    node, first = np.unique(ended["node"], return_index=True)
+    best, root = ended["best"][first], ended["root"][first]
     last = np.concatenate(tracks_of.detection)[node]
-    keep = (_rank(-best, root) < o.kept) | (_rank(-best, last) < o.kept)
-    keep &= best > 0
-    if keep.any():
+    kept = [lowest(-best, group, n=o.kept) for group in (root, last)]
+    keep = np.union1d(*kept)
+    keep = keep[best[keep] > 0]
+    if len(keep):
         paths = tracks_of.paths(node[keep])
         for row, score in zip(paths.tolist(), best[keep].tolist(), strict=True):
             path = [k for k in row if k >= 0]
             yield tuple(path[::-way]), score
 
 
-def _rank(value, group):
-    """Return the rank of each value within its group, from 0."""
-    order = np.lexsort((value, group))
-    ordered = group[order]
-    rank = np.empty(len(order), dtype=int)
-    rank[order] = np.arange(len(order)) - np.searchsorted(ordered, ordered)
-    return rank
+# -- groups and chains -------------------------------------------------------------
 
+
+def rank_in_group(*keys):
+    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
+    new = np.ones(len(keys[0]), bool)
+    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
+
+
+def lowest(value, *keys, n=1):
+    """Return the indices of the n lowest values for equal keys, sorted by the keys."""
+    order = np.lexsort((value, *keys[::-1]))
+    return order[rank_in_group(*(key[order] for key in keys)) < n]
+
+
+def connected(one, other, n):
+    """Return the number of each node's group, for n nodes connected in pairs."""
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
+    return connected_components(graph, directed=False)[1]
+
+
+def chains(before, after, n):
+    """Return the chains of n nodes, of which some come before others, each in order."""
+    group = connected(before, after, n)
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+
+
+# -- the choice among tracks -------------------------------------------------------
 
 #: Iterations of the prices, without and with prices to start from.
 ITERATIONS, ITERATIONS_AGAIN = 150, 60
@@ -488,16 +496,10 @@ class Assignment:
     """
 
     def __init__(self, paths, n_detections):
-        length = np.array([len(path) for path in paths])
-        self._detections = [np.array(path) for path in paths]
-        detection = np.concatenate(self._detections)
-        track = np.repeat(np.arange(len(paths)), length)
-        one = np.ones(len(track))
-        shape = len(paths), n_detections
-        self.uses = sparse.csr_array((one, (track, detection)), shape=shape)
-        self.used_by = self.uses.T.tocsr()
-        self._entries = detection, track, length
-        self._paths = paths
+        self._paths, self._detections = paths, [np.array(path) for path in paths]
+        start = np.cumsum([0, *map(len, paths)])
+        entries = np.ones(start[-1]), np.concatenate(self._detections), start
+        self.uses = sparse.csr_array(entries, shape=(len(paths), n_detections))
         self.price = np.zeros(n_detections)
 
     def best(self, score):
@@ -515,9 +517,8 @@ class Assignment:
             Whether no other is better by more than the tolerance; False if the
             integer program ran out of time.
         """
-        detection, track, length = self._entries
-        first = np.zeros_like(self.price)
-        np.maximum.at(first, detection, (score / length)[track])
+        first, length = np.zeros_like(self.price), np.diff(self.uses.indptr)
+        np.maximum.at(first, self.uses.indices, np.repeat(score / length, length))
         self.price, chosen, bound = self._priced(score, first / 2, ITERATIONS)
         total = score[chosen].sum()
         if bound - total <= TOLERANCE * total:
@@ -527,7 +528,7 @@ class Assignment:
         keep = np.flatnonzero(value >= total - bound)
         proven = len(keep) <= MOST_TRACKS
         keep = np.sort(keep[np.argsort(-value[keep], kind="stable")][:MOST_TRACKS])
-        uses = self.used_by[:, keep]
+        uses = self.uses[keep].T.tocsr()
         uses = uses[np.diff(uses.indptr) > 0]
         found = milp(
             -score[keep],

@@ -81,24 +81,6 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
     )
 
 
-def false_probability(detections: Detections, track: Track, motion: Motion) -> float:
-    """
-    Return the probability that a track is no feature, or parts of several.
-
-    Parameters
-    ----------
-    detections : ``Detections``
-    track : ``Track``
-    motion : ``Motion``
-
-    Returns
-    -------
-    float
-    """
-    logit = CONSTANT + COEFFICIENTS @ properties(detections, track, motion)
-    return float(1 / (1 + np.exp(logit)))
-
-
 def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> bool:
     """
     Return whether a track is one feature with a reliable speed.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from astro_scc.streams.diagram import DEFAULT, SearchSettings
+from astro_scc.streams.diagram import DEFAULT, SearchSettings, fit_mixture
 
 #: Motion in beams with which one epoch less than ``least_epochs`` is enough.
 FAR_MOTION = 1.5
@@ -127,10 +127,9 @@ class Feature:
         -------
         `Feature`
         """
-        time = years - years.mean()
-        response = time / (time @ time)
-        velocity = response @ position
-        left = position - position.mean(axis=0) - time[:, None] * velocity
+        velocity, middle, date, response = line_through(years, position)
+        time = years - date
+        left = position - middle - time[:, None] * velocity
 
         def variance(left, n_parameters):
             total = (left**2).sum(axis=0) + PRIOR_FREEDOM * settings.position_error**2
@@ -147,13 +146,25 @@ class Feature:
         return cls(
             ssp=ssp, epoch=epoch, speed=float(velocity[0]), error=float(error[0]),
             across=float(velocity[1]), across_error=float(error[1]),
-            middle=position.mean(axis=0), date=float(years.mean()),
+            middle=middle, date=float(date),
             motion=float(abs(velocity[0]) * np.ptp(years)), response=response,
             acceleration=float(bend), acceleration_error=float(bend_error),
         )  # fmt: skip
 
 
-def find_chains(samples, mixture, settings):
+def line_through(years, position):
+    """
+    Return the straight line through positions.
+
+    Returned are the velocity, the mean position and the mean date, and the change of
+    the velocity for a change of each position.
+    """
+    time = years - years.mean()
+    response = time / (time @ time)
+    return response @ position, position.mean(axis=0), years.mean(), response
+
+
+def find_chains(samples, speeds, rays):
     """
     Find features that move, each with its own speed.
 
@@ -168,8 +179,9 @@ def find_chains(samples, mixture, settings):
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.streams.diagram.Mixture`
-    settings : `~astro_scc.streams.SearchSettings`
+    speeds : sequence of float
+        About those of the streams, in beams/yr.
+    rays : `~astro_scc.streams.diagram.Rays`
 
     Returns
     -------
@@ -178,10 +190,10 @@ def find_chains(samples, mixture, settings):
     taken : `~numpy.ndarray` of bool, shape (n_ssps,)
         SSPs of features, on all scales.
     """
-    d = samples
+    d, settings = samples, rays.settings
     keep = (np.abs(d.d2) <= settings.across) & (d.target_ssp >= 0) & (d.interval != 0)
     links = _Links(d.select(keep))
-    score, speed = first_speeds(d, mixture, settings)
+    score, speed = first_speeds(d, speeds, rays)
     seeds = np.argsort(-score, kind="stable")
     seeds = seeds[score[seeds] >= LEAST_SCORE]
     found = []
@@ -200,15 +212,16 @@ def ssps_of(features, n_ssps):
     return taken
 
 
-def first_speeds(samples, mixture, settings):
+def first_speeds(samples, speeds, rays):
     """
     Return the speed of each SSP, from the matches that are true of one stream.
 
     Parameters
     ----------
     samples : ``VelocitySamples``
-    mixture : `~astro_scc.streams.diagram.Mixture`
-    settings : `~astro_scc.streams.SearchSettings`
+    speeds : sequence of float
+        See `find_chains`.
+    rays : `~astro_scc.streams.diagram.Rays`
 
     Returns
     -------
@@ -216,16 +229,15 @@ def first_speeds(samples, mixture, settings):
         Expected number of true matches of the stream that has most of them, from and
         to each SSP, and the speed along the axis that they give.
     """
-    d, n, at = samples, len(samples.epoch), mixture.match
+    d, n, number, own = samples, len(samples.epoch), [], []
+    speeds, at, *streams = fit_mixture(d, speeds, rays)
     x, dt, target = d.d1[at], d.interval[at], d.target_ssp[at]
     both = np.concatenate([d.ssp[at], np.where(target < 0, n, target)])
 
     def per_ssp(values):
         return np.bincount(both, np.tile(values, 2), n + 1)[:n]
 
-    number, own = [], []
-    streams = mixture.speed, mixture.membership, mixture.width
-    for v, member, s in zip(*streams, strict=True):
+    for v, member, s in zip(speeds, *streams, strict=True):
         weight = member / s**2
         # Where nothing moves, the fit may end at rest.
         prior = (FIRST_DISPERSION * max(abs(v), 1e-9)) ** -2
@@ -281,13 +293,11 @@ def clear_of(features, standing, samples, settings):
         affect the speed.  A feature with fewer than ``least_epochs`` other SSPs is
         ``pulled``.
     """
-    if not standing:
-        return list(features)
-    d = samples
-    places = np.array([d.position[f.ssp].mean(axis=0) for f in standing])
-    found = []
+    d, found = samples, []
+    places = np.reshape([d.position[f.ssp].mean(axis=0) for f in standing], (-1, 2))
     for f in features:
-        away = np.hypot(*(d.position[f.ssp][:, None] - places).T).min(axis=0)
+        away = np.hypot(*(d.position[f.ssp][:, None] - places).T)
+        away = away.min(axis=0, initial=np.inf)
         clear = away > PULL
         if clear.all():
             found.append(f)
@@ -329,11 +339,12 @@ def _follow(seed, speed, links, d, free, settings):
     """Return the SSPs along a line from a seed, one per epoch."""
     members = {int(d.epoch[seed]): int(seed)}
     front, here, when = [int(seed)], d.position[seed], d.years[d.epoch[seed]]
-    across = 0.0
+    velocity = np.array([speed, 0.0])
     while front:
         index = np.concatenate([np.arange(*links.start[s : s + 2]) for s in front])
-        to, off = links.to[index], links.along[index] - speed * links.interval[index]
-        line = here + np.outer(d.years[d.epoch[to]] - when, (speed, across))
+        to, moved = links.to[index], velocity[0] * links.interval[index]
+        off = links.along[index] - moved
+        line = here + np.outer(d.years[d.epoch[to]] - when, velocity)
         near = np.abs(d.position[to] - line) <= (settings.line, settings.across)
         new = near.all(axis=1) & (np.abs(off) <= 2 * settings.smoothing)
         new &= free[to] & ~np.isin(d.epoch[to], list(members))
@@ -346,15 +357,9 @@ def _follow(seed, speed, links, d, free, settings):
                 members[epoch] = ssp
                 front.append(ssp)
         if len(members) >= 3:
-            (speed, across), here, when = _line(np.array(list(members.values())), d)
+            line = d.years[list(members)], d.position[list(members.values())]
+            velocity, here, when, _ = line_through(*line)
     return np.array([members[epoch] for epoch in sorted(members)])
-
-
-def _line(chosen, d):
-    """Return the velocity, the mean position and the mean date of some SSPs."""
-    years, place = d.years[d.epoch[chosen]], d.position[chosen]
-    time = years - years.mean()
-    return time @ place / (time @ time), place.mean(axis=0), years.mean()
 
 
 def _on_line(chosen, d, settings):
@@ -430,9 +435,9 @@ def _continuation(chain, own, rest, sums, d, settings):
 
 def _off_line(chosen, d):
     """Return the distances of SSPs from their line along and across the axis."""
-    velocity, middle, when = _line(chosen, d)
-    time = d.years[d.epoch[chosen]] - when
-    return np.abs(d.position[chosen] - middle - time[:, None] * velocity)
+    years, position = d.years[d.epoch[chosen]], d.position[chosen]
+    velocity, middle, date, _ = line_through(years, position)
+    return np.abs(position - middle - (years - date)[:, None] * velocity)
 
 
 def _feature(chosen, d, settings):

@@ -135,7 +135,7 @@ class Diagram:
     excess: np.ndarray
 
     @classmethod
-    def of(cls, samples, rays, settings):
+    def of(cls, samples, rays):
         """
         Return the diagram of the epochs in their observed order.
 
@@ -143,40 +143,40 @@ class Diagram:
         ----------
         samples : ``VelocitySamples``
         rays : `Rays`
-        settings : `~astro_scc.streams.SearchSettings`
 
         Returns
         -------
         `Diagram`
         """
-        bins, density = rays.bins, PairDensity(samples, rays.radius, settings)
-        (observed,) = bins.sums(density.pairs, np.arange(len(samples.years))[None])
-        excess = observed - bins.number[:, None] * density.mean
-        return cls(density.grid, bins.mean, bins.number, excess)
+        bins, (grid, pairs, mean) = rays.bins, pair_densities(samples, rays)
+        (observed,) = bins.sums(pairs, np.arange(len(samples.years))[None])
+        return cls(grid, bins.mean, bins.number, observed - bins.number[:, None] * mean)
 
 
-class PairDensity:
-    """Smoothed densities of the displacements of all ordered pairs of images."""
+def pair_densities(samples, rays):
+    """
+    Return smoothed densities of the displacements of all ordered pairs of images.
 
-    def __init__(self, d, radius, settings):
-        n = len(d.years)
-        half = int(np.ceil(POINTS * radius / settings.blur))
-        step = radius / half
-        self.grid = grid = step * np.arange(-half, half + 1)
-        use = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= radius)
-        place = (d.d1[use] + radius) / step
-        low = np.clip(np.floor(place).astype(int), 0, 2 * half - 1)
-        part = place - low
-        row = d.reference[use].astype(int) * n + d.target[use]
-        flat = np.concatenate([row * len(grid) + low, row * len(grid) + low + 1])
-        weight = np.concatenate([d.weight[use] * (1 - part), d.weight[use] * part])
-        pairs = np.bincount(flat, weight, n * n * len(grid)).reshape(n, n, -1)
-        # Seen from the later image the same motion has the opposite sign.
-        pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
-        kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.blur) ** 2)
-        pairs = (pairs.reshape(n * n, -1) @ kernel).reshape(n, n, -1)
-        self.mean = pairs[~np.eye(n, dtype=bool)].mean(axis=0)
-        self.pairs = pairs.reshape(n * n, -1)
+    Returned are the displacements, the densities of the pairs, shape (n_epochs^2, n_d),
+    and their mean over the pairs of different images.
+    """
+    d, radius, settings, n = samples, rays.radius, rays.settings, len(samples.years)
+    half = int(np.ceil(POINTS * radius / settings.blur))
+    step = radius / half
+    grid = step * np.arange(-half, half + 1)
+    use = (np.abs(d.d2) <= settings.across) & (np.abs(d.d1) <= radius)
+    place = (d.d1[use] + radius) / step
+    low = np.clip(np.floor(place).astype(int), 0, 2 * half - 1)
+    part = place - low
+    row = d.reference[use].astype(int) * n + d.target[use]
+    flat = np.concatenate([row * len(grid) + low, row * len(grid) + low + 1])
+    weight = np.concatenate([d.weight[use] * (1 - part), d.weight[use] * part])
+    pairs = np.bincount(flat, weight, n * n * len(grid)).reshape(n, n, -1)
+    # Seen from the later image the same motion has the opposite sign.
+    pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
+    kernel = np.exp(-0.5 * ((grid[:, None] - grid) / settings.blur) ** 2)
+    pairs = pairs.reshape(n * n, -1) @ kernel
+    return grid, pairs, pairs[~np.eye(n, dtype=bool).ravel()].mean(axis=0)
 
 
 class IntervalBins:
@@ -360,33 +360,11 @@ NEAR = 1.2
 STEPS, TOLERANCE = 40, 1e-4
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Mixture:
-    """
-    Streams, one at rest and unrelated matches, fitted to all matches together.
-
-    Attributes
-    ----------
-    speed : `~numpy.ndarray`, shape (k,)
-        Of each stream, in beams/yr.
-    match : `~numpy.ndarray` of int, shape (n,)
-        Indices of the matches that are considered.
-    membership : `~numpy.ndarray`, shape (k, n)
-        Probability of each match to be a true one of each stream; zero where a match
-        is no measure of the stream's speed.
-    width : `~numpy.ndarray`, shape (k, n)
-        Standard deviation of the displacements in beams.
-    """
-
-    speed: np.ndarray
-    match: np.ndarray
-    membership: np.ndarray
-    width: np.ndarray
-
-
-def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixture:
+def fit_mixture(
+    samples: VelocitySamples, speeds: ArrayLike, rays: Rays
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     r"""
-    Fit the speeds of streams to matches, of which most are chance.
+    Fit streams, one at rest and unrelated matches to all matches together.
 
     Of the matches of an SSP in an image at most one is true, and it belongs to one
     stream, or to what is at rest.  The odds of a match with displacement d over the
@@ -410,7 +388,15 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
 
     Returns
     -------
-    `Mixture`
+    speed : `~numpy.ndarray`, shape (k,)
+        Of each stream, in beams/yr.
+    match : `~numpy.ndarray` of int, shape (n,)
+        Indices of the matches that are considered.
+    membership : `~numpy.ndarray`, shape (k, n)
+        Probability of each match to be a true one of each stream; zero where a match
+        is no measure of the stream's speed.
+    width : `~numpy.ndarray`, shape (k, n)
+        Standard deviation of the displacements in beams.
     """
     d, radius = samples, rays.radius
     interval = np.abs(d.interval)
@@ -425,7 +411,7 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
     x, y, dt = d.d1[match] * sense, d.d2[match] * sense, interval[match]
     if len(match) == 0:
         none = np.zeros((len(speeds), 0))
-        return Mixture(speeds, match, none, none)
+        return speeds, match, none, none
     # One source of matches for each SSP and image.
     key = d.ssp[match].astype(np.int64) * len(d.years) + d.target[match]
     _, source = np.unique(key, return_inverse=True)
@@ -468,4 +454,4 @@ def fit_mixture(samples: VelocitySamples, speeds: ArrayLike, rays: Rays) -> Mixt
         v = new
         if done:
             break
-    return Mixture(v[:-1], match, np.where(tells, member, 0.0)[:-1], s[:-1])
+    return v[:-1], match, np.where(tells, member, 0.0)[:-1], s[:-1]

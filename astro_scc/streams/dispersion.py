@@ -151,18 +151,12 @@ def scattered_fit(design, values, errors):
         found = inverse @ (design.T @ (w * values))
         return found, inverse, w, (w * (values - design @ found) ** 2).sum()
 
-    low, high = 0.0, 10 * values.var() + 1e-30
-    if fit(0.0)[3] <= freedom:
-        high = 0.0
-    for _ in range(60 if high else 0):
-        middle = 0.5 * (low + high)
-        if fit(middle)[3] > freedom:
-            low = middle
-        else:
-            high = middle
-    found, inverse, w, squares = fit(high)
+    tau2, most = 0.0, 10 * values.var() + 1e-30
+    if fit(0.0)[3] > freedom:
+        tau2 = brentq(lambda t: fit(t)[3] - freedom, 0, most, xtol=1e-12 * most)
+    found, inverse, w, squares = fit(tau2)
     # If values agree by chance, the error is still half of that from their errors.
-    return found, inverse * max(squares / freedom, 0.25), np.sqrt(high), w
+    return found, inverse * max(squares / freedom, 0.25), np.sqrt(tau2), w
 
 
 def feature_speeds(features, settings=DEFAULT, pulled_error=PULLED_ERROR):
@@ -254,13 +248,13 @@ def _one(y, e):
     size = v.mean(axis=1, keepdims=True)
     for tau in ONE_DISPERSIONS:
         w = 1 / (e**2 + tau**2)
-        m = (w * y).sum(axis=1) / w.sum(axis=1)
+        m = np.average(y, axis=1, weights=w)
         variance = e**2 + tau**2
         value = -0.5 * ((y - m[:, None]) ** 2 / variance + np.log(variance))
         found.append(np.broadcast_arrays(value.sum(axis=1), m, tau, 0.0))
         # The normal distribution, also as a density of the logarithm.
         w = 1 / ((e * v) ** 2 + (tau * size) ** 2)
-        m = (w * v).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
+        m = np.average(v, axis=1, weights=w, keepdims=True)
         value = y - 0.5 * (w * (v - m) ** 2 - np.log(w))
         found.append(np.broadcast_arrays(value.sum(axis=1), np.log(m[:, 0]), tau, 1.0))
     found = np.array(found)
@@ -273,10 +267,14 @@ def _two(y, e):
     best, where = np.full(len(y), -np.inf), np.zeros(len(y), dtype=int)
     weights = [1 / (e**2 + tau**2) for tau in TWO_DISPERSIONS]
     each = [(w, np.sqrt(w)) for w in weights]
+
+    def mean(w, part):
+        return np.average(y[:, part], axis=1, weights=w[:, part], keepdims=True)
+
     for split in range(1, n):
         parts = (slice(split), split / n), (slice(split, n), 1 - split / n)
         slow, fast = (
-            [s * r * np.exp(-0.5 * w * (y - _mean(y, w, part)) ** 2) for w, r in each]
+            [s * r * np.exp(-0.5 * w * (y - mean(w, part)) ** 2) for w, r in each]
             for part, s in parts
         )
         for a, b in product(slow, fast):
@@ -288,12 +286,6 @@ def _two(y, e):
             better = value > best
             best[better], where[better] = value[better], split
     return best, where
-
-
-def _mean(y, w, part):
-    """Return the weighted mean of a part of each row."""
-    y, w = y[:, part], w[:, part]
-    return (w * y).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +346,11 @@ def velocity_of(stream, beam, misaligned):
     to_frame = np.array([[cos, -sin], [sin, cos]])
     own = np.array([stream.along.mean, stream.across.mean]) * beam
     errors = np.array([stream.along.error, stream.across.error]) * beam
-    response = alignment_response(stream, len(misaligned))
+    # Change of the mean speed for a displacement of each epoch, in 1/yr.
+    response, (_, error) = np.zeros(len(misaligned)), feature_speeds(stream.features)
+    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
+    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
+        response[feature.epoch] += w * feature.response
     sense = np.sign(stream.along.mean) * beam[0]
     own_speeds = np.array([f.speed * sense for f in stream.features] or [np.nan])
     return StreamVelocity(
@@ -364,27 +360,6 @@ def velocity_of(stream, beam, misaligned):
         dispersion_error=stream.along.dispersion_error * beam[0],
         slowest=float(own_speeds.min()), fastest=float(own_speeds.max()),
     )  # fmt: skip
-
-
-def alignment_response(stream, n_epochs):
-    """
-    Return the change of a stream's mean speed per displacement of each epoch.
-
-    Parameters
-    ----------
-    stream : ``Stream``
-    n_epochs : int
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs,)
-        In 1/yr.
-    """
-    response, (_, error) = np.zeros(n_epochs), feature_speeds(stream.features)
-    weight = 1 / (error**2 + np.nan_to_num(stream.along.dispersion) ** 2)
-    for feature, w in zip(stream.features, weight / weight.sum(), strict=True):
-        response[feature.epoch] += w * feature.response
-    return response
 
 
 def jackknife_covariance(estimates):

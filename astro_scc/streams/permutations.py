@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from astro_scc.stacking.stack import MOST, number_of_permutations, random_permutations
 from astro_scc.stacking.velocities import VelocitySamples
-from astro_scc.streams.diagram import DEFAULT, PairDensity, Rays, SearchSettings
+from astro_scc.streams.diagram import DEFAULT, Rays, SearchSettings, pair_densities
 
 #: Standard deviations of the permutations are at least this fraction of the largest one
 #: of any axis at the same speed: single matches across the flow are not significant.
@@ -223,15 +223,15 @@ class EpochPermutations:
 
 def _ray_sums(samples, rays, orders, one_way):
     """Return the excess along each ray in each order, (n_orders, n_v), and its mean."""
-    density = PairDensity(samples, rays.radius, rays.settings)
-    bins, matrix = rays.bins, rays.matrix(rays.speed, density.grid)
-    chance = matrix @ (bins.number[:, None] * density.mean).ravel()
-    largest, pairs = chance.max(), density.pairs
+    grid, pairs, mean = pair_densities(samples, rays)
+    bins, matrix = rays.bins, rays.matrix(rays.speed, grid)
+    chance = matrix @ (bins.number[:, None] * mean).ravel()
+    largest = chance.max()
     if one_way:
         # Displacements of both signs at once, which have the same mean.
-        middle, chance = len(density.grid) // 2, 0.0
+        middle, chance = len(grid) // 2, 0.0
         pairs = pairs[:, middle:] - pairs[:, middle::-1]
-        matrix = rays.matrix(rays.speed[rays.speed > 0], density.grid[middle:])
+        matrix = rays.matrix(rays.speed[rays.speed > 0], grid[middle:])
     size = max(1, int(BYTES // (8 * len(bins.mean) * pairs.shape[1])))
     parts = [
         matrix @ bins.sums(pairs, some).reshape(len(some), -1).T

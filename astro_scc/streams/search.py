@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams import chains, dispersion
 from astro_scc.streams.chains import Feature
-from astro_scc.streams.diagram import SHORT, Diagram, Rays, SearchSettings, fit_mixture
+from astro_scc.streams.diagram import SHORT, Diagram, Rays, SearchSettings
 from astro_scc.streams.dispersion import Population, feature_speeds, random_effects
 from astro_scc.streams.permutations import EpochPermutations, persistence
 
@@ -264,7 +264,7 @@ def find_streams(
         mean = _population(still, settings)
         own = "stationary", "", axis.angle, *mean
         streams.append(Stream(*own, features=tuple(still)))
-    diagram = Diagram.of(axis.samples, rays, settings)
+    diagram = Diagram.of(axis.samples, rays)
     return Search(tuple(streams), diagram, float(axis.angle), permutations)
 
 
@@ -312,8 +312,8 @@ class _Axis:
         which hardly any can be followed.
         """
         samples, settings = self.samples, self.rays.settings
-        mixture, own = fit_mixture(samples, speeds, self.rays), []
-        found, taken = chains.find_chains(samples, mixture, settings)
+        found, taken = chains.find_chains(samples, speeds, self.rays)
+        own = []
         if self.followed is not None:
             own, theirs = self.followed(self.angle)
             if not self.followed.diffuse:

@@ -3,29 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching as full_matching
 from scipy.spatial import cKDTree
 
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.features.tracks import connected, lowest, rank_in_group
 from astro_scc.images.positions import beam_fwhm, ssp_offsets
 
 #: Distance in beams beyond which features are distinguished from the core.
 CORE_RADIUS = 0.5
-#: Candidates kept for one SSP and one later epoch, those of highest correlation.
-MAX_CANDIDATES = 12
-#: Largest distance of neighbours, in units of the sum of their radii.
-NEAR = 1.2
-#: Log-likelihood that a merge or split must gain, as chance also gains some.
-MERGE_COST = 1.0
 # These widths were measured for features in simulated jets of two streams.
 #: Means of one minus the correlation coefficient, of the same feature and of chance
 #: pairs; both distributions are taken as exponential.
@@ -35,23 +28,21 @@ DECORRELATION, CHANCE_DECORRELATION = 0.06, 0.15
 VARIABILITY = 0.15
 #: Cost of an epoch at which the feature is not seen.
 MISSING = 2.0
-#: Probability that a pattern moves with the larger one in which it lies.
-FOLLOW = 0.5
 #: Rounds in which candidates are evaluated, given the links of the previous round.
 ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Candidates:
+class Links:
     """
-    Pairs of SSPs of one scale that may be the same feature at two dates.
+    Pairs of SSPs of one scale that are, or may be, the same feature at two dates.
 
     Attributes
     ----------
     source, target : `~numpy.ndarray` of int, shape (n,)
         Indices in the catalogue of the SSPs of all epochs.
-    dy, dx : `~numpy.ndarray`, shape (n,)
-        Displacement from maximum to maximum, in pixels.
+    motion : `~numpy.ndarray`, shape (n, 2)
+        Displacement (y, x) from maximum to maximum, in pixels.
     interval : `~numpy.ndarray`, shape (n,)
         Time from source to target, positive.
     gap : `~numpy.ndarray` of int, shape (n,)
@@ -62,19 +53,18 @@ class Candidates:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.tracking.linking import Candidates
-    >>> found = Candidates(
-    ...     source=np.array([0, 1]), target=np.array([2, 2]), dy=np.zeros(2),
-    ...     dx=np.array([5.0, -3.0]), interval=np.full(2, 0.1), gap=np.zeros(2, int),
-    ...     coefficient=np.array([0.95, 0.7]))
+    >>> from astro_scc.tracking.linking import Links
+    >>> found = Links(
+    ...     source=np.array([0, 1]), target=np.array([2, 2]),
+    ...     motion=np.array([[0.0, 5.0], [0.0, -3.0]]), interval=np.full(2, 0.1),
+    ...     gap=np.zeros(2, int), coefficient=np.array([0.95, 0.7]))
     >>> len(found.select(found.coefficient > 0.8))
     1
     """
 
     source: np.ndarray
     target: np.ndarray
-    dy: np.ndarray
-    dx: np.ndarray
+    motion: np.ndarray
     interval: np.ndarray
     gap: np.ndarray
     coefficient: np.ndarray
@@ -82,14 +72,9 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.source)
 
-    @property
-    def motion(self) -> np.ndarray:
-        """Displacements (y, x), shape (n, 2)."""
-        return np.stack([self.dy, self.dx], axis=1)
-
-    def select(self, keep: ArrayLike) -> Candidates:
+    def select(self, keep: ArrayLike) -> Links:
         """
-        Return some of the candidates.
+        Return some of the pairs.
 
         Parameters
         ----------
@@ -97,41 +82,36 @@ class Candidates:
 
         Returns
         -------
-        `Candidates`
-            Or `Links`, if these are links.
+        `Links`
         """
-        return type(self)(*(getattr(self, f.name)[keep] for f in fields(self)))
+        return Links(*(getattr(self, f.name)[keep] for f in fields(self)))
 
 
 def find_candidates(
-    matches: Matches, target_ssp: ArrayLike, ssps: SSPs, years: ArrayLike, *,
-    max_gap: int = 1, inside: Callable | None = None,
-) -> Candidates:  # fmt: skip
+    matches: Matches, target_ssp: ArrayLike, ssps: SSPs, years: ArrayLike,
+    max_gap: int = 1,
+) -> Links:  # fmt: skip
     """
-    Return the candidates among the correlation peaks.
+    Return the candidates for links among the correlation peaks.
 
     A peak is a candidate if it falls on an SSP of the same scale at a later
     epoch.  If several peaks connect the same two SSPs, the highest is used.
-    Each SSP keeps its twelve highest candidates for each later epoch.
 
     Parameters
     ----------
     matches : `~astro_scc.correlation.Matches`
     target_ssp : array_like of int, shape (n_matches,)
-        The SSP that each match falls on, or -1, see
-        ``target_ssps``.
+        The SSP that each match falls on, or -1, see ``target_ssps``.
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
     years : array_like, shape (n_epochs,)
         Dates in order, not decreasing.
     max_gap : int, optional
         Most epochs between source and target, 0 or more.
-    inside : callable, optional
-        Takes `Candidates` and returns which are within the limits of speed.
 
     Returns
     -------
-    `Candidates`
+    `Links`
         Ordered by source and target.
 
     Examples
@@ -150,8 +130,8 @@ def find_candidates(
     >>> matches = Correlator()(epochs, all_pairs(3), 14)
     >>> found = find_candidates(
     ...     matches, target_ssps(matches, ssps), ssps, [2000.0, 2000.5, 2001.0])
-    >>> found.source.tolist(), found.target.tolist(), found.dx.round(1).tolist()
-    ([0, 0, 1], [1, 2, 2], [6.0, 12.0, 6.0])
+    >>> found.source, found.target, found.motion[:, 1].round(1)
+    (array([0, 0, 1]), array([1, 2, 2]), array([ 6., 12.,  6.]))
     """
     years = np.asarray(years, dtype=float)
     source, target = matches.ssp.astype(int), np.asarray(target_ssp, dtype=int)
@@ -161,15 +141,12 @@ def find_candidates(
     # Keep the highest peak of each pair of SSPs.
     use = use[lowest(-matches.coefficient[use], source[use], target[use])]
     source, target, at, to = source[use], target[use], at[use], to[use]
-    found = Candidates(
-        source=source, target=target, dy=ssps.y[target] - ssps.y[source],
-        dx=ssps.x[target] - ssps.x[source], interval=years[to] - years[at],
-        gap=to - at - 1, coefficient=matches.coefficient[use].astype(float),
+    place = np.stack([ssps.y, ssps.x], axis=1)
+    return Links(
+        source=source, target=target, motion=place[target] - place[source],
+        interval=years[to] - years[at], gap=to - at - 1,
+        coefficient=matches.coefficient[use].astype(float),
     )  # fmt: skip
-    if inside is not None:
-        found = found.select(inside(found))
-    best = lowest(-found.coefficient, found.source, found.gap, n=MAX_CANDIDATES)
-    return found.select(np.sort(best))
 
 
 def core_ssps(ssps, cube):
@@ -196,24 +173,6 @@ def core_ssps(ssps, cube):
 # -- likelihood --------------------------------------------------------------------
 
 
-def correlation_term(coefficient: np.ndarray) -> np.ndarray:
-    """
-    Return the term of the correlation, the log ratio of two exponentials.
-
-    With means a and b of ``1 - c``, it is ``ln(b/a) - (1 - c)(1/a - 1/b)``.
-
-    Parameters
-    ----------
-    coefficient : `~numpy.ndarray`
-
-    Returns
-    -------
-    `~numpy.ndarray`
-    """
-    a, b = DECORRELATION, CHANCE_DECORRELATION
-    return np.log(b / a) - (1 - coefficient) * (1 / a - 1 / b)
-
-
 def brightness(log_ratio: ArrayLike) -> np.ndarray:
     """
     Return the log-likelihood of a change of brightness of one feature.
@@ -231,7 +190,7 @@ def brightness(log_ratio: ArrayLike) -> np.ndarray:
     return -np.log(np.pi * w * (1 + (log_ratio / w) ** 2))
 
 
-def similarity(candidates: Candidates, ssps: SSPs) -> np.ndarray:
+def similarity(candidates: Links, ssps: SSPs) -> np.ndarray:
     """
     Return the terms of correlation and brightness, minus the cost of gaps.
 
@@ -241,7 +200,7 @@ def similarity(candidates: Candidates, ssps: SSPs) -> np.ndarray:
 
     Parameters
     ----------
-    candidates : `Candidates`
+    candidates : `Links`
     ssps : `~astro_scc.decomposition.SSPs`
 
     Returns
@@ -255,7 +214,9 @@ def similarity(candidates: Candidates, ssps: SSPs) -> np.ndarray:
         own = scale == value
         log_peak = np.log(ssps.peak[ssps.scale == value])
         light[own] -= np.log(_chance_brightness(log_ratio[own], log_peak))
-    correlation = correlation_term(candidates.coefficient)
+    # With means a and b of 1 - c, the ratio of two exponentials.
+    a, b = DECORRELATION, CHANCE_DECORRELATION
+    correlation = np.log(b / a) - (1 - candidates.coefficient) * (1 / a - 1 / b)
     return correlation + light - MISSING * candidates.gap
 
 
@@ -269,130 +230,6 @@ def _chance_brightness(log_ratio, log_peak):
     width = brightness(step * np.arange(2 * shift[0], 2 * shift[-1] + 1))
     density = np.convolve(pairs, np.exp(width), mode="valid")
     return np.interp(log_ratio / step, shift, density)
-
-
-def merged_flux(candidates: Candidates, ssps: SSPs, tolerance: float) -> np.ndarray:
-    """
-    Return what a candidate gains by a merge or split with its neighbours.
-
-    For a merge, neighbours of the source that may go to the same target,
-    with displacements equal within three tolerances, are combined with the
-    source: the nearest, the second nearest, and both.  If the sum of fluxes
-    explains the flux of the target better than the source's peak explains
-    the target's peak, the gain is the difference in `brightness` minus one.
-    Splits, of targets that may come from one source, are treated likewise.
-
-    Parameters
-    ----------
-    candidates : `Candidates`
-        Of one scale.
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    tolerance : float
-        Standard deviation of a displacement from steady motion, in pixels on each
-        axis.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n,)
-        Not negative.
-    """
-    gain = np.zeros(len(candidates))
-    motion = candidates.motion
-    sides = candidates.source, candidates.target
-    alone = brightness(np.log(ssps.peak[sides[1]] / ssps.peak[sides[0]]))
-    for own, common in (sides, sides[::-1]):
-        key = common * (candidates.gap.max(initial=0) + 1) + candidates.gap
-        other, one = equal_pairs(key, key)
-        near = neighbours(own[one], own[other], ssps)
-        near &= moves_alike(motion[one] - motion[other], tolerance)
-        one, other = one[near], other[near]
-        nearest = lowest(_distance(ssps, own[one], own[other]), one, n=2)
-        one, other = one[nearest], other[nearest]
-        flux = np.zeros((2, len(gain)))
-        flux[rank_in_group(one), one] = ssps.flux[own[other]]
-        for more in (flux[0], flux[1], flux[0] + flux[1]):
-            has = np.flatnonzero(more > 0)
-            total = ssps.flux[own[has]] + more[has]
-            light = brightness(np.log(total / ssps.flux[common[has]]))
-            gain[has] = np.maximum(gain[has], light - alone[has] - MERGE_COST)
-    return gain
-
-
-def neighbours(one: np.ndarray, other: np.ndarray, ssps: SSPs) -> np.ndarray:
-    """
-    Return whether two SSPs differ and almost touch.
-
-    Parameters
-    ----------
-    one, other : `~numpy.ndarray` of int, shape (n,)
-    ssps : `~astro_scc.decomposition.SSPs`
-
-    Returns
-    -------
-    `~numpy.ndarray` of bool, shape (n,)
-    """
-    radius = np.sqrt(ssps.n_pixels / np.pi)
-    near = _distance(ssps, one, other) <= NEAR * (radius[one] + radius[other])
-    return (one != other) & near
-
-
-def moves_alike(away: np.ndarray, tolerance: float) -> np.ndarray:
-    """
-    Return whether differences of displacements are within three tolerances.
-
-    Parameters
-    ----------
-    away : `~numpy.ndarray`, shape (n, 2)
-    tolerance : float
-
-    Returns
-    -------
-    `~numpy.ndarray` of bool, shape (n,)
-    """
-    return np.hypot(away[:, 0], away[:, 1]) <= 3 * tolerance
-
-
-def coarse_to_fine(
-    candidates: Candidates, coarse: Candidates, parent: np.ndarray,
-    width: float, density: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """
-    Return the prior from the links of the coarser scale.
-
-    A pattern moves with the larger one in which it lies with the
-    probability `FOLLOW`, and then its displacement is normally
-    distributed; the term is never below ``ln(1 - FOLLOW)``.
-
-    Parameters
-    ----------
-    candidates : `Candidates`
-        Of one scale.
-    coarse : `Candidates`
-        The links of the next coarser scale, one at most from each SSP.
-    parent : `~numpy.ndarray` of int, shape (n_ssps,)
-        See ``coarser_ssps``.
-    width : float
-        Standard deviation in pixels: about the size of the coarser scale.
-    density : `~numpy.ndarray`, shape (n_ssps,)
-        See ``chance_density``.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n,)
-    """
-    term = np.zeros(len(candidates))
-    # The link of each SSP; the last entry is for SSPs without a parent.
-    link = np.full(len(parent) + 1, -1)
-    link[coarse.source] = np.arange(len(coarse))
-    link = link[parent[candidates.source]]
-    own = np.flatnonzero(link >= 0)
-    own = own[coarse.gap[link[own]] == candidates.gap[own]]
-    away = candidates.motion[own] - coarse.motion[link[own]]
-    near = np.exp(-0.5 * np.sum(away**2, axis=1) / width**2)
-    ratio = near / (2 * np.pi * width**2 * density[candidates.target[own]])
-    term[own] = np.log(1 - FOLLOW + FOLLOW * ratio)
-    return term
 
 
 def steady_motion(
@@ -432,10 +269,6 @@ def steady_motion(
     return -0.5 * away / variance - np.log(2 * np.pi * variance * density)
 
 
-def _distance(ssps, one, other):
-    return np.hypot(ssps.y[one] - ssps.y[other], ssps.x[one] - ssps.x[other])
-
-
 def chance_density(ssps):
     """
     Return the density of SSPs of the same scale and epoch for each SSP.
@@ -458,92 +291,24 @@ def chance_density(ssps):
     return density
 
 
-def coarser_ssps(ssps, width):
-    """
-    Return the SSP of the next coarser scale that holds each SSP's maximum.
-
-    It belongs to the same epoch; -1 means that there is none.  ``width`` is the
-    number of pixels in a row of the images.
-    """
-    n_pixels, n_epochs = (int(v.max(initial=0)) + 1 for v in (ssps.pixels, ssps.epoch))
-    at = np.rint(ssps.y).astype(np.int64) * width + np.rint(ssps.x).astype(np.int64)
-    level = np.unique(ssps.scale, return_inverse=True)[1].astype(np.int64)
-    # Pixels are numbered through all epochs of a scale, then through all scales.
-    image = (level * n_epochs + ssps.epoch) * n_pixels
-    owner = np.repeat(np.arange(len(ssps)), ssps.n_pixels)
-    key = image[owner] + ssps.pixels
-    wanted = np.where(at < n_pixels, image + n_epochs * n_pixels + at, -1)
-    pixel, ssp = equal_pairs(key, wanted)
-    found = np.full(len(ssps), -1)
-    found[ssp] = owner[pixel]
-    return found
-
-
 # -- links ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Links(Candidates):
-    """
-    The candidates that are links: pairs of SSPs that are one feature.
-
-    Attributes
-    ----------
-    source, target : `~numpy.ndarray` of int, shape (n,)
-        Indices in the catalogue of the SSPs of all epochs.  No SSP is the
-        source, or the target, of more than one link of kind "link".
-    dy, dx, interval, gap, coefficient : `~numpy.ndarray`, shape (n,)
-        As in `Candidates`.
-    kind : `~numpy.ndarray` of str, shape (n,)
-        "link"; "merge" if the target has another source; "split" if the source
-        has another target.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.decomposition import Decomposer
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> from astro_scc.tracking import FeatureTracker
-    >>> cube = simulate_two_fluid(n_epochs=3, rng=1).cube
-    >>> decompositions = [Decomposer(scales=[2])(image) for image in cube.data]
-    >>> tracker = FeatureTracker(max_speed=36 * u.mas / u.yr)
-    >>> links = tracker.link(cube, decompositions)
-    >>> set(links.kind.tolist()) <= {"link", "merge", "split"}
-    True
-    >>> bool((links.interval > 0).all())
-    True
-    """
-
-    kind: np.ndarray
-
-    def __repr__(self):
-        counts = [f"{np.sum(self.kind == k)} {k}s" for k in ("link", "merge", "split")]
-        return f"<Links: {', '.join(counts)}>"
-
-
-def link(
-    candidates: Candidates, ssps: SSPs, *, parent: ArrayLike | None = None,
-    tolerance: float = 2.0,
-) -> Links:  # fmt: skip
+def link(candidates: Links, ssps: SSPs, tolerance: float = 2.0) -> Links:
     """
     Choose links among candidates.
 
-    Scales are linked one after the other, from the coarsest.  Each candidate
-    is evaluated by what it adds to the best paths through several epochs, and
-    for each pair of epochs, consecutive ones first, the candidates with the
-    largest total are chosen (`assign`).  Candidates are then evaluated again,
+    Each candidate is evaluated by what it adds to the best paths through several
+    epochs, and for each pair of epochs, consecutive ones first, the candidates with
+    the largest total are chosen (`assign`).  Candidates are then evaluated again,
     given the chosen links before and after them and their mean velocity, until
-    nothing changes, in at most five rounds.  SSPs without a partner may merge
-    or split.
+    nothing changes, in at most five rounds.
 
     Parameters
     ----------
-    candidates : `Candidates`
+    candidates : `Links`
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
-    parent : array_like of int, shape (n_ssps,), optional
-        The SSP of the next coarser scale in which each SSP lies, or -1.  Its
-        motion is the prior for the smaller SSPs in it.
     tolerance : float, optional
         Standard deviation of a displacement from steady motion, in pixels on each
         axis.
@@ -551,7 +316,7 @@ def link(
     Returns
     -------
     `Links`
-        Ordered by source.
+        No SSP is the source, or the target, of more than one.
 
     Examples
     --------
@@ -573,49 +338,32 @@ def link(
     ([0, 1], [1, 2])
     """
     step, density = ssps.epoch, chance_density(ssps)
-    alone = similarity(candidates, ssps)
-    kind = np.full(len(candidates), "", "U5")
-    coarse = width = None
-    for scale in sorted(np.unique(ssps.scale), reverse=True):
-        own = np.flatnonzero(ssps.scale[candidates.source] == scale)
-        part = candidates.select(own)
-        worth = alone[own] + merged_flux(part, ssps, tolerance)
-        if coarse is not None and parent is not None:
-            worth += coarse_to_fine(part, coarse, parent, width, density)
-        chosen = _link_scale(part, worth, step, density, tolerance)
-        kind[own] = _merges_and_splits(part, chosen, ssps, tolerance)
-        coarse, width = part.select(chosen), scale_size(scale)
-    order = np.lexsort((candidates.target, candidates.source))
-    order = order[kind[order] != ""]
-    return Links(**vars(candidates.select(order)), kind=kind[order])
-
-
-def _link_scale(part, worth, step, density, tolerance):
-    """Return which candidates of a scale are chosen."""
-    transitions = equal_pairs(part.target, part.source)
-    use, chosen = np.ones(len(part), bool), np.zeros(len(part), bool)
+    worth = similarity(candidates, ssps)
+    transitions = equal_pairs(candidates.target, candidates.source)
+    use, chosen = np.ones(len(worth), bool), np.zeros(len(worth), bool)
     for _ in range(ROUNDS):
-        between = _steady_motion(part, chosen, transitions, step, density, tolerance)
-        gain = path_gains(part, worth, transitions, between, step, use)
-        now = _choose(part, gain)
+        to = chosen, transitions, step, density, tolerance
+        between = _steady_motion(candidates, *to)
+        gain = path_gains(candidates, worth, transitions, between, step, use)
+        now = _choose(candidates, gain)
         if np.array_equal(now, chosen):
             break
         use = chosen = now
-    return chosen
+    return candidates.select(chosen)
 
 
-def _steady_motion(part, chosen, transitions, step, density, tolerance):
+def _steady_motion(candidates, chosen, transitions, step, density, tolerance):
     """Return the term of each transition, given the track before and the one after."""
-    motion, interval = part.motion, part.interval
+    motion, interval = candidates.motion, candidates.interval
     own = np.flatnonzero(chosen)
     # Order the links by track, and by time within each track.
-    source = part.source[own]
-    track = connected(source, part.target[own], len(step))[source]
+    source = candidates.source[own]
+    track = connected(source, candidates.target[own], len(step))[source]
     order = np.lexsort((step[source], track))
     between = []
     for way, (one, other), end in (
-        (1, transitions, part.target),
-        (-1, transitions[::-1], part.source),
+        (1, transitions, candidates.target),
+        (-1, transitions[::-1], candidates.source),
     ):
         sums = np.column_stack([interval**2, motion * interval[:, None]])
         links, rank = own[order[::way]], rank_in_group(track[order[::way]])
@@ -628,19 +376,20 @@ def _steady_motion(part, chosen, transitions, step, density, tolerance):
     return between
 
 
-def _choose(part, gain):
+def _choose(candidates, gain):
     """Return the best links of each pair of epochs, the nearest epochs first."""
-    source, target, chosen = part.source, part.target, np.zeros(len(part), bool)
-    for gap in np.unique(part.gap):
+    source, target = candidates.source, candidates.target
+    chosen = np.zeros(len(gain), bool)
+    for gap in np.unique(candidates.gap):
         taken = np.isin(source, source[chosen]) | np.isin(target, target[chosen])
         # Pairs of epochs with the same gap can be solved together, as no SSP is
         # the source, or the target, in two of them.
-        own = np.flatnonzero((part.gap == gap) & ~taken)
+        own = np.flatnonzero((candidates.gap == gap) & ~taken)
         chosen[own[assign(source[own], target[own], gain[own])]] = True
     return chosen
 
 
-def path_gains(part, worth, transitions, between, step, use):
+def path_gains(candidates, worth, transitions, between, step, use):
     """
     Return what each candidate adds to the best paths that it connects.
 
@@ -656,7 +405,7 @@ def path_gains(part, worth, transitions, between, step, use):
     shape (2, n_transitions); ``step`` is the place in time of each SSP.  Only
     candidates of ``use`` come before or after another one.
     """
-    source, target = part.source, part.target
+    source, target = candidates.source, candidates.target
     way = source, target, worth, transitions, between[0], step, use
     forward, ending = _best_paths(*way)
     way = target, source, worth, transitions[::-1], between[1], -step, use
@@ -681,76 +430,6 @@ def _best_paths(source, target, worth, transitions, between, step, use):
     return best, ending
 
 
-def _merges_and_splits(part, chosen, ssps, tolerance):
-    """
-    Link SSPs without a partner to the partner of a neighbour.
-
-    A source without a target may share the target of a neighbour (a merge); a
-    target without a source may share the source of a neighbour (a split); up to
-    three SSPs can share one.  The candidate must have the displacement of the
-    neighbour's link, and the sum of fluxes must explain the flux on the other
-    side better than the neighbour alone.  The gain is that of the brightness,
-    plus the term of the candidate's correlation if negative, minus one.  `assign`
-    chooses, merges first.  Returned is the kind of each candidate, "" if it is no link.
-    """
-    kind = np.where(chosen, "link", "").astype("U5")
-    motion, flux = part.motion, ssps.flux
-    for name, free, shared in (
-        ("merge", part.source, part.target),
-        ("split", part.target, part.source),
-    ):
-        # The link that each shared SSP already has.
-        sitting = np.full(len(ssps), -1)
-        sitting[shared[chosen]] = np.flatnonzero(chosen)
-        host = sitting[shared]
-        own = np.flatnonzero((host >= 0) & ~np.isin(free, free[kind != ""]))
-        own = own[part.gap[own] == part.gap[host[own]]]
-        alike = moves_alike(motion[own] - motion[host[own]], tolerance)
-        own = own[alike & neighbours(free[own], free[host[own]], ssps)]
-        beside, other = flux[free[host[own]]], flux[shared[own]]
-        value = brightness(np.log((flux[free[own]] + beside) / other))
-        value -= brightness(np.log(beside / other))
-        value += np.minimum(correlation_term(part.coefficient[own]), 0.0)
-        value -= MERGE_COST
-        # Two more SSPs can share each; the first place is always preferred.
-        seats = np.concatenate([shared[own], len(ssps) + shared[own]])
-        values = np.concatenate([value, value - 1e-9])
-        taken = assign(np.tile(free[own], 2), seats, values)
-        taken = taken[: len(own)] | taken[len(own) :]
-        kind[own[taken]] = name
-    return kind
-
-
-def chains(links, ssps, min_epochs=1):
-    """
-    Return the tracks of one-to-one links, each the SSPs of one in order of time.
-
-    Tracks are in the order of their first SSPs; shorter ones than ``min_epochs`` are
-    left out.
-    """
-    own = links.kind == "link"
-    track = connected(links.source[own], links.target[own], len(ssps))
-    order = np.lexsort((ssps.epoch, track))
-    each = np.split(order, np.flatnonzero(np.diff(track[order])) + 1)
-    return [ssp for ssp in each if len(ssp) >= min_epochs]
-
-
-# -- groups ------------------------------------------------------------------------
-
-
-def rank_in_group(*keys):
-    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
-    new = np.ones(len(keys[0]), bool)
-    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
-    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
-
-
-def lowest(value, *keys, n=1):
-    """Return the indices of the n lowest values for equal keys, sorted by the keys."""
-    order = np.lexsort((value, *keys[::-1]))
-    return order[rank_in_group(*(key[order] for key in keys)) < n]
-
-
 def equal_pairs(one, other):
     """Return all (i, k) with ``one[i] == other[k]``, by k and then by i."""
     order = np.argsort(one, kind="stable")
@@ -773,7 +452,7 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     Parameters
     ----------
     row, column : array_like of int, shape (n,)
-        Not negative; rows and columns are numbered independently.
+        No pair may be given twice; rows and columns are numbered independently.
     weight : array_like, shape (n,)
 
     Returns
@@ -791,9 +470,7 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     row, column = np.asarray(row, dtype=int), np.asarray(column, dtype=int)
     weight = np.asarray(weight, dtype=float)
     chosen = np.zeros(len(row), bool)
-    # If a pair is given twice, the larger weight counts.
-    own = lowest(-weight, row, column)
-    own = own[weight[own] > 0]
+    own = np.flatnonzero(weight > 0)
     if len(own) == 0:
         return chosen
     rows, r = np.unique(row[own], return_inverse=True)
@@ -807,9 +484,3 @@ def assign(row: ArrayLike, column: ArrayLike, weight: ArrayLike) -> np.ndarray:
     # The rows of the matching are all rows, in order.
     chosen[own] = full_matching(graph)[1][r] == c
     return chosen
-
-
-def connected(one, other, n):
-    """Return the number of each node's group, for n nodes connected in pairs."""
-    graph = coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
-    return connected_components(graph, directed=False)[1]

@@ -22,25 +22,12 @@ def series():
             n = int(epoch.max(initial=-1)) + 1 if n_epochs is None else n_epochs
             years = 2000.0 + np.arange(n)
         return Detections(
-            epoch=epoch,
-            place=rows[:, 1:3],
-            place_error=np.full((len(rows), 2), error),
-            flux=rows[:, 3],
-            size=np.zeros(len(rows)),
+            epoch=epoch, place=rows[:, 1:3], flux=rows[:, 3], beam=beam,
+            place_error=np.full((len(rows), 2), error), size=np.zeros(len(rows)),
             years=np.asarray(years, dtype=float),
-            beam=beam,
-        )
+        )  # fmt: skip
 
     return make
-
-
-@pytest.fixture(scope="session")
-def crossing(series):
-    """Two features that meet between two epochs; even and odd detections."""
-    rows = []
-    for t in range(8):
-        rows += [(t, 0.4 * t, 0.3 * t - 1.05, 1.0), (t, 0.4 * t, 1.05 - 0.3 * t, 0.3)]
-    return series(rows)
 
 
 @pytest.fixture(scope="session")

@@ -84,18 +84,10 @@ def test_missing_pixels_do_not_spread(bad):
     mask = np.zeros(SHAPE, dtype=bool)
     mask[28:31, 43:46] = mask[70:, :10] = True
     image[mask] = bad
-    found = fit_gaussians(image, BEAM, 1e-3, mask=mask if np.isfinite(bad) else None)
+    found = fit_gaussians(image, BEAM, 1e-3, mask=mask & np.isfinite(bad))
     assert len(found) == 2
     np.testing.assert_allclose(found.y, [30.3, 52.4], atol=1e-3)
     np.testing.assert_allclose(found.x, [40.2, 60.7], atol=1e-3)
-
-
-@pytest.mark.parametrize(("beside", "n"), [(1e-3, 2), (0.2, 1), (np.nan, 1)])
-def test_noise_of_each_pixel(beside, n):
-    # Where the noise is larger, the faint component is not significant.
-    noise = np.full(SHAPE, 1e-3)
-    noise[:, 46:] = beside
-    assert len(fit_gaussians(sky(*TWO), BEAM, noise)) == n
 
 
 @pytest.mark.parametrize("variance", [2.0, 40.0])
@@ -110,12 +102,12 @@ def test_negative_sources_are_not_fitted(variance):
 @pytest.mark.parametrize(
     ("image", "noise", "mask"),
     [
-        (np.zeros(SHAPE), 1.0, None),
-        (np.zeros(SHAPE), 0.0, None),
-        (np.full(SHAPE, np.nan), 1.0, None),
+        (np.zeros(SHAPE), 1.0, False),
+        (np.zeros(SHAPE), 0.0, False),
+        (np.full(SHAPE, np.nan), 1.0, False),
         (sky(*ONE), 1e-3, np.ones(SHAPE, dtype=bool)),
-        (sky(*ONE), 1.0, None),
-        (np.zeros((0, 0)), 1.0, None),
+        (sky(*ONE), 1.0, False),
+        (np.zeros((0, 0)), 1.0, False),
     ],
 )
 def test_empty(image, noise, mask):
@@ -131,12 +123,6 @@ def test_noise_alone_has_no_components_and_a_spike_few():
     image[5, 5] = 1.0
     assert len(fit_gaussians(image, BEAM, 1e-3)) <= 20
     assert len(fit_gaussians(np.ones((2, 3)), BEAM, 1e-3)) <= 6
-
-
-@pytest.mark.parametrize("beam", [np.zeros((2, 2)), np.eye(3)])
-def test_beam_without_area(beam):
-    with pytest.raises(ValueError, match="positive definite"):
-        fit_gaussians(np.zeros(SHAPE), beam, 1.0)
 
 
 # -- the core, and shifts of whole epochs -----------------------------------------

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from astro_scc.features import Features
 from astro_scc.features.motion import (
     PRIOR_FREEDOM,
     SCATTER,
@@ -16,10 +17,7 @@ from astro_scc.features.motion import (
 )
 from astro_scc.features.tracks import Track
 from astro_scc.features.trust import (
-    COEFFICIENTS,
-    CONSTANT,
     FAR,
-    false_probability,
     is_secure,
     properties,
 )
@@ -220,17 +218,16 @@ def test_properties(track_of):
     assert found[:6] == pytest.approx(expected)
     assert found[6] == pytest.approx(np.std([1, -1, 1, -1, 1]))
     assert found[7] == pytest.approx(0, abs=1e-9)
-    p = 1 / (1 + np.exp(CONSTANT + COEFFICIENTS @ found))
-    assert false_probability(d, track, motion) == pytest.approx(p)
-
-
-@pytest.mark.parametrize(
-    ("others", "nearest"), [((), FAR), ([50.0], FAR), ([0.7], 0.7)]
-)
-def test_the_nearest_neighbour_within_reach(track_of, others, nearest):
-    assert properties(*track_of(straight(6, others=others)))[5] == pytest.approx(
-        nearest
-    )
+    # Others far away do not count, nor does having none.
+    for others in ((), [50.0]):
+        assert properties(*track_of(straight(6, others=others)))[5] == FAR
+    # The regression of ``benchmarks/features.py trust``, of 10% residuals of a beam.
+    motion = replace(motion, residual=np.full((6, 2), 0.1))
+    weights = [1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62]
+    logit = -5.88 + np.dot(weights, found[:7]) - 7.23 * 0.1
+    features = Features(cube=None, detections=d, core=d, tracks=(track,))
+    features.__dict__["motions"] = (motion,)
+    assert features.p_false == pytest.approx([1 / (1 + np.exp(logit))])
 
 
 @pytest.mark.parametrize(

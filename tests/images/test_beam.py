@@ -83,7 +83,7 @@ def test_beams_that_differ_are_refused_until_that_is_stated(tmp_path):
         with pytest.raises(ValueError, match=f"the beams differ, .*{words}"):
             call()
     tracker = FeatureTracker(max_speed=fast, common_beam=False)
-    assert (tracker.link(cube, matched.decompositions).kind == "link").sum() == 2
+    assert len(tracker.link(cube, matched.decompositions)) == 2
     assert len(scc.match(cube.to_common_beam()).matches)
 
 

@@ -14,7 +14,7 @@ from astro_scc.streams.chains import (
     find_chains,
     standing_features,
 )
-from astro_scc.streams.diagram import Rays, fit_mixture
+from astro_scc.streams.diagram import Rays
 from astro_scc.streams.dispersion import feature_speeds, separate_streams
 
 SEARCH = SearchSettings()
@@ -24,7 +24,7 @@ YEARS = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4, 4.6, 5.2])
 
 def follow(d, speeds=(0.3, 0.8)):
     rays = Rays.of(d.years, 1.5, SEARCH)
-    return find_chains(d, fit_mixture(d, speeds, rays), SEARCH)[0]
+    return find_chains(d, speeds, rays)[0]
 
 
 def through(years, position, **settings):

@@ -14,10 +14,10 @@ from astro_scc.streams.dispersion import (
     TWO_DISPERSIONS,
     _one,
     _two,
-    alignment_response,
     feature_speeds,
     random_effects,
     separate_streams,
+    velocity_of,
 )
 from astro_scc.streams.search import Stream
 
@@ -78,8 +78,8 @@ def test_errors_of_features_hold_blends_and_the_pull_of_the_core():
     np.testing.assert_allclose(error, [np.hypot(0.13, 0.02), 0.04])
 
 
-@pytest.mark.parametrize("n_features", [3, 1, 0])
-def test_the_response_to_the_alignment_is_that_of_shifted_epochs(lines, n_features):
+@pytest.mark.parametrize("n_features", [3, 1])
+def test_errors_of_the_alignment_are_those_of_shifted_epochs(lines, n_features):
     """Of features in all, in the first five and in the last four epochs."""
     years = np.array([0.0, 0.7, 1.2, 2.3, 3.0, 3.4])
     rng = np.random.default_rng(3)
@@ -92,21 +92,19 @@ def test_the_response_to_the_alignment_is_that_of_shifted_epochs(lines, n_featur
         return [Feature.through(s, epoch[s], years[epoch[s]], moved[s]) for s in ssps]
 
     own = features(np.zeros(6))
-    along = random_effects(*feature_speeds(own or features_of([0.5], 0.01)))
-    stream = Stream("moving", "", 0.0, along, along, features=tuple(own))
-    found = alignment_response(stream, 6)
-    if not own:
-        np.testing.assert_array_equal(found, np.zeros(6))
-        return
-    # With the weights of the mean.
     speed, error = feature_speeds(own)
+    along = random_effects(speed, error)
+    stream = Stream("moving", "", 0.0, along, along, features=tuple(own))
+    # With the weights of the mean.
     weight = 1 / (error**2 + np.nan_to_num(along.dispersion) ** 2)
     mean = np.average(speed, weights=weight)
     assert mean == pytest.approx(along.mean, rel=0.02)
-    for k in range(6):
-        moved = [f.speed for f in features(1e-4 * (np.arange(6) == k))]
+    for shift in np.eye(6):
+        moved = [f.speed for f in features(1e-4 * shift)]
         change = (np.average(moved, weights=weight) - mean) / 1e-4
-        assert found[k] == pytest.approx(change, rel=1e-6, abs=1e-9)
+        found = velocity_of(stream, [1.0, 1.0], np.outer(shift, [0.2, 0.1])).alignment
+        wanted = np.diag((change * np.array([0.2, 0.1])) ** 2)
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-12)
 
 
 def log_normal(rng, n, centre, dispersion, error):
@@ -192,19 +190,3 @@ class TestSeparateStreams:
                         best, found = value, split
             assert two[k] == pytest.approx(best)
             assert where[k] == found
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("draw", ["normal", "uniform"])
-    def test_one_broad_stream_is_seldom_two(self, draw):
-        """At a level of 0.05, of speeds that scatter by a third or a half."""
-        rng = np.random.default_rng(6)
-        found = 0
-        for _ in range(40):
-            if draw == "normal":
-                speed = np.abs(rng.normal(1, 0.3, 10))
-            else:
-                speed = rng.uniform(0.1, 1.9, 10)
-            p, _ = separate_streams(features_of(speed, 0.02), 99, rng)
-            found += p <= 0.05
-        # 2 of 40 expected; more than 8 with a probability of 1e-4.
-        assert found <= 8

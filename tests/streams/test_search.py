@@ -166,11 +166,6 @@ class TestOneStream:
         assert (first.p_local, first.p_global) == test.p_values(0, mean)
         assert first.z == test.significance(0, mean)
 
-    def test_a_stricter_level_needs_more_trials(self, one):
-        assert "too few" in search(one, alpha=0.001).streams[0].reason
-        found = search(one, alpha=0.001, n_trials=999).streams[0]
-        assert (found.kind, found.p_global) == ("moving", 0.001)
-
 
 class TestTwoStreams:
     def test_both_are_found(self, two):
@@ -184,14 +179,11 @@ class TestTwoStreams:
         assert first.p_distinct == first.p_global
         assert 0.01 <= second.p_distinct <= 0.05
 
-    @pytest.mark.parametrize(("n", "first"), [((10, 5), 0.3), ((4, 12), 1.0)])
-    def test_the_one_with_more_features_is_first(self, jet, n, first):
-        streams = [(n[0], 0.3, 0.05), (n[1], 1.0, 0.05)]
-        d = jet(np.random.default_rng(0), YEARS, streams, length=16.0)
-        found = search(d).streams
-        assert [s.kind for s in found[:2]] == ["moving", "moving"]
-        assert found[0].along.mean == pytest.approx(first, rel=0.1)
-        assert len(found[0].features) >= len(found[1].features)
+    def test_the_one_with_more_features_is_first(self, jet):
+        streams = [(4, 0.3, 0.05), (12, 1.0, 0.05)]
+        found = search(jet(np.random.default_rng(0), YEARS, streams, length=16.0))
+        assert kinds(found)[:2] == ["moving", "moving"]
+        assert found.streams[0].along.mean == pytest.approx(1.0, rel=0.1)
 
     def test_only_the_first_has_to_keep_its_speed(self, monkeypatch, two):
         first = search(two).streams[0].along.mean
@@ -223,12 +215,6 @@ class TestTwoStreams:
 
 
 class TestNotSignificant:
-    def test_chance(self, jet):
-        d = jet(np.random.default_rng(1), YEARS, chance=8)
-        found = search(d)
-        assert kinds(found) == ["not significant"]
-        assert found.streams[0].p_global > 0.05
-
     def test_four_epochs(self, lines, axis_matches):
         years = YEARS[:4]
         d = axis_matches(*lines([0.6] * 6, 3.0 * np.arange(6), years), years)
@@ -242,16 +228,13 @@ class TestNotSignificant:
         d = replace(one, target_ssp=np.full(len(one), -1))
         found = search(d)
         (stream,) = found.streams
-        assert stream.kind == "not confirmed"
-        assert stream.reason == "no single feature is seen to move at this speed"
-        axis, speed = found.permutations.largest()
+        assert (stream.kind, stream.features) == ("not confirmed", ())
+        _, speed = found.permutations.largest()
         assert stream.along.mean == speed == pytest.approx(0.5, rel=0.15)
-        assert (stream.p_local, stream.p_global) == found.permutations.p_values(
-            axis, speed
-        )
+        p_values = found.permutations.p_values(0, speed)
+        assert (stream.p_local, stream.p_global) == p_values
         assert stream.p_distinct == stream.p_global
         assert np.isnan(stream.along.error)
-        assert stream.features == ()
 
     def test_without_matches_there_is_no_stream(self, one):
         found = search(one.select(np.zeros(len(one), dtype=bool)))
@@ -261,6 +244,8 @@ class TestNotSignificant:
 
 class TestRestrictions:
     def test_outward_only(self, one):
+        both, forth = (search(one, outward=k).permutations for k in (False, True))
+        np.testing.assert_allclose(forth.z, both.z[:, both.speed > 0])
         assert kinds(search(one, outward=True))[0] == "moving"
         inward = replace(one, d1=-one.d1, position=one.position * (-1, 1))
         assert search(inward).streams[0].along.mean < 0
@@ -280,10 +265,8 @@ class TestRestrictions:
 class TestDirection:
     """Where the direction of the flow is not known several axes are searched."""
 
-    ANGLES = np.arange(12) * np.pi / 12
-
     @staticmethod
-    def turned(lines, axis_matches, angle, speed=0.6):
+    def turned(lines, axis_matches, angle, speed):
         rng = np.random.default_rng(1)
         starts = 2.0 * np.arange(8)
         position, epoch = lines([speed] * 8, starts, YEARS, scatter=0.03, rng=rng)
@@ -296,34 +279,24 @@ class TestDirection:
         return project
 
     @pytest.mark.parametrize(
-        ("degrees", "speed"), [(0, 0.6), (20, -0.6), (90, 0.6), (128, -0.6), (173, 0.6)]
-    )
-    def test_it_is_found(self, lines, axis_matches, degrees, speed):
+        ("degrees", "speed", "n_axes"),
+        [(0, 0.6, 12), (20, -0.6, 12), (90, 0.6, 12), (128, -0.6, 12), (173, 0.6, 12),
+         # Three axes, and a flow that is far from them.
+         (88, 0.3, 3), (140, 0.3, 3)],
+    )  # fmt: skip
+    def test_it_is_that_of_the_features(
+        self, lines, axis_matches, degrees, speed, n_axes
+    ):
         angle = np.radians(degrees)
-        found = search(self.turned(lines, axis_matches, angle, speed), self.ANGLES)
+        project = self.turned(lines, axis_matches, angle, speed)
+        found = search(project, np.arange(n_axes) * np.pi / n_axes)
         stream = found.streams[0]
         assert stream.kind == "moving"
         east = stream.along.mean * np.exp(1j * stream.angle)
         assert abs(east - speed * np.exp(1j * angle)) < 0.03
-        assert abs((stream.angle - angle + np.pi / 2) % np.pi - np.pi / 2) < 0.03
+        assert abs((stream.angle - angle + np.pi / 2) % np.pi - np.pi / 2) < 0.035
         assert found.angle == stream.angle
-        assert found.permutations.z.shape[0] == 12
-
-    @pytest.mark.parametrize("degrees", [88, 140])
-    def test_it_is_that_of_the_features(self, lines, axis_matches, degrees):
-        """Three axes, and a flow that is far from them."""
-        project = self.turned(lines, axis_matches, np.radians(degrees), 0.3)
-        found = search(project, np.arange(3) * np.pi / 3)
-        assert abs((np.degrees(found.angle) - degrees + 90) % 180 - 90) < 2
-        assert found.streams[0].along.mean == pytest.approx(0.3, abs=0.02)
-
-
-def with_an_empty_epoch(d, after=4):
-    """The same matches with a date more, to which there are none."""
-    date = d.years[after - 1 : after + 1].mean()
-    later = {n: getattr(d, n) for n in ("epoch", "reference", "target")}
-    later = {name: epoch + (epoch >= after) for name, epoch in later.items()}
-    return replace(d, years=np.insert(d.years, after, date), **later)
+        assert found.permutations.z.shape[0] == n_axes
 
 
 def turned_round(d):
@@ -346,7 +319,6 @@ FORMS = {
         lambda d: d.select(np.random.default_rng(1).permutation(len(d))),
         1,
     ),
-    "an epoch without matches": (with_an_empty_epoch, 1),
 }
 
 
@@ -358,15 +330,10 @@ def test_the_same_motion_in_another_form(lines, axis_matches, form, seed):
     change, unit = FORMS[form]
     rng = np.random.default_rng(seed)
     years = np.cumsum(rng.uniform(0.7, 1.3, 8))
-    speeds, starts = np.full(8, 0.6), 3.0 * np.arange(8)
-    position, epoch = lines(speeds, starts, years, scatter=0.03, rng=rng)
-    d = axis_matches(position, epoch, years)
+    starts = 3.0 * np.arange(8)
+    d = axis_matches(*lines([0.6] * 8, starts, years, scatter=0.03, rng=rng), years)
     a, b = search(d).streams[0], search(change(d)).streams[0]
     assert a.kind == b.kind == "moving"
-    if len(change(d).years) > len(years):
-        assert b.along.mean == pytest.approx(a.along.mean, abs=a.along.error)
-        assert b.p_global <= 0.05
-        return
     assert b.along.mean == pytest.approx(unit * a.along.mean)
     assert b.along.error == pytest.approx(abs(unit) * a.along.error)
     assert abs(b.across.mean) == pytest.approx(abs(unit * a.across.mean))

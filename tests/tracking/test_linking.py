@@ -14,15 +14,12 @@ from scipy.optimize import linear_sum_assignment
 from astro_scc import Beam
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
+from astro_scc.features.tracks import chains
 from astro_scc.simulation import simulate_static
 from astro_scc.tracking.linking import (
-    Candidates,
     Links,
     assign,
-    chains,
     chance_density,
-    coarse_to_fine,
-    coarser_ssps,
     core_ssps,
     equal_pairs,
     find_candidates,
@@ -33,68 +30,41 @@ from astro_scc.tracking.linking import (
 )
 
 
-def catalogue(rows, *, scale=1.0, half=2, width=400):
-    """SSPs of (epoch, y, x, peak) with square patches of pixels."""
-    rows = np.asarray(rows, dtype=float).reshape(-1, 4)
-    n = len(rows)
-    half, y, x = np.broadcast_to(half, n), *np.rint(rows[:, 1:3]).astype(int).T
-    around = [np.arange(-h, h + 1) for h in half]
-    parts = [
-        ((b + a)[:, None] * width + c + a).ravel()
-        for a, b, c in zip(around, y, x, strict=True)
-    ]
-    starts = np.cumsum([0, *map(len, parts)])
+def catalogue(rows, *, scale=1.0):
+    """SSPs of (epoch, y, x, peak), each of one pixel."""
+    epoch, y, x, peak = np.asarray(rows, dtype=float).reshape(-1, 4).T
+    n = len(peak)
     return SSPs(
-        scale=np.broadcast_to(np.asarray(scale, dtype=float), n),
-        y=rows[:, 1], x=rows[:, 2], y_centroid=rows[:, 1], x_centroid=rows[:, 2],
-        peak=rows[:, 3], flux=10 * rows[:, 3], snr=100 * rows[:, 3],
-        bbox=np.stack([y - half, x - half, y + half + 1, x + half + 1], axis=1),
-        starts=starts, pixels=np.concatenate([np.empty(0, int), *parts]),
-        epoch=rows[:, 0].astype(int),
+        scale=np.broadcast_to(np.asarray(scale, dtype=float), n), y=y, x=x,
+        y_centroid=y, x_centroid=x, peak=peak, flux=10 * peak, snr=100 * peak,
+        bbox=np.zeros((n, 4), int), starts=np.arange(n + 1), pixels=np.zeros(n, int),
+        epoch=epoch.astype(int),
     )  # fmt: skip
 
 
 # -- candidates --------------------------------------------------------------------
 
 
-def random_matches(rng, ssps, n):
-    source = rng.integers(0, len(ssps), n)
-    landed = rng.integers(-1, len(ssps), n)
-    target = np.where(landed >= 0, ssps.epoch[landed], rng.integers(0, 4, n))
-    columns = (source, target, np.zeros(n), np.zeros(n), rng.random(n), np.ones(n),
-               np.ones(n))  # fmt: skip
-    return Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0), landed
-
-
-RANDOM = catalogue(
-    [
-        [k // 3, *place, k // 3 + 1.0]
-        for k, place in enumerate(np.random.default_rng(2).uniform(5, 90, (12, 2)))
-    ]
-)
-
-
 @pytest.mark.parametrize("max_gap", [0, 5])
-def test_candidates_are_those_of_loops(max_gap):
-    ssps = RANDOM
-    matches, landed = random_matches(np.random.default_rng(3), ssps, 300)
+def test_candidates_are_the_highest_peaks_at_a_later_date(max_gap):
+    # The second and the third epoch are of one date.
+    ssps = catalogue([[t, 10 * t, 5 + t**2, 1.0] for t in (0, 1, 2, 3)])
     years = np.array([2000.0, 2000.3, 2000.3, 2001.0])
-    found = find_candidates(matches, landed, ssps, years, max_gap=max_gap)
-    best = {}
-    for i, k, c in zip(matches.ssp, landed, matches.coefficient, strict=True):
-        if k < 0:
-            continue
-        a, b = ssps.epoch[i], ssps.epoch[k]
-        if 0 < b - a <= max_gap + 1 and years[b] > years[a]:
-            best[i, k] = max(best.get((i, k), 0), c)
-    assert list(zip(found.source, found.target, strict=True)) == sorted(best)
-    assert found.coefficient == pytest.approx([best[p] for p in sorted(best)])
-    a, b = ssps.epoch[found.source], ssps.epoch[found.target]
-    for axis, moved in ((ssps.y, found.dy), (ssps.x, found.dx)):
-        wanted = axis[found.target] - axis[found.source]
-        np.testing.assert_array_equal(moved, wanted)
-    np.testing.assert_array_equal(found.interval, years[b] - years[a])
-    np.testing.assert_array_equal(found.gap, b - a - 1)
+    # Sources, the SSPs on which their peaks fall, and the coefficients.
+    peaks = [(2, 3, 0.5), (0, 1, 0.7), (0, 1, 0.9), (0, 1, 0.8), (0, -1, 0.9),
+             (1, 0, 0.9), (1, 2, 0.9), (0, 3, 0.6)]  # fmt: skip
+    source, landed, coefficient = np.array(peaks).T
+    source, landed, zero = source.astype(int), landed.astype(int), np.zeros(8)
+    target = np.where(landed < 0, 1, landed)
+    columns = source, target, zero, zero, coefficient, zero, zero
+    matches = Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0)
+    found = find_candidates(matches, landed, ssps, years, max_gap)
+    use = [True, max_gap == 5, True]
+    for name, wanted in {
+        "source": [0, 0, 2], "target": [1, 3, 3], "motion": [[10, 1], [30, 9], [10, 5]],
+        "interval": [0.3, 1.0, 0.7], "gap": [0, 2, 0], "coefficient": [0.9, 0.6, 0.5],
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(getattr(found, name), np.array(wanted)[use])
 
 
 @pytest.fixture(scope="module")
@@ -137,11 +107,9 @@ def test_half_of_a_long_beam_reaches_farther_along_it(cube):
 def candidates_of(ssps, pairs, coefficient=1.0):
     source, target = np.array(pairs, dtype=int).reshape(-1, 2).T
     step = ssps.epoch[target] - ssps.epoch[source]
-    dy, dx = (v[target] - v[source] for v in (ssps.y, ssps.x))
-    return Candidates(
-        source, target, dy, dx,
-        step.astype(float), step - 1, np.broadcast_to(coefficient, len(source)),
-    )  # fmt: skip
+    place = np.stack([ssps.y, ssps.x], axis=1)
+    motion, same = place[target] - place[source], np.full(len(source), coefficient)
+    return Links(source, target, motion, step.astype(float), step - 1, same)
 
 
 def test_similarities_are_ratios_of_densities():
@@ -180,22 +148,6 @@ def test_steady_motion_knows_the_error_of_a_mean_velocity():
     assert value == pytest.approx(normal.logpdf(away[0]))
 
 
-def test_the_coarser_scale_helps_where_it_agrees_and_never_forbids():
-    # A small pattern that lies in a large one, which moves by eight pixels.
-    ssps = catalogue(
-        [[0, 50, 50, 1], [1, 50, 58, 1], [1, 50, 108, 1],
-         [0, 50, 50, 2], [1, 50, 58, 2]],
-        scale=[1, 1, 1, 2, 2],
-    )  # fmt: skip
-    parent = np.array([3, 4, -1, -1, -1])
-    near, far = coarse_to_fine(
-        candidates_of(ssps, [(0, 1), (0, 2)]), candidates_of(ssps, [(3, 4)]),
-        parent, 4.0, np.full(5, 0.001),
-    )  # fmt: skip
-    assert near == pytest.approx(np.log(0.5 + 0.5 / (2 * np.pi * 16 * 0.001)))
-    assert far == pytest.approx(np.log(0.5))
-
-
 def test_density_of_a_lattice():
     y, x = (10 * v.ravel() + 10 for v in np.mgrid[:6, :6])
     ssps = catalogue(np.column_stack([np.zeros(36), y, x, np.ones(36)]))
@@ -203,26 +155,6 @@ def test_density_of_a_lattice():
     assert chance_density(ssps) == pytest.approx(np.full(36, 3 / (np.pi * 100)))
     alone = catalogue([[0, 10, 10, 1.0]])
     assert chance_density(alone) == pytest.approx([1 / (np.pi * 400)])
-
-
-def test_coarser_ssps_are_those_of_loops():
-    rng = np.random.default_rng(4)
-    rows = np.column_stack(
-        [rng.integers(0, 2, 60), rng.uniform(10, 90, (60, 2)), np.ones(60)]
-    )
-    scale = rng.integers(1, 4, 60)
-    ssps = catalogue(rows, scale=scale, half=3 * scale)
-    found = coarser_ssps(ssps, 400)
-    for i, parent in enumerate(found):
-        at = int(np.rint(ssps.y[i])) * 400 + int(np.rint(ssps.x[i]))
-        holders = [
-            k
-            for k in np.flatnonzero(
-                (ssps.scale == ssps.scale[i] + 1) & (ssps.epoch == ssps.epoch[i])
-            )
-            if at in ssps.pixels_of(k)
-        ]
-        assert parent in holders if holders else parent == -1
 
 
 # -- links -------------------------------------------------------------------------
@@ -233,10 +165,9 @@ def everything(ssps, *, most=20.0, max_gap=1):
     step = ssps.epoch[None, :] - ssps.epoch[:, None]
     dy, dx = (v[None, :] - v[:, None] for v in (ssps.y, ssps.x))
     near = np.hypot(dy, dx) <= most * np.maximum(step, 1)
-    same = ssps.scale[None, :] == ssps.scale[:, None]
-    i, k = np.nonzero((step > 0) & (step <= max_gap + 1) & near & same)
-    gap = step[i, k] - 1
-    return Candidates(i, k, dy[i, k], dx[i, k], gap + 1.0, gap, np.full(len(i), 0.97))
+    return candidates_of(
+        ssps, np.argwhere((step > 0) & (step <= max_gap + 1) & near), 0.97
+    )
 
 
 def streams(seed=1, n_epochs=6):
@@ -261,7 +192,6 @@ def test_streams_of_two_speeds_are_distinguished(seed):
     assert len(links) == 12 * 5
     assert np.array_equal(feature[links.source], feature[links.target])
     assert np.all(links.gap == 0)
-    assert set(links.kind) == {"link"}
 
 
 @pytest.mark.parametrize(("x", "linked"), [(124, True), (112, False)])
@@ -292,21 +222,8 @@ def test_nothing_to_link():
     ssps = catalogue([[0, 10, 10, 1], [1, 300, 300, 1]])
     links = link(everything(ssps), ssps)
     assert len(links) == 0
-    assert repr(links) == "<Links: 0 links, 0 merges, 0 splits>"
     empty = catalogue([])
     assert len(link(everything(empty), empty)) == 0
-
-
-def test_a_merge_and_a_split_are_recorded():
-    # Two neighbours of unequal flux become one of their sum, and part again.
-    rows = [[0, 50, 50, 1.0], [0, 50, 54, 0.8], [1, 50, 53, 1.8],
-            [2, 50, 54, 1.0], [2, 50, 58, 0.8], [3, 50, 56, 1.0]]  # fmt: skip
-    ssps = catalogue(rows)
-    links = link(everything(ssps, max_gap=0), ssps)
-    kinds = {(int(i), int(k)): str(kind) for i, k, kind in
-             zip(links.source, links.target, links.kind, strict=True)}  # fmt: skip
-    assert sorted(kinds.get(p, "") for p in ((0, 2), (1, 2))) == ["link", "merge"]
-    assert sorted(kinds.get(p, "") for p in ((2, 3), (2, 4))) == ["link", "split"]
 
 
 # -- paths ---------------------------------------------------------------------------
@@ -356,9 +273,8 @@ def test_gains_are_those_of_all_paths(seed):
     values = rng.normal(0, 1, len(transitions[0]))
     pairs = zip(*(part.tolist() for part in transitions), strict=True)
     between = dict(zip(pairs, values, strict=True))
-    zeros = np.zeros(len(pick))
     gains = path_gains(
-        Candidates(source, target, zeros, zeros, zeros, zeros, zeros), value,
+        Links(source, target, *4 * [np.zeros(len(pick))]), value,
         transitions, np.stack([values, values]), step, use=use,
     )  # fmt: skip
     assert gains == pytest.approx(slow_gains(source, target, value, between, use))
@@ -368,20 +284,16 @@ def test_gains_are_those_of_all_paths(seed):
 
 
 def test_chains_are_what_links_connect():
-    """Two cross at the third epoch, one has a gap, and a merge is no link."""
-    ssps = catalogue([[k // 3, 50, 50 + k, 1] for k in range(12)])
-    pairs = [(0, 3), (3, 8), (8, 9), (1, 4), (4, 6), (2, 11), (5, 6)]
-    source, target = np.array(pairs).T
-    kinds, zeros = np.array(["link"] * 6 + ["merge"]), np.zeros((5, 7))
-    links = Links(source, target, *zeros, kinds)
-    found = [track.tolist() for track in chains(links, ssps, min_epochs=2)]
-    assert found == [[0, 3, 8, 9], [1, 4, 6], [2, 11]]
-    assert len(chains(links, ssps, min_epochs=3)) == 2
-    assert len(chains(links, ssps)) == 6
+    """Two cross, one has a gap, and some are alone."""
+    pairs = np.array([(0, 3), (3, 8), (8, 9), (1, 4), (4, 6), (2, 11)])
+    found = [own.tolist() for own in chains(*pairs.T, 12)]
+    assert found == [[0, 3, 8, 9], [1, 4, 6], [2, 11], [5], [7], [10]]
 
 
 pairs = st.lists(
-    st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(-3, 8)), max_size=9
+    st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(-3, 8)),
+    max_size=9,
+    unique_by=lambda pair: pair[:2],
 )
 
 

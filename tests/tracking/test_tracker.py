@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The whole of tracking, on jets whose features are known."""
 
+from dataclasses import replace
 from functools import cache
 
 import astropy.units as u
@@ -9,7 +10,7 @@ import pytest
 from astropy.time import Time
 
 from astro_scc import Beam, EpochCube
-from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition import Decomposer
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.tracking import FeatureTracker
 
@@ -117,28 +118,18 @@ def test_limits_along_and_across_are_those_of_the_links(angle):
     # Displacements may exceed the limits by 0.24 mas, which is 0.47 mas/yr.
     (only,) = FeatureTracker(position_angle=angle, **limits)(*jet()).table
     assert only["pm_ra_cosdec"].value == pytest.approx(-0.6, abs=0.02)
+    # Without limits across it is as fast as the largest speed in either direction.
+    (alone,) = FeatureTracker(position_angle=angle, along=limits["along"])(*jet()).table
+    assert alone["pm_ra_cosdec"] == only["pm_ra_cosdec"]
 
 
-def test_images_without_beams_and_long_intervals():
+def test_images_without_beams_and_too_few_epochs(tracker):
     cube, decompositions = jet(beams=False)
-    assert len(FeatureTracker(max_speed=1.5 * PM)(cube, decompositions)) == 3
-    none = FeatureTracker(max_speed=1.5 * PM, max_interval=0.1 * u.yr)
-    features = none(cube, decompositions)
+    assert len(tracker(cube, decompositions)) == 3
+    features = replace(tracker, min_epochs=13)(cube, decompositions)
     assert len(features.table) == len(features.positions) == 0
     assert len(features.detections) == 36
     assert features.table["pm"].unit == PM
-
-
-def test_only_selected_ssps_are_tracked(tracker):
-    cube, decompositions = jet()
-    ssps = SSPs.of_epochs(decompositions)
-    select = ssps.x < 75
-    links = tracker.link(cube, decompositions, select=select)
-    assert np.all(select[links.source] & select[links.target])
-    features = tracker(cube, decompositions, select=select)
-    assert len(features) == 2
-    x, _ = cube.offset_to_pixel(*features.detections.place.T * u.mas)
-    assert np.all(x < 75)
 
 
 @pytest.mark.parametrize(
@@ -165,8 +156,7 @@ def test_settings_that_make_no_sense_are_refused(setting, message):
     [
         (lambda t, c, d: t(c, [Decomposer([1])(0 * i) for i in c.data]), "no signific"),
         (lambda t, c, d: t(c, d[:2]), "2 decompositions for 3 epochs"),
-        (lambda t, c, d: t(c, d, select=[True]), "select must be one bool for each of"),
-        (lambda t, c, d: t(c[:1], d[:1]), "needs epochs of two different dates"),
+        (lambda t, c, d: t(c[:1], d[:1]), "tracking needs epochs of two dates"),
     ],
 )
 def test_what_does_not_go_together_is_refused(tracker, call, message):
