@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from astro_scc.features import motion as motions
-from astro_scc.features.trust import LEAST_EPOCHS, measure_diffusion
+from astro_scc.features.diffusion import measure_diffusion
+from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import axes
 from astro_scc.stacking.velocities import VelocitySamples

@@ -30,7 +30,7 @@ from summary import RIGHT, TWO, write
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.features import find_features
-from astro_scc.features.trust import measure_diffusion
+from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.measurement.axes import AxisProjection
 from astro_scc.streams import SearchSettings, find_streams
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.features.trust import measure_diffusion, random_walk
+from astro_scc.features.diffusion import measure_diffusion, random_walk
 from astro_scc.matching import select_ssps
 from astro_scc.measurement.axes import AxisProjection
 from astro_scc.measurement.search import FollowedFeatures
