@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.table import QTable
+from astropy.table import QTable, vstack
 from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -59,36 +59,31 @@ def write(table, path, **meta):
 
 
 def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_path):
-    components = ComponentList(**columns(beams=[BEAM, Beam(2 * u.mas, 1 * u.mas)]))
+    wide = Beam(2 * u.mas, 1 * u.mas)
+    components = ComponentList(**columns(beams=[BEAM, wide]))
     assert components.times.isot.tolist()[0] == "2006-01-01T00:00:00.000"
     assert components.epoch.tolist() == [1, 0, 0]
     assert components.labels == ("2006-01-01", "2006-07-01")
-    assert components.beams == (Beam(2 * u.mas, 1 * u.mas), BEAM)
+    assert components.beams == (wide, BEAM)
     assert components.flux.unit == u.Jy
     assert components.major.value.tolist() == [0.3, 0.0, 0.8]
     assert components.pa.value.tolist() == [0, 0, 60]
     assert "3 components at 2 epochs" in repr(components)
-    round_ = ComponentList(**columns(east=[0.4e-3, 0, 2e-3] * u.arcsec, minor=None))
-    assert_allclose(round_.east.value, components.east.value)
-    assert_array_equal(round_.minor, round_.major)
     names = ("times", "epoch", "flux", "east", "north")
     points = ComponentList(**{k: columns()[k] for k in names})
-    assert not points.major.value.any()
-    assert points.feature.tolist() == [-1, -1, -1]
+    assert (points.major.value.any(), *points.feature) == (False, -1, -1, -1)
     assert components.select(before="2006-07-01").feature.tolist() == [0, 1]
     last = components.select(after=Time("2006-07-01"))
-    assert (last.labels, last.beams) == (("2006-07-01",), (BEAM,))
-    assert (last.n_epochs, last.epoch.tolist()) == (1, [0])
+    assert (last.labels, last.beams, *last.epoch) == (("2006-07-01",), (BEAM,), 0)
     with pytest.raises(ValueError, match="no component is left of 3 between"):
         components.select(after="2010-01-01")
-    # There and back, with one beam or with none.
-    for beams in (None, BEAM):
-        own = ComponentList(**columns(meta={"name": "3C 273"}, beams=beams))
-        back = read_components(write(own.to_table(), tmp_path / "list.ecsv"))
-        assert (back.meta, back.beams) == ({"object": "3C 273"}, own.beams)
-        assert np.all(back.times == own.times)
-        for name in ("epoch", *COLUMNS):
-            assert_allclose(getattr(back, name), getattr(own, name), rtol=1e-12)
+    # There and back.
+    own = ComponentList(**columns(meta={"name": "3C 273"}, beams=BEAM, minor=None))
+    back = read_components(write(own.to_table(), tmp_path / "list.ecsv"))
+    assert (back.meta, back.beams) == ({"object": "3C 273"}, own.beams)
+    assert np.all(back.times == own.times)
+    for name in ("epoch", *COLUMNS):
+        assert_allclose(getattr(back, name), getattr(own, name), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +93,6 @@ def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_pa
         ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
         ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
         ({"epoch": [0, 1, 2]}, "indices into an array of times"),
-        ({"times": Time("2006-01-01")}, "indices into an array of times"),
         ({"east": [1, 2, 3] * u.Jy}, "not convertible"),
     ],
 )
@@ -149,8 +143,7 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     ("changes", "options", "message"),
     [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
-        ({"flux": None}, {}, "no column for flux; the table has epoch"),
-        ({"epoch": None}, {}, "no column for epoch"),
+        ({"epoch": None, "flux": None}, {}, "no column for epoch, flux; the table has"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
         ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
@@ -161,7 +154,6 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
         ({"source": ["a", "a", "b", "b"]}, {}, r"2 sources in the table \(a, b\)"),
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
         ({}, {"origin": "jet"}, "origin = .jet. must be"),
-        ({}, {"dates": ["2006-01-01"] * 2}, "1 images need 1 times, got 2"),
     ],
 )
 def test_bad_tables(tmp_path, changes, options, message):
@@ -180,13 +172,10 @@ def test_sources_of_a_table(tmp_path):
     assert (given.labels, given.beams) == (("own.ecsv",), (BEAM,))
     with pytest.raises(ValueError, match="no components in the file"):
         read_components(write(mojave()[:0], tmp_path / "t.ecsv"))
-    names = [f"{k:04d}+{k:03d}" for k in range(100, 130)]
-    table = QTable({"source": names, "epoch": ["2006-03-09"] * 30})
-    table["flux"], table["east"] = np.ones(30) * u.Jy, np.ones(30) * u.mas
-    table["north"] = table["east"]
+    table = vstack([mojave(source=[f"S{k}"] * 4) for k in range(30)])
     path = write(table, tmp_path / "many.ecsv")
-    assert len(read_components(path, source="0129+129")) == 1
-    with pytest.raises(ValueError, match=r"30 sources .*0107\+107 and 22 more\); say"):
+    assert len(read_components(path, source="S29")) == 4
+    with pytest.raises(ValueError, match=r"30 sources .*, S7 and 22 more\); say"):
         read_components(path)
     path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
     assert read_components(path, source="3c273").n_epochs == 2
@@ -302,16 +291,14 @@ def test_difmap_model(tmp_path):
     paths = [model(tmp_path, name=name) for name in names]
     days = read_components(paths).times.strftime("%Y-%m-%d").tolist()
     assert days == ["2006-01-01", "2006-06-05", "2007-01-01"]
-    dates = ["2001-01-01", "2002-01-01", "2003-01-01"]
-    given = read_components(paths, dates=dates, beams=[BEAM, BEAM, BEAM])
-    assert (given.labels, given.beams) == (names, (BEAM,) * 3)
+    given = read_components(paths, dates=["2001-01-01", None, None], beams=[BEAM] * 3)
+    assert (given.labels[0], given.beams) == (names[0], (BEAM,) * 3)
     assert "position" in given.meta
 
 
 NAME = "1226+023.u.2006_03_09.mod"
 BAD = [
     (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
-    (NAME, b"! x\n1 2 nan\n", {}, "line 2: expected 3, 6 or 7 finite values"),
     (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
     (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
     (NAME, b"1 2 3 4 1.5 0 1\n", {}, "component 1 of 1: axes must be"),
@@ -326,7 +313,6 @@ BAD = [
     ("a.fits", {"tables": 0}, {}, "no AIPS CC table"),
     ("a.fits", {"drop": ("DELTAX",)}, {}, "no column for position_angle, sep"),
     ("a.fits", {"FLUX": [1, np.nan]}, {}, "component 2 of 2: flux is blank"),
-    ("a.fits", {"TYPE OBJ": [0, 3]}, {}, "row 2: component type 3"),
     ("a.fits", {"header": {"DATE-OBS": "never"}}, {}, "'never' is no date"),
     ("a.fits", {"header": {"DATE-OBS": None}}, {}, "no DATE-OBS in the header"),
 ]
@@ -412,7 +398,6 @@ def test_difmap_models_are_restored(models):
         cube = EpochCube.read(models, beams=BEAM)
     assert "pixels of 0.1 mas and noise of 0.0" in str(caught[0].message)
     assert cube.times.isot[1][:10] == "2006-09-09"
-    assert cube.beams == (BEAM, BEAM)
     assert np.allclose(cube.data[0].max(), 0.9, atol=0.1)
     # The faintest component, of 0.15 to 0.3 Jy a beam, is ten times the noise.
     assert np.all((cube.noise > 0.015 * cube.unit) & (cube.noise < 0.03 * cube.unit))
@@ -420,7 +405,6 @@ def test_difmap_models_are_restored(models):
     with pytest.warns(EpochWarning, match=RESTORED):
         again = EpochCube.read(models[::-1], beams=[BEAM, BEAM])
     assert_array_equal(again.data, cube.data)
-    assert read_components(models).beams == ()
     # So are tables of FITS files that hold no image.
     beam = {"BMAJ": 1.0 * MAS, "BMIN": 0.5 * MAS, "BPA": -7.0}
     path = aips(models[0].parent / "cc.fits", image=False, header=beam)

@@ -131,7 +131,7 @@ def test_noise_and_seeds():
     assert residual.std() == pytest.approx(3e-3, rel=0.2)
     assert abs(np.corrcoef(residual[0].ravel(), residual[1].ravel())[0, 1]) < 0.2
     assert noisy.noise.to_value(MJY_BEAM) == pytest.approx([3, 3])
-    each = restored(components(), noise=[3, 0] * MJY_BEAM, rng=np.random.default_rng(1))
+    each = restored(components(), noise=[3, 0] * MJY_BEAM, rng=1)
     assert_array_equal(each.data[0], noisy.data[0])
     assert_array_equal(each.data[1], clean.data[1])
 
@@ -141,13 +141,11 @@ def test_noise_and_seeds():
     [
         ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
         ({"beam": None}, "needs a beam; give one"),
-        ({"beam": []}, "needs a beam; give one"),
         ({"noise": [1, 2, 3] * MJY_BEAM}, "2 epochs need 2 noises"),
         ({"noise": 1 * u.mas}, "noise must be a Quantity in Jy / beam"),
         ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
         ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
-        ({"shape": (0, 5)}, "shape must be"),
         ({"shape": (5,)}, "shape must be"),
     ],
 )
@@ -209,8 +207,6 @@ def test_correlation_is_that_of_white_noise_seen_with_the_beam():
     # Exponents d^2 / (2 * 2 sigma^2) of d^2 = 50 px^2.
     expected = np.exp(-50 / 4 * 8 * np.log(2) / np.array([15, 4]) ** 2)
     assert [up_left, up_right] == pytest.approx(expected, abs=0.07)
-    noise = noises(600, ROUND, shape=(20, 20))
-    assert abs(np.mean(noise[:, 0] * noise[:, -1])) < 0.06
 
 
 # One FITS image an epoch ------------------------------------------------------
@@ -226,9 +222,6 @@ def test_written_epochs(tmp_path):
     paths = write_epochs(cube, folder)
     names = ["3C_273_00_2006-01-01.fits", "3C_273_01_2006-07-01.fits"]
     assert [p.name for p in paths] == names
-    with pytest.raises(OSError, match="exists; choose"):
-        write_epochs(cube, folder)
-    assert sorted(folder.iterdir()) == sorted(paths)
     assert np.argwhere(np.isnan(fits.getdata(paths[0]))).tolist() == [[3, 4]]
     with fits.open(paths[1]) as hdus:
         header, image = hdus[0].header, hdus[0].data

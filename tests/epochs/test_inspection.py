@@ -5,8 +5,6 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs, plan_intervals
 
@@ -43,8 +41,6 @@ def test_good_files_have_no_problem(make_fits):
         assert table[name].tolist() == [value, value]
 
 
-# Leap seconds of the future are not known.
-@pytest.mark.filterwarnings("ignore:.*dubious year")
 def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     fields = {"times": YEARS[:1], "pixel_scale": 1 * u.mas}
     EpochCube.from_arrays(np.ones((1, 4, 4)), **fields).write(tmp_path / "cube.fits")
@@ -52,21 +48,12 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     (tmp_path / "folder").mkdir()
     files = {
         "good": {},
-        "same": {},
         "date": {"DATE_OBS": None},
         "odd_date": {"DATE_OBS": "soon"},
         "beam": {"DATE_OBS": "2008-01-01", "BMAJ": None},
         "bad_beam": {"DATE_OBS": "2009-01-01", "BMAJ": -1.0},
         "unit": {"DATE_OBS": "2010-01-01", "BUNIT": "ODD"},
-        "band": {"DATE_OBS": "2011-01-01", "CRVAL3": 43e9},
-        "other": {"DATE_OBS": "2012-01-01", "OBJECT": "X", "CRVAL1": 3.0},
         "mask": {"DATE_OBS": "2014-01-01", "data": np.eye(16, 32)},
-        "late": {"DATE_OBS": "2194-01-01"},
-        "mirror": {"DATE_OBS": "2016-01-01", "CDELT1": 1 / 3.6e7},
-        "scale": {
-            "DATE_OBS": "2015-01-01",
-            "data": 1e6 * np.arange(512.0).reshape(16, 32),
-        },
         "nan": {"data": np.full((4, 4), np.nan)},
         "wcs": {"CTYPE1": None, "CTYPE2": None},
     }
@@ -76,18 +63,12 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     table = inspect_epochs(paths.values())
     found = dict(zip(table["file"], table["problem"], strict=True))
     expected = {
-        "same": "is of 2006-03-09, as is good.fits",
         "date": "no date of observation",
         "odd_date": "DATE-OBS: 'soon' is no date",
         "beam": "no beam where other epochs have one",
         "bad_beam": "its beam is taken as unknown",
         "unit": "unit 'ODD' is not known",
-        "band": "is at 43 GHz",
-        "other": "shows X, somewhere else",
         "mask": "no more than two different values",
-        "mirror": "east is to the right, unlike in most",
-        "late": "is of 2194-01-01, when no image can have been taken",
-        "scale": "times that of most images",
         "nan": "all are NaN",
         "wcs": "no celestial coordinates",
         "text": "no FITS",
@@ -147,21 +128,3 @@ def test_plan_is_that_of_the_formulas():
 def test_plans_that_cannot_be_made(call, words):
     with pytest.raises(ValueError, match=words):
         call()
-
-
-@settings(max_examples=10)
-@given(
-    st.lists(st.integers(0, 8000), min_size=2, max_size=20, unique=True),
-    st.floats(0.01, 10),
-)
-@example([0, 7], 7.0)
-def test_plans_are_in_order(days, size):
-    times = Time("2000-01-01") + np.array(days) * u.day
-    found = plan(times, Beam(size * u.mas, size * u.mas))
-    assert found.shortest <= found.median <= found.longest <= found.span
-    assert found.slowest <= found.consecutive[0] * (1 + 1e-9) < found.consecutive[1]
-    first, last = found.baseline(found.consecutive[0])
-    assert u.isclose(first, found.median)
-    assert last >= first
-    assert u.isclose(found.motion(found.consecutive[0]), 0.3)
-    assert all(line.endswith(".") for line in found.lines())

@@ -55,26 +55,6 @@ def test_stokes_i_is_taken_from_several_planes(make_fits):
         assert np.array_equal(image.data, data[plane, 0])
 
 
-def test_tables_and_extensions(tmp_path, aips_header):
-    names = {"BMAJ": 3e-7, "BMIN": 1.5e-7, "BPA": 5.0}
-    columns = [
-        fits.Column(k, "1E", unit="DEGREES", array=[v]) for k, v in names.items()
-    ]
-    table = fits.BinTableHDU.from_columns(columns, name="AIPS CG")
-    primary = fits.PrimaryHDU()
-    primary.header.update({"DATE-OBS": "1995-04-01", "TIME-OBS": "12:00:00"})
-    header = aips_header(DATE_OBS=None, BUNIT="ELECTRONS/S", BMAJ=None)
-    parts = {"SCI": PIXELS[0, 0], "WHT": PIXELS[0, 0] * 0 + 5}
-    hdus = [fits.ImageHDU(data, header, name=name) for name, data in parts.items()]
-    path = tmp_path / "hst.fits"
-    fits.HDUList([primary, *hdus, table]).writeto(path)
-    image = read_plane(path)
-    assert image.beam.major.to_value(u.deg) == pytest.approx(3e-7)
-    assert image.unit == u.electron / u.s
-    assert image.time.isot == "1995-04-01T12:00:00.000"
-    assert np.array_equal(image.data, PIXELS[0, 0])
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -195,12 +175,9 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
             refused(path, "broken")
 
 
-SLOW = [
-    pytest.param(k, marks=pytest.mark.slow) for k in ("GZIP_1", "GZIP_2", "HCOMPRESS_1")
-]
-
-
-@pytest.mark.parametrize("kind", ["RICE_1", "PLIO_1", "NOCOMPRESS", *SLOW])
+@pytest.mark.parametrize(
+    "kind", ["RICE_1", "PLIO_1", pytest.param("GZIP_2", marks=pytest.mark.slow)]
+)
 def test_tile_compressed_images(make_fits, kind):
     y, x = np.mgrid[:128, :128]
     image = 1000 * np.exp(-((x - 62) ** 2 + (y - 65) ** 2) / 50)
@@ -213,9 +190,8 @@ def test_tile_compressed_images(make_fits, kind):
     options = {"compression_type": kind, "dither_seed": 7}
     with fits.open(plain) as hdus:
         fits.CompImageHDU(hdus[0].data, hdus[0].header, **options).writeto(path)
-    if kind != "NOCOMPRESS":
-        # Smaller than its pixels are, which it is not for being truncated.
-        assert path.stat().st_size < 0.7 * plain.stat().st_size
+    # Smaller than its pixels are, which it is not for being truncated.
+    assert path.stat().st_size < 0.7 * plain.stat().st_size
     one, other = read_plane(plain), read_plane(path)
     # Floats are rounded to a sixteenth of the noise.
     assert np.abs(one.data - other.data).max() <= (0 if exact else 1 / 16)

@@ -166,24 +166,20 @@ def test_beam_from_the_history(aips_header):
     assert header_beam({"HISTORY": "AIPS CLEAN BMAJ= 0.0 BMIN= 0.0 BPA= 0.0"}) is None
 
 
-@pytest.mark.parametrize(
-    ("name", "unit", "scale"),
-    [
+def test_beam_from_a_table(aips_header):
+    for name, unit, scale in (
         ("AIPS CG", "DEGREES", 1 / 3.6e6),
-        ("BEAMS", "mas", 1),
         ("BEAMS", "ARCSECS", 1 / 1e3),
         ("BEAMS", None, 1 / 3.6e6),
-    ],
-)
-def test_beam_from_a_table(aips_header, name, unit, scale):
-    values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7.0)}
-    columns = [
-        fits.Column(key, "1E", unit=own, array=[value])
-        for key, (own, value) in values.items()
-    ]
-    tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
-    beam = header_beam(aips_header(BMAJ=None), tables)
-    assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)
+    ):
+        values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7)}
+        columns = [
+            fits.Column(key, "1E", unit=own, array=[value])
+            for key, (own, value) in values.items()
+        ]
+        tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
+        beam = header_beam(aips_header(BMAJ=None), tables)
+        assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)
     assert header_beam(aips_header(BMAJ=2 / 3.6e6), tables).major > 1.5 * u.mas
 
 
