@@ -341,8 +341,8 @@ def read_sources(
     (path,), options = find_files(path), {"origin": origin, "beams": beams}
     if source is not None:
         return {source: read_components(path, source=source, **options)}
-    found, table = {}, open_table(path)[0]
-    for name in source_names(table) or (None,):
+    found, names = {}, source_names(open_table(path)[0])
+    for name in (None,) if names is None else dict.fromkeys(names.tolist()):
         try:
             found[name or path.stem] = read_components(path, source=name, **options)
         except ValueError as error:

@@ -70,12 +70,12 @@ FILE_DATE = re.compile(
 )
 
 
-def source_names(table):
-    """Return the names of the sources of a table, None without a column of them."""
-    column = _find_columns(table).get("source")
+def source_names(table, columns=None):
+    """Return the name of the source in each row, None without a column of them."""
+    column = (columns or _find_columns(table)).get("source")
     if column is None:
         return None
-    return list(dict.fromkeys(str(name).strip() for name in table[column]))
+    return np.char.strip(np.ma.filled(table[column].astype(str), "--"))
 
 
 def open_table(path):
@@ -195,10 +195,8 @@ def _find_columns(table):
 def _select_source(table, columns, source, path):
     """Return the rows of one source; without a column, the meta names the source."""
     names = [str(table.meta[k]) for k in NAMES if k in table.meta]
-    mine = slice(None)
-    if "source" in columns:
-        column = np.ma.filled(table[columns["source"]].astype(str), "--")
-        column = np.char.strip(column)
+    mine, column = slice(None), source_names(table, columns)
+    if column is not None:
         names = list(dict.fromkeys(column.tolist()))
         if source is None and len(names) > 1:
             raise ValueError(

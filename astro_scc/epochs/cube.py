@@ -21,7 +21,7 @@ from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
 from astro_scc.epochs import reading, serialize
 from astro_scc.epochs.inspection import kind_of
-from astro_scc.images.beam import Beam, beam_columns, common_beam
+from astro_scc.images.beam import Beam, common_beam
 from astro_scc.images.fits import CUBE_CREATOR, find_files
 from astro_scc.images.grid import crop, region_mask, reproject_cube
 from astro_scc.images.positions import readable_angle
@@ -238,7 +238,8 @@ class EpochCube(ImageSeries):
         """
         table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
         table["date"] = Time(self.times, format="isot")
-        table.update(beam_columns(self))
+        for name in ("major", "minor", "pa") if self.beams is not None else ():
+            table[name] = u.Quantity([getattr(beam, name) for beam in self.beams])
         table["noise"] = self.noise_rms()
         table["object"] = [str(facts.get("object", "")) for facts in self.epoch_meta]
         frequency = [facts.get("frequency", np.nan) for facts in self.epoch_meta]

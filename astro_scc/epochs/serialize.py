@@ -16,10 +16,8 @@ import numpy as np
 from astropy.io import fits
 from astropy.io.misc import yaml
 from astropy.nddata import StdDevUncertainty
-from astropy.table import Table
 from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
-from astro_scc.images.beam import beam_columns
 from astro_scc.images.fits import CUBE_CREATOR, open_fits
 from astro_scc.images.headers import epoch_header, first_line
 from astro_scc.images.series import ImageSeries
@@ -68,11 +66,10 @@ def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) 
 
     Notes
     -----
-    The extension ``DATA`` has the images with the celestial WCS, ``MASK`` the
-    bad pixels; ``EPOCHS`` has a row per epoch, for other programs, with the date (also
-    as the two parts of the Julian date) and beam; ``META`` holds all that is not an
-    image as YAML, in which astropy's objects keep their types.  Values that YAML
-    cannot hold become text.
+    The extension ``DATA`` has the images with the celestial WCS, ``MASK`` the bad
+    pixels; ``META`` holds all that is not an image as YAML, in which astropy's objects
+    keep their types.  Values that YAML cannot hold become text.  `write_epochs` writes
+    images with dates and beams for other programs.
 
     Examples
     --------
@@ -85,13 +82,9 @@ def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) 
     >>> EpochCube.read("cube.fits").shape
     (1, 8, 8)
     """
-    dates = {"DATE_OBS": [value[:23] for value in cube.times.isot]}
-    dates |= {"JD1": cube.times.jd1, "JD2": cube.times.jd2}
-    table = Table(dates | beam_columns(cube))
     images = {name: cube.wcs.to_header(relax=True) for name in ("data", "mask")}
     images["data"]["BUNIT"] = cube.unit.to_string()
-    options = {"creator": CUBE_CREATOR, "overwrite": overwrite}
-    write_object(cube, path, images=images, tables={"EPOCHS": table}, **options)
+    write_object(cube, path, creator=CUBE_CREATOR, overwrite=overwrite, images=images)
 
 
 def without_dates(header):
@@ -101,7 +94,7 @@ def without_dates(header):
     return header
 
 
-def write_object(value, path, *, creator, overwrite=False, images=None, tables=None):
+def write_object(value, path, *, creator, overwrite=False, images=None):
     """
     Write a dataclass, or a dictionary, and all that it holds to one FITS file.
 
@@ -116,8 +109,6 @@ def write_object(value, path, *, creator, overwrite=False, images=None, tables=N
     overwrite : bool, optional
     images : dict of `~astropy.io.fits.Header`, optional
         Headers of the arrays in the attributes of these names.
-    tables : dict of `~astropy.table.Table`, optional
-        Tables for other readers, which `read_object` does not read.
 
     Raises
     ------
@@ -141,8 +132,6 @@ def write_object(value, path, *, creator, overwrite=False, images=None, tables=N
         own = np.ascontiguousarray(array)
         own = own if own.dtype.str[1:] in FITS_TYPES else own.view(np.uint8)
         hdus.append(fits.ImageHDU(own, (images or {}).get(name), name=name))
-    for name, table in (tables or {}).items():
-        hdus.append(fits.BinTableHDU(table, name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:
         fits.HDUList(hdus).writeto(part, checksum=True)
 

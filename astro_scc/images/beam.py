@@ -193,12 +193,6 @@ def as_beam(beam):
         ) from None
 
 
-def beam_columns(cube):
-    """Return the major axes, minor axes and angles of a cube's beams, if it has any."""
-    names = ("major", "minor", "pa") if cube.beams is not None else ()
-    return {n: u.Quantity([getattr(b, n) for b in cube.beams]) for n in names}
-
-
 def is_per(unit, *names):
     """Return whether a unit is per one of the given units, "beam" or "pix"."""
     return any(

@@ -12,7 +12,6 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
@@ -604,20 +603,16 @@ def refuse_pixels(path):
 
 
 def distance_mask(
-    cube: ImageSeries, r_min: u.Quantity, r_max: u.Quantity,
-    origin: u.Quantity | SkyCoord | None = None,
-) -> np.ndarray:  # fmt: skip
+    cube: ImageSeries, r_min: u.Quantity, r_max: u.Quantity
+) -> np.ndarray:
     """
-    Return the pixels whose centres lie in a ring around a point.
+    Return the pixels whose centres lie in a ring around the reference pixel.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     r_min, r_max : `~astropy.units.Quantity`
         Angles; ``r_min <= r < r_max``, so that adjacent bins share no pixel.
-    origin : `~astropy.units.Quantity` or `~astropy.coordinates.SkyCoord`, optional
-        Offsets (east, north) from the reference pixel, or a position; by
-        default the reference pixel.
 
     Returns
     -------
@@ -627,8 +622,7 @@ def distance_mask(
     Raises
     ------
     ValueError
-        If not ``0 <= r_min < r_max``, ``origin`` is not a pair of offsets, or
-        no pixel lies in the ring.
+        If not ``0 <= r_min < r_max``, or no pixel lies in the ring.
     `~astropy.units.UnitsError`
         If an argument is not an angle.
 
@@ -648,16 +642,10 @@ def distance_mask(
     low, high = (u.Quantity(r).to_value(u.mas) for r in (r_min, r_max))
     if not 0 <= low < high:
         raise ValueError(f"r_min={r_min} and r_max={r_max} must be 0 <= r_min < r_max")
-    if isinstance(origin, SkyCoord):
-        origin = u.Quantity(cube.pixel_to_offset(*cube.wcs.world_to_pixel(origin)))
-    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
-    if origin.shape != (2,):
-        raise ValueError("origin must be a pair of offsets (east, north)")
-    east, north = cube.offsets()
-    distance = np.hypot(east - origin[0], north - origin[1]).to_value(u.mas)
+    distance = np.hypot(*cube.offsets()).to_value(u.mas)
     # Pixels at r_min up to rounding errors belong to this ring, not to the inner one.
     slack = 1e-9 * high
     inside = (distance >= low - slack) & (distance < high - slack)
     if not inside.any():
-        raise ValueError(f"no pixel of the image is {r_min} to {r_max} from the origin")
+        raise ValueError(f"no pixel is {r_min} to {r_max} from the reference pixel")
     return inside
