@@ -258,12 +258,10 @@ def _assemble(planes, times, beams, frame, check, source):
     fields, resampled = lay_on_one_grid(planes, frame, unit)
     if resampled:
         ny, nx = fields["data"].shape[1:]
-        given = any(plane.noise is not None for plane in planes)
-        anew = ", and the noise of all is measured anew" if given else ""
         warn(
             f"{some(resampled)}: on another grid than the finest and therefore "
-            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
-            f"{anew}; leave it out if you do not want that"
+            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
+            "and the noise of all is measured; leave it out if you do not want that"
         )
     beams, noise = ([getattr(p, name) for p in planes] for name in ("beam", "noise"))
     beams = None if None in beams else tuple(beams)

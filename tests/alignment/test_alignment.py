@@ -4,9 +4,9 @@
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
-from astropy.wcs import WCS
 from numpy.testing import assert_allclose, assert_array_equal
 from regions import CirclePixelRegion, PixCoord
 
@@ -15,6 +15,7 @@ from astro_scc.alignment.registration import core_positions, displacement
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.images.positions import offset_wcs
 
 DATES = ["2000-01-01", "2000-07-01", "2001-01-01", "2001-07-01"]
 BEAM = Beam(0.9 * u.mas, 0.6 * u.mas, -10 * u.deg)
@@ -24,10 +25,8 @@ MAS = u.mas.to(u.deg)
 
 def grid(turn=0.0, crval=(187.0, 12.0)):
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    wcs = WCS(naxis=2)
-    wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
-    wcs.wcs.cdelt, wcs.wcs.crpix = [-0.1 * MAS, 0.1 * MAS], (50, 40)
-    wcs.wcs.crval, wcs.wcs.pc = crval, [[c, -s], [s, c]]
+    wcs = offset_wcs(0.1 * u.mas, (49, 39), SkyCoord(*crval, unit="deg"))
+    wcs.wcs.pc = [[c, -s], [s, c]]
     return wcs
 
 
@@ -151,11 +150,9 @@ def test_dates_of_many_sorts():
     ("text", "message"),
     [
         ("date,east_mas,north_mas\n2000-01-05,1,2\n", "no row within 1 d of"),
-        ("date,east_mas,north_mas\n", "no row within"),
         ("date,east_mas,north_mas\n2000-01-01,,2\n", "2000-01-01 .a.fits. has no numb"),
         ("date,east_mas,north_mas\n2000-01-01,1,2\n2000-01-01,1,3\n", "that differ"),
         ("date,east_mas\n2000-01-01,1\n", "0 columns have 'north'"),
-        ("date,east_mas,north_mas,north_2_mas\n2000-01-01,1,2,3\n", "2 columns have"),
         ("date,east,north_mas\n2000-01-01,1,2\n", "'east' has no unit"),
         ("date,east_mas,north_mas\n2000-01-01,1,x\n", "'north_mas' is not numeric"),
         ("when,east_mas,north_mas\n2000-01-01,1,2\n", "0 columns of dates"),

@@ -366,7 +366,6 @@ def test_aips_table(tmp_path):
     }  # fmt: skip
     for name, values in expected.items():
         assert_allclose(getattr(components, name).value, values)
-    assert components.meta["object"] == "0506+056"
     assert components.meta["position"].ra.deg == 77
     assert components.times[0].isot.startswith("2009-01-07")
     drop = ("MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
