@@ -348,7 +348,7 @@ def _open_aips(path):
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file) as hdus:
                 header = hdus[0].header
-                found = cc_tables(hdus)
+                found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
                 table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
                 tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
                 record = read_header(header, tables)
@@ -362,11 +362,6 @@ def _open_aips(path):
     with suppress(ValueError):
         table.meta["position"] = SkyCoord(*celestial_wcs(header).wcs.crval, unit=u.deg)
     return table, get(header, "DATE-OBS", kind=str) or ""
-
-
-def cc_tables(hdus):
-    """Return the tables of CLEAN components of an open file."""
-    return [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
 
 
 def _aips_table(hdu):

@@ -16,13 +16,12 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.tables import LISTS, NO_IMAGE, cc_tables
+from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images.fits import (
     CORRECT_BEAM,
     CUBE_CREATOR,
     find_files,
-    is_visibilities,
     looks_like_mask,
     open_fits,
     read_plane,
@@ -116,7 +115,7 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
 
 
 def kind_of(path):
-    """Return what a file holds: "cube", "components" and no image, or else "images"."""
+    """Return what a file holds: a "cube", a list of "components", or else "images"."""
     if path.suffix.lower() in LISTS:
         return "components"
     # What is wrong with a file is said where it is read.
@@ -124,9 +123,6 @@ def kind_of(path):
         with path.open("rb") as file, open_fits(file) as hdus:
             if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
                 return "cube"
-            has_image = any(h.is_image and len(h.shape) >= 2 for h in hdus)
-            if not has_image and not is_visibilities(hdus) and cc_tables(hdus):
-                return "components"
     return "images"
 
 

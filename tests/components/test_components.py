@@ -333,7 +333,7 @@ def test_bad_files(tmp_path, name, content, options, message):
 # AIPS -------------------------------------------------------------------------
 
 
-def aips(path, *, tables=1, drop=(), units=True, image=True, header=None, **changes):
+def aips(path, *, tables=1, drop=(), units=True, header=None, **changes):
     values = {
         "FLUX": [1.0, 0.5], "DELTAX": [0.0, -2 * MAS], "DELTAY": [0.0, 1 * MAS],
         "MAJOR AX": [0.0, 0.5 * MAS], "MINOR AX": [0.0, 0.25 * MAS],
@@ -345,7 +345,7 @@ def aips(path, *, tables=1, drop=(), units=True, image=True, header=None, **chan
         "CRVAL1": 77.0, "CTYPE2": "DEC--SIN", "CRVAL2": 5.0, "CDELT1": -1e-7,
         "CDELT2": 1e-7, **(header or {}),
     }  # fmt: skip
-    hdus = [fits.PrimaryHDU(np.zeros((2, 2), np.float32) if image else None)]
+    hdus = [fits.PrimaryHDU(np.zeros((2, 2), np.float32))]
     hdus[0].header.update({k: v for k, v in keywords.items() if v is not None})
     for version in range(1, tables + 1):
         made = [
@@ -404,23 +404,16 @@ def test_difmap_models_are_restored(models):
     with pytest.warns(EpochWarning, match=RESTORED):
         again = EpochCube.read(models[::-1], beams=[BEAM, BEAM])
     assert_array_equal(again.data, cube.data)
-    # So are tables of FITS files that hold no image.
-    beam = {"BMAJ": 1.0 * MAS, "BMIN": 0.5 * MAS, "BPA": -7.0}
-    path = aips(models[0].parent / "cc.fits", image=False, header=beam)
-    with pytest.warns(EpochWarning, match=RESTORED):
-        cube = EpochCube.read(path)
-    assert (cube.beams, cube.meta["object"]) == ((BEAM,), "0506+056")
 
 
 def test_lists_that_cannot_be_images(models, tmp_path, make_fits):
-    image, bare = make_fits(), aips(tmp_path / "bare.fits", image=False)
+    image = make_fits()
     beside = aips(tmp_path / "image.fits", header={"CTYPE1": None})
     wrong = read_components(models[0], beams=BEAM).to_table()
     write(wrong, tmp_path / "w.ecsv", beam="1 mas 0.5 mas")
     negative = model(tmp_path, "-0.1v 1v 0v 0.2v 1 0 1\n", "n_2006-09-09.mod")
     calls = [
         (models, None, r"09.mod: is a list of components without a beam .*; give --be"),
-        (bare, None, r"bare.fits: .* without a beam"),
         (beside, None, r"image.fits: .*coordinates"),
         ([image, *models], None, r"09.mod: is a list of components and no im"),
         ([*models, image], BEAM, r"a.fits: no AIPS CC table .* leave it out"),

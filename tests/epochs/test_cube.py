@@ -325,7 +325,6 @@ COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
         ({"OBJECT": "3C120", "CRVAL1": 68.0}, "offset", "shows 3C120, somewhere else, "
          "where others show 3C273; leave it out .in Python, check=False reads it.", 1),
         ({"CRVAL3": 43e9}, "offset", "is at 43 GHz, others are at 15.4; leave", 1),
-        ({"CRVAL4": 2.0}, "offset", "is of Stokes Q, others are of I", 1),
         ({"FILTER": "F1"}, "offset", "is of the filter F1, others are of F502N", 1),
         ({"data": images(1, 16, 32) > 0}, "offset", "has no more than two diff", 1),
         ({"BMAJ": None}, "offset", "no beam where other epochs have one; wr", 1),
