@@ -12,16 +12,15 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import is_per
-from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
+from astro_scc.images.headers import as_celestial, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series, naming
+from astro_scc.images.series import ImageSeries, Series
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -176,20 +175,19 @@ def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXE
 
 
 def reproject_cube(
-    cube: Series, wcs: WCS | Header | ImageSeries,
-    shape: tuple[int, int] | None = None,
-) -> Series:  # fmt: skip
+    cube: Series, wcs: WCS | ImageSeries, shape: tuple[int, int] | None = None
+) -> Series:
     """
     Return all epochs of a cube resampled to another pixel grid.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    wcs : `~astropy.wcs.WCS`, `~astropy.io.Header` or `EpochCube`
+    wcs : `~astropy.wcs.WCS` or `EpochCube`
         The new grid, with celestial axes.
     shape : (int, int), optional
-        Shape (ny, nx) of the new grid, by default that of the header, the
-        cube, or the ``array_shape`` of the WCS.
+        Shape (ny, nx) of the new grid, by default that of the cube, or the
+        ``array_shape`` of the WCS.
 
     Returns
     -------
@@ -202,8 +200,7 @@ def reproject_cube(
     Raises
     ------
     ValueError
-        If ``wcs`` is not celestial,
-        ``shape`` is missing or not two positive integers, or the epochs have
+        If ``wcs`` is not celestial, ``shape`` is missing, or the epochs have
         beams and ``wcs`` has another celestial frame (position angles would
         refer to another north).
     TypeError
@@ -235,7 +232,12 @@ def reproject_cube(
     >>> reproject_cube(cube, finer, (8, 8)).shape
     (2, 8, 8)
     """
-    wcs, shape = _grid_of(wcs, shape)
+    if isinstance(wcs, ImageSeries):
+        wcs, shape = wcs.wcs, shape or wcs.shape[1:]
+    wcs = as_celestial(wcs)
+    shape = shape or wcs.array_shape
+    if shape is None:
+        raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
         raise ValueError(
@@ -256,26 +258,6 @@ def reproject_cube(
         noise=cube.noise if copied else None,
         **fields,
     )
-
-
-def _grid_of(target, shape=None):
-    """Return the WCS and shape of a grid, from a header, a cube or a WCS."""
-    if isinstance(target, Header):
-        own = target.get("NAXIS2"), target.get("NAXIS1")
-        own = own if all(own) else None
-        with naming("the header of the new grid"):
-            wcs = as_celestial(celestial_wcs(target))
-    elif hasattr(target, "shape") and hasattr(target, "wcs"):
-        wcs, own = as_celestial(target.wcs), target.shape[-2:]
-    else:
-        wcs = as_celestial(target)
-        own = wcs.array_shape
-    shape = own if shape is None else tuple(shape)
-    if shape is None:
-        raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
-    if len(shape) != 2 or any(n != int(n) or n < 1 for n in shape):
-        raise ValueError(f"shape={shape} must be two positive integers (ny, nx)")
-    return wcs, tuple(int(n) for n in shape)
 
 
 def pixel_area(wcs):

@@ -5,7 +5,6 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.io import fits
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel
 from hypothesis import given, settings
@@ -126,18 +125,14 @@ def test_averages_over_larger_pixels():
         assert low < np.nanstd(coarse.data) < high
 
 
-def test_grids_of_headers_cubes_and_coordinates():
+def test_grids_of_cubes_and_coordinates():
     cube, new = cube_of(), grid((70.25, 50), pixel=0.05, turn=20)
     expected = reproject_cube(cube, new, (50, 70))
-    header, shaped = new.to_header(), new.deepcopy()
-    header.update({"NAXIS": 2, "NAXIS1": 70, "NAXIS2": 50, "CTYPE2": "DEC---SIN"})
-    shaped.array_shape = (50, 70)
-    for target in (header, shaped, cube_of(new, (50, 70))[0]):
+    new.array_shape = (50, 70)
+    for target in (new, cube_of(new, (50, 70))):
         result = cube.reproject_to(target)
         assert_array_equal(result.mask, expected.mask)
-        good = ~result.mask
-        assert_allclose(result.data[good], expected.data[good], atol=1e-6)
-    assert cube.reproject_to(header, (40, 60)).shape == (2, 40, 60)
+        assert_array_equal(result.data, expected.data)
 
 
 def test_what_is_kept_of_copied_and_of_interpolated_pixels():
@@ -163,12 +158,9 @@ def test_what_is_kept_of_copied_and_of_interpolated_pixels():
 @pytest.mark.parametrize(
     ("target", "options", "words"),
     [
-        *((grid(), {"shape": shape}, "two positive integers")
-          for shape in ((64,), (64, 0), (2.5, 3))),
         (grid(), {"shape": None}, r"no shape of its own; give shape=\(ny, nx\)"),
         (WCS(naxis=2), {}, "must have celestial axes"),
         (3, {}, "must be a WCS, or one sliced, got"),
-        (fits.Header({"NAXIS1": 3, "NAXIS2": 3}), {}, "header of the new grid: it has"),
         (grid(ctype="GLON GLAT"), {}, "another celestial frame"),
         *((grid((x, 32)), {}, "no valid pixel") for x in (400, -400, 400.5)),
     ],
