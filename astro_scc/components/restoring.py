@@ -65,8 +65,8 @@ def restore(
         Shape (ny, nx) of the images.  By default they hold all components
         and a margin of four major axes of the largest beam around them.
     reference_pixel : tuple of float, optional
-        (x, y) of the origin of the components, counted from 0.  By default
-        the components are in the middle of the image.
+        (x, y) of the origin of the components, counted from 0, in images of a given
+        ``shape``; by default the middle.
     noise : `~astropy.units.Quantity`, optional
         Root mean square of the beam-correlated noise to add, a flux density per
         beam; scalar or one for each epoch.
@@ -121,9 +121,12 @@ def restore(
             "a fifth of the beam or less"
         )
     x, y = -components.east.value / scale, components.north.value / scale
-    border = MARGIN * max(b.major.value for b in beams) / scale
-    border = components.major.value / scale + border
-    shape, reference_pixel = _grid(x, y, border, shape, reference_pixel)
+    if shape is None:
+        border = MARGIN * max(b.major.value for b in beams) / scale
+        border = components.major.value / scale + border
+        shape, reference_pixel = _grid(x, y, border)
+    elif reference_pixel is None:
+        reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     x, y = x + reference_pixel[0], y + reference_pixel[1]
     outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
     if outside.any():
@@ -205,25 +208,17 @@ def in_pixels(beam, pixel_scale):
     return FLIP @ beam.covariance.value @ FLIP / scale**2
 
 
-def _grid(x, y, border, shape, reference_pixel):
+def _grid(x, y, border):
     """Return a shape and reference pixel for all (x, y), counted from that pixel."""
     low = np.floor([(x - border).min(), (y - border).min()])
     high = np.ceil([(x + border).max(), (y + border).max()])
-    if shape is None:
-        if reference_pixel is None:
-            reference_pixel = -low
-        shape = np.ceil(high + reference_pixel)[::-1] + 1
-        if max(shape) > MAX_SIDE:
-            raise ValueError(
-                f"the components need images of {shape[1]:g} x {shape[0]:g} pixels; "
-                "give larger pixels, or a shape"
-            )
-    shape = tuple(int(n) for n in shape)
-    if len(shape) != 2 or min(shape) < 1:
-        raise ValueError(f"shape must be (ny, nx), both positive, got {shape}")
-    if reference_pixel is None:
-        reference_pixel = np.round((np.array(shape[::-1]) - 1 - low - high) / 2)
-    return shape, tuple(float(p) for p in reference_pixel)
+    nx, ny = high - low + 1
+    if max(nx, ny) > MAX_SIDE:
+        raise ValueError(
+            f"the components need images of {nx:g} x {ny:g} pixels; give larger "
+            "pixels, or a shape"
+        )
+    return (int(ny), int(nx)), tuple((-low).tolist())
 
 
 def _covariances(components):

@@ -117,9 +117,6 @@ def test_grids():
     cube = restored(components(), shape=(64, 80), reference_pixel=(50, 20))
     assert (cube.shape, cube.reference_pixel) == ((2, 64, 80), (50, 20))
     assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
-    beside = restored(one(), reference_pixel=(200, 10))
-    assert beside.reference_pixel == (200, 10)
-    assert beside.data[0, 10, 200] == pytest.approx(2.0)
     with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
         restored(components(), shape=(40, 20), reference_pixel=(5, 20))
 
@@ -146,7 +143,6 @@ def test_noise_and_seeds():
         ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
         ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
-        ({"shape": (5,)}, "shape must be"),
     ],
 )
 def test_bad_options(options, message):
