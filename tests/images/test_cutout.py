@@ -216,12 +216,9 @@ def test_cropping_to_a_region_with_a_margin():
     assert part.mask.sum() == 1
     assert (part.noise is cube.noise, part.beams) == (True, cube.beams)
     assert "cropped to pixels x 17 to 27" in part.meta["history"][-1]
-    part.data[:] = 0
-    assert cube.data.any()
     # A margin ends at the edge, and negative slices count from the end.
-    assert crop(cube, (slice(0, 5), slice(None)), pad=3).shape == (2, 8, 50)
-    part = crop(cube, (slice(-10, None), slice(3, -3)))
-    assert_array_equal(part.data, cube.data[:, -10:, 3:-3])
+    part = crop(cube, (slice(-10, None), slice(3, -3)), pad=1)
+    assert_array_equal(part.data, cube.data[:, -11:, 2:-2])
 
 
 # -- rings ----------------------------------------------------------------------
