@@ -125,6 +125,8 @@ def align(
     if isinstance(method, Table | os.PathLike) or (
         isinstance(method, str) and method not in METHODS and os.path.isfile(method)
     ):
+        if table is not None:
+            raise ValueError("give one table, as method or as table")
         method, table = "table", method
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"align {method!r} is none of {', '.join(METHODS)} or a file")
@@ -301,6 +303,8 @@ def offsets_from_table(table, times, labels):
 def _read_table(table):
     if isinstance(table, Table):
         return "table", table
+    if not isinstance(table, str | os.PathLike):
+        raise TypeError(f"table must be a path or a Table, got {type(table).__name__}")
     path = Path(table)
     text = path.read_text(encoding="utf-8", errors="replace")
     kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
@@ -319,15 +323,17 @@ def _dates(table, name):
             f"called one of {', '.join(DATES)}; it has {', '.join(table.colnames)}"
         )
     column, kind = table[columns[0]], columns[0].lower()
-    if isinstance(column, Time):
-        return column
     where = f"{name}: the dates in column {columns[0]!r} are not understood"
     # ERFA warns of years whose leap seconds are unknown.
     with naming(where), warnings.catch_warnings(action="ignore"):
-        if kind in ("mjd", "jd") or column.dtype.kind in "fi":
+        dated = isinstance(column, Time)
+        if not dated and (kind in ("mjd", "jd") or column.dtype.kind in "fi"):
             kind = kind if kind in ("mjd", "jd") else "jyear"
-            column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
-        else:
+            column = np.ma.masked_invalid(np.ma.asarray(column, dtype=float))
+            column = Time(column, format=kind, scale="utc")
+        for row in np.flatnonzero(getattr(column, "mask", False)):
+            raise ValueError(f"that of row {row + 1} is missing")
+        if not isinstance(column, Time):
             column = [str(value) for value in column]
         return as_times(column, len(table))
 

@@ -291,7 +291,9 @@ def read_components(
     if origin is not None:
         named("origin", check_choice, origin, "core", "map")
     paths = find_files(paths)
-    dates = [date and date.utc.isot for date in given_times(dates, len(paths))]
+    with naming("dates"):
+        dates = given_times(dates, len(paths))
+    dates = [date and date.utc.isot for date in dates]
     beams = as_beams(beams, len(paths)) or [None] * len(paths)
     lists = []
     for path, date, beam in zip(paths, dates, beams, strict=True):

@@ -14,7 +14,7 @@ from astro_scc.exceptions import warn
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.images.headers import FACTS
 from astro_scc.images.positions import pixel_side
-from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise
+from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise, as_shape
 from astro_scc.quantities import random_generator
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.
@@ -122,11 +122,15 @@ def restore(
         )
     x, y = -components.east.value / scale, components.north.value / scale
     if shape is None:
+        if reference_pixel is not None:
+            raise ValueError("reference_pixel needs a shape; give both, or neither")
         border = MARGIN * max(b.major.value for b in beams) / scale
         border = components.major.value / scale + border
         shape, reference_pixel = _grid(x, y, border)
-    elif reference_pixel is None:
-        reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+    else:
+        shape = as_shape(shape)
+        if reference_pixel is None:
+            reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     x, y = x + reference_pixel[0], y + reference_pixel[1]
     outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
     if outside.any():

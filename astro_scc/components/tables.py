@@ -4,6 +4,7 @@
 import re
 import warnings
 from contextlib import suppress
+from difflib import get_close_matches
 from functools import lru_cache, partial
 
 import astropy.units as u
@@ -209,7 +210,10 @@ def _select_source(table, columns, source, path):
     if source is None or _plain(source) in map(_plain, names):
         return table[mine]
     has = "it does not say of which source it is; leave --source out"
-    if names:
+    near = get_close_matches(source, names, n=3, cutoff=0.7)
+    if near and len(names) > LISTED:
+        has = f"did you mean {' or '.join(near)}?"
+    elif names:
         has = f"it has {some(names, LISTED)}"
     raise ValueError(f"{path}: no source {source!r}; {has}")
 

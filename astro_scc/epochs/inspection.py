@@ -26,6 +26,7 @@ from astro_scc.images.fits import (
     open_fits,
     read_plane,
 )
+from astro_scc.images.grid import ONE_SHIFT, finest, in_frame, whole_step
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, as_times, order_of
 
@@ -102,8 +103,9 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
             rows[i][name] *= planes[i].unit.to(unit) if known else np.nan
     if read:
         peaks = np.array([rows[i]["peak"] for i in read])
-        for one in problems([planes[i] for i in read], peaks):
-            rows[read[one.index]]["problem"].append(one.what)
+        found = [planes[i] for i in read]
+        for index, what, *_ in (*problems(found, peaks), *_other_grids(found)):
+            rows[read[index]]["problem"].append(what)
     columns = {name: [row[name] for row in rows] for name in rows[0]}
     for name, own in COLUMNS.items():
         columns[name] = u.Quantity(columns[name], own or unit)
@@ -134,6 +136,7 @@ def _row_of(path):
     row |= {"problem": [], "plane": None}
     try:
         plane = read_plane(path)
+        plane.take_uncertainty()
     except (OSError, ValueError) as error:
         listed = kind_of(path) == "components"
         problem = NO_IMAGE if listed else str(error).removeprefix(f"{path}: ")
@@ -158,7 +161,7 @@ def _row_of(path):
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
-    plane.data = plane.mask = plane.uncertainty = None
+    plane.data = plane.mask = None
     return row | {"plane": plane}
 
 
@@ -350,6 +353,16 @@ def problems(planes, peaks):
             what = "no beam where other epochs have one"
             found.append(Problem(i, what, NO_BEAM))
     return sorted(found, key=lambda problem: problem.index)
+
+
+def _other_grids(planes):
+    """Yield images that reading resamples to the grid of the finest."""
+    frames = [in_frame(plane.wcs, "offset") for plane in planes]
+    k = finest(frames)
+    name = Path(planes[k].name).name
+    for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
+        if whole_step(frame, frames[k], plane.shape, ONE_SHIFT) is None:
+            yield Problem(i, f"on another grid than {name}, the finest, and resampled")
 
 
 def _same_dates(planes):

@@ -12,7 +12,7 @@ from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
-from astro_scc.epochs.inspection import UNCHECKED, problems, separation
+from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, problems, separation
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, grid, series
@@ -113,6 +113,8 @@ def _plane_of_nddata(image, name):
     own, shape = read_header(image.meta), data.shape[-2:]
     if hasattr(image, "global_coords"):
         own |= _of_ndcube(image)
+    if own["beam"] is None and getattr(image, "psf", None) is not None:
+        own.setdefault("beam_problem", "its psf is an image, of which no beam is made")
     own |= {"data": data.reshape(shape), "mask": mask.reshape(shape), "shape": shape}
     own |= {"unit": image.unit or u.one, "uncertainty": image.uncertainty}
     return fits.Plane(name=name, wcs=as_celestial(image.wcs), **own)
@@ -196,15 +198,10 @@ def _completed(planes, times, beams):
             plane.beam, plane.beam_problem = beam, ""
             if own is not None and different_beam((beam, own)):
                 notes = [f"the beam that is given, {beam}, replaces that of the header"]
+        with series.naming(plane.name):
+            plane.take_uncertainty()
         for note in plane.notes + notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
-        if plane.uncertainty is not None:
-            with series.naming(plane.name):
-                plane.noise, bad = fits.uncertainty_noise(
-                    plane.uncertainty, plane.unit, plane.mask
-                )
-            plane.mask |= bad
-            plane.uncertainty = None
         every.append(plane)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
@@ -246,6 +243,8 @@ def _assemble(planes, times, beams, frame, check, source):
     planes, times = _completed(planes, times, beams)
     if check:
         _refuse_strangers(planes)
+    else:
+        series.warn_of_equal_dates(times)
     if frame == "offset":
         _warn_of_distance(planes)
     unit = planes[0].unit
@@ -263,15 +262,10 @@ def _assemble(planes, times, beams, frame, check, source):
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
             "and the noise of all is measured; leave it out if you do not want that"
         )
-    beams, noise = ([getattr(p, name) for p in planes] for name in ("beam", "noise"))
-    beams = None if None in beams else tuple(beams)
-    unknown = [p.name for p in planes if p.noise is None]
-    if 0 < len(unknown) < len(planes):
-        warn(
-            f"{some(unknown)}: no noise where other epochs have one; that of all is "
-            "measured; give every image an uncertainty"
-        )
-    noise = None if resampled or unknown else u.Quantity(noise)
+    beams = _all_or_none(planes, "beam", NO_BEAM)
+    advice = "that of all is measured; give every image an uncertainty"
+    noise = _all_or_none(planes, "noise", advice)
+    noise = None if resampled or noise is None else u.Quantity(noise)
     labels = tuple(plane.label for plane in planes)
     labels = labels if all(labels) else series.date_labels(times)
     names = {plane.facts.get("object") for plane in planes} - {None}
@@ -283,6 +277,15 @@ def _assemble(planes, times, beams, frame, check, source):
     return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
 
 
+def _all_or_none(planes, what, advice):
+    """Return the beams or the noise of all images, None if some have none."""
+    values = tuple(getattr(plane, what) for plane in planes)
+    missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
+    if 0 < len(missing) < len(planes):
+        warn(f"{some(missing)}: no {what} where other epochs have one; {advice}")
+    return None if missing else values
+
+
 def windows_of(planes, first, frame, region, pad=0):
     """
     Return rows and columns of a region in the image ``first``, and in every image.
@@ -292,7 +295,7 @@ def windows_of(planes, first, frame, region, pad=0):
     offsets, and slightly more if images are not whole pixels apart.  An image without
     a pixel in the region raises a ValueError.
     """
-    own, *frames = [_in_frame(plane.wcs, frame) for plane in (first, *planes)]
+    own, *frames = [grid.in_frame(plane.wcs, frame) for plane in (first, *planes)]
     copied = (
         grid.whole_step(own, wcs, first.shape, grid.ONE_SHIFT) is not None
         for wcs in frames
@@ -345,7 +348,7 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    frames, resampled = [_in_frame(plane.wcs, frame) for plane in planes], []
+    frames, resampled = [grid.in_frame(plane.wcs, frame) for plane in planes], []
     sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
@@ -368,7 +371,10 @@ def lay_on_one_grid(planes, frame, unit):
     if frame == "offset":
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
-        own = [_with(new, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
+        own = [
+            grid.with_frame(new, w.ctype, **{n: getattr(w, n) for n in names})
+            for w in inner
+        ]
     data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
@@ -381,21 +387,3 @@ def lay_on_one_grid(planes, frame, unit):
         plane.data = plane.mask = None
     fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
     return fields, resampled
-
-
-def _in_frame(wcs, frame):
-    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
-    if frame == "absolute":
-        return wcs
-    return _with(wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan)
-
-
-def _with(wcs, axes, **values):
-    """Return a copy of a WCS with other axis names and frame values."""
-    changed = wcs.deepcopy()
-    codes = zip(axes, wcs.wcs.ctype, strict=True)
-    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
-    for name, value in values.items():
-        setattr(changed.wcs, name, value)
-    changed.wcs.set()
-    return changed

@@ -83,8 +83,19 @@ def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) 
     (1, 8, 8)
     """
     images = {name: cube.wcs.to_header(relax=True) for name in ("data", "mask")}
-    images["data"]["BUNIT"] = cube.unit.to_string()
+    images["data"]["BUNIT"] = _fits_unit(cube.unit)
     write_object(cube, path, creator=CUBE_CREATOR, overwrite=overwrite, images=images)
+
+
+def _fits_unit(unit):
+    """Return a unit as programs that read FITS expect it."""
+    if unit == u.Jy / u.beam:
+        return "JY/BEAM"
+    try:
+        return unit.to_string("fits")
+    except ValueError:
+        # The standard does not have DN, which solar images are in.
+        return unit.to_string()
 
 
 def without_dates(header):
@@ -320,7 +331,7 @@ def write_epochs(
     directory.mkdir(parents=True, exist_ok=True)
     # The dates of wcslib would be those of the first epoch.
     own = without_dates(cube.wcs.to_header())
-    own["BUNIT"] = "JY/BEAM" if cube.unit == u.Jy / u.beam else cube.unit.to_string()
+    own["BUNIT"] = _fits_unit(cube.unit)
     for line in cube.meta.get("history", ()):
         own.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
@@ -359,8 +370,10 @@ def to_ndcube(cube: ImageSeries) -> NDCube:
     >>> simulate_static(n_epochs=2, rng=1).cube.to_ndcube().shape
     (2, 128, 256)
     """
-    import ndcube
-
+    try:
+        import ndcube
+    except ImportError:
+        raise ImportError("to_ndcube needs ndcube; pip install ndcube") from None
     noise = cube.noise
     if noise is not None:
         every = np.broadcast_to(noise.value[:, None, None], cube.shape)

@@ -37,6 +37,8 @@ UNCERTAINTIES = {
 }
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
+#: Factor by which uncertainties of pixels may differ from the image's median.
+EVEN = 1.5
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 
 
@@ -64,6 +66,7 @@ class Plane:
     noise: u.Quantity | None = None
     label: str | None = None
     unit_problem: str = ""
+    noise_problem: str = ""
 
     @property
     def extent(self):
@@ -75,7 +78,22 @@ class Plane:
     def notes(self):
         """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
-        return [n for n in (self.unit_problem, self.beam_problem and beam) if n]
+        notes = self.unit_problem, self.beam_problem and beam, self.noise_problem
+        return [note for note in notes if note]
+
+    def take_uncertainty(self):
+        """Make the uncertainty the noise, and mask the pixels without one."""
+        if self.uncertainty is not None:
+            self.noise, bad, even = uncertainty_noise(
+                self.uncertainty, self.unit, self.mask
+            )
+            self.mask |= bad
+            self.uncertainty = None
+            if not even:
+                self.noise_problem = (
+                    "its uncertainty differs from pixel to pixel, and the median is "
+                    "taken for the noise; leave it out to have the noise measured"
+                )
 
 
 class _NoImageError(OSError):
@@ -91,8 +109,14 @@ def find_files(paths, *, missing_ok=False):
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
+    try:
+        names = [os.path.expanduser(os.fspath(path)) for path in paths]
+    except TypeError:
+        raise TypeError(f"paths must be names or a pattern, got {paths!r}") from None
     found = []
-    for name in map(os.path.expanduser, paths):
+    for name in names:
+        if not isinstance(name, str):
+            raise TypeError(f"paths must be text, got {name!r}")
         if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
             found.append(name)
         elif matches := sorted(glob.glob(name, recursive=True)):
@@ -232,6 +256,10 @@ def _beside(hdus, image, name, shape):
         if hdu is not image and hdu.name == name and hdu.is_image:
             if hdu.shape == shape:
                 return hdu
+            if name != "WHT":
+                raise headers.ContentError(
+                    f"its extension {name} has shape {hdu.shape}, it {shape}; remove it"
+                )
     return None
 
 
@@ -319,8 +347,8 @@ def uncertainty_noise(uncertainty, unit, mask):
 
     The noise is the median standard deviation of the valid pixels, in the ``unit`` of
     the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without a finite standard deviation.  An
-    uncertainty that cannot be used raises a ValueError.
+    also returns a mask of the pixels without a finite standard deviation, and whether
+    the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
     """
     kind, sigma = type(uncertainty).__name__, uncertainty
     try:
@@ -336,9 +364,13 @@ def uncertainty_noise(uncertainty, unit, mask):
             f"its uncertainty is a {kind} in {uncertainty.unit}, which does not fit "
             f"images in {unit.to_string() or 'no unit'}; correct or remove it"
         ) from None
+    if np.any(np.asarray(uncertainty.array) < 0):
+        raise ValueError("its uncertainty has negative values; correct or remove it")
     sigma = np.broadcast_to(np.asarray(sigma.array) * factor, mask.shape)
-    bad = ~(np.isfinite(sigma) & (sigma >= 0))
+    bad = ~np.isfinite(sigma)
     valid = sigma[~(mask | bad)]
     if valid.size == 0:
         raise ValueError("its uncertainty is finite at no valid pixel; remove it")
-    return np.median(valid) * unit, bad
+    noise = np.median(valid)
+    even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
+    return noise * unit, bad, even

@@ -12,15 +12,16 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
+from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import is_per
-from astro_scc.images.headers import as_celestial, first_line
+from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series
+from astro_scc.images.series import ImageSeries, Series, as_shape, naming
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -175,7 +176,7 @@ def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXE
 
 
 def reproject_cube(
-    cube: Series, wcs: WCS | ImageSeries, shape: tuple[int, int] | None = None
+    cube: Series, wcs: WCS | Header | ImageSeries, shape: tuple[int, int] | None = None
 ) -> Series:
     """
     Return all epochs of a cube resampled to another pixel grid.
@@ -183,11 +184,11 @@ def reproject_cube(
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    wcs : `~astropy.wcs.WCS` or `EpochCube`
+    wcs : `~astropy.wcs.WCS`, `~astropy.io.fits.Header` or `EpochCube`
         The new grid, with celestial axes.
     shape : (int, int), optional
-        Shape (ny, nx) of the new grid, by default that of the cube, or the
-        ``array_shape`` of the WCS.
+        Shape (ny, nx) of the new grid, by default that of the header, the
+        cube, or the ``array_shape`` of the WCS.
 
     Returns
     -------
@@ -200,9 +201,9 @@ def reproject_cube(
     Raises
     ------
     ValueError
-        If ``wcs`` is not celestial, ``shape`` is missing, or the epochs have
-        beams and ``wcs`` has another celestial frame (position angles would
-        refer to another north).
+        If ``wcs`` is not celestial, ``shape`` is missing or not two positive
+        integers, or the epochs have beams and ``wcs`` has another celestial
+        frame (position angles would refer to another north).
     TypeError
         If ``wcs`` has the wrong type.
 
@@ -233,11 +234,15 @@ def reproject_cube(
     (2, 8, 8)
     """
     if isinstance(wcs, ImageSeries):
-        wcs, shape = wcs.wcs, shape or wcs.shape[1:]
+        wcs, shape = wcs.wcs, wcs.shape[1:] if shape is None else shape
+    elif isinstance(wcs, Header):
+        with naming("the header of the new grid"):
+            wcs = celestial_wcs(wcs)
     wcs = as_celestial(wcs)
-    shape = shape or wcs.array_shape
+    shape = wcs.array_shape if shape is None else shape
     if shape is None:
         raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
+    shape = as_shape(shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
         raise ValueError(
@@ -263,6 +268,32 @@ def reproject_cube(
 def pixel_area(wcs):
     """Return the solid angle of a pixel in square degrees."""
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
+
+
+def in_frame(wcs, frame):
+    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
+    if frame == "absolute":
+        return wcs
+    return with_frame(
+        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
+    )
+
+
+def with_frame(wcs, axes, **values):
+    """Return a copy of a WCS with other axis names and frame values."""
+    changed = wcs.deepcopy()
+    codes = zip(axes, wcs.wcs.ctype, strict=True)
+    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
+    for name, value in values.items():
+        setattr(changed.wcs, name, value)
+    changed.wcs.set()
+    return changed
+
+
+def finest(grids):
+    """Return the index of the first WCS among those with the smallest pixels."""
+    areas = np.array([pixel_area(wcs) for wcs in grids])
+    return int(np.argmax(areas <= areas.min() * (1 + 1e-6)))
 
 
 def shared_grid(grids):
@@ -304,15 +335,15 @@ def shared_grid(grids):
     ((16, 20), [12.0, 8.0])
     """
     areas = np.array([pixel_area(wcs) for _, wcs in grids])
-    finest = grids[int(np.argmax(areas <= areas.min() * (1 + 1e-6)))][1]
+    fine = grids[finest([wcs for _, wcs in grids])][1]
     edge = np.linspace(0, 1, 33)
     sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
     outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     corners = []
     for (ny, nx), wcs in grids:
         x, y = outline * [[nx - 1], [ny - 1]]
-        same = is_same(wcs, finest)
-        corners.append([x, y] if same else pixel_to_pixel(wcs, finest, x, y))
+        same = is_same(wcs, fine)
+        corners.append([x, y] if same else pixel_to_pixel(wcs, fine, x, y))
     corners = np.concatenate(corners, axis=1)
     # Rounding errors must not add a row.
     first = np.floor(corners.min(axis=1) + 0.01)
@@ -321,7 +352,7 @@ def shared_grid(grids):
     # It is NaN if a grid lies beyond the horizon of the projection.
     if not np.prod(size) * areas.min() <= 100 * covered:
         raise ValueError("the grids lie too far apart on the sky to share one")
-    shared = moved_wcs(finest, -first)
+    shared = moved_wcs(fine, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
 
@@ -443,11 +474,14 @@ def _refuse_rounded(item, size, wcs, places, name):
     side = np.sqrt(pixel_area(wcs))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
     lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
+    names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
+    sizes = [getattr(item, n).to_value(u.deg) for n in names if hasattr(item, n)]
     # Numbers that are not round in degrees may be so in hours, minutes and seconds.
     step = _step([*lon, *lat], places, DECIMALS) or max(
         _step(lon * 240, places, DECIMALS - 2) / 240,
         _step(lat * 3600, places, DECIMALS - 2) / 3600,
     )
+    step = max(step, _step(sizes, places, DECIMALS))
     if step / 2 > max(side, MOVED * size * side):
         raise ValueError(
             f"{name}: a {type(item).__name__} of {readable_angle(size * side * u.deg)} "
@@ -478,7 +512,7 @@ def _read(path):
     path = Path(path)
     # Reading the text first distinguishes a missing file from one without regions.
     text = path.read_text(encoding="utf-8", errors="replace")
-    if text.startswith("SIMPLE  ="):
+    if text.startswith("SIMPLE  =") or "\0" in text:
         raise ValueError(f"{path}: is not a text file; give a DS9 or CRTF region file")
     kind = "crtf" if text.startswith("#CRTF") else "ds9"
     with warnings.catch_warnings(record=True, action="always") as caught:

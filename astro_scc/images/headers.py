@@ -265,7 +265,10 @@ def celestial_wcs(header, fobj=None):
         raise ContentError(
             "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays"
         )
-    for axis in [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]:
+    axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
+    if axes[0] > axes[1]:
+        raise ContentError("latitude is its first axis; transpose the image")
+    for axis in axes:
         rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
         if not any(clean[key] for key in rows):
             raise ContentError("its celestial axes have no pixel scale (CDELT or CD)")

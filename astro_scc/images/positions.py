@@ -65,6 +65,8 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
         Celestial position of the origin; by default (180 deg, 0 deg).
     """
     step = pixel_side(pixel_scale).to_value(u.deg)
+    if not isinstance(position, SkyCoord | None):
+        raise TypeError(f"position must be a SkyCoord, got {position!r}")
     position = SkyCoord(*UNKNOWN, unit=u.deg) if position is None else position.icrs
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN"

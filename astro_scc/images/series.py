@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Self, TypeVar, overload
@@ -71,10 +71,7 @@ class ImageSeries:
         vars(self).update(meta=dict(self.meta))
         self._refuse_empty()
         order = order_of(times)
-        days = times.jd[order]
-        for k in np.flatnonzero(np.diff(days) * 86400 < 1)[:1]:
-            date = times.isot[order[k]]
-            warn(f"two images are of {date}; leave one out, or average them")
+        warn_of_equal_dates(times[order])
         if np.any(np.diff(order) < 0):
             vars(self).update(self._picked(order))
 
@@ -434,13 +431,28 @@ def given_times(times, n):
         times = [None] * n if times is None else [times]
     times = [t if t is None else as_times(t, 1)[0] for t in times]
     if len(times) != n:
-        raise ValueError(f"{n} images need {n} times, got {len(times)}")
+        raise ValueError(f"{n} images or lists need {n} times, got {len(times)}")
     return times
+
+
+def warn_of_equal_dates(times):
+    """Warn of the first of dates in order that is that of the next, to the second."""
+    for k in np.flatnonzero(np.diff(times.jd) * 86400 < 1)[:1]:
+        warn(f"two images are of {times.isot[k]}; leave one out, or average them")
 
 
 def order_of(times):
     """Return the order of dates, of which equal ones stay as they are."""
     return np.argsort((times - times[0]).jd, kind="stable")
+
+
+def as_shape(shape):
+    """Return the shape (ny, nx) of an image as two integers."""
+    with suppress(TypeError, ValueError):
+        ny, nx = map(operator.index, shape)
+        if min(ny, nx) > 0:
+            return ny, nx
+    raise ValueError(f"shape={shape} must be two positive integers (ny, nx)")
 
 
 def as_beams(beams, n):

@@ -149,7 +149,11 @@ def test_dates_of_many_sorts():
         ("date,east_mas,north_mas\n2000-01-01,1,x\n", "'north_mas' is not numeric"),
         ("when,east_mas,north_mas\n2000-01-01,1,2\n", "0 columns of dates"),
         ("date,east_mas,north_mas\n1 May 2000,1,2\n", "'date' are not understood"),
-        ("date,east_mas,north_mas\n2000-01-01,1,2\n,1,2\n", "'--' is no date"),
+        ("date,east_mas,north_mas\n2000-01-01,1,2\n,1,2\n", "that of row 2 is missing"),
+        ("mjd,east_mas,north_mas\n51544,1,2\n,1,2\n", "that of row 2 is missing"),
+        (QTable({"time": Time(np.ma.masked_invalid([np.nan]), format="mjd"),
+                 "east": [1] * u.mas, "north": [1] * u.mas}), "of row 1 is missing"),
+        (3, "table must be a path or a Table, got int"),
         ("# %ECSV 1.0\ndate east\n", "neither CSV nor ECSV"),
         (None, "No such file"),
         (Table({"date": DATES[:1], "east": [1] * u.s, "north": [1] * u.mas}),
@@ -162,7 +166,7 @@ def test_tables_that_cannot_be_used(tmp_path, text, message):
         table = tmp_path / "cores.csv"
     if isinstance(text, str):
         table.write_text(text)
-    with pytest.raises((ValueError, OSError), match=message) as caught:
+    with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
         offsets_from_table(table, Time(["2000-01-01"]), ["a.fits"])
     assert str(table) in str(caught.value) or not hasattr(table, "name")
     assert "\n" not in str(caught.value)
@@ -327,6 +331,7 @@ def shifted():
         ("table", {"table": offset_table(OFFSETS + 50)},
          "2000-01-01: its shift .* off the grid"),
         ("table", {}, "needs table="),
+        (offset_table(OFFSETS), {"table": "x.csv"}, "give one table, as method or as"),
         ("core", {"table": "x.csv", "region": HOLE}, "'core' has no option region, ta"),
         ("magic", {}, "'magic' is none of core, correlate, table"),
         (3, {}, "is none of"),

@@ -154,6 +154,7 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
         ({"source": ["a", "a", "b", "b"]}, {}, r"2 sources in the table \(a, b\)"),
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
         ({}, {"origin": "jet"}, "origin = .jet. must be"),
+        ({}, {"dates": ["then"]}, "dates: 'then' is no date"),
     ],
 )
 def test_bad_tables(tmp_path, changes, options, message):
@@ -177,6 +178,8 @@ def test_sources_of_a_table(tmp_path):
     assert len(read_components(path, source="S29")) == 4
     with pytest.raises(ValueError, match=r"30 sources .*, S7 and 22 more\); say"):
         read_components(path)
+    with pytest.raises(ValueError, match=r"no source 'S-29'; did you mean S29"):
+        read_components(path, source="S-29")
     path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
     assert read_components(path, source="3c273").n_epochs == 2
     with pytest.raises(ValueError, match="09.mod: no source 'M87'; it does not say"):

@@ -143,6 +143,8 @@ def test_noise_and_seeds():
         ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
         ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
+        ({"shape": (0, 5)}, r"shape=\(0, 5\) must be two positive integers"),
+        ({"reference_pixel": (3, 3)}, "reference_pixel needs a shape; give both"),
     ],
 )
 def test_bad_options(options, message):

@@ -256,12 +256,15 @@ def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
     (tmp_path / "x").mkdir()
     both = [paths[0], make_fits("x/0.fits", DATE_OBS="2007-01-01")]
     assert EpochCube.read(both).labels == tuple(map(str, both))
-    for name, words in (
-        ("nowhere/*.fits", r"nowhere/\*.fits: no file matches this"),
-        ("nowhere.fits", "nowhere.fits: no such file"),
-        ([], "no files were given"),
+    for name, error, words in (
+        ("nowhere/*.fits", FileNotFoundError, r"nowhere/\*.fits: no file matches this"),
+        ("nowhere.fits", FileNotFoundError, "nowhere.fits: no such file"),
+        ([], FileNotFoundError, "no files were given"),
+        (5, TypeError, "paths must be names or a pattern, got 5"),
+        ([5], TypeError, r"paths must be names or a pattern, got \[5\]"),
+        ([b"a.fits"], TypeError, "paths must be text, got b'a.fits'"),
     ):
-        with pytest.raises(FileNotFoundError, match=words):
+        with pytest.raises(error, match=words):
             EpochCube.read(name)
 
 
@@ -278,7 +281,7 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
     wide = Beam(1 * u.arcsec, 1 * u.arcsec)
     for options, words in (
         ({}, r"0.fits: no date of observation .*times="),
-        ({"times": "2001-01-01"}, "2 images need 2 times, got 1"),
+        ({"times": "2001-01-01"}, "2 images or lists need 2 times, got 1"),
         ({"times": times, "beams": wide}, "0.fits: the beam that is given, .* larger"),
         ({"frame": "sky"}, "frame = 'sky' must be one of offset, abs"),
     ):
@@ -343,9 +346,17 @@ def test_files_of_something_else_are_named(make_fits, changes, frame, words, unc
         EpochCube.read([*paths, odd], frame=frame)
     assert "\n" not in str(caught.value)
     if unchecked:
-        with warnings.catch_warnings(action="ignore", category=EpochWarning):
+        with warnings.catch_warnings(record=True, action="always") as caught:
             cube = EpochCube.read([*paths, odd], check=False)
         assert (len(cube), cube.beams is None) == (3, "BMAJ" in changes)
+        # A beam is not lost, and a date is not doubled, without a word.
+        for name, said in (("BMAJ", "odd.fits: no beam"), ("DATE_OBS", "two images")):
+            if name in changes:
+                assert (
+                    str(caught[0].message)
+                    .removeprefix(f"{odd.parent}/")
+                    .startswith(said)
+                )
 
 
 def test_whole_cubes_are_not_epochs(make_fits, tmp_path):

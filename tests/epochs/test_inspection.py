@@ -54,6 +54,8 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         "bad_beam": {"DATE_OBS": "2009-01-01", "BMAJ": -1.0},
         "unit": {"DATE_OBS": "2010-01-01", "BUNIT": "ODD"},
         "mask": {"DATE_OBS": "2014-01-01", "data": np.eye(16, 32)},
+        "coarse": {"DATE_OBS": "2011-01-01", "CDELT1": -1e-7, "CDELT2": 1e-7},
+        "turned": {"DATE_OBS": "2012-01-01", "CROTA2": 30.0},
         "nan": {"data": np.full((4, 4), np.nan)},
         "wcs": {"CTYPE1": None, "CTYPE2": None},
     }
@@ -69,6 +71,8 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         "bad_beam": "its beam is taken as unknown",
         "unit": "unit 'ODD' is not known",
         "mask": "no more than two different values",
+        "coarse": "on another grid than good.fits, the finest, and resampled",
+        "turned": "on another grid than good.fits, the finest, and resampled",
         "nan": "all are NaN",
         "wcs": "no celestial coordinates",
         "text": "no FITS",

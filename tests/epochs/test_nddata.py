@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Units, masks, errors, beams and coordinates of NDData are used or refused."""
 
+import sys
 import warnings
 from types import SimpleNamespace
 
@@ -24,7 +25,7 @@ from astropy.wcs import WCS
 from astropy.wcs.wcsapi import HighLevelWCSWrapper, SlicedLowLevelWCS
 from numpy.testing import assert_allclose, assert_array_equal
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.positions import offset_wcs
 
@@ -82,9 +83,11 @@ def test_uncertainties_are_the_noise(uncertainty, noise):
 def test_uncertainties_that_differ_or_are_missing():
     weight = np.full(SHAPE, 4.0)
     weight[:3], weight[10:14, 10:14] = 0, 1 / 4
-    cube = EpochCube.from_ccddata(image(0, uncertainty=InverseVariance(weight)))
-    assert cube.noise.value.tolist() == [0.5]
-    assert_array_equal(cube.mask[0], weight == 0)
+    images = [image(i, uncertainty=InverseVariance(weight)) for i in range(2)]
+    with pytest.warns(EpochWarning, match="image 0, image 1: its uncertainty differs"):
+        cube = EpochCube.from_ccddata(images)
+    assert cube.noise.value.tolist() == [0.5, 0.5]
+    assert_array_equal(cube.mask[1], weight == 0)
     images = [image(0), image(1, uncertainty=StdDevUncertainty(np.ones(SHAPE)))]
     with pytest.warns(EpochWarning, match="image 0: no noise where other epochs have"):
         assert EpochCube.from_ccddata(images).noise is None
@@ -120,6 +123,29 @@ def test_images_of_a_cube_and_their_files_keep_mask_and_uncertainty(tmp_path):
     variance.write(tmp_path / "var.fits")
     part = EpochCube.read(tmp_path / "var.fits", region=(slice(2, 9), slice(3, 30)))
     assert part.noise.value.tolist() == [3]
+    for name, values, words in (
+        ("UNCERT", np.ones((3, 4)), r"its extension UNCERT has shape \(3, 4\), it"),
+        ("UNCERT", -np.ones(SHAPE), "its uncertainty has negative values"),
+        ("MASK", np.ones((3, 4)), r"its extension MASK has shape \(3, 4\), it"),
+    ):
+        with fits.open(tmp_path / "0.fits", mode="update") as hdus:
+            hdus[name].data = values.astype(hdus[name].data.dtype)
+        with pytest.raises(ValueError, match=f"0.fits: {words}"):
+            EpochCube.read(tmp_path / "0.fits")
+        assert words[:20] in inspect_epochs(tmp_path / "0.fits")["problem"][0]
+
+
+def test_beams_of_the_meta():
+    wrong = {"DATE-OBS": DATES[0], "BMAJ": 1.0, "BMIN": -1.0}
+    for changes, words in (
+        ({"psf": np.ones((3, 3))}, "its psf is an image, of which no beam is made"),
+        ({"meta": wrong}, "BPA is missing or no number"),
+    ):
+        words = f"image 0: its beam is taken as unknown: {words}"
+        with pytest.warns(EpochWarning, match=words):
+            assert EpochCube.from_ccddata(image(0, **changes)).beams is None
+        own = Beam(1 * u.mas, 1 * u.mas)
+        assert EpochCube.from_ccddata(image(0, **changes), beams=own).beams == (own,)
 
 
 # -- what arrays carry -----------------------------------------------------------
@@ -262,9 +288,12 @@ def test_ndcubes_of_others_keep_noise_and_beam(ndcube):
         (lambda n: make_cube().to_ndcube()[:, 3], {}, "have two celestial axes"),
     ],
 )  # fmt: skip
-def test_ndcubes_that_are_refused(ndcube, make, options, words):
+def test_ndcubes_that_are_refused(ndcube, make, options, words, monkeypatch):
     with pytest.raises(ValueError, match=words):
         EpochCube.from_ndcube(make(ndcube), **options)
+    monkeypatch.setitem(sys.modules, "ndcube", None)
+    with pytest.raises(ImportError, match="to_ndcube needs ndcube; pip install ndcube"):
+        make_cube().to_ndcube()
 
 
 # -- images of other packages ------------------------------------------------------
@@ -348,7 +377,8 @@ def of_arrays(data=DATA, times=DATES, **fields):
         *((of(image(0, uncertainty=own)), f"image 0: its uncertainty .*{words}")
           for own, words in [
             (UnknownUncertainty(np.ones(SHAPE)), "is a UnknownUncertainty; give it as"),
-            (StdDevUncertainty(np.full(SHAPE, -1.0)), "finite at no valid pixel;"),
+            (StdDevUncertainty(np.full(SHAPE, -1.0)), "has negative values; correct"),
+            (VarianceUncertainty(-np.eye(*SHAPE)), "has negative values; correct"),
             (InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; remove it")]),
         (of(unfit()), "image 0: .* StdDevUncertainty in K, which"),
         (of(NDData(PLANE, wcs=celestial())), "image 0: no date of observation"),
@@ -365,6 +395,7 @@ def of_arrays(data=DATA, times=DATES, **fields):
         (lambda: EpochCube(DATA, DATES, LINE), "lost a celestial axis by slicing"),
         (of_arrays([DATA[0], DATA[1, 2:]]), "must have the same shape"),
         (of_arrays(beam=3), "unexpected keyword argument 'beam'"),
+        (of_arrays(position="0h 1d"), "position must be a SkyCoord, got '0h 1d'"),
     ],
 )  # fmt: skip
 def test_what_is_refused(call, words):
@@ -379,6 +410,7 @@ def test_images_with_an_hdu_of_two_types_and_of_one_date():
     assert cube.shape == (1, 8, 9)
     one = CCDData(np.ones(SHAPE, np.float32), unit="Jy", wcs=celestial(), meta=DATED)
     other = CCDData(np.full(SHAPE, 1 / 3), unit="Jy", wcs=celestial(), meta=DATED)
-    cube = EpochCube.from_ccddata([one, other], check=False)
+    with pytest.warns(EpochWarning, match="^two images are of 2001-01-01T00:00:00.000"):
+        cube = EpochCube.from_ccddata([one, other], check=False)
     assert cube.data[1, 0, 0] == 1 / 3
     assert one.data.dtype == np.float32

@@ -145,10 +145,14 @@ def test_other_programs_see_images_and_dates(tmp_path):
         np.testing.assert_array_equal(hdus["DATA"].data, cube.data)
         np.testing.assert_array_equal(hdus["MASK"].data, cube.mask)
         header = hdus["DATA"].header
-        assert (header["BUNIT"], header["CTYPE1"]) == ("Jy / beam", "RA---SIN")
+        assert (header["BUNIT"], header["CTYPE1"]) == ("JY/BEAM", "RA---SIN")
     # A unit that the FITS standard does not have.
     solar = {"pixel_scale": 1 * u.arcsec, "unit": "DN"}
     cube = EpochCube.from_arrays(np.arange(40.0).reshape(2, 4, 5), DATES[:2], **solar)
     assert EpochCube.read(write_epochs(cube, tmp_path / "e")).unit == u.DN
+    # One that it writes otherwise than astropy.
+    cube = cube.with_step("", unit=u.MJy / u.sr)
+    path = write_epochs(cube, tmp_path / "sr")[0]
+    assert fits.getval(path, "BUNIT") == "MJy sr-1"
     with pytest.raises(OSError, match="fits: exists; choose another folder, or overwr"):
         write_epochs(cube, tmp_path / "e")

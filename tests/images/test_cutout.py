@@ -126,6 +126,7 @@ ROUND = {
         # What regions and CARTA write as CRTF, and DS9 in degrees and in hours.
         (f"{CRTF}circle[[{LON:.6f}deg, {LAT:.6f}deg], 0.000001deg]", False),
         (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000000555556deg]", True),
+        (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000001deg]", False),
         (f'icrs\ncircle({LON:.7f},{LAT:.7f},0.0020")', False),
         (f'icrs\ncircle({LON:.8f},{LAT:.8f},0.0020")', True),
         ('icrs\ncircle(12:30:49.4234,+12:23:28.044,0.0020")', False),
@@ -167,7 +168,7 @@ def test_regions_on_the_sphere():
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
         (b"SIMPLE  =                    T", "r.reg: is not a text file"),
-        (b"\xff\xfe\x00\x80", "r.reg: cannot be read as a ds9 region file"),
+        (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
         (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
         # Its mask would need 30 TiB.
         (b"image\ncircle(-3000000,0,2900000)\n", "r.reg: holds no pixel"),

@@ -5,6 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel
 from hypothesis import given, settings
@@ -125,14 +126,16 @@ def test_averages_over_larger_pixels():
         assert low < np.nanstd(coarse.data) < high
 
 
-def test_grids_of_cubes_and_coordinates():
+def test_grids_of_headers_cubes_and_coordinates():
     cube, new = cube_of(), grid((70.25, 50), pixel=0.05, turn=20)
     expected = reproject_cube(cube, new, (50, 70))
-    new.array_shape = (50, 70)
-    for target in (new, cube_of(new, (50, 70))):
+    header, new.array_shape = new.to_header(), (50, 70)
+    header.update({"NAXIS": 2, "NAXIS1": 70, "NAXIS2": 50, "CTYPE2": "DEC---SIN"})
+    for target in (header, new, cube_of(new, (50, 70))):
         result = cube.reproject_to(target)
         assert_array_equal(result.mask, expected.mask)
-        assert_array_equal(result.data, expected.data)
+        assert_allclose(result.data, expected.data, atol=1e-6)
+    assert cube.reproject_to(header, (40, 60)).shape == (2, 40, 60)
 
 
 def test_what_is_kept_of_copied_and_of_interpolated_pixels():
@@ -158,6 +161,9 @@ def test_what_is_kept_of_copied_and_of_interpolated_pixels():
 @pytest.mark.parametrize(
     ("target", "options", "words"),
     [
+        *((grid(), {"shape": shape}, "two positive integers")
+          for shape in (64, "ab", (64,), (64, 0), (-1, 3), (2.5, 3), (np.nan, 3))),
+        (fits.Header({"NAXIS1": 3, "NAXIS2": 3}), {}, "header of the new grid: it has"),
         (grid(), {"shape": None}, r"no shape of its own; give shape=\(ny, nx\)"),
         (WCS(naxis=2), {}, "must have celestial axes"),
         (3, {}, "must be a WCS, or one sliced, got"),
