@@ -33,6 +33,9 @@ from astro_scc.images.series import ImageSeries, as_times, order_of
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
 # apart.
 BAND = 0.1
+# Reference pixels further apart than this fraction of the image exceed the
+# scatter of VLBI positions.
+FAR = 0.05
 POLARISED = ("Q", "U", "V")
 #: Smallest factor between the brightness of an image and that of most others that is
 #: hardly variability, but another unit.
@@ -104,7 +107,7 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     if read:
         peaks = np.array([rows[i]["peak"] for i in read])
         found = [planes[i] for i in read]
-        for index, what, *_ in (*problems(found, peaks), *_other_grids(found)):
+        for index, what, *_ in (*problems(found, peaks), *_warned(found)):
             rows[read[index]]["problem"].append(what)
     columns = {name: [row[name] for row in rows] for name in rows[0]}
     for name, own in COLUMNS.items():
@@ -355,14 +358,35 @@ def problems(planes, peaks):
     return sorted(found, key=lambda problem: problem.index)
 
 
-def _other_grids(planes):
-    """Yield images that reading resamples to the grid of the finest."""
+def far_away(planes):
+    """Yield the image whose reference pixel is far from that of the first one."""
+    first = planes[0]
+    distance = [separation(plane.wcs, first.wcs) for plane in planes]
+    k = int(np.argmax(distance))
+    if distance[k] > FAR * max(first.extent, planes[k].extent):
+        what = (
+            f"its reference pixel and that of {Path(first.name).name} are "
+            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
+            "place"
+        )
+        advice = (
+            "use frame='absolute' (--align wcs) where the coordinates are to be trusted"
+        )
+        yield Problem(k, what, advice, refused=False)
+
+
+def _warned(planes):
+    """Yield images of which reading warns when it lays them on one grid."""
+    yield from far_away(planes)
+    some_have_noise = any(plane.noise is not None for plane in planes)
     frames = [in_frame(plane.wcs, "offset") for plane in planes]
     k = finest(frames)
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
         if whole_step(frame, frames[k], plane.shape, ONE_SHIFT) is None:
             yield Problem(i, f"on another grid than {name}, the finest, and resampled")
+        if some_have_noise and plane.noise is None:
+            yield Problem(i, "no noise where other epochs have one")
 
 
 def _same_dates(planes):

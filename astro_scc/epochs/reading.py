@@ -12,7 +12,7 @@ from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
-from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, problems, separation
+from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, grid, series
@@ -22,9 +22,6 @@ from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
 
-# Reference pixels further apart than this fraction of the image exceed the
-# scatter of VLBI positions.
-FAR = 0.05
 #: Bytes of a pixel of a cube, with its mask.
 BYTES = 9
 # Pixel sides in one series differ from the usual side by at most this factor.
@@ -224,20 +221,6 @@ def _refuse_strangers(planes):
         warn(text)
 
 
-def _warn_of_distance(planes):
-    """Warn of reference pixels that are too far apart on the sky for one place."""
-    first = planes[0]
-    distance = [separation(plane.wcs, first.wcs) for plane in planes]
-    k = int(np.argmax(distance))
-    if distance[k] > FAR * max(first.extent, planes[k].extent):
-        warn(
-            f"{first.name} and {planes[k].name}: their reference pixels are "
-            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
-            "place; use frame='absolute' (--align wcs) where the coordinates are "
-            "to be trusted"
-        )
-
-
 def _assemble(planes, times, beams, frame, check, source):
     """Return the fields of a cube from images on their own grids."""
     planes, times = _completed(planes, times, beams)
@@ -245,8 +228,8 @@ def _assemble(planes, times, beams, frame, check, source):
         _refuse_strangers(planes)
     else:
         series.warn_of_equal_dates(times)
-    if frame == "offset":
-        _warn_of_distance(planes)
+    for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
+        warn(f"{planes[k].name}: {what}; {advice}")
     unit = planes[0].unit
     for plane in planes:
         with series.naming(plane.name):

@@ -56,6 +56,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         "mask": {"DATE_OBS": "2014-01-01", "data": np.eye(16, 32)},
         "coarse": {"DATE_OBS": "2011-01-01", "CDELT1": -1e-7, "CDELT2": 1e-7},
         "turned": {"DATE_OBS": "2012-01-01", "CROTA2": 30.0},
+        "far": {"DATE_OBS": "2013-01-01", "CRVAL2": 2.1},
         "nan": {"data": np.full((4, 4), np.nan)},
         "wcs": {"CTYPE1": None, "CTYPE2": None},
     }
@@ -72,6 +73,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         "unit": "unit 'ODD' is not known",
         "mask": "no more than two different values",
         "coarse": "on another grid than good.fits, the finest, and resampled",
+        "far": "its reference pixel and that of good.fits are 180 arcsec",
         "turned": "on another grid than good.fits, the finest, and resampled",
         "nan": "all are NaN",
         "wcs": "no celestial coordinates",

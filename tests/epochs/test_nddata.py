@@ -119,6 +119,9 @@ def test_images_of_a_cube_and_their_files_keep_mask_and_uncertainty(tmp_path):
     cube = EpochCube.read(tmp_path / "*.fits")
     assert_array_equal(cube.mask, DATA > 2)
     assert_allclose(cube.noise.to_value(MJY_BEAM), [1, 2, 3])
+    make_cube(noise=None)[1].write(tmp_path / "bare.fits")
+    table = inspect_epochs([tmp_path / "0.fits", tmp_path / "bare.fits"])
+    assert table["problem"].tolist() == ["", "no noise where other epochs have one"]
     variance = image(0, uncertainty=VarianceUncertainty(np.full(SHAPE, 9)))
     variance.write(tmp_path / "var.fits")
     part = EpochCube.read(tmp_path / "var.fits", region=(slice(2, 9), slice(3, 30)))
