@@ -13,7 +13,6 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 from astropy.time import Time
-from numpy.typing import ArrayLike
 
 from astro_scc.alignment.registration import core_positions, displacement
 from astro_scc.exceptions import MeasurementWarning, warn
@@ -36,8 +35,7 @@ UNITS = {
 
 def align(
     cube: Series, method: str = "core", *, table: Path | str | Table | None = None,
-    reference: ArrayLike | None = None, region: Any = None,
-    jet_pa: u.Quantity | None = None, max_shift: u.Quantity | None = None,
+    region: Any = None, jet_pa: u.Quantity | None = None,
 ) -> Series:  # fmt: skip
     """
     Return the cube with its epochs shifted into alignment.
@@ -50,15 +48,16 @@ def align(
             The core of each epoch, as `~astro_scc.epochs.core_positions`
             measures it, is moved to the reference pixel.
         "correlate"
-            Every epoch is registered on a reference image, by masked
-            cross-correlation and least squares.  Motion that the whole region
-            shares is removed, even if it is the velocity sought: choose a
-            region that stands still.
+            Every epoch is registered on the mean of the aligned epochs, which
+            is found by iteration, by masked cross-correlation and least squares.
+            Motion that the whole region shares is removed, even if it is the
+            velocity sought: choose a region that stands still.
         "table"
             The positions in a table are moved to the reference pixel.
         "wcs"
             Absolute coordinates (``cube.epoch_wcs``) are trusted.  In VLBI
-            images they jump by more than jets move.
+            images they jump by more than jets move.  Images that are turned to
+            one another are read with ``frame="absolute"`` instead.
         "none"
             Reference pixels stay aligned; nothing is shifted.
 
@@ -67,17 +66,11 @@ def align(
         For "table": CSV or ECSV with dates and the offsets of the core
         from the reference pixel, see
         ``offsets_from_table``.
-    reference : int or array_like, shape (ny, nx), optional
-        For "correlate": the index of an epoch, or an image.  By default the
-        mean of the aligned epochs, found by iteration.
     region : optional
         For "correlate": the pixels to compare, in any form that
         `EpochCube.region_mask` takes.
     jet_pa : `~astropy.units.Quantity`, optional
         For "core": position angle of the jet at the core.
-    max_shift : `~astropy.units.Quantity`, optional
-        Largest credible shift.  "core" and "correlate" search no farther, and
-        a larger shift is an error.
 
     Returns
     -------
@@ -92,8 +85,8 @@ def align(
     ------
     ValueError
         If the method is unknown, an option does not belong to it, an epoch
-        cannot be measured, or its shift exceeds ``max_shift`` or moves it
-        off the grid; and if the method itself raises one.
+        cannot be measured, or its shift moves it off the grid; and if the
+        method itself raises one.
 
     Warns
     -----
@@ -137,39 +130,22 @@ def align(
         method, table = "table", method
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"align {method!r} is none of {', '.join(METHODS)} or a file")
-    measure, known = METHODS[method]
-    options = {"jet_pa": jet_pa, "reference": reference, "region": region}
-    options |= {"table": table, "max_shift": max_shift}
+    measure, own = METHODS[method]
+    options = {"jet_pa": jet_pa, "region": region, "table": table}
     options = {name: value for name, value in options.items() if value is not None}
-    strange = sorted(options.keys() - {*known, "max_shift"})
-    if strange:
+    if strange := sorted(options.keys() - {own}):
         raise ValueError(f"align method {method!r} has no option {', '.join(strange)}")
     if method == "none":
         return cube.with_step("aligned by reference pixels (no shifts)")
-    if max_shift is not None and not u.Quantity(max_shift).to_value(u.mas) > 0:
-        raise ValueError(f"max_shift={max_shift} must be positive")
-    pixels, *rest = measure(cube, **{k: v for k, v in options.items() if k in known})
-    size = np.hypot(*(cube.pixel_matrix @ pixels.T))
-    worst = int(np.argmax(size))
-    if max_shift is not None and size[worst] > max_shift:
-        raise ValueError(
-            f"{cube.labels[worst]}: its shift of {size[worst]:.3g} exceeds "
-            f"max_shift={max_shift}; leave the epoch out or give a larger one"
-        )
-    return _move(cube, method, -pixels, *rest)
+    pixels, covariance, what = measure(cube, **options)
+    return _move(cube, method, -pixels, covariance, what)
 
 
-def _move(cube, method, shifts, covariance, what, turned):
-    """Return the cube with its epochs shifted, or turned to its grid."""
+def _move(cube, method, shifts, covariance, what):
+    """Return the cube with its epochs shifted."""
     data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
     for i, shift in enumerate(shifts):
-        if turned[i]:
-            one, own = slice(i, i + 1), cube.epoch_wcs[i]
-            data[one], mask[one] = grid.resample(
-                cube.data[one], cube.mask[one], own, cube.wcs, shape=cube.shape[1:]
-            )
-        else:
-            data[i], mask[i] = grid.shift_image(cube.data[i], cube.mask[i], shift)
+        data[i], mask[i] = grid.shift_image(cube.data[i], cube.mask[i], shift)
         if mask[i].all():
             raise ValueError(
                 f"{cube.labels[i]}: its shift of {shift.round(1).tolist()} pixels "
@@ -202,21 +178,20 @@ def _move(cube, method, shifts, covariance, what, turned):
         data=data,
         mask=mask,
         epoch_wcs=epoch_wcs,
-        noise=cube.noise if whole and not turned.any() else None,
+        noise=cube.noise if whole else None,
         meta=cube.meta | {"alignment": [*cube.meta.get("alignment", ()), *records]},
     )
 
 
 # Functions that measure the offset of each epoch from its aligned position return it
-# in pixels (x, y), its covariance (NaN if it is not known), what it was measured on,
-# and whether the grid of the epoch differs by more than a shift.
+# in pixels (x, y), its covariance (NaN where not known), and what it was measured on.
 
 
 def _from_sky(cube, offsets, errors, what):
     """Return what is measured from offsets (n, 2) and errors in mas."""
     inverse = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
     covariance = inverse @ (errors[:, :, None] ** 2 * np.eye(2)) @ inverse.T
-    return offsets @ inverse.T, covariance, what, np.zeros(len(cube), dtype=bool)
+    return offsets @ inverse.T, covariance, what
 
 
 def _by_core(cube, **options):
@@ -250,30 +225,29 @@ def _by_wcs(cube):
             "the epochs have no absolute coordinates (epoch_wcs); "
             "read them from FITS files, or choose another alignment"
         )
-    found = [grid.grid_step(own, cube.wcs, cube.shape[1:]) for own in cube.epoch_wcs]
-    steps, pure = map(np.array, zip(*found, strict=True))
-    unknown = np.full((len(cube), 2, 2), np.nan)
-    return -steps, unknown, "absolute coordinates", ~pure
+    steps = np.empty((len(cube), 2))
+    for i, own in enumerate(cube.epoch_wcs):
+        steps[i], pure = grid.grid_step(own, cube.wcs, cube.shape[1:])
+        if not pure:
+            raise ValueError(
+                f"{cube.labels[i]}: is turned or stretched to the others; read the "
+                "files with frame='absolute', which aligns them so"
+            )
+    return -steps, np.full((len(cube), 2, 2), np.nan), "absolute coordinates"
 
 
-def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
+def _by_correlation(cube, *, region=None):
     inside = region_mask(cube, region)
-    scale = cube.pixel_scale.to_value(u.mas)
     reach = min(cube.shape[1:]) / 4
-    if max_shift is not None:
-        reach = u.Quantity(max_shift).to_value(u.mas) / scale
-    image, name = _reference_image(cube, reference)
     pixels = np.zeros((len(cube), 2))
     covariance = np.zeros((len(cube), 2, 2))
-    for k in range(5 if image is None else 1):
-        target = image
-        if image is None:
-            moved = map(grid.shift_image, cube.data, cube.mask, -pixels)
-            # Pixels that only some epochs have would make steps in the mean.
-            target = np.mean([one for one, _ in moved], axis=0)
+    for k in range(5):
+        moved = map(grid.shift_image, cube.data, cube.mask, -pixels)
+        # Pixels that only some epochs have would make steps in the mean.
+        target = np.mean([one for one, _ in moved], axis=0)
         use = inside & np.isfinite(target)
         if not use.any():
-            raise ValueError("the reference image has no good pixel in the region")
+            raise ValueError("the mean of the epochs has no good pixel in the region")
         before = pixels.copy()
         for i, label in enumerate(cube.labels):
             start = pixels[i] if k > 1 else None
@@ -281,31 +255,14 @@ def _by_correlation(cube, *, reference=None, region=None, max_shift=None):
             with naming(label):
                 found = displacement(*pair, target, use, reach, start=start)
             pixels[i], covariance[i] = found
-        if image is None:
-            # The mean image could drift freely, so the mean shift is kept at 0.
-            pixels -= pixels.mean(axis=0)
+        # The mean image could drift freely, so the mean shift is kept at 0.
+        pixels -= pixels.mean(axis=0)
         if np.abs(pixels - before).max() < 0.01:
             break
     if cube.beams is not None:
-        areas = np.array([beam.area.to_value(u.mas**2) for beam in cube.beams])
-        covariance *= np.maximum(areas / scale**2 / 2, 1)[:, None, None]
-    return pixels, covariance, name, np.zeros(len(cube), dtype=bool)
-
-
-def _reference_image(cube, reference):
-    """Return the reference image, None for the mean, and its name."""
-    if reference is None:
-        return None, "their mean"
-    image = np.asarray(reference, dtype=float)
-    if image.ndim == 0:
-        if reference not in range(-len(cube), len(cube)):
-            raise ValueError(f"reference={reference} is none of {len(cube)} epochs")
-        index = int(reference)
-        image = np.where(cube.mask[index], np.nan, cube.data[index])
-        return image, cube.labels[index]
-    if image.shape != cube.shape[1:]:
-        raise ValueError(f"reference has shape {image.shape}, epochs {cube.shape[1:]}")
-    return image, "a reference image"
+        areas = u.Quantity([beam.area for beam in cube.beams]) / cube.pixel_scale**2
+        covariance *= np.maximum(areas.to_value(u.one) / 2, 1)[:, None, None]
+    return pixels, covariance, "their mean"
 
 
 def offsets_from_table(table, times, labels):
@@ -366,18 +323,17 @@ def _dates(table, name):
             f"called one of {', '.join(DATES)}; it has {', '.join(table.colnames)}"
         )
     column, kind = table[columns[0]], columns[0].lower()
-    if isinstance(column, Time):
-        return column
     where = f"{name}: the dates in column {columns[0]!r} are not understood"
     # ERFA warns of years whose leap seconds are unknown.
     with naming(where), warnings.catch_warnings(action="ignore"):
-        if kind in ("mjd", "jd") or column.dtype.kind in "fi":
+        dated = isinstance(column, Time)
+        if not dated and (kind in ("mjd", "jd") or column.dtype.kind in "fi"):
             kind = kind if kind in ("mjd", "jd") else "jyear"
-            column = Time(np.asarray(column, dtype=float), format=kind, scale="utc")
-        else:
-            blank = np.flatnonzero(np.ma.getmaskarray(column))
-            if len(blank):
-                raise ValueError(f"that of row {blank[0] + 1} is missing")
+            column = np.ma.masked_invalid(np.ma.asarray(column, dtype=float))
+            column = Time(column, format=kind, scale="utc")
+        for row in np.flatnonzero(getattr(column, "mask", False)):
+            raise ValueError(f"that of row {row + 1} is missing")
+        if not isinstance(column, Time):
             column = [str(value) for value in column]
         return as_times(column, len(table))
 
@@ -407,11 +363,11 @@ def _axis(table, axis, name):
     return found if wrong else [*found, np.full(len(table), np.nan)]
 
 
-# Name -> the function that measures the offsets, and its options.
+# Name -> the function that measures the offsets, and its option.
 METHODS = {
-    "core": (_by_core, ("jet_pa", "max_shift")),
-    "correlate": (_by_correlation, ("reference", "region", "max_shift")),
-    "table": (_by_table, ("table",)),
-    "wcs": (_by_wcs, ()),
-    "none": (None, ()),
+    "core": (_by_core, "jet_pa"),
+    "correlate": (_by_correlation, "region"),
+    "table": (_by_table, "table"),
+    "wcs": (_by_wcs, None),
+    "none": (None, None),
 }

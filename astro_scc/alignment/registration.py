@@ -44,10 +44,7 @@ SOURCE_SNR = 5.0
 STEPS, CONVERGED = 10, 0.01
 
 
-def core_positions(
-    cube: ImageSeries, *, jet_pa: u.Quantity | None = None,
-    max_shift: u.Quantity | None = None,
-) -> QTable:  # fmt: skip
+def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QTable:
     """
     Return the position of the core in each epoch.
 
@@ -65,8 +62,6 @@ def core_positions(
         Position angle of the jet at the core, north through east.  By
         default the direction from the peak of the mean image to its
         centroid, if they are farther apart than a twentieth of the beam.
-    max_shift : `~astropy.units.Quantity`, optional
-        Search for the core no farther from the reference pixel.
 
     Returns
     -------
@@ -134,20 +129,15 @@ def core_positions(
         pa = u.Quantity(jet_pa).to_value(u.rad)
         direction = to_pixels @ [np.sin(pa), np.cos(pa)]
         direction = direction / np.hypot(*direction)
-    allowed, within = np.ones(cube.shape[1:], dtype=bool), ""
-    if max_shift is not None:
-        allowed = np.hypot(*cube.offsets()) <= u.Quantity(max_shift)
-        within = f" within {max_shift}"
-
     rows = []
     for i, label in enumerate(cube.labels):
         image, good = fill_masked(cube.data[i], cube.mask[i]), ~cube.mask[i]
         options = shapes[i], direction, noise[i]
-        start = _candidate(image, good & allowed, *options)
+        start = _candidate(image, good, *options)
         if start is None:
             raise ValueError(
-                f"{label}: nothing is bright enough to be the core{within}; give a "
-                "table of positions"
+                f"{label}: nothing is bright enough to be the core; give a table of "
+                "positions"
             )
         rows.append(_fit(image, good, start, *options))
     position, covariance, blended = map(np.array, zip(*rows, strict=True))

@@ -16,13 +16,13 @@ from astro_scc.cli.inputs import draw_seed, prepare
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
 from astro_scc.components.restoring import NO_BEAM
-from astro_scc.components.tables import kind_of
 from astro_scc.epochs import (
     inspect_epochs,
     plan_intervals,
     read_components,
     write_epochs,
 )
+from astro_scc.epochs.inspection import kind_of
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files

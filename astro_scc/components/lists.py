@@ -11,16 +11,15 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
-from numpy.typing import ArrayLike
 
-from astro_scc.components.tables import FORMATS, UNITS, read_fields, source_names
+from astro_scc.components.tables import UNITS, open_table, read_fields, source_names
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import Beam
 from astro_scc.images.fits import find_files
-from astro_scc.images.series import as_beams, as_epoch_tuple, naming
+from astro_scc.images.series import as_beams, as_epoch_tuple, given_times, naming
 from astro_scc.quantities import check_choice, named
 
-COLUMNS = (*UNITS, "feature", "excluded")
+COLUMNS = (*UNITS, "feature")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,8 +44,6 @@ class ComponentList:
     feature : array_like of int, shape (n,), optional
         The same number at every epoch for the same feature; 0 is the core,
         -1 a component that was not identified.
-    excluded : array_like of bool, shape (n,), optional
-        Components that their authors left out of their own fits.
     labels : sequence of str, length n_epochs, optional
         Names of the epochs, by default their dates.
     beams : sequence of `Beam`, length n_epochs, optional
@@ -89,7 +86,6 @@ class ComponentList:
     minor: u.Quantity | None = None
     pa: u.Quantity | None = None
     feature: np.ndarray | None = None
-    excluded: np.ndarray | None = None
     labels: tuple[str, ...] = ()
     beams: tuple[Beam, ...] = ()
     meta: dict = field(default_factory=dict)
@@ -105,7 +101,7 @@ class ComponentList:
         order = np.argsort(times.mjd, kind="stable")
         # Components without a size are points, those with one axis are round.
         default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
-        default |= {"feature": np.full(n, -1.0), "excluded": np.zeros(n)}
+        default |= {"feature": np.full(n, -1.0)}
         columns, wrong = {}, {}
         for name in COLUMNS:
             values = getattr(self, name)
@@ -130,7 +126,6 @@ class ComponentList:
             "beams": tuple(beams[i] for i in order if beams),
             "epoch": np.argsort(order)[epoch],
             "feature": columns["feature"].value.astype(int),
-            "excluded": columns["excluded"].value.astype(bool),
         }
         vars(self).update(columns)
 
@@ -149,9 +144,8 @@ class ComponentList:
         return f"<ComponentList: {what}>"
 
     def select(
-        self, *, after: Time | str | None = None, before: Time | str | None = None,
-        features: ArrayLike | None = None, excluded: bool = True,
-    ) -> ComponentList:  # fmt: skip
+        self, *, after: Time | str | None = None, before: Time | str | None = None
+    ) -> ComponentList:
         """
         Return some of the components; epochs without any are dropped.
 
@@ -159,10 +153,6 @@ class ComponentList:
         ----------
         after, before : `~astropy.time.Time` or str, optional
             Keep ``after <= date < before``.
-        features : sequence of int, optional
-            Keep these features only.
-        excluded : bool, optional
-            False leaves out the components flagged as excluded.
 
         Returns
         -------
@@ -173,13 +163,11 @@ class ComponentList:
         ValueError
             If no component is left.
         """
-        keep, dates = ~self.excluded | excluded, self.times[self.epoch]
+        keep, dates = np.ones(len(self), dtype=bool), self.times[self.epoch]
         if after is not None:
             keep &= dates >= Time(after)
         if before is not None:
             keep &= dates < Time(before)
-        if features is not None:
-            keep &= np.isin(self.feature, features)
         if not keep.any():
             days = self.times.strftime("%Y-%m-%d")
             what = f"{len(self)} between {days[0]} and {days[-1]}; widen the selection"
@@ -205,12 +193,11 @@ class ComponentList:
             ``meta`` has the ``beam`` if all epochs have the same.
         """
         names = {"major": "major_fwhm", "minor": "minor_fwhm", "pa": "major_pa"}
-        names["excluded"] = "excluded_from_fit"
         table = QTable({"epoch": self.times[self.epoch].isot}, meta=dict(self.meta))
         if self.beams and all(beam == self.beams[0] for beam in self.beams):
             axes = (getattr(self.beams[0], name) for name in ("major", "minor", "pa"))
             table.meta["beam"] = " ".join(map(str, axes))
-        for name in ("feature", *UNITS, "excluded"):
+        for name in ("feature", *UNITS):
             table[names.get(name, name)] = getattr(self, name)
         return table
 
@@ -236,9 +223,8 @@ def _concatenate(lists):
 
 
 def read_components(
-    paths: Path | str | Sequence[Path | str], *, format: str | None = None,
-    source: str | None = None, origin: str | None = None,
-    dates: Time | Sequence[Time | str | None] | None = None,
+    paths: Path | str | Sequence[Path | str], *, source: str | None = None,
+    origin: str | None = None, dates: Time | Sequence[Time | str | None] | None = None,
     beams: Beam | Sequence[Beam] | None = None,
 ) -> ComponentList:  # fmt: skip
     """
@@ -247,12 +233,11 @@ def read_components(
     Parameters
     ----------
     paths : path or sequence of paths
-        A table of many epochs, or one file per epoch; also patterns.
-    format : {'ecsv', 'mrt', 'difmap', 'aips-cc'}, optional
-        By default taken from the file's suffix: ``.ecsv``; ``.txt``, ``.dat``
-        or ``.mrt``, a machine-readable table of the AAS or, with its file
-        ``ReadMe`` in the same folder, of the CDS; ``.mod``; ``.fits`` with an
-        AIPS CC table, the one with the highest version if there are several.
+        A table of many epochs, or one file per epoch; also patterns.  The suffix
+        tells the format: ``.ecsv``; ``.txt``, ``.dat`` or ``.mrt``, a
+        machine-readable table of the AAS or, with its file ``ReadMe`` in the same
+        folder, of the CDS; ``.mod``, a difmap model; ``.fits`` with an AIPS CC
+        table, the one with the highest version if there are several.
     source : str, optional
         Name of the source, for a table of several.  A file of another source
         is refused.
@@ -284,10 +269,9 @@ def read_components(
     Tables need columns for the date (``epoch``, or ``Obs.Y``, ``Obs.M`` and
     ``Obs.D`` for year, month and day), ``flux``, ``separation`` and
     ``position_angle`` (or ``east`` and ``north``), with units; they may also
-    have ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``,
-    ``major_pa`` and ``excluded_from_fit``.  Columns of machine-readable tables
-    are recognised by their labels and explanations.  A blank size means a
-    point, a blank ratio a circle.
+    have ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``, and
+    ``major_pa``.  Columns of machine-readable tables are recognised by their
+    labels and explanations.  A blank size means a point, a blank ratio a circle.
 
     Examples
     --------
@@ -306,20 +290,14 @@ def read_components(
     """
     if origin is not None:
         named("origin", check_choice, origin, "core", "map")
-    if format is not None:
-        named("format", check_choice, format, *FORMATS)
     paths = find_files(paths)
-    if dates is None:
-        dates = [None] * len(paths)
-    elif isinstance(dates, str) or (isinstance(dates, Time) and dates.isscalar):
-        dates = [dates]
-    if len(dates) != len(paths):
-        raise ValueError(f"{len(dates)} dates for {len(paths)} component files")
-    dates = [d.utc.isot if isinstance(d, Time) else d and str(d) for d in dates]
+    with naming("dates"):
+        dates = given_times(dates, len(paths))
+    dates = [date and date.utc.isot for date in dates]
     beams = as_beams(beams, len(paths)) or [None] * len(paths)
     lists = []
     for path, date, beam in zip(paths, dates, beams, strict=True):
-        own = read_fields(path, format or _kind_of(path), source, origin, date)
+        own = read_fields(path, source, origin, date)
         found = own["meta"].pop("beam", None)
         beam = found if beam is None else beam
         own["beams"] = () if beam is None else (beam,) * len(own["times"])
@@ -365,8 +343,8 @@ def read_sources(
     (path,), options = find_files(path), {"origin": origin, "beams": beams}
     if source is not None:
         return {source: read_components(path, source=source, **options)}
-    found, table = {}, FORMATS[_kind_of(path)][0](path)[0]
-    for name in source_names(table) or (None,):
+    found, names = {}, source_names(open_table(path)[0])
+    for name in (None,) if names is None else dict.fromkeys(names.tolist()):
         try:
             found[name or path.stem] = read_components(path, source=name, **options)
         except ValueError as error:
@@ -375,13 +353,3 @@ def read_sources(
     if not found:
         raise reason
     return found
-
-
-def _kind_of(path):
-    """Return the format of a file, which its suffix tells."""
-    suffix = path.suffix.lower()
-    for kind, (_, own) in FORMATS.items():
-        if suffix in own:
-            return kind
-    what = f"the suffix {path.suffix!r} tells no format"
-    raise ValueError(f"{path}: {what}; give one of {', '.join(FORMATS)}")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 from scipy import fft
 
 from astro_scc.components.lists import ComponentList, read_components
@@ -15,7 +14,7 @@ from astro_scc.exceptions import warn
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam, gaussian_transfer
 from astro_scc.images.headers import FACTS
 from astro_scc.images.positions import pixel_side
-from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise
+from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise, as_shape
 from astro_scc.quantities import random_generator
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.
@@ -26,6 +25,8 @@ NO_BEAM = (
     "'1.0 mas 0.5 mas -7 deg' (beams= in Python)"
 )
 MAX_SIDE = 20000
+# Width of the margin around all components, in major axes of the largest beam.
+MARGIN = 4.0
 # Of images that are made without a choice: pixels of the narrowest beam, and the
 # faintest component over the noise.
 PIXELS_A_BEAM = 5
@@ -42,8 +43,7 @@ def restore(
     cls: type[Series], components: ComponentList, *, beam: Beam | Sequence[Beam],
     pixel_scale: u.Quantity, shape: tuple[int, int] | None = None,
     reference_pixel: tuple[float, float] | None = None, noise: u.Quantity | None = None,
-    rng: np.random.Generator | int | None = None, position: SkyCoord | None = None,
-    unit: u.UnitBase | str = u.Jy / u.beam, margin: float = 4.0,
+    rng: np.random.Generator | int | None = None,
 ) -> Series:  # fmt: skip
     """
     Return images of model components, restored with a beam.
@@ -63,23 +63,16 @@ def restore(
         Side of a pixel.
     shape : tuple of int, optional
         Shape (ny, nx) of the images.  By default they hold all components
-        and a ``margin`` around them.
+        and a margin of four major axes of the largest beam around them.
     reference_pixel : tuple of float, optional
-        (x, y) of the origin of the components, counted from 0.  By default
-        the components are in the middle of the image.
+        (x, y) of the origin of the components, counted from 0, in images of a given
+        ``shape``; by default the middle.
     noise : `~astropy.units.Quantity`, optional
-        Root mean square of the beam-correlated noise to add, in units like
-        ``unit``; scalar or one for each epoch.
+        Root mean square of the beam-correlated noise to add, a flux density per
+        beam; scalar or one for each epoch.
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`; one generator is spawned for
         each epoch.
-    position : `~astropy.coordinates.SkyCoord`, optional
-        Celestial position of the origin, by default that in the meta of the
-        components.
-    unit : `~astropy.units.Unit`, optional
-        Unit of the images, flux density per beam.
-    margin : float, optional
-        Width of the margin, in major axes of the largest beam.
 
     Returns
     -------
@@ -116,7 +109,7 @@ def restore(
     ((2, 83, 85), 1.0)
     """
     n_epochs = components.n_epochs
-    beams = as_beams(beam, n_epochs)
+    beams, unit = as_beams(beam, n_epochs), u.Jy / u.beam
     if not beams:
         raise ValueError("restore needs a beam; give one, or one for each epoch")
     noise = as_noise(noise, n_epochs, unit)
@@ -128,9 +121,16 @@ def restore(
             "a fifth of the beam or less"
         )
     x, y = -components.east.value / scale, components.north.value / scale
-    border = margin * max(b.major.value for b in beams) / scale
-    border = components.major.value / scale + border
-    shape, reference_pixel = _grid(x, y, border, shape, reference_pixel)
+    if shape is None:
+        if reference_pixel is not None:
+            raise ValueError("reference_pixel needs a shape; give both, or neither")
+        border = MARGIN * max(b.major.value for b in beams) / scale
+        border = components.major.value / scale + border
+        shape, reference_pixel = _grid(x, y, border)
+    else:
+        shape = as_shape(shape)
+        if reference_pixel is None:
+            reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     x, y = x + reference_pixel[0], y + reference_pixel[1]
     outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
     if outside.any():
@@ -155,12 +155,10 @@ def restore(
     facts = {name: components.meta[name] for name in FACTS if name in components.meta}
     added = "" if noise is None else ", noise added"
     line = f"restored {len(components)} components at {n_epochs} epochs{added}"
-    if position is None:
-        position = components.meta.get("position")
     return cls.from_arrays(
-        data, components.times, pixel_scale=pixel_scale, position=position,
-        reference_pixel=reference_pixel, unit=unit, beams=beams, noise=noise,
-        labels=components.labels, epoch_meta=[facts] * n_epochs,
+        data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
+        reference_pixel=reference_pixel, position=components.meta.get("position"),
+        unit=unit, labels=components.labels, epoch_meta=[facts] * n_epochs,
         meta={**components.meta, "history": [line]},
     )  # fmt: skip
 
@@ -214,25 +212,17 @@ def in_pixels(beam, pixel_scale):
     return FLIP @ beam.covariance.value @ FLIP / scale**2
 
 
-def _grid(x, y, border, shape, reference_pixel):
+def _grid(x, y, border):
     """Return a shape and reference pixel for all (x, y), counted from that pixel."""
     low = np.floor([(x - border).min(), (y - border).min()])
     high = np.ceil([(x + border).max(), (y + border).max()])
-    if shape is None:
-        if reference_pixel is None:
-            reference_pixel = -low
-        shape = np.ceil(high + reference_pixel)[::-1] + 1
-        if max(shape) > MAX_SIDE:
-            raise ValueError(
-                f"the components need images of {shape[1]:g} x {shape[0]:g} pixels; "
-                "give larger pixels, or a shape"
-            )
-    shape = tuple(int(n) for n in shape)
-    if len(shape) != 2 or min(shape) < 1:
-        raise ValueError(f"shape must be (ny, nx), both positive, got {shape}")
-    if reference_pixel is None:
-        reference_pixel = np.round((np.array(shape[::-1]) - 1 - low - high) / 2)
-    return shape, tuple(float(p) for p in reference_pixel)
+    nx, ny = high - low + 1
+    if max(nx, ny) > MAX_SIDE:
+        raise ValueError(
+            f"the components need images of {nx:g} x {ny:g} pixels; give larger "
+            "pixels, or a shape"
+        )
+    return (int(ny), int(nx)), tuple((-low).tolist())
 
 
 def _covariances(components):

@@ -15,8 +15,8 @@ from astropy.table import Table
 from astropy.time import Time
 
 from astro_scc.images.beam import parse_beam
-from astro_scc.images.fits import CUBE_CREATOR, is_visibilities, open_fits
-from astro_scc.images.headers import first_line, get, read_header, some
+from astro_scc.images.fits import open_fits
+from astro_scc.images.headers import celestial_wcs, first_line, get, read_header, some
 from astro_scc.images.series import as_times, naming, numbers
 from astro_scc.quantities import parse_date
 
@@ -46,15 +46,14 @@ COLUMNS = {
            "major axis position angle|position angle of( the)? major"),
     "position_angle": (u.deg, "positionangle pa theta", "position angle"),
     "type": (u.one, "typeobj", None),
-    "excluded": (None, "excludedfromfit excluded fid ffeature ff", ".*not used in"),
 }  # fmt: skip
 # Units of the numbers that describe a component.
 UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
 # Advice for files without a date.
-UNDATED = {
-    "difmap": "date in the file's name; rename it like source_2006-03-09.mod",
-    "aips-cc": "DATE-OBS in the header; write it there",
-}
+UNDATED = (
+    "no DATE-OBS in the header, or no date in a name like source_2006-03-09.mod; "
+    "write it there, or give dates"
+)
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
 #: What is wrong with a list where images are wanted.
@@ -62,7 +61,6 @@ NO_IMAGE = (
     "is a list of components and no image; give lists alone to astro-scc measure or "
     "track, or make images of them with astro-scc restore"
 )
-NO = ("", "--", "n", "no", "f", "false", "0")
 #: Keys of the meta that name the source, and other keys that are kept.
 NAMES = ("source", "name", "object")
 FACTS = ("telescope", "filter", "stokes", "position", "beam")
@@ -73,24 +71,34 @@ FILE_DATE = re.compile(
 )
 
 
-def source_names(table):
-    """Return the names of the sources of a table, None without a column of them."""
-    column = _find_columns(table).get("source")
+def source_names(table, columns=None):
+    """Return the name of the source in each row, None without a column of them."""
+    column = (columns or _find_columns(table)).get("source")
     if column is None:
         return None
-    return list(dict.fromkeys(str(name).strip() for name in table[column]))
+    return np.char.strip(np.ma.filled(table[column].astype(str), "--"))
 
 
-def read_fields(path, kind, source, origin, date=None):
+def open_table(path):
+    """Return the table in a file, and the date of the file, see ``FORMATS``."""
+    suffix = path.suffix.lower()
+    for suffixes, read in FORMATS.items():
+        if suffix in suffixes:
+            return read(path)
+    known = ", ".join(suffix for suffixes in FORMATS for suffix in suffixes)
+    raise ValueError(f"{path}: its suffix is none of {known}; rename it")
+
+
+def read_fields(path, source, origin, date=None):
     """
     Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
 
     A ``date``, as text, replaces the date of the file or of all rows.
     """
-    table, own_date = FORMATS[kind][0](path)
+    table, own_date = open_table(path)
     date = date or own_date
     if date == "":
-        raise ValueError(f"{path}: no {UNDATED[kind]}, or give dates")
+        raise ValueError(f"{path}: {UNDATED}")
     columns = _find_columns(table)
     table = _select_source(table, columns, source, path)
     if len(table) == 0:
@@ -116,9 +124,6 @@ def read_fields(path, kind, source, origin, date=None):
         _refer(values, epoch, days, relative, origin, path)
     values |= _sizes(values, path)
     fields = {name: values[name] * unit for name, unit in UNITS.items()}
-    if "excluded" in columns:
-        flags = (str(flag).strip().lower() for flag in table[columns["excluded"]])
-        fields["excluded"] = [flag not in NO for flag in flags]
     return fields | {
         "times": as_times(list(days), len(days)),
         "epoch": epoch,
@@ -191,10 +196,8 @@ def _find_columns(table):
 def _select_source(table, columns, source, path):
     """Return the rows of one source; without a column, the meta names the source."""
     names = [str(table.meta[k]) for k in NAMES if k in table.meta]
-    mine = slice(None)
-    if "source" in columns:
-        column = np.ma.filled(table[columns["source"]].astype(str), "--")
-        column = np.char.strip(column)
+    mine, column = slice(None), source_names(table, columns)
+    if column is not None:
         names = list(dict.fromkeys(column.tolist()))
         if source is None and len(names) > 1:
             raise ValueError(
@@ -206,13 +209,12 @@ def _select_source(table, columns, source, path):
             mine = np.isin(column, same)
     if source is None or _plain(source) in map(_plain, names):
         return table[mine]
+    has = "it does not say of which source it is; leave --source out"
     near = get_close_matches(source, names, n=3, cutoff=0.7)
     if near and len(names) > LISTED:
         has = f"did you mean {' or '.join(near)}?"
     elif names:
         has = f"it has {some(names, LISTED)}"
-    else:
-        has = "it does not say of which source it is; leave --source out"
     raise ValueError(f"{path}: no source {source!r}; {has}")
 
 
@@ -350,7 +352,7 @@ def _open_aips(path):
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file) as hdus:
                 header = hdus[0].header
-                found = _cc_tables(hdus)
+                found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
                 table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
                 tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
                 record = read_header(header, tables)
@@ -361,32 +363,9 @@ def _open_aips(path):
         raise ValueError(f"{path}: no AIPS CC table in the file; leave it out")
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
-    centre = {}
-    for i in range(1, (get(header, "NAXIS") or 0) + 1):
-        axis = (get(header, f"CTYPE{i}", kind=str) or "").split("-")[0]
-        centre[axis] = get(header, f"CRVAL{i}", kind=float)
-    if None not in (where := (centre.get("RA"), centre.get("DEC"))):
-        table.meta["position"] = SkyCoord(*where, unit=u.deg)
+    with suppress(ValueError):
+        table.meta["position"] = SkyCoord(*celestial_wcs(header).wcs.crval, unit=u.deg)
     return table, get(header, "DATE-OBS", kind=str) or ""
-
-
-def _cc_tables(hdus):
-    return [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
-
-
-def kind_of(path):
-    """Return what a file holds: "cube", "components" and no image, or else "images"."""
-    if path.suffix.lower() in LISTS:
-        return "components"
-    # What is wrong with a file is said where it is read.
-    with suppress(Exception), warnings.catch_warnings(action="ignore"):
-        with path.open("rb") as file, open_fits(file) as hdus:
-            if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
-                return "cube"
-            has_image = any(h.is_image and len(h.shape) >= 2 for h in hdus)
-            if not has_image and not is_visibilities(hdus) and _cc_tables(hdus):
-                return "components"
-    return "images"
 
 
 def _aips_table(hdu):
@@ -401,12 +380,12 @@ def _aips_table(hdu):
     return table
 
 
-# Name of a format -> the function that opens it, and the suffixes of its files.
+# Suffixes of files -> the function that opens them.
 FORMATS = {
-    "ecsv": (partial(_open_ascii, kind="ascii.ecsv"), (".ecsv",)),
-    "mrt": (_open_mrt, (".txt", ".dat", ".mrt")),
-    "difmap": (_open_difmap, (".mod", ".mdl")),
-    "aips-cc": (_open_aips, FITS),
+    (".ecsv",): partial(_open_ascii, kind="ascii.ecsv"),
+    (".txt", ".dat", ".mrt"): _open_mrt,
+    (".mod", ".mdl"): _open_difmap,
+    FITS: _open_aips,
 }
 #: Suffixes of files that have a list and no image.
-LISTS = {suffix for _, own in FORMATS.values() for suffix in own} - {*FITS}
+LISTS = {suffix for own in FORMATS for suffix in own} - {*FITS}

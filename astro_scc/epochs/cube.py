@@ -19,9 +19,9 @@ from astropy.time import Time
 from astro_scc.alignment.align import align
 from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
-from astro_scc.components.tables import kind_of
 from astro_scc.epochs import reading, serialize
-from astro_scc.images.beam import Beam, beam_columns, common_beam
+from astro_scc.epochs.inspection import kind_of
+from astro_scc.images.beam import Beam, common_beam
 from astro_scc.images.fits import CUBE_CREATOR, find_files
 from astro_scc.images.grid import crop, region_mask, reproject_cube
 from astro_scc.images.positions import readable_angle
@@ -86,8 +86,8 @@ class EpochCube(ImageSeries):
     def read(
         cls, paths: Path | str | Sequence[Path | str], *, frame: str = "offset",
         times: Time | Sequence[Any] | None = None,
-        beams: Beam | Sequence[Beam] | None = None, hdu: int | str | None = None,
-        check: bool = True, region: Any = None, pad: int = 0,
+        beams: Beam | Sequence[Beam] | None = None, check: bool = True,
+        region: Any = None, pad: int = 0,
     ) -> EpochCube:  # fmt: skip
         """
         Read FITS images, one per epoch, or a file that `write` made.
@@ -112,8 +112,6 @@ class EpochCube(ImageSeries):
             those in the headers.  For an entry None the header's date is used.
         beams : beam or sequence of beams, optional
             Beams to use instead of those in the headers.
-        hdu : int or str, optional
-            Extension of the image, by default the first image.
         check : bool
             Refuse files of another object or band, of the date of another file or
             without a beam where others have one, and files that look like masks.
@@ -145,14 +143,14 @@ class EpochCube(ImageSeries):
         files = find_files(paths)
         first, kind = files[0], kind_of(files[0])
         if kind == "cube" and len(files) == 1:
-            if any(value is not None for value in (times, beams, hdu)):
+            if times is not None or beams is not None:
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
             lazy = region is not None
             cube = serialize.read_object(first, creator=CUBE_CREATOR, lazy=lazy)
         elif kind == "components":
             cube = restore_files(cls, files, times=times, beams=beams)
         else:
-            options = {"check": check, "hdu": hdu, "region": region, "pad": pad}
+            options = {"check": check, "region": region, "pad": pad}
             fields = reading.read_files(files, times, beams, frame, **options)
             return cls._of(**fields)
         return cube if region is None else cube.crop(region, pad)
@@ -209,10 +207,13 @@ class EpochCube(ImageSeries):
         -------
         `EpochCube`
         """
-        if isinstance(ndcube.data, list | tuple):
-            return cls.from_ccddata(ndcube.data, times=times, beams=beams)
-        planes, meta = serialize.planes_of(ndcube, times, beams)
-        fields = reading.read_images(planes, times, beams, "offset", check=False)
+        many = isinstance(ndcube.data, list | tuple)
+        images = ndcube.data if many else reading.epochs_of(ndcube, times)
+        fields = reading.read_images(images, times, beams, "offset", check=False)
+        meta = fields["meta"]
+        if set(serialize.KEPT) <= (ndcube.meta or {}).keys():
+            meta = {k: v for k, v in ndcube.meta.items() if k not in serialize.KEPT}
+        meta["history"] = [*meta.get("history", ()), "from an NDCube"]
         return cls._of(**fields | {"epoch_wcs": None, "meta": meta})
 
     # Functions of other modules that take a cube are its methods.
@@ -237,7 +238,8 @@ class EpochCube(ImageSeries):
         """
         table = QTable({"epoch": np.arange(len(self)), "label": list(self.labels)})
         table["date"] = Time(self.times, format="isot")
-        table.update(beam_columns(self))
+        for name in ("major", "minor", "pa") if self.beams is not None else ():
+            table[name] = u.Quantity([getattr(beam, name) for beam in self.beams])
         table["noise"] = self.noise_rms()
         table["object"] = [str(facts.get("object", "")) for facts in self.epoch_meta]
         frequency = [facts.get("frequency", np.nan) for facts in self.epoch_meta]

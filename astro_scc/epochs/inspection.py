@@ -1,14 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Inspection of images and dates: what does not belong, and the speeds they allow."""
+"""What files hold, which images do not belong, and the speeds that dates allow."""
 
 from __future__ import annotations
 
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import astropy.units as u
@@ -16,17 +16,26 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.tables import NO_IMAGE, kind_of
+from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.images.beam import Beam
-from astro_scc.images.fits import find_files, looks_like_mask, read_plane
+from astro_scc.images.fits import (
+    CORRECT_BEAM,
+    CUBE_CREATOR,
+    find_files,
+    looks_like_mask,
+    open_fits,
+    read_plane,
+)
+from astro_scc.images.grid import ONE_SHIFT, finest, in_frame, whole_step
 from astro_scc.images.positions import readable_angle, resolution
-from astro_scc.images.series import ImageSeries, as_beams, as_times, order_of
-from astro_scc.units import speed_unit
+from astro_scc.images.series import ImageSeries, as_times, order_of
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
 # apart.
 BAND = 0.1
+# Reference pixels further apart than this fraction of the image exceed the
+# scatter of VLBI positions.
+FAR = 0.05
 POLARISED = ("Q", "U", "V")
 #: Smallest factor between the brightness of an image and that of most others that is
 #: hardly variability, but another unit.
@@ -35,6 +44,11 @@ OTHER_SCALE = 100
 FIRST_IMAGES = 1880
 #: What to do with an image that does not belong to the others.
 UNCHECKED = "leave it out (in Python, check=False reads it)"
+#: What to do with an image without a beam.
+NO_BEAM = (
+    f"{CORRECT_BEAM}, give one of all (--beam, in Python beams=), or leave it out "
+    "(check=False reads all without beams)"
+)
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
 COLUMNS = {
@@ -50,9 +64,7 @@ SMALLEST_SHIFT = 1.0
 GOOD_SHIFTS = (0.3, 1.5)
 
 
-def inspect_epochs(
-    paths: Path | str | Sequence[Path | str], *, hdu: int | str | None = None
-) -> QTable:
+def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     """
     Return facts about each file and its problems; no file is refused.
 
@@ -60,8 +72,6 @@ def inspect_epochs(
     ----------
     paths : str, path-like, or sequence of them
         Files or patterns.
-    hdu : int or str, optional
-        Extension of the image, by default the first image.
 
     Returns
     -------
@@ -85,30 +95,21 @@ def inspect_epochs(
     >>> print(table["problem"][-1].split(";")[0])
     no date of observation
     """
-    found = [_inspect(path, hdu) for path in find_files(paths, missing_ok=True)]
-    found.sort(key=lambda pair: (pair[0]["date"] is None, pair[0]["date"] or 0))
-    read = [(row, plane) for row, plane in found if plane is not None]
-    planes = [plane for _, plane in read]
-    unit = planes[0].unit if read else u.dimensionless_unscaled
-    some_have_beams = any(plane.beam is not None for plane in planes)
-    grids = [
-        f"{row['nx']} x {row['ny']} of {readable_angle(row['pixel'] * u.mas)}"
-        for row, _ in read
-    ]
-    usual = max(grids, key=grids.count, default=None)
-    for row, plane in read:
-        known = unit.is_equivalent(plane.unit)
+    rows = [_row_of(path) for path in find_files(paths, missing_ok=True)]
+    rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
+    planes = [row.pop("plane") for row in rows]
+    read = [i for i, plane in enumerate(planes) if plane is not None]
+    unit = planes[read[0]].unit if read else u.dimensionless_unscaled
+    for i in read:
+        known = unit.is_equivalent(planes[i].unit)
         for name in ("peak", "noise"):
-            row[name] *= plane.unit.to(unit) if known else np.nan
+            rows[i][name] *= planes[i].unit.to(unit) if known else np.nan
     if read:
-        for one in problems(planes, np.array([row["peak"] for row, _ in read])):
-            read[one.index][0]["problem"].append(one.what)
-    for (row, plane), grid in zip(read, grids, strict=True):
-        if some_have_beams and plane.beam is None:
-            row["problem"].append("no beam where others have one")
-        if grid != usual:
-            row["problem"].append(f"on another grid than most ({usual}), resampled")
-    columns = {name: [row[name] for row, _ in found] for name in found[0][0]}
+        peaks = np.array([rows[i]["peak"] for i in read])
+        found = [planes[i] for i in read]
+        for index, what, *_ in (*problems(found, peaks), *_warned(found)):
+            rows[read[index]]["problem"].append(what)
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
     for name, own in COLUMNS.items():
         columns[name] = u.Quantity(columns[name], own or unit)
     columns["problem"] = ["; ".join(texts) for texts in columns["problem"]]
@@ -118,18 +119,32 @@ def inspect_epochs(
     return QTable(columns)
 
 
-def _inspect(path, hdu):
-    """Return the row of a file, and its `Plane` if the file can be read."""
+def kind_of(path):
+    """Return what a file holds: a "cube", a list of "components", or else "images"."""
+    if path.suffix.lower() in LISTS:
+        return "components"
+    # What is wrong with a file is said where it is read.
+    with suppress(Exception), warnings.catch_warnings(action="ignore"):
+        with path.open("rb") as file, open_fits(file) as hdus:
+            if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
+                return "cube"
+    return "images"
+
+
+def _row_of(path):
+    """Return the row of a file, with its `Plane` if the file can be read."""
     row = {"file": str(path), "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
-    row |= {"object": "", "frequency": row.pop("frequency"), "problem": []}
+    row |= {"object": "", "frequency": row.pop("frequency")}
+    row |= {"problem": [], "plane": None}
     try:
-        plane = read_plane(path, hdu=hdu)
+        plane = read_plane(path)
+        plane.take_uncertainty()
     except (OSError, ValueError) as error:
         listed = kind_of(path) == "components"
         problem = NO_IMAGE if listed else str(error).removeprefix(f"{path}: ")
         row["problem"].append(problem)
-        return row, None
+        return row
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
@@ -149,8 +164,8 @@ def _inspect(path, hdu):
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
-    plane.data = plane.mask = plane.uncertainty = None
-    return row, plane
+    plane.data = plane.mask = None
+    return row | {"plane": plane}
 
 
 @dataclass(frozen=True)
@@ -171,7 +186,7 @@ class IntervalPlan:
       faster ones change before they can be recognised.
 
     ``shortest``, ``median`` and ``longest`` are intervals between consecutive epochs
-    of different date; ``fastest`` is None if the size of the images is not known.
+    of different date.
     """
 
     n_epochs: int
@@ -181,7 +196,7 @@ class IntervalPlan:
     longest: u.Quantity
     resolution: u.Quantity
     slowest: u.Quantity
-    fastest: u.Quantity | None
+    fastest: u.Quantity
     consecutive: u.Quantity
 
     def baseline(self, speed):
@@ -215,15 +230,12 @@ class IntervalPlan:
     def lines(self):
         """Return the plan as sentences."""
         low, high = self.consecutive
-        leaves = ""
-        if self.fastest is not None:
-            leaves = f"; what is faster than {self.fastest:.3g} leaves the image"
         lines = [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
             f"What is slower than {self.slowest:.2g} moves by less than a beam and is "
-            f"not searched{leaves}.",
+            f"not searched; what is faster than {self.fastest:.3g} leaves the image.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}.",
             "Slower features show in pairs of epochs that are further apart, which "
             "are used for them.",
@@ -234,22 +246,15 @@ class IntervalPlan:
         return "\n".join(self.lines())
 
 
-def plan_intervals(
-    cube: ImageSeries | Time, beam: Beam | Sequence[Beam] | u.Quantity | None = None, *,
-    extent: u.Quantity | None = None,
-) -> IntervalPlan:  # fmt: skip
+def plan_intervals(cube: ImageSeries) -> IntervalPlan:
     """
     Return the speeds that the dates of a series allow to be measured.
 
     Parameters
     ----------
-    cube : `~astro_scc.epochs.EpochCube` or `~astropy.time.Time`
-        At least two epochs of different date.
-    beam : beam, sequence of beams or `~astropy.units.Quantity`, optional
-        Beams, or the resolution itself.  By default the beams of the cube, or
-        three pixels if it has none.
-    extent : `~astropy.units.Quantity`, optional
-        Shorter side of the images, by default that of the cube.
+    cube : `~astro_scc.epochs.EpochCube`
+        At least two epochs of different date.  The resolution is that of its beams,
+        or three pixels if it has none.
 
     Returns
     -------
@@ -258,15 +263,19 @@ def plan_intervals(
     Raises
     ------
     ValueError
-        If there are fewer than two dates, or dates come without a beam.
+        If there are fewer than two dates.
 
     Examples
     --------
     >>> import astropy.units as u
-    >>> from astropy.time import Time
-    >>> from astro_scc.epochs import Beam, plan_intervals
-    >>> times = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
-    >>> plan = plan_intervals(times, Beam(1 * u.mas, 0.5 * u.mas))
+    >>> import numpy as np
+    >>> from astro_scc.epochs import Beam, EpochCube, plan_intervals
+    >>> times = ["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"]
+    >>> beam = Beam(1 * u.mas, 0.5 * u.mas)
+    >>> cube = EpochCube.from_arrays(
+    ...     np.ones((4, 80, 80)), times, pixel_scale=0.1 * u.mas, beams=beam
+    ... )
+    >>> plan = plan_intervals(cube)
     >>> plan.slowest.round(3), plan.consecutive.round(2)
     (<Quantity 0.353 mas / yr>, <Quantity [0.42, 2.11] mas / yr>)
     >>> plan.motion(1 * u.mas / u.yr).round(2)
@@ -274,35 +283,24 @@ def plan_intervals(
     >>> plan.baseline(1 * u.mas / u.yr).round(2)
     <Quantity [0.21, 1.06] yr>
     """
-    times = cube if isinstance(cube, Time) else cube.times
-    days = np.unique(np.atleast_1d((times - np.atleast_1d(times)[0]).jd))
+    days = np.unique((cube.times - cube.times[0]).jd) * u.day
     if days.size < 2:
         raise ValueError("velocities need at least two epochs of different date")
-    if beam is None and isinstance(cube, Time):
-        raise ValueError("dates alone need a beam, or the resolution as an angle")
-    width = beam
-    if beam is None:
-        width = resolution(cube)
-    elif hasattr(beam, "major") or not isinstance(beam, u.Quantity):
-        beams = as_beams(beam, 1 if hasattr(beam, "major") else len(beam))
-        width = resolution(SimpleNamespace(beams=beams))
-    if extent is None and not isinstance(cube, Time):
-        sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
-        extent = sides.min()
-    gaps = np.diff(days) * u.day
+    width = resolution(cube)
+    sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
+    gaps, span = np.diff(days), days[-1] - days[0]
     median = np.median(gaps)
-    span = (days[-1] - days[0]) * u.day
-    speed = speed_unit(span, width, median)
+    speed = cube.speed_unit
     time = speed.bases[1]
     return IntervalPlan(
-        n_epochs=int(np.size(times)),
+        n_epochs=len(cube),
         span=span.to(time),
         shortest=gaps.min().to(time),
         median=median.to(time),
         longest=gaps.max().to(time),
         resolution=width.to(u.mas),
         slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * width).to(speed),
-        fastest=None if extent is None else (extent / (2 * median)).to(speed),
+        fastest=(sides.min() / (2 * median)).to(speed),
         consecutive=(np.array(GOOD_SHIFTS) * width / median).to(speed),
     )
 
@@ -316,22 +314,23 @@ class Problem(NamedTuple):
     refused: bool = True
 
 
-def problems(planes, peaks, check=True):
+def problems(planes, peaks):
     """
     Return the `Problem` of each image that does not belong to the others.
 
-    It is of another unit, object, band or polarisation, or of the date of another one.
-    Another name for the same place, a mirror image, an impossible date, and a
-    brightness out of scale need only a warning; ``peaks`` are the largest values.
-    Without ``check``, only units are refused, and dates are warned of.
+    It is of another unit, object, band or polarisation, or of the date of another one,
+    or has no beam where others have one.  Another name for the same place, a mirror
+    image, an impossible date, and a brightness out of scale need only a warning;
+    ``peaks`` are the largest values.
     """
     # What is of another object may be of the same date.
-    found = [*(_strangers(planes) if check else ()), *_same_dates(planes, check)]
+    found = [*_strangers(planes), *_same_dates(planes)]
     east = [np.linalg.det(plane.wcs.pixel_scale_matrix) > 0 for plane in planes]
     bright = peaks[np.isfinite(peaks) & (peaks > 0)]
     # Of two, either may be the odd one.
     usual = np.median(bright) if len(bright) > 2 else np.nan
     now, unit = Time.now().jyear, planes[0].unit
+    some_have_beams = any(plane.beam is not None for plane in planes)
     for i, plane in enumerate(planes):
         odd = []
         # ERFA warns of years whose leap seconds are unknown.
@@ -341,23 +340,56 @@ def problems(planes, peaks, check=True):
                 date = plane.time.to_value("iso", subfmt="date")
                 what = f"is of {date}, when no image can have been taken"
                 odd.append((what, "correct its date, or leave it out"))
-        if check and east[i] != (2 * sum(east) > len(east)):
+        if east[i] != (2 * sum(east) > len(east)):
             what = f"east is to the {'right' if east[i] else 'left'}, unlike in most"
             odd.append((what, "correct the sign of CDELT1 unless it is a mirror image"))
         ratio = float(peaks[i] / usual)
-        if check and np.isfinite(peaks[i]) and ratio > 0:
-            if max(ratio, 1 / ratio) > OTHER_SCALE:
-                what = f"its peak is {ratio:.2g} times that of most images"
-                odd.append((what, "correct its unit or scale"))
+        if ratio > 0 and OTHER_SCALE < max(ratio, 1 / ratio) < np.inf:
+            what = f"its peak is {ratio:.2g} times that of most images"
+            odd.append((what, "correct its unit or scale"))
         found += [Problem(i, *words, refused=False) for words in odd]
         if not plane.unit.is_equivalent(unit):
             own, other = (one.to_string() or "none" for one in (plane.unit, unit))
             what = f"its unit is {own}, that of others is {other}"
             found.append(Problem(i, what, "leave one out"))
+        if some_have_beams and plane.beam is None:
+            what = "no beam where other epochs have one"
+            found.append(Problem(i, what, NO_BEAM))
     return sorted(found, key=lambda problem: problem.index)
 
 
-def _same_dates(planes, check):
+def far_away(planes):
+    """Yield the image whose reference pixel is far from that of the first one."""
+    first = planes[0]
+    distance = [separation(plane.wcs, first.wcs) for plane in planes]
+    k = int(np.argmax(distance))
+    if distance[k] > FAR * max(first.extent, planes[k].extent):
+        what = (
+            f"its reference pixel and that of {Path(first.name).name} are "
+            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
+            "place"
+        )
+        advice = (
+            "use frame='absolute' (--align wcs) where the coordinates are to be trusted"
+        )
+        yield Problem(k, what, advice, refused=False)
+
+
+def _warned(planes):
+    """Yield images of which reading warns when it lays them on one grid."""
+    yield from far_away(planes)
+    some_have_noise = any(plane.noise is not None for plane in planes)
+    frames = [in_frame(plane.wcs, "offset") for plane in planes]
+    k = finest(frames)
+    name = Path(planes[k].name).name
+    for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
+        if whole_step(frame, frames[k], plane.shape, ONE_SHIFT) is None:
+            yield Problem(i, f"on another grid than {name}, the finest, and resampled")
+        if some_have_noise and plane.noise is None:
+            yield Problem(i, "no noise where other epochs have one")
+
+
+def _same_dates(planes):
     """Yield images of the date of another one, to the second."""
     dated = [i for i, plane in enumerate(planes) if plane.time is not None]
     if not dated:
@@ -372,7 +404,7 @@ def _same_dates(planes, check):
             "leave one out, or average them: two images of the same data share their "
             "noise, and would pass for structure (in Python, check=False reads both)"
         )
-        yield Problem(other, what, advice, refused=check)
+        yield Problem(other, what, advice)
 
 
 def _strangers(planes):

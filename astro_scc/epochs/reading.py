@@ -8,22 +8,20 @@ import astropy.units as u
 import numpy as np
 from astropy.io.fits import HDUList
 from astropy.nddata import NDData
+from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
-from astro_scc.epochs.inspection import UNCHECKED, problems, separation
-from astro_scc.epochs.serialize import planes_of
+from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
+from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, grid, series
 from astro_scc.images.beam import different_beam
-from astro_scc.images.headers import as_celestial, get, read_header, some
+from astro_scc.images.headers import as_celestial, fits_wcs, get, read_header, some
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
 
-# Reference pixels further apart than this fraction of the image exceed the
-# scatter of VLBI positions.
-FAR = 0.05
 #: Bytes of a pixel of a cube, with its mask.
 BYTES = 9
 # Pixel sides in one series differ from the usual side by at most this factor.
@@ -32,7 +30,7 @@ LARGEST_RATIO = 10.0
 MARGIN = 4
 
 
-def read_files(files, times, beams, frame, *, check, hdu, region, pad):
+def read_files(files, times, beams, frame, *, check, region, pad):
     """Return the fields of the cube in some files; see `EpochCube.read`."""
     given = _given(times, beams, len(files), frame)
     for path in files:
@@ -43,14 +41,14 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
         names = [str(path) for path in files]
     windows = [None] * len(files)
     if region is not None:
-        planes = [fits.read_plane(path, hdu=hdu, pixels=False) for path in files]
+        planes = [fits.read_plane(path, pixels=False) for path in files]
         dates = series.as_times(list(map(_observed, planes, given[0])), len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
         for path, name, window in zip(files, names, windows, strict=True):
-            plane = fits.read_plane(path, hdu=hdu, window=window)
+            plane = fits.read_plane(path, window=window)
             plane.label, (ny, nx) = name, plane.data.shape
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -77,34 +75,23 @@ def read_files(files, times, beams, frame, *, check, hdu, region, pad):
 def read_images(images, times, beams, frame, *, check):
     """Return the fields of a cube of images; see `EpochCube.from_ccddata`."""
     given = _given(times, beams, len(images), frame)
-    planes = map(_plane_of, range(len(images)), images, *given)
+    planes = map(_plane_of, range(len(images)), images)
     return _assemble(planes, *given, frame, check, f"{len(images)} images")
 
 
-def _plane_of(i, image, time, beam):
+def _plane_of(i, image):
     """Return an image in memory as `Plane`."""
-    if isinstance(image, fits.Plane):
-        return image
     name = f"image {i}"
     with series.naming(name):
-        if hasattr(image, "extra_coords"):
-            (plane, *others), _ = planes_of(image, time, beam)
-            if others:
-                raise ValueError(
-                    f"is an NDCube of {1 + len(others)} epochs; give it to from_ndcube"
-                )
-            plane.name = name
-        elif isinstance(image, NDData):
+        if isinstance(image, NDData):
             plane = _plane_of_nddata(image, name)
         elif getattr(getattr(image, "hdu", None), "is_image", False):
-            plane = fits.plane_of(HDUList([image.hdu]), None, Path(name))
+            plane = fits.plane_of(HDUList([image.hdu]), Path(name))
         else:
             plane = None
     if plane is None:
         kind = type(image).__name__
         raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
-    if plane.beam is beam is None and getattr(image, "psf", None) is not None:
-        warn(f"{name}: its psf is an image, of which no beam is made; give beams=")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
     return plane
 
@@ -121,9 +108,57 @@ def _plane_of_nddata(image, name):
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
     own, shape = read_header(image.meta), data.shape[-2:]
+    if hasattr(image, "global_coords"):
+        own |= _of_ndcube(image)
+    if own["beam"] is None and getattr(image, "psf", None) is not None:
+        own.setdefault("beam_problem", "its psf is an image, of which no beam is made")
     own |= {"data": data.reshape(shape), "mask": mask.reshape(shape), "shape": shape}
     own |= {"unit": image.unit or u.one, "uncertainty": image.uncertainty}
     return fits.Plane(name=name, wcs=as_celestial(image.wcs), **own)
+
+
+def epochs_of(ndcube, times=None):
+    """
+    Return the epochs of an NDCube, each as an NDCube of two axes.
+
+    It has two celestial axes, and one of the epochs if there are several; its WCS is a
+    FITS WCS, possibly sliced or resampled.
+    """
+    try:
+        wcs, size, kept = fits_wcs(ndcube.wcs)
+        celestial = {wcs.wcs.lng, wcs.wcs.lat}
+        others = [int(axis) for axis in np.flatnonzero(kept) if axis not in celestial]
+        known = wcs.has_celestial and kept[[*celestial]].all() and len(others) < 2
+    except TypeError:
+        known = False
+    if not known:
+        raise ValueError(
+            "an NDCube must have two celestial axes, one of the epochs, and a FITS "
+            "WCS; EpochCube.from_arrays takes what has none"
+        )
+    if not others:
+        return [ndcube]
+    dated = times is None and any(ndcube.extra_coords.keys())
+    if size[others[0]] != 1 and (dated or AXIS in wcs.wcs.ctype):
+        raise ValueError(
+            "epochs of the NDCube were averaged, of which ndcube keeps the first date "
+            "only; rebin its celestial axes alone"
+        )
+    # Array axes are in the reverse order of WCS axes.
+    before = (slice(None),) * (int(np.sum(kept[others[0] :])) - 1)
+    return [ndcube[(*before, i)] for i in range(ndcube.data.shape[len(before)])]
+
+
+def _of_ndcube(image):
+    """Return the date of an epoch of an NDCube, and what `to_ndcube` keeps of it."""
+    dates = [v for v in image.global_coords.values() if isinstance(v, Time)]
+    own = {"time": dates[0].reshape(-1)[0]} if dates else {}
+    wcs, _, _ = fits_wcs(image.wcs)
+    if AXIS in wcs.wcs.ctype and set(KEPT) <= image.meta.keys():
+        i = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
+        values = [image.meta[name] and image.meta[name][i] for name in KEPT]
+        own |= dict(zip(("label", "beam", "facts"), values, strict=True))
+    return own
 
 
 def _given(times, beams, n, frame):
@@ -131,12 +166,7 @@ def _given(times, beams, n, frame):
     named("frame", check_choice, frame, "offset", "absolute")
     if n == 0:
         raise ValueError("a cube needs at least one image")
-    if isinstance(times, str) or not np.iterable(times):
-        times = [None] * n if times is None else [times]
-    times = [t if t is None else series.as_times(t, 1)[0] for t in times]
-    if len(times) != n:
-        raise ValueError(f"{n} images need {n} times, got {len(times)}")
-    return times, series.as_beams(beams, n) or [None] * n
+    return series.given_times(times, n), series.as_beams(beams, n) or [None] * n
 
 
 def _observed(plane, time):
@@ -165,15 +195,10 @@ def _completed(planes, times, beams):
             plane.beam, plane.beam_problem = beam, ""
             if own is not None and different_beam((beam, own)):
                 notes = [f"the beam that is given, {beam}, replaces that of the header"]
+        with series.naming(plane.name):
+            plane.take_uncertainty()
         for note in plane.notes + notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
-        if plane.uncertainty is not None:
-            with series.naming(plane.name):
-                plane.noise, bad, plane.even = fits.uncertainty_noise(
-                    plane.uncertainty, plane.unit, plane.mask
-                )
-            plane.mask |= bad
-            plane.uncertainty = None
         every.append(plane)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
@@ -182,61 +207,48 @@ def _completed(planes, times, beams):
     return [every[i] for i in order], times[order]
 
 
-def _refuse_strangers(planes, frame, check):
+def _refuse_strangers(planes):
     """Refuse images that do not belong together, or warn of them."""
-    first, peaks = planes[0], np.zeros(len(planes))
+    unit, peaks = planes[0].unit, np.full(len(planes), np.nan)
     for i, plane in enumerate(planes):
-        if plane.unit.is_equivalent(first.unit):
+        if plane.unit.is_equivalent(unit):
             peak = np.max(plane.data, where=~plane.mask, initial=-np.inf)
-            peaks[i] = peak * plane.unit.to(first.unit)
-    for i, what, advice, refused in problems(planes, peaks, check):
+            peaks[i] = peak * plane.unit.to(unit)
+    for i, what, advice, refused in problems(planes, peaks):
         text = f"{planes[i].name}: {what}; {advice}"
         if refused:
             raise ValueError(text)
         warn(text)
-    distance = [separation(plane.wcs, first.wcs) for plane in planes]
-    k = int(np.argmax(distance))
-    if frame == "offset" and distance[k] > FAR * max(first.extent, planes[k].extent):
-        warn(
-            f"{first.name} and {planes[k].name}: their reference pixels are "
-            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
-            "place; use frame='absolute' (--align wcs) where the coordinates are "
-            "to be trusted"
-        )
 
 
 def _assemble(planes, times, beams, frame, check, source):
     """Return the fields of a cube from images on their own grids."""
     planes, times = _completed(planes, times, beams)
-    _refuse_strangers(planes, frame, check)
+    if check:
+        _refuse_strangers(planes)
+    else:
+        series.warn_of_equal_dates(times)
+    for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
+        warn(f"{planes[k].name}: {what}; {advice}")
     unit = planes[0].unit
     for plane in planes:
-        if (factor := plane.unit.to(unit)) != 1:
+        with series.naming(plane.name):
+            factor = plane.unit.to(unit)
+        if factor != 1:
             plane.data = plane.data * factor
             plane.noise = None if plane.noise is None else plane.noise.to(unit)
     fields, resampled = lay_on_one_grid(planes, frame, unit)
     if resampled:
         ny, nx = fields["data"].shape[1:]
-        given = any(plane.noise is not None for plane in planes)
-        anew = ", and the noise of all is measured anew" if given else ""
         warn(
             f"{some(resampled)}: on another grid than the finest and therefore "
-            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image"
-            f"{anew}; leave it out if you do not want that"
+            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
+            "and the noise of all is measured; leave it out if you do not want that"
         )
-    advice = (
-        f"{fits.CORRECT_BEAM}, give one of all (--beam, in Python beams=), or leave it "
-        "out (check=False reads all without beams)"
-    )
-    beams = _all_or_none(planes, "beam", advice, refused=check)
+    beams = _all_or_none(planes, "beam", NO_BEAM)
     advice = "that of all is measured; give every image an uncertainty"
-    noise = None if resampled else _all_or_none(planes, "noise", advice)
-    uneven = [plane.name for plane in planes if not plane.even]
-    if uneven and noise:
-        warn(
-            f"{some(uneven)}: its uncertainty differs from pixel to pixel, and the "
-            "median is taken for the noise; leave it out to have the noise measured"
-        )
+    noise = _all_or_none(planes, "noise", advice)
+    noise = None if resampled or noise is None else u.Quantity(noise)
     labels = tuple(plane.label for plane in planes)
     labels = labels if all(labels) else series.date_labels(times)
     names = {plane.facts.get("object") for plane in planes} - {None}
@@ -244,22 +256,17 @@ def _assemble(planes, times, beams, frame, check, source):
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     meta["history"] = [f"{source}, aligned on their {laid}"]
     fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
-    fields |= {"beams": beams and tuple(beams), "noise": noise and u.Quantity(noise)}
+    fields |= {"beams": beams, "noise": noise}
     return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
 
 
-def _all_or_none(planes, what, advice, refused=False):
-    """Return the beams or noise of all images, or None; it is odd if some have one."""
-    values = [getattr(plane, what) for plane in planes]
+def _all_or_none(planes, what, advice):
+    """Return the beams or the noise of all images, None if some have none."""
+    values = tuple(getattr(plane, what) for plane in planes)
     missing = [p.name for p, v in zip(planes, values, strict=True) if v is None]
-    if not missing:
-        return values
-    if len(missing) < len(planes):
-        text = f"{some(missing)}: no {what} where other epochs have one; {advice}"
-        if refused:
-            raise ValueError(text)
-        warn(text)
-    return None
+    if 0 < len(missing) < len(planes):
+        warn(f"{some(missing)}: no {what} where other epochs have one; {advice}")
+    return None if missing else values
 
 
 def windows_of(planes, first, frame, region, pad=0):
@@ -271,24 +278,25 @@ def windows_of(planes, first, frame, region, pad=0):
     offsets, and slightly more if images are not whole pixels apart.  An image without
     a pixel in the region raises a ValueError.
     """
-    own, *frames = [_in_frame(plane.wcs, frame) for plane in (first, *planes)]
-    shifts, windows = [], []
-    for step, pure in (grid.grid_step(own, wcs, first.shape) for wcs in frames):
-        whole = pure and np.all(np.abs(step - np.rint(step)) < grid.ONE_SHIFT)
-        shifts.append(np.rint(step) if whole else None)
-    cube = SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs)
-    window = grid.box(cube, region, pad)
-    if any(shift is None for shift in shifts):
+    own, *frames = [grid.in_frame(plane.wcs, frame) for plane in (first, *planes)]
+    copied = (
+        grid.whole_step(own, wcs, first.shape, grid.ONE_SHIFT) is not None
+        for wcs in frames
+    )
+    if not all(copied):
         # Interpolation is worst at the edges.
-        window = grid.box(cube, region, pad + MARGIN)
+        pad += MARGIN
+    window = grid.box(
+        SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs), region, pad
+    )
     (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)
     corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
-    for plane, wcs, shift in zip(planes, frames, shifts, strict=True):
-        if shift is None:
-            there = np.array(pixel_to_pixel(own, wcs, *corners))
-        else:
-            there = corners + shift[:, None]
-        low, high = np.floor(there.min(axis=1)), np.ceil(there.max(axis=1))
+    windows = []
+    for plane, wcs in zip(planes, frames, strict=True):
+        there = np.array(pixel_to_pixel(own, wcs, *corners))
+        # Rounding errors must not add a row.
+        low = np.floor(there.min(axis=1) + grid.ONE_SHIFT)
+        high = np.ceil(there.max(axis=1) - grid.ONE_SHIFT)
         size = np.array(plane.shape[::-1])
         if not (np.all(low < size) and np.all(high >= 0)):
             raise ValueError(
@@ -323,7 +331,7 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    frames, resampled = [_in_frame(plane.wcs, frame) for plane in planes], []
+    frames, resampled = [grid.in_frame(plane.wcs, frame) for plane in planes], []
     sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
@@ -346,7 +354,10 @@ def lay_on_one_grid(planes, frame, unit):
     if frame == "offset":
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
-        own = [_with(new, w.ctype, **{n: getattr(w, n) for n in names}) for w in inner]
+        own = [
+            grid.with_frame(new, w.ctype, **{n: getattr(w, n) for n in names})
+            for w in inner
+        ]
     data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
@@ -359,21 +370,3 @@ def lay_on_one_grid(planes, frame, unit):
         plane.data = plane.mask = None
     fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
     return fields, resampled
-
-
-def _in_frame(wcs, frame):
-    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
-    if frame == "absolute":
-        return wcs
-    return _with(wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan)
-
-
-def _with(wcs, axes, **values):
-    """Return a copy of a WCS with other axis names and frame values."""
-    changed = wcs.deepcopy()
-    codes = zip(axes, wcs.wcs.ctype, strict=True)
-    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
-    for name, value in values.items():
-        setattr(changed.wcs, name, value)
-    changed.wcs.set()
-    return changed

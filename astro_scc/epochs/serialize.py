@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -17,15 +16,11 @@ import numpy as np
 from astropy.io import fits
 from astropy.io.misc import yaml
 from astropy.nddata import StdDevUncertainty
-from astropy.table import Table
-from astropy.time import Time
 from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
-from astro_scc.images import headers
-from astro_scc.images.beam import beam_columns
-from astro_scc.images.fits import CUBE_CREATOR, Plane, open_fits
-from astro_scc.images.headers import BEAM, epoch_header, first_line
-from astro_scc.images.series import ImageSeries, as_numbers
+from astro_scc.images.fits import CUBE_CREATOR, open_fits
+from astro_scc.images.headers import epoch_header, first_line
+from astro_scc.images.series import ImageSeries
 from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
@@ -37,6 +32,7 @@ __doctest_requires__ = {("to_ndcube",): ["ndcube"]}
 EXACT = WCSHDO_all | WCSHDO_P17
 #: Layout of the files.
 LAYOUT = 3
+OTHER_VERSION = "read it with the version that wrote it"
 #: Images, and arrays of more elements, are extensions, other arrays are in the text.
 SHORT = 100
 #: Types of arrays that FITS images hold as they are; of others they hold the bytes.
@@ -70,11 +66,10 @@ def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) 
 
     Notes
     -----
-    The extension ``DATA`` has the images with the celestial WCS, ``MASK`` the
-    bad pixels; ``EPOCHS`` has a row per epoch with the date (also as the two
-    parts of the Julian date), beam and noise; ``META`` holds all that is not an
-    image as YAML, in which astropy's objects keep their types.  Values that YAML
-    cannot hold become text.
+    The extension ``DATA`` has the images with the celestial WCS, ``MASK`` the bad
+    pixels; ``META`` holds all that is not an image as YAML, in which astropy's objects
+    keep their types.  Values that YAML cannot hold become text.  `write_epochs` writes
+    images with dates and beams for other programs.
 
     Examples
     --------
@@ -87,16 +82,20 @@ def write_cube(cube: ImageSeries, path: Path | str, *, overwrite: bool = False) 
     >>> EpochCube.read("cube.fits").shape
     (1, 8, 8)
     """
-    table = Table({"DATE_OBS": [value[:23] for value in cube.times.isot]})
-    table["JD1"], table["JD2"] = cube.times.jd1, cube.times.jd2
-    for name, column in zip(BEAM, beam_columns(cube).values(), strict=False):
-        table[name] = column
-    if cube.noise is not None:
-        table["NOISE"] = cube.noise.value
     images = {name: cube.wcs.to_header(relax=True) for name in ("data", "mask")}
-    images["data"]["BUNIT"] = cube.unit.to_string()
-    options = {"creator": CUBE_CREATOR, "overwrite": overwrite}
-    write_object(cube, path, images=images, tables={"EPOCHS": table}, **options)
+    images["data"]["BUNIT"] = _fits_unit(cube.unit)
+    write_object(cube, path, creator=CUBE_CREATOR, overwrite=overwrite, images=images)
+
+
+def _fits_unit(unit):
+    """Return a unit as programs that read FITS expect it."""
+    if unit == u.Jy / u.beam:
+        return "JY/BEAM"
+    try:
+        return unit.to_string("fits")
+    except ValueError:
+        # The standard does not have DN, which solar images are in.
+        return unit.to_string()
 
 
 def without_dates(header):
@@ -106,7 +105,7 @@ def without_dates(header):
     return header
 
 
-def write_object(value, path, *, creator, overwrite=False, images=None, tables=None):
+def write_object(value, path, *, creator, overwrite=False, images=None):
     """
     Write a dataclass, or a dictionary, and all that it holds to one FITS file.
 
@@ -121,8 +120,6 @@ def write_object(value, path, *, creator, overwrite=False, images=None, tables=N
     overwrite : bool, optional
     images : dict of `~astropy.io.fits.Header`, optional
         Headers of the arrays in the attributes of these names.
-    tables : dict of `~astropy.table.Table`, optional
-        Tables for other readers, which `read_object` does not read.
 
     Raises
     ------
@@ -146,8 +143,6 @@ def write_object(value, path, *, creator, overwrite=False, images=None, tables=N
         own = np.ascontiguousarray(array)
         own = own if own.dtype.str[1:] in FITS_TYPES else own.view(np.uint8)
         hdus.append(fits.ImageHDU(own, (images or {}).get(name), name=name))
-    for name, table in (tables or {}).items():
-        hdus.append(fits.BinTableHDU(table, name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:
         fits.HDUList(hdus).writeto(part, checksum=True)
 
@@ -183,19 +178,13 @@ def read_object(path, *, creator, lazy=False):
             ):
                 if hdus[0].header.get("CREATOR") != creator:
                     raise ValueError("it was not written as one")
-                if (layout := hdus[0].header["SCCVERS"]) == LAYOUT:
-                    text = hdus["META"].data.tobytes().decode()
-                    return _Loader(text, hdus, lazy).get_single_data()
-        except _VersionError as error:
-            raise OSError(f"{path}: {error}") from None
+                if (layout := hdus[0].header["SCCVERS"]) != LAYOUT:
+                    raise ValueError(f"it is of layout {layout}; {OTHER_VERSION}")
+                text = hdus["META"].data.tobytes().decode()
+                return _Loader(text, hdus, lazy).get_single_data()
         except Exception as error:
             what = f"is no complete {creator} file: {first_line(error)}"
             raise OSError(f"{path}: {what}") from None
-    raise OSError(f"{path}: of layout {layout}; read it with the version that wrote it")
-
-
-class _VersionError(Exception):
-    """The file is in order, but of another version."""
 
 
 def _pack(value, name, arrays, memo, *, in_meta=False):
@@ -272,9 +261,8 @@ class _Loader(yaml.AstropyLoader):
                 with suppress(ImportError):
                     own = getattr(import_module(module), name, None)
             if not is_dataclass(own) or {f.name for f in fields(own)} != packed.keys():
-                raise _VersionError(
-                    f"its {name} is of another version of astro_scc; read it with the "
-                    "version that wrote it"
+                raise ValueError(
+                    f"its {name} is of another version of astro_scc; {OTHER_VERSION}"
                 )
             # Checks and conversions were made when it was first made.
             made = object.__new__(own)
@@ -343,14 +331,7 @@ def write_epochs(
     directory.mkdir(parents=True, exist_ok=True)
     # The dates of wcslib would be those of the first epoch.
     own = without_dates(cube.wcs.to_header())
-    if cube.unit == u.Jy / u.beam:
-        own["BUNIT"] = "JY/BEAM"
-    elif cube.unit != u.dimensionless_unscaled:
-        try:
-            own["BUNIT"] = cube.unit.to_string("fits")
-        except ValueError:
-            # The standard does not have DN, which solar images are in.
-            own["BUNIT"] = cube.unit.to_string()
+    own["BUNIT"] = _fits_unit(cube.unit)
     for line in cube.meta.get("history", ()):
         own.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
@@ -405,96 +386,3 @@ def to_ndcube(cube: ImageSeries) -> NDCube:
     made = ndcube.NDCube(cube.data.copy(), wcs=WCS(header), meta=meta, **fields)
     made.extra_coords.add("time", (0,), cube.times)
     return made
-
-
-def planes_of(ndcube, times=None, beams=None):
-    """
-    Return the epochs of an NDCube as `Plane`, and the meta that is common to them.
-
-    It has two celestial axes, and one of the epochs if there are several; its WCS is a
-    FITS WCS, possibly sliced or resampled.  Dates are needed unless ``times`` are
-    given, equal beams of epochs that were averaged unless ``beams`` are.
-    """
-    try:
-        wcs, size, kept = headers.fits_wcs(ndcube.wcs)
-        celestial = {wcs.wcs.lng, wcs.wcs.lat}
-        others = [int(axis) for axis in np.flatnonzero(kept) if axis not in celestial]
-        fits = wcs.has_celestial and kept[[*celestial]].all() and len(others) < 2
-    except TypeError:
-        fits = False
-    if not fits:
-        raise ValueError(
-            "an NDCube must have two celestial axes, one of the epochs, and a FITS "
-            "WCS; EpochCube.from_arrays takes what has none"
-        )
-
-    # Array axes are in the reverse order of WCS axes.
-    axis = int(np.sum(kept[others[0] :])) - 1 if others else None
-
-    def planes(values):
-        values = np.broadcast_to(values, ndcube.data.shape)
-        return values[None] if axis is None else np.moveaxis(values, axis, 0)
-
-    data = planes(np.asarray(ndcube.data))
-    mask = planes(False if ndcube.mask is None else ndcube.mask) | ~np.isfinite(data)
-    given, errors = ndcube.uncertainty, [None] * len(data)
-    if given is not None:
-        errors = planes(np.asarray(given.array))
-        errors = [type(given)(one, unit=given.unit, copy=False) for one in errors]
-    averaged = bool(others and size[others[0]] != 1)
-    meta = dict(ndcube.meta) if isinstance(ndcube.meta, Mapping) else {}
-    dates = [None] * len(data)
-    if times is None:
-        dates = np.atleast_1d(_times_of(ndcube, meta, axis, averaged))
-    if AXIS in wcs.wcs.ctype and set(KEPT) <= meta.keys():
-        first = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
-        records = _kept_records(meta, first, len(data), averaged, beams)
-        meta = {key: value for key, value in meta.items() if key not in KEPT}
-    else:
-        records, meta = [headers.read_header(meta)] * len(data), {}
-    common = {"wcs": headers.as_celestial(wcs), "shape": data.shape[1:]}
-    common["unit"] = ndcube.unit or u.dimensionless_unscaled
-    images = []
-    for i, own in enumerate(records):
-        pixels = {"data": as_numbers(data[i]), "mask": mask[i]}
-        own = own | pixels | {"time": dates[i], "uncertainty": errors[i]}
-        images.append(Plane(name=f"epoch {i} of the NDCube", **common, **own))
-    meta["history"] = [*meta.get("history", ()), "from an NDCube"]
-    return images, meta
-
-
-def _kept_records(meta, first, n, averaged, beams):
-    """Return what `to_ndcube` has kept of each of n epochs from the first one."""
-    own = meta["beams"] or [None] * len(meta["labels"])
-    if averaged:
-        if beams is None and any(beam != own[0] for beam in own):
-            raise ValueError(
-                "epochs of the NDCube were averaged, of which the beams differ; call "
-                "to_common_beam() before to_ndcube(), or give beams="
-            )
-        return [{"beam": own[0]}] * n
-    fields = meta["labels"], own, meta["epoch_meta"]
-    rows = zip(*(values[first : first + n] for values in fields), strict=True)
-    return [dict(zip(("label", "beam", "facts"), row, strict=True)) for row in rows]
-
-
-def _times_of(ndcube, meta, axis, averaged):
-    """Return the coordinate of type Time, or else the date of a single epoch."""
-    if axis is None:
-        found = [v for v in ndcube.global_coords.values() if isinstance(v, Time)]
-        found.append(headers.read_header(meta)["time"])
-        if found[0] is not None:
-            return found[0]
-    for coordinates in (ndcube.wcs, ndcube.extra_coords) if axis is not None else ():
-        try:
-            values = ndcube.axis_world_coords(axis, wcs=coordinates)
-        except (AttributeError, TypeError, ValueError):
-            continue
-        for found in (v for v in values if isinstance(v, Time)):
-            if averaged and coordinates is ndcube.extra_coords:
-                raise ValueError(
-                    "epochs of the NDCube were averaged, of which ndcube keeps the "
-                    "first date only; give times="
-                )
-            return found
-    raise ValueError("the NDCube has no coordinate of type Time; give times=")

@@ -147,12 +147,10 @@ def parse_beam(text):
     1 x 0.5 mas at -7.0 deg
     """
     try:
-        major, *rest = parse_quantities(text)
-        if len(rest) > 2:
-            raise ValueError("has too many numbers")
-        if len(rest) == 1 and rest[0] != major:
-            raise ValueError("has no position angle")
-        return Beam(major, *rest) if rest else Beam(major, major)
+        found = parse_quantities(text)
+        if len(found) not in (1, 3):
+            raise ValueError(f"has {len(found)} numbers, not one or three")
+        return Beam(*found) if len(found) == 3 else Beam(*found, *found)
     except (ValueError, u.UnitConversionError) as error:
         raise ValueError(
             f"is no beam: {error}; give major axis, minor axis and position angle, "
@@ -195,21 +193,8 @@ def as_beam(beam):
         ) from None
 
 
-def beam_columns(cube):
-    """Return the major axes, minor axes and angles of a cube's beams, if it has any."""
-    names = ("major", "minor", "pa") if cube.beams is not None else ()
-    return {n: u.Quantity([getattr(b, n) for b in cube.beams]) for n in names}
-
-
 def is_per(unit, *names):
-    """
-    Return whether a unit is per one of the given units, "beam" or "pix".
-
-    Unrecognised units such as 'JY/BEAM' are judged by their end.
-    """
-    if isinstance(unit, u.UnrecognizedUnit):
-        text = unit.name.lower().replace(" ", "")
-        return "beam" in names and text.endswith(("/beam", "beam-1"))
+    """Return whether a unit is per one of the given units, "beam" or "pix"."""
     return any(
         base.name.lower() in names and power < 0
         for base, power in zip(unit.bases, unit.powers, strict=True)

@@ -30,13 +30,16 @@ from astro_scc.images.grid import cut_wcs
 CUBE_CREATOR = "astro_scc EpochCube"
 #: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
-#: Power that turns an uncertainty into a standard deviation.
-POWERS = {StdDevUncertainty: 1, VarianceUncertainty: 0.5, InverseVariance: -0.5}
+#: Uncertainties by the names that astropy writes.
+UNCERTAINTIES = {
+    kind.__name__: kind
+    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
+}
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
-_AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 #: Factor by which uncertainties of pixels may differ from the image's median.
 EVEN = 1.5
+_AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 
 
 @dataclass(kw_only=True)
@@ -45,8 +48,7 @@ class Plane:
     One image on its own grid, with the facts in its header, see `headers.read_header`.
 
     ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
-    part; they are None if only the header was read.  ``even`` is whether the
-    ``uncertainty`` behind the ``noise`` differs little from pixel to pixel.
+    part; they are None if only the header was read.
     """
 
     name: str
@@ -62,9 +64,9 @@ class Plane:
     unit: u.UnitBase = u.dimensionless_unscaled
     uncertainty: NDUncertainty | None = None
     noise: u.Quantity | None = None
-    even: bool = True
     label: str | None = None
     unit_problem: str = ""
+    noise_problem: str = ""
 
     @property
     def extent(self):
@@ -76,7 +78,22 @@ class Plane:
     def notes(self):
         """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
-        return [n for n in (self.unit_problem, self.beam_problem and beam) if n]
+        notes = self.unit_problem, self.beam_problem and beam, self.noise_problem
+        return [note for note in notes if note]
+
+    def take_uncertainty(self):
+        """Make the uncertainty the noise, and mask the pixels without one."""
+        if self.uncertainty is not None:
+            self.noise, bad, even = uncertainty_noise(
+                self.uncertainty, self.unit, self.mask
+            )
+            self.mask |= bad
+            self.uncertainty = None
+            if not even:
+                self.noise_problem = (
+                    "its uncertainty differs from pixel to pixel, and the median is "
+                    "taken for the noise; leave it out to have the noise measured"
+                )
 
 
 class _NoImageError(OSError):
@@ -117,16 +134,15 @@ def find_files(paths, *, missing_ok=False):
     return files
 
 
-def read_plane(path, hdu=None, *, window=None, pixels=True):
+def read_plane(path, *, window=None, pixels=True):
     """
     Return the `Plane` of a FITS file of AIPS, difmap, CASA, HST or others.
 
-    Axes of length one are dropped, and Stokes I is taken from several Stokes
-    parameters.  ``hdu`` is by default the first image; ``window`` selects the rows and
-    columns to load from a file that was read before; without ``pixels`` only the header
-    is read.  A file that is missing, broken or holds no image raises an OSError; an
-    image of more than two axes, without celestial coordinates or without a valid pixel
-    a ValueError.
+    The first image is read.  Axes of length one are dropped, and Stokes I is taken from
+    several Stokes parameters.  ``window`` selects the rows and columns to load from a
+    file that was read before; without ``pixels`` only the header is read.  A file that
+    is missing, broken or holds no image raises an OSError; an image of more than two
+    axes, without celestial coordinates or without a valid pixel a ValueError.
     """
     path = Path(path)
     if not path.exists():
@@ -141,7 +157,7 @@ def read_plane(path, hdu=None, *, window=None, pixels=True):
         try:
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
-                return plane_of(hdus, hdu, path, window=window, pixels=pixels)
+                return plane_of(hdus, path, window=window, pixels=pixels)
         except (headers.ContentError, _NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
@@ -173,20 +189,18 @@ def open_fits(file, *, known=False, **options):
     return fits.open(file, **options)
 
 
-def plane_of(hdus, which, path, *, window=None, pixels=True):
+def plane_of(hdus, path, *, window=None, pixels=True):
     """Return the `Plane` of an open file, see `read_plane`."""
     if "SCCVERS" in hdus[0].header:
         what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
         reader = what if what == "EpochCube" else "SCCResult"
         raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
-    hdu = _find(hdus, which)
+    hdu = _find(hdus)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
         header.extend(hdus[0].header, unique=True, bottom=True)
     _check_complete(hdu, path)
     wcs = headers.celestial_wcs(header, fobj=hdus)
-    if wcs.has_distortion:
-        raise headers.ContentError("its coordinates are distorted (SIP); resample it")
     index = _plane_index(header)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
@@ -222,9 +236,8 @@ def _load(plane, hdus, hdu, index, window):
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
     if (beside := _beside(hdus, hdu, "UNCERT", plane.shape)) is not None:
-        # The names are those that astropy writes.
         name, unit = (beside.header.get(key) for key in ("UTYPE", "BUNIT"))
-        kind = next((k for k in POWERS if k.__name__ == name), StdDevUncertainty)
+        kind = UNCERTAINTIES.get(name, StdDevUncertainty)
         unit = None if unit is None else headers.parse_unit(unit)
         values = np.array(beside.data[window], dtype=float)
         plane.uncertainty = kind(values, unit=unit, copy=False)
@@ -250,25 +263,17 @@ def _beside(hdus, image, name, shape):
     return None
 
 
-def _find(hdus, which):
-    """Return the extension of the image."""
-    if which is None:
-        for hdu in hdus:
-            if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
-                return hdu
-        if is_visibilities(hdus):
-            raise _NoImageError(
-                "holds visibilities and no image; make an image of them (difmap, CASA "
-                "or AIPS), or give the models that were fitted to them (.mod)"
-            )
-        raise _NoImageError("holds no image")
-    try:
-        hdu = hdus[which]
-    except (KeyError, IndexError, TypeError):
-        raise _NoImageError(f"has no extension {which!r}") from None
-    if not hdu.is_image or len(hdu.shape) < 2:
-        raise _NoImageError("holds no image of real numbers")
-    return hdu
+def _find(hdus):
+    """Return the first image."""
+    for hdu in hdus:
+        if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
+            return hdu
+    if is_visibilities(hdus):
+        raise _NoImageError(
+            "holds visibilities and no image; make an image of them (difmap, CASA "
+            "or AIPS), or give the models that were fitted to them (.mod)"
+        )
+    raise _NoImageError("holds no image")
 
 
 def is_visibilities(hdus):
@@ -345,27 +350,27 @@ def uncertainty_noise(uncertainty, unit, mask):
     also returns a mask of the pixels without a finite standard deviation, and whether
     the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
     """
-    kind, given = type(uncertainty).__name__, uncertainty.unit
-    power = next((p for k, p in POWERS.items() if isinstance(uncertainty, k)), None)
-    if power is None:
-        names = ", ".join(known.__name__ for known in POWERS)
-        raise ValueError(f"its uncertainty is a {kind}; give it as {names}, or as None")
-    values = np.asarray(uncertainty.array, dtype=float)
-    if np.any(values < 0):
-        raise ValueError("its uncertainty has negative values; correct or remove it")
+    kind, sigma = type(uncertainty).__name__, uncertainty
     try:
-        factor = 1.0 if given is None else (given**power).to(unit)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if not isinstance(uncertainty, StdDevUncertainty):
+                sigma = uncertainty.represent_as(StdDevUncertainty)
+        factor = 1.0 if sigma.unit is None else sigma.unit.to(unit)
+    except TypeError:
+        names = ", ".join(UNCERTAINTIES)
+        raise ValueError(f"its uncertainty is a {kind}; give it as {names}") from None
     except u.UnitConversionError:
         raise ValueError(
-            f"its uncertainty is a {kind} in {given}, which does not fit images in "
-            f"{unit.to_string() or 'no unit'}; correct or remove it"
+            f"its uncertainty is a {kind} in {uncertainty.unit}, which does not fit "
+            f"images in {unit.to_string() or 'no unit'}; correct or remove it"
         ) from None
-    with np.errstate(divide="ignore"):
-        sigma = np.broadcast_to(values**power * factor, mask.shape)
+    if np.any(np.asarray(uncertainty.array) < 0):
+        raise ValueError("its uncertainty has negative values; correct or remove it")
+    sigma = np.broadcast_to(np.asarray(sigma.array) * factor, mask.shape)
     bad = ~np.isfinite(sigma)
     valid = sigma[~(mask | bad)]
     if valid.size == 0:
         raise ValueError("its uncertainty is finite at no valid pixel; remove it")
     noise = np.median(valid)
     even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
-    return noise * unit, bad, bool(even)
+    return noise * unit, bad, even

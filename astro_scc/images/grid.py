@@ -6,12 +6,12 @@ from __future__ import annotations
 import os
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
@@ -21,8 +21,7 @@ from astro_scc.exceptions import warn
 from astro_scc.images.beam import is_per
 from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series, naming
-from astro_scc.quantities import check_choice, named
+from astro_scc.images.series import ImageSeries, Series, as_shape, naming
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -31,8 +30,6 @@ WHOLE_PIXEL = 1e-4
 ONE_SHIFT = 0.01
 # A resampled pixel is bad if bad pixels contribute more than this weight to it.
 BAD_WEIGHT = 0.01
-ORDERS = ("nearest-neighbor", "bilinear", "biquadratic", "bicubic")
-METHODS = ("interp", "exact", "adaptive")
 # Pixels per full width at half maximum with which a beam is sampled.
 SAMPLED = 2.0
 #: Coordinates in degrees with fewer decimal places were written by hand.
@@ -112,22 +109,22 @@ def grid_step(wcs, target, shape):
     """
     if is_same(wcs, target):
         return np.zeros(2), True
-    pixels = _probe_pixels(shape)
+    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
+    pixels = np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
     return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < ONE_SHIFT))
 
 
+def whole_step(wcs, target, shape, near):
+    """Return the whole pixels by which grids differ, None if not, see `grid_step`."""
+    step, pure = grid_step(wcs, target, shape)
+    whole = np.rint(step)
+    return whole if pure and np.all(np.abs(step - whole) < near) else None
+
+
 def is_same(wcs, other):
     """Return whether two celestial WCS without distortion are equal."""
-    return wcs is other or (
-        wcs.wcs.compare(other.wcs) and not (wcs.has_distortion or other.has_distortion)
-    )
-
-
-def _probe_pixels(shape):
-    """Return (x, y) of the centre and the corners of an image, shape (2, 5)."""
-    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
-    return np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
+    return wcs is other or wcs.wcs.compare(other.wcs)
 
 
 def moved_wcs(wcs, shift):
@@ -146,71 +143,52 @@ def cut_wcs(wcs, window):
     return part
 
 
-def resample(data, bad, wcs, new_wcs, *, shape, method="bicubic"):
-    """
-    Return images (n, ny, nx) and their bad pixels on another grid, NaN where bad.
-
-    The method is "exact", "adaptive", or an order of `reproject.reproject_interp`.
-    """
-    import reproject
-
-    filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
-    options = linear = {"shape_out": shape, "return_footprint": False}
-    if method in ("exact", "adaptive"):
-        lay = getattr(reproject, f"reproject_{method}")
-    else:
-        lay, linear = reproject.reproject_interp, options | {"order": "bilinear"}
-        options = options | {"order": method}
-    # reproject maps the pixels once for all images.
-    moved = lay((filled, wcs), new_wcs, **options)
-    weight = lay((bad.astype(float), wcs), new_wcs, **linear)
-    mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
-    return np.where(mask, np.nan, moved), mask
-
-
-def regrid(data, bad, wcs, grid, *, shape, unit, method="bicubic", near=WHOLE_PIXEL):
+def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXEL):
     """
     Return images and bad pixels on another grid, and whether pixels were copied.
 
     They are copied if the grids differ by whole pixels to within ``near``.  Otherwise
-    they are resampled, see `resample`, and intensities per pixel are scaled to the
-    area of the new pixels.
+    they are interpolated, or averaged over the new pixels, NaN where bad, and
+    intensities per pixel are scaled to the area of the new pixels.
     """
-    step, pure = grid_step(wcs, grid, data.shape[-2:])
-    whole = np.rint(step)
-    if pure and np.all(np.abs(step - whole) < near):
+    whole = whole_step(wcs, grid, data.shape[-2:], near)
+    if whole is not None:
         if not whole.any() and shape == data.shape[-2:]:
             return data.copy(), bad.copy(), True
         return *_copy(data, bad, whole[::-1].astype(int), shape), True
-    data, bad = resample(data, bad, wcs, grid, shape=shape, method=method)
+    # Slow to import, and not needed for most series.
+    from reproject import reproject_exact, reproject_interp
+
+    filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
+    lay = linear = reproject_exact
+    if not averaged:
+        lay = partial(reproject_interp, order="bicubic")
+        linear = partial(reproject_interp, order="bilinear")
+    options = {"shape_out": shape, "return_footprint": False}
+    # reproject maps the pixels once for all images.
+    moved = lay((filled, wcs), grid, **options)
+    weight = linear((bad.astype(float), wcs), grid, **options)
+    mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
     area = pixel_area(grid) / pixel_area(wcs)
     if is_per(unit, "pix", "pixel") and not np.isclose(area, 1, rtol=1e-6):
-        data *= area
-    return data, bad, False
+        moved *= area
+    return np.where(mask, np.nan, moved), mask, False
 
 
 def reproject_cube(
-    cube: Series, wcs: WCS | Header | ImageSeries,
-    shape: tuple[int, int] | None = None, order: str | None = None, *,
-    method: str = "interp",
-) -> Series:  # fmt: skip
+    cube: Series, wcs: WCS | Header | ImageSeries, shape: tuple[int, int] | None = None
+) -> Series:
     """
     Return all epochs of a cube resampled to another pixel grid.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    wcs : `~astropy.wcs.WCS`, `~astropy.io.Header` or `EpochCube`
+    wcs : `~astropy.wcs.WCS`, `~astropy.io.fits.Header` or `EpochCube`
         The new grid, with celestial axes.
     shape : (int, int), optional
         Shape (ny, nx) of the new grid, by default that of the header, the
         cube, or the ``array_shape`` of the WCS.
-    order : {"bicubic", "biquadratic", "bilinear", "nearest-neighbor"}, optional
-        Order of the interpolation, as in `reproject.reproject_interp`.
-    method : {"interp", "exact", "adaptive"}, optional
-        Interpolation, or for larger pixels an average over each of them:
-        `reproject.reproject_exact` weights by the area that pixels share,
-        `reproject.reproject_adaptive` by a Gaussian filter.
 
     Returns
     -------
@@ -223,28 +201,22 @@ def reproject_cube(
     Raises
     ------
     ValueError
-        If ``order`` or ``method`` is unknown, ``wcs`` is not celestial,
-        ``shape`` is missing or not two positive integers, or the epochs have
-        beams and ``wcs`` has another celestial frame (position angles would
-        refer to another north).
+        If ``wcs`` is not celestial, ``shape`` is missing or not two positive
+        integers, or the epochs have beams and ``wcs`` has another celestial
+        frame (position angles would refer to another north).
     TypeError
         If ``wcs`` has the wrong type.
 
-    Warns
-    -----
-    EpochWarning
-        If interpolation undersamples: the new pixels are larger than the old
-        ones and than half the beam.
-
     Notes
     -----
-    Intensities per beam or per solid angle are interpolated as they are;
-    intensities per pixel are multiplied by the ratio of the pixel areas.
-    Interpolation does not average: white noise of rms 1 has an rms of 0.5 to 1
-    on pixels four times as large, but 0.22 to 0.25 with ``method="exact"``.
+    Images are interpolated by cubic splines.  Where that would leave pixels out,
+    because the new ones are larger than the old ones and than half the beam, they
+    are averaged over each new pixel (`reproject.reproject_exact`).
 
-    ``epoch_wcs`` is transferred to the new grid if it differs from ``cube.wcs``
-    by shifts only, and dropped otherwise (align with it first).
+    Intensities per beam or per solid angle are resampled as they are; intensities
+    per pixel are multiplied by the ratio of the pixel areas.
+
+    The new cube has no ``epoch_wcs``; align with it first.
 
     Examples
     --------
@@ -261,75 +233,67 @@ def reproject_cube(
     >>> reproject_cube(cube, finer, (8, 8)).shape
     (2, 8, 8)
     """
-    if method != "interp" and order is not None:
-        raise ValueError(f"method={method!r} has no order; leave it out")
-    order = order or "bicubic"
-    named("method", check_choice, method, *METHODS)
-    named("order", check_choice, order, *ORDERS)
-    wcs, shape = _grid_of(wcs, shape)
+    if isinstance(wcs, ImageSeries):
+        wcs, shape = wcs.wcs, wcs.shape[1:] if shape is None else shape
+    elif isinstance(wcs, Header):
+        with naming("the header of the new grid"):
+            wcs = celestial_wcs(wcs)
+    wcs = as_celestial(wcs)
+    shape = wcs.array_shape if shape is None else shape
+    if shape is None:
+        raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
+    shape = as_shape(shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
         raise ValueError(
             "the new wcs has another celestial frame, in which the position angles "
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
-    how = order if method == "interp" else method
-    options = {"shape": shape, "unit": cube.unit, "method": how}
-    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
     side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
     coarse = side > 1.01 * max(own, min(sampled, default=own))
-    if method == "interp" and not copied and coarse:
-        warn(
-            f"pixels of {readable_angle(own)} are interpolated at steps of "
-            f"{readable_angle(side)}, which leaves out those between; use "
-            "method='exact' or 'adaptive' to average them, or smooth them first"
-        )
-    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy()}
+    options = {"shape": shape, "unit": cube.unit, "averaged": coarse}
+    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
+    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy(), "epoch_wcs": None}
+    how = "averaged" if coarse else "interpolated"
+    how = "whole pixels copied" if copied else how
     return cube.with_step(
         f"reprojected onto {shape[1]} x {shape[0]} pixels of "
-        f"{side.to_value(u.mas):.4g} mas ({'whole pixels copied' if copied else how})",
+        f"{side.to_value(u.mas):.4g} mas ({how})",
         noise=cube.noise if copied else None,
-        epoch_wcs=_new_epoch_wcs(cube, wcs, shape),
         **fields,
     )
-
-
-def _grid_of(target, shape=None):
-    """Return the WCS and shape of a grid, from a header, a cube or a WCS."""
-    if isinstance(target, Header):
-        own = target.get("NAXIS2"), target.get("NAXIS1")
-        own = own if all(own) else None
-        with naming("the header of the new grid"):
-            wcs = as_celestial(celestial_wcs(target))
-    elif hasattr(target, "shape") and hasattr(target, "wcs"):
-        wcs, own = as_celestial(target.wcs), target.shape[-2:]
-    else:
-        wcs = as_celestial(target)
-        own = wcs.array_shape
-    shape = own if shape is None else tuple(shape)
-    if shape is None:
-        raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
-    if len(shape) != 2 or any(n != int(n) or n < 1 for n in shape):
-        raise ValueError(f"shape={shape} must be two positive integers (ny, nx)")
-    return wcs, tuple(int(n) for n in shape)
-
-
-def _new_epoch_wcs(cube, wcs, shape):
-    """Return the absolute coordinates on the new grid, None if not all are shifts."""
-    if cube.epoch_wcs is None:
-        return None
-    pixels = _probe_pixels(shape)
-    old = pixel_to_pixel(wcs, cube.wcs, *pixels)
-    steps = [pixels - pixel_to_pixel(own, wcs, *old) for own in cube.epoch_wcs]
-    if not np.all(np.abs(np.subtract(steps, np.array(steps)[..., :1])) < ONE_SHIFT):
-        return None
-    return tuple(moved_wcs(wcs, step[:, 0]) for step in steps)
 
 
 def pixel_area(wcs):
     """Return the solid angle of a pixel in square degrees."""
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
+
+
+def in_frame(wcs, frame):
+    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
+    if frame == "absolute":
+        return wcs
+    return with_frame(
+        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
+    )
+
+
+def with_frame(wcs, axes, **values):
+    """Return a copy of a WCS with other axis names and frame values."""
+    changed = wcs.deepcopy()
+    codes = zip(axes, wcs.wcs.ctype, strict=True)
+    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
+    for name, value in values.items():
+        setattr(changed.wcs, name, value)
+    changed.wcs.set()
+    return changed
+
+
+def finest(grids):
+    """Return the index of the first WCS among those with the smallest pixels."""
+    areas = np.array([pixel_area(wcs) for wcs in grids])
+    return int(np.argmax(areas <= areas.min() * (1 + 1e-6)))
 
 
 def shared_grid(grids):
@@ -371,15 +335,15 @@ def shared_grid(grids):
     ((16, 20), [12.0, 8.0])
     """
     areas = np.array([pixel_area(wcs) for _, wcs in grids])
-    finest = grids[int(np.argmax(areas <= areas.min() * (1 + 1e-6)))][1]
+    fine = grids[finest([wcs for _, wcs in grids])][1]
     edge = np.linspace(0, 1, 33)
     sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
     outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     corners = []
     for (ny, nx), wcs in grids:
         x, y = outline * [[nx - 1], [ny - 1]]
-        same = is_same(wcs, finest)
-        corners.append([x, y] if same else pixel_to_pixel(wcs, finest, x, y))
+        same = is_same(wcs, fine)
+        corners.append([x, y] if same else pixel_to_pixel(wcs, fine, x, y))
     corners = np.concatenate(corners, axis=1)
     # Rounding errors must not add a row.
     first = np.floor(corners.min(axis=1) + 0.01)
@@ -388,7 +352,7 @@ def shared_grid(grids):
     # It is NaN if a grid lies beyond the horizon of the projection.
     if not np.prod(size) * areas.min() <= 100 * covered:
         raise ValueError("the grids lie too far apart on the sky to share one")
-    shared = moved_wcs(finest, -first)
+    shared = moved_wcs(fine, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
 
@@ -487,17 +451,11 @@ def _combine(cube, items, name, places):
             if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
                 continue
             mask = pixel.to_mask(mode="center")
-        except (NotImplementedError, OverflowError, ValueError) as error:
-            reason = f"cannot be drawn on the image ({first_line(error)})"
-            if isinstance(error, NotImplementedError):
-                reason = "has no inside"
-            elif isinstance(error, OverflowError):
-                reason = "has a size or place without end"
-            elif "NaN" in reason:
-                reason = "is on another part of the sky"
+        except (NotImplementedError, OverflowError, ValueError):
             raise ValueError(
-                f"{name}: a {type(item).__name__} {reason}; use circles, ellipses, "
-                "rectangles or polygons, on the part of the sky that the images show"
+                f"{name}: a {type(item).__name__} has no inside on the image; use "
+                "circles, ellipses, rectangles or polygons, on the part of the sky "
+                "that the images show"
             ) from None
         if places and isinstance(item, SkyRegion):
             _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
@@ -513,7 +471,7 @@ def _refuse_rounded(item, size, wcs, places, name):
 
     Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
     """
-    side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
+    side = np.sqrt(pixel_area(wcs))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
     lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
     names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
@@ -553,11 +511,8 @@ def _read(path):
 
     path = Path(path)
     # Reading the text first distinguishes a missing file from one without regions.
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        text = "SIMPLE  ="
-    if text.startswith("SIMPLE  ="):
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if text.startswith("SIMPLE  =") or "\0" in text:
         raise ValueError(f"{path}: is not a text file; give a DS9 or CRTF region file")
     kind = "crtf" if text.startswith("#CRTF") else "ds9"
     with warnings.catch_warnings(record=True, action="always") as caught:
@@ -586,14 +541,10 @@ def box(cube, region, pad=0):
     if isinstance(region, tuple) and all(isinstance(item, slice) for item in region):
         if len(region) != 2 or any(item.step not in (None, 1) for item in region):
             raise ValueError("slices must be two, (y, x), without a step")
-        hits = [np.arange(n)[item] for item, n in zip(region, shape, strict=True)]
-        if not all(hit.size for hit in hits):
-            raise ValueError(
-                f"slices {region} hold no pixel of the {shape[1]} x {shape[0]} image"
-            )
-    else:
-        inside = region_mask(cube, region)
-        hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
+        window, region = region, np.zeros(shape, dtype=bool)
+        region[window] = True
+    inside = region_mask(cube, region)
+    hits = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)]
     start, stop = np.transpose([(hit[0], hit[-1] + 1) for hit in hits])
     start, stop = np.maximum(start - int(pad), 0), np.minimum(stop + int(pad), shape)
     return tuple(map(slice, start.tolist(), stop.tolist()))
@@ -668,20 +619,16 @@ def refuse_pixels(path):
 
 
 def distance_mask(
-    cube: ImageSeries, r_min: u.Quantity, r_max: u.Quantity,
-    origin: u.Quantity | SkyCoord | None = None,
-) -> np.ndarray:  # fmt: skip
+    cube: ImageSeries, r_min: u.Quantity, r_max: u.Quantity
+) -> np.ndarray:
     """
-    Return the pixels whose centres lie in a ring around a point.
+    Return the pixels whose centres lie in a ring around the reference pixel.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     r_min, r_max : `~astropy.units.Quantity`
         Angles; ``r_min <= r < r_max``, so that adjacent bins share no pixel.
-    origin : `~astropy.units.Quantity` or `~astropy.coordinates.SkyCoord`, optional
-        Offsets (east, north) from the reference pixel, or a position; by
-        default the reference pixel.
 
     Returns
     -------
@@ -691,8 +638,7 @@ def distance_mask(
     Raises
     ------
     ValueError
-        If not ``0 <= r_min < r_max``, ``origin`` is not a pair of offsets, or
-        no pixel lies in the ring.
+        If not ``0 <= r_min < r_max``, or no pixel lies in the ring.
     `~astropy.units.UnitsError`
         If an argument is not an angle.
 
@@ -712,16 +658,10 @@ def distance_mask(
     low, high = (u.Quantity(r).to_value(u.mas) for r in (r_min, r_max))
     if not 0 <= low < high:
         raise ValueError(f"r_min={r_min} and r_max={r_max} must be 0 <= r_min < r_max")
-    if isinstance(origin, SkyCoord):
-        origin = u.Quantity(cube.pixel_to_offset(*cube.wcs.world_to_pixel(origin)))
-    origin = u.Quantity([0, 0] * u.mas if origin is None else origin)
-    if origin.shape != (2,):
-        raise ValueError("origin must be a pair of offsets (east, north)")
-    east, north = cube.offsets()
-    distance = np.hypot(east - origin[0], north - origin[1]).to_value(u.mas)
+    distance = np.hypot(*cube.offsets()).to_value(u.mas)
     # Pixels at r_min up to rounding errors belong to this ring, not to the inner one.
     slack = 1e-9 * high
     inside = (distance >= low - slack) & (distance < high - slack)
     if not inside.any():
-        raise ValueError(f"no pixel of the image is {r_min} to {r_max} from the origin")
+        raise ValueError(f"no pixel is {r_min} to {r_max} from the reference pixel")
     return inside

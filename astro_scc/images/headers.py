@@ -147,32 +147,29 @@ def _observing_time(header):
     scale = _TIME_SCALES.get(system, "utc")
     problem = None
     for keyword in _DATES:
-        value = get(header, keyword)
+        value, text = get(header, keyword), get(header, keyword, kind=str)
         if isinstance(value, Time):
             return value
-        text = get(header, keyword, kind=str)
         if text is None:
             continue
         clock = get(header, "TIME-OBS", kind=str) or ""
         if keyword == "DATE-OBS" and ":" in clock and ":" not in text:
             text = f"{text}T{clock}"
         try:
-            time = parse_date(text, scale)
-            break
+            return _in_utc(parse_date(text, scale))
         except ValueError as error:
             problem = problem or f"{keyword}: {error}"
-    else:
-        days = (get(header, keyword, kind=float) for keyword in _MJDS)
-        day = next((day for day in days if day is not None and day > 0), None)
-        if problem and day is None:
-            raise ValueError(problem)
-        if day is None:
-            return None
-        time = Time(day, format="mjd", scale=scale)
+    for keyword in _MJDS:
+        if (day := get(header, keyword, kind=float) or 0) > 0:
+            return _in_utc(Time(day, format="mjd", scale=scale))
+    if problem:
+        raise ValueError(problem)
+    return None
+
+
+def _in_utc(time):
     with warnings.catch_warnings(action="ignore"):
-        time = time.utc
-    time.format = "isot"
-    return time
+        return Time(time.utc, format="isot")
 
 
 def _header_beam(header, tables):
@@ -284,7 +281,7 @@ def celestial_wcs(header, fobj=None):
             # Where in its source wcslib noticed it helps nobody.
             reason = re.sub(r"ERROR \d+ in \S+ at line \d+ of file \S+: ", "", reason)
             raise ContentError(f"its coordinates cannot be read: {reason}") from None
-    return wcs
+    return as_celestial(wcs)
 
 
 def _repaired(header):
@@ -375,15 +372,15 @@ def as_celestial(wcs):
     """Return the celestial part of a WCS, two axes without distortions."""
     wcs, _, kept = fits_wcs(wcs)
     if not wcs.has_celestial:
-        raise ValueError(f"wcs must have celestial axes, got {list(wcs.wcs.ctype)}")
+        raise ContentError(f"wcs must have celestial axes, got {list(wcs.wcs.ctype)}")
     if not kept[[wcs.wcs.lng, wcs.wcs.lat]].all():
-        raise ValueError("wcs has lost a celestial axis by slicing; slice images only")
+        raise ContentError("wcs has lost a celestial axis by slicing; slice images")
     if wcs.naxis != 2:
         wcs = wcs.celestial
     if wcs.wcs.lng > wcs.wcs.lat:
-        raise ValueError("wcs has latitude on its first axis; transpose the images")
+        raise ContentError("wcs has latitude on its first axis; transpose the images")
     if wcs.has_distortion:
-        raise ValueError("the grid of a cube has no distortions; resample images first")
+        raise ContentError("wcs has distortions (SIP); resample the images first")
     return wcs
 
 

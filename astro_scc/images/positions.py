@@ -16,8 +16,6 @@ from astro_scc.quantities import named, one_quantity
 AXES = {
     "RA--": ("east", "north", True),
     "GLON": ("galactic east", "galactic north", True),
-    "ELON": ("ecliptic east", "ecliptic north", True),
-    "SLON": ("supergalactic east", "supergalactic north", True),
 } | dict.fromkeys(
     ("HPLN", "HGLN", "CRLN", "HCLN"), ("solar west", "solar north", False)
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Self, TypeVar, overload
@@ -32,10 +32,6 @@ Series = TypeVar("Series", bound="ImageSeries")
 
 #: Fields that have a value for each epoch.
 EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_meta"
-#: Fields that `ImageSeries.from_arrays` takes as they are.
-FIELDS = (
-    "unit", "mask", "beams", "noise", "labels", "epoch_wcs", "epoch_meta", "meta",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,10 +71,7 @@ class ImageSeries:
         vars(self).update(meta=dict(self.meta))
         self._refuse_empty()
         order = order_of(times)
-        days = times.jd[order]
-        for k in np.flatnonzero(np.diff(days) * 86400 < 1)[:1]:
-            date = times.isot[order[k]]
-            warn(f"two images are of {date}; leave one out, or average them")
+        warn_of_equal_dates(times[order])
         if np.any(np.diff(order) < 0):
             vars(self).update(self._picked(order))
 
@@ -121,20 +114,14 @@ class ImageSeries:
         EpochWarning
             If two images are of one date.
         """
-        if unknown := sorted(fields.keys() - set(FIELDS)):
-            raise TypeError(
-                f"from_arrays has no {unknown[0]!r}; it takes {', '.join(FIELDS)}"
-            )
-        try:
-            n, ny, nx = (*np.shape(data), 1, 1, 1)[:3]
-        except ValueError:
-            shapes = ", ".join(sorted({str(np.shape(image)) for image in data}))
-            raise ValueError(f"the images differ in shape: {shapes}") from None
+        mask, unit = (fields.pop(name, None) for name in ("mask", "unit"))
+        data, mask, unit = as_stack(data, mask, unit)
+        n, ny, nx = data.shape
         if reference_pixel is None:
             reference_pixel = (nx - 1) / 2, (ny - 1) / 2
-        fields = {"meta": {"history": [f"{n} epochs from arrays"]}, **fields}
         wcs = positions.offset_wcs(pixel_scale, reference_pixel, position)
-        return cls(data=data, times=times, wcs=wcs, **fields)
+        fields = {"meta": {"history": [f"{n} epochs from arrays"]}, **fields}
+        return cls(data=data, times=times, wcs=wcs, unit=unit, mask=mask, **fields)
 
     @classmethod
     def _of(cls, **fields: Any) -> Self:
@@ -438,9 +425,34 @@ def as_times(times, n):
     return without_doubt(times)
 
 
+def given_times(times, n):
+    """Return the dates that are given for n images, None for those that are not."""
+    if isinstance(times, str) or not np.iterable(times):
+        times = [None] * n if times is None else [times]
+    times = [t if t is None else as_times(t, 1)[0] for t in times]
+    if len(times) != n:
+        raise ValueError(f"{n} images or lists need {n} times, got {len(times)}")
+    return times
+
+
+def warn_of_equal_dates(times):
+    """Warn of the first of dates in order that is that of the next, to the second."""
+    for k in np.flatnonzero(np.diff(times.jd) * 86400 < 1)[:1]:
+        warn(f"two images are of {times.isot[k]}; leave one out, or average them")
+
+
 def order_of(times):
     """Return the order of dates, of which equal ones stay as they are."""
     return np.argsort((times - times[0]).jd, kind="stable")
+
+
+def as_shape(shape):
+    """Return the shape (ny, nx) of an image as two integers."""
+    with suppress(TypeError, ValueError):
+        ny, nx = map(operator.index, shape)
+        if min(ny, nx) > 0:
+            return ny, nx
+    raise ValueError(f"shape={shape} must be two positive integers (ny, nx)")
 
 
 def as_beams(beams, n):

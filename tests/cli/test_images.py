@@ -134,7 +134,7 @@ def test_inspect_says_what_is_wrong(series, done, refused, here):
     (here / "note.fits").write_text("no image")
     out, _ = done("inspect", *paths, "note.fits")
     problems = out.split("Problems:\n")[1].splitlines()
-    assert any("no beam where others have one" in line for line in problems)
+    assert any("no beam where other epochs have one" in line for line in problems)
     assert any("note.fits: cannot be read as FITS" in line for line in problems)
     assert problems[-1].startswith("  as one series: ")
     with fits.open(paths[0], mode="update") as hdus:

@@ -45,7 +45,7 @@ no.fits -o out | no.fits: no such file
 no*.fit -o out | no*.fit: no file matches
 note.fits JET -o out | note.fits: cannot be read as FITS
 MODELS -o out | --beam '1.0 mas 0.5 mas -7 deg'
-MODELS -o out --beam "1 mas 2 mas" | '1 mas 2 mas' is no beam: has no position angle
+MODELS -o out --beam "1 mas 2 mas" | is no beam: has 2 numbers, not one or three
 """,
     "profile JET -o out": """
 | --bins is missing
@@ -63,7 +63,7 @@ MODELS -o out --beam "1 mas 2 mas" | '1 mas 2 mas' is no beam: has no position a
 """,
     "track -o out": """
 | no epochs were given
-model.mod --beam "1 mas" | model.mod: no date in the file's name; rename it
+model.mod --beam "1 mas" | model.mod: no DATE-OBS in the header, or no date in a name
 """,
     "inspect": """
 | no epochs were given; name the FITS files
@@ -97,7 +97,7 @@ static . | .: exists and is not empty
 --source M87 | no source 'M87'; it does not say of which source it is
 """,
     'restore -o out --beam "1 mas" --pixel "0.1 mas"': """
-extra.xyz | extra.xyz: the suffix '.xyz' tells no format
+extra.xyz | extra.xyz: its suffix is none of .ecsv
 no.ecsv | no.ecsv: no such file
 bad_2006-03-09.mod | bad_2006-03-09.mod, line 1:
 """,

@@ -93,23 +93,23 @@ def test_flux_is_kept_and_covariances_add(axes):
 def test_positions_facts_and_a_beam_for_each_epoch():
     position, facts = SkyCoord("12h29m06.7s", "2d03m08.6s"), {"object": "3C 273"}
     beams = [BEAM, Beam(2 * u.mas, 1 * u.mas)]
-    source = components(meta=facts | {"redshift": 0.158})
-    cube = restored(source, beam=beams, position=position, unit=MJY_BEAM)
+    source = components(meta=facts | {"redshift": 0.158, "position": position})
+    cube = restored(source, beam=beams)
     sky = cube.wcs.pixel_to_world(*moments(cube.data[1])[0])
     offsets = u.Quantity(position.spherical_offsets_to(sky)).to_value(u.mas)
     assert_allclose(offsets, [0.4, 0.2], atol=1e-3)
-    assert cube.data[0].max() == pytest.approx(1000, rel=0.01)
+    assert cube.data[0].max() == pytest.approx(1, rel=0.01)
     assert (cube.beams, cube.epoch_meta[0]) == (tuple(beams), facts)
     assert cube.meta["redshift"] == 0.158
     assert "restored 3 components" in cube.meta["history"][0]
     grid = {"shape": cube.shape[1:], "reference_pixel": cube.reference_pixel}
     one_epoch = components().select(after="2006-03-01")
-    alone = restored(one_epoch, beam=beams[1], unit=MJY_BEAM, **grid)
+    alone = restored(one_epoch, beam=beams[1], **grid)
     assert_array_equal(cube.data[1], alone.data[0])
 
 
 def test_grids():
-    cube = restored(components(), margin=4)
+    cube = restored(components())
     (x, y), (ny, nx) = cube.reference_pixel, cube.shape[1:]
     assert min(x - 20, nx - 1 - x, y, ny - 1 - y - 10) >= 40
     edges = cube.data[:, [0, -1]].ravel(), cube.data[:, :, [0, -1]].ravel()
@@ -117,9 +117,6 @@ def test_grids():
     cube = restored(components(), shape=(64, 80), reference_pixel=(50, 20))
     assert (cube.shape, cube.reference_pixel) == ((2, 64, 80), (50, 20))
     assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
-    beside = restored(one(), reference_pixel=(200, 10))
-    assert beside.reference_pixel == (200, 10)
-    assert beside.data[0, 10, 200] == pytest.approx(2.0)
     with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
         restored(components(), shape=(40, 20), reference_pixel=(5, 20))
 
@@ -131,7 +128,7 @@ def test_noise_and_seeds():
     assert residual.std() == pytest.approx(3e-3, rel=0.2)
     assert abs(np.corrcoef(residual[0].ravel(), residual[1].ravel())[0, 1]) < 0.2
     assert noisy.noise.to_value(MJY_BEAM) == pytest.approx([3, 3])
-    each = restored(components(), noise=[3, 0] * MJY_BEAM, rng=np.random.default_rng(1))
+    each = restored(components(), noise=[3, 0] * MJY_BEAM, rng=1)
     assert_array_equal(each.data[0], noisy.data[0])
     assert_array_equal(each.data[1], clean.data[1])
 
@@ -141,15 +138,13 @@ def test_noise_and_seeds():
     [
         ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
         ({"beam": None}, "needs a beam; give one"),
-        ({"beam": []}, "needs a beam; give one"),
         ({"noise": [1, 2, 3] * MJY_BEAM}, "2 epochs need 2 noises"),
         ({"noise": 1 * u.mas}, "noise must be a Quantity in Jy / beam"),
-        ({"unit": u.Jy}, "not convertible"),
         ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
         ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
-        ({"shape": (0, 5)}, "shape must be"),
-        ({"shape": (5,)}, "shape must be"),
+        ({"shape": (0, 5)}, r"shape=\(0, 5\) must be two positive integers"),
+        ({"reference_pixel": (3, 3)}, "reference_pixel needs a shape; give both"),
     ],
 )
 def test_bad_options(options, message):
@@ -210,8 +205,6 @@ def test_correlation_is_that_of_white_noise_seen_with_the_beam():
     # Exponents d^2 / (2 * 2 sigma^2) of d^2 = 50 px^2.
     expected = np.exp(-50 / 4 * 8 * np.log(2) / np.array([15, 4]) ** 2)
     assert [up_left, up_right] == pytest.approx(expected, abs=0.07)
-    noise = noises(600, ROUND, shape=(20, 20))
-    assert abs(np.mean(noise[:, 0] * noise[:, -1])) < 0.06
 
 
 # One FITS image an epoch ------------------------------------------------------
@@ -227,9 +220,6 @@ def test_written_epochs(tmp_path):
     paths = write_epochs(cube, folder)
     names = ["3C_273_00_2006-01-01.fits", "3C_273_01_2006-07-01.fits"]
     assert [p.name for p in paths] == names
-    with pytest.raises(OSError, match="exists; choose"):
-        write_epochs(cube, folder)
-    assert sorted(folder.iterdir()) == sorted(paths)
     assert np.argwhere(np.isnan(fits.getdata(paths[0]))).tolist() == [[3, 4]]
     with fits.open(paths[1]) as hdus:
         header, image = hdus[0].header, hdus[0].data

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Cubes: what they are made of, what they give, and how files become one."""
 
+import re
 import warnings
 from datetime import datetime
 from types import SimpleNamespace
@@ -11,15 +12,14 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.time import Time
-from astropy.wcs import WCS, Sip
+from astropy.wcs import WCS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import find_files
-from astro_scc.images.positions import readable_angle
+from astro_scc.images.positions import offset_wcs, readable_angle
 
 DATES = ["2001-01-01", "2000-01-01", "2000-06-01"]
 JY_BEAM = u.Jy / u.beam
@@ -38,18 +38,10 @@ def make_cube(n=3, **kwargs):
 
 
 def celestial(**changes):
-    wcs = WCS(naxis=2)
-    values = {"ctype": ["RA---SIN", "DEC--SIN"], "cdelt": [-1e-7, 1e-7]}
-    values |= {"crpix": (4, 5), "crval": (10, 20), **changes}
-    for name, value in values.items():
+    wcs = offset_wcs(0.36 * u.mas, (3, 4), SkyCoord(10, 20, unit="deg"))
+    for name, value in changes.items():
         setattr(wcs.wcs, name, value)
     return wcs
-
-
-def distorted():
-    sip, matrix = celestial(ctype=["RA---TAN-SIP", "DEC--TAN-SIP"]), np.eye(3)
-    sip.sip = Sip(matrix, matrix, None, None, sip.wcs.crpix)
-    return sip
 
 
 # -- construction ----------------------------------------------------------------
@@ -72,32 +64,17 @@ def test_everything_is_sorted_by_date():
     assert [m["k"] for m in cube.epoch_meta] == [1, 2, 0]
 
 
-@pytest.mark.filterwarnings("ignore:two images are of")
-@settings(max_examples=10)
-@given(st.permutations(range(5)))
-def test_any_order_gives_the_same_cube(order):
-    data, days = images(5, 2, 3), np.array([0.0, 1.5, 1.5, 30.0, 31.0])
-    times = Time(51544 + days[list(order)], format="mjd")
-    cube = EpochCube(data[list(order)], times, celestial())
-    assert np.all(np.diff(cube.times.mjd) >= 0)
-    for value, day in zip(cube.data, cube.times.mjd - 51544, strict=True):
-        assert any(np.array_equal(value, data[i]) for i in np.flatnonzero(days == day))
-
-
 def test_arrays_become_float64_and_pixels_that_are_not_finite_are_masked():
     data = images()
     data[0, 0, 0], data[1, 1, 1] = np.nan, np.inf
-    masked = np.ma.masked_array(data, mask=data == data[2, 2, 2])
-    cube = EpochCube(masked, Time(DATES), celestial())
-    assert cube.mask.sum() == 3
+    cube = EpochCube(data, Time(DATES), celestial())
+    assert cube.mask.sum() == 2
     # The mean leaves masked pixels out.
     mean, others = cube.mean_image(), data[1:, 0, 0].mean()
     assert (mean.data[0, 0], mean.mask.any()) == (pytest.approx(others), False)
     integers = np.ones((1, 2, 3), dtype=">i2") * u.mJy
-    cube = EpochCube(integers, ["2000-01-01"], celestial())
-    assert (cube.unit, cube.data.dtype) == (u.mJy, np.float64)
     cube = EpochCube(integers, "2000-01-01", celestial(), unit=u.Jy)
-    assert cube.data[0, 0, 0] == pytest.approx(1e-3)
+    assert (cube.data.dtype, cube.data[0, 0, 0]) == (np.float64, pytest.approx(1e-3))
 
 
 def test_beams_and_noise_of_every_epoch_or_of_each():
@@ -112,24 +89,18 @@ def test_beams_and_noise_of_every_epoch_or_of_each():
     assert make_cube(beams=[alike, other, ROUND]).beams == (expected, ROUND, ROUND)
 
 
-@pytest.mark.parametrize(
-    "times",
-    [
+def test_dates_are_taken_in_many_forms():
+    for times in (
         Time(DATES),
         [datetime.fromisoformat(date) for date in DATES],
         np.array(DATES, dtype="datetime64[D]"),
         ["01/01/01", "2000-01-01Z", "2000/06/01"],
-    ],
-)
-def test_dates_are_taken_in_many_forms(times):
-    cube = EpochCube(images(), times, celestial())
-    assert [t[:10] for t in cube.times.isot] == sorted(DATES)
-    assert len(EpochCube(images(1), times[0], celestial())) == 1
-
-
-def test_dates_older_than_utc_warn_of_nothing():
-    times = ["1939-11-01", "1992-01-01"]
-    cube = EpochCube.from_arrays(images(2), times, pixel_scale=0.2 * u.arcsec)
+    ):
+        cube = EpochCube(images(), times, celestial())
+        assert [t[:10] for t in cube.times.isot] == sorted(DATES)
+        assert len(EpochCube(images(1), times[0], celestial())) == 1
+    # Those older than UTC warn of nothing.
+    cube = EpochCube(images(2), ["1939-11-01", "1992-01-01"], celestial())
     assert cube.years.value[1] == pytest.approx(52.16, abs=0.01)
     assert (cube.labels[0], len(cube.epochs)) == ("1939-11-01", 2)
 
@@ -138,14 +109,11 @@ def test_dates_older_than_utc_warn_of_nothing():
     ("changes", "message"),
     [
         ({"data": np.ones((8, 12))}, r"shape \(n_epochs, ny, nx\), got"),
-        ({"data": np.ones((3, 0, 2))}, "shape"),
         ({"data": "image"}, "real numbers"),
-        ({"data": [[1, 2], [3]]}, "real numbers"),
         ({"data": np.ones((3, 8, 12)) * 1j}, "complex128"),
         ({"data": np.full((3, 8, 12), np.nan), "labels": list("abc")},
          "a: no valid pixel; leave this epoch"),
         ({"unit": "furlong/beam"}, "'furlong/beam' is not one that"),
-        ({"times": DATES[:2]}, "3 epochs need 3 times"),
         ({"times": []}, "3 epochs need 3 times"),
         ({"times": [2000.1, 2000.2, 2001]}, "times must be a Time or"),
         ({"times": ["x", "y", "z"]}, "'x' is no date"),
@@ -155,14 +123,11 @@ def test_dates_older_than_utc_warn_of_nothing():
         ({"beams": [ROUND, None, ROUND]}, "a beam has major, minor and pa"),
         ({"noise": [1, 2] * JY_BEAM}, "3 epochs need 3 noises"),
         ({"noise": -1 * JY_BEAM}, "finite and not negative"),
-        *(({"noise": no}, "noise must be a Quantity in Jy / beam")
-          for no in (1.0, 1 * u.K)),
-        ({"labels": ["a"]}, "3 epochs need 3 labels"),
+        ({"noise": 1 * u.K}, "noise must be a Quantity in Jy / beam"),
         ({"epoch_wcs": [celestial()]}, "3 epochs need 3 epoch_wcs"),
         ({"wcs": None}, "wcs must be a WCS, or one sliced, got"),
         ({"wcs": WCS(naxis=2)}, "wcs must have celestial axes"),
         ({"wcs": celestial(ctype=["DEC--SIN", "RA---SIN"])}, "latitude on its first"),
-        ({"wcs": distorted()}, "no distortions"),
     ],
 )  # fmt: skip
 def test_bad_arguments(changes, message):
@@ -195,10 +160,7 @@ def test_epochs_are_images_and_some_of_them_a_cube():
     assert (image.unit, image.wcs.naxis) == (JY_BEAM, 2)
     assert np.array_equal(image.data, cube.data[1])
     assert np.array_equal(image.mask, cube.mask[1])
-    assert image.meta["DATE-OBS"] == "2000-06-01T00:00:00.000"
     assert image.meta["BMAJ"] == pytest.approx(3 / 3.6e6)
-    image.meta["OBJECT"] = "changed"
-    assert "OBJECT" not in cube[-2].meta
     for some in (slice(1, 3), [False, True, True], np.array([2, 1]), [1, -1]):
         part = cube[some]
         assert np.array_equal(part.data, cube.data[1:])
@@ -209,7 +171,6 @@ def test_epochs_are_images_and_some_of_them_a_cube():
         (3, IndexError, "epoch 3 of a cube with 3 epochs"),
         ((0, slice(1, 3)), TypeError, "index epochs only"),
         ([False] * 3, ValueError, "holds none of 3 epochs"),
-        (slice(3, 5), ValueError, "holds none of 3 epochs"),
     ):
         with pytest.raises(error, match=words):
             cube[none]
@@ -261,19 +222,6 @@ def test_how_it_looks():
         assert readable_angle(u.Quantity(text).to(u.mas)) == text
 
 
-def test_noise_is_measured_beside_the_source_and_what_is_blanked():
-    data = np.random.default_rng(3).normal(scale=0.5, size=(3, 120, 120)) + 7
-    data[0, 50:80, 20:120] += np.geomspace(0.1, 1e4, 100)
-    data[1, :80], data[2, :60] = 0, np.nan
-    cube = EpochCube(data, sorted(DATES), celestial())
-    assert np.allclose(cube.noise_rms().value, 0.5, rtol=0.06)
-    louder = cube.with_step("", data=1e6 * data)
-    assert np.allclose(louder.noise_rms() / cube.noise_rms(), 1e6)
-    for value in (0, np.nan, 3.0):
-        image = np.full((4, 4), value)
-        assert measure_noise(image, np.isnan(image)) == 0
-
-
 # -- from files -----------------------------------------------------------------
 
 
@@ -281,7 +229,7 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
     one, two = images(1, 16, 32, 1), images(1, 16, 32, 2)
     there = {"DATE_OBS": "2000-01-01", "CRVAL1": 187.25001, "BUNIT": "mJy/beam"}
     paths = [make_fits("a.fits", one), make_fits("b.fits", two, **there)]
-    with pytest.warns(EpochWarning, match="reference pixels are .* apart on the sky"):
+    with pytest.warns(EpochWarning, match="a.fits: its reference pixel and that of b"):
         cube = EpochCube.read(paths)
     assert cube.labels == ("b.fits", "a.fits")
     # The unit is that of the first.
@@ -312,8 +260,9 @@ def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
         ("nowhere/*.fits", FileNotFoundError, r"nowhere/\*.fits: no file matches this"),
         ("nowhere.fits", FileNotFoundError, "nowhere.fits: no such file"),
         ([], FileNotFoundError, "no files were given"),
-        (3, TypeError, "paths must be names or a pattern, got 3"),
-        ([b"a.fits"], TypeError, "paths must be text"),
+        (5, TypeError, "paths must be names or a pattern, got 5"),
+        ([5], TypeError, r"paths must be names or a pattern, got \[5\]"),
+        ([b"a.fits"], TypeError, "paths must be text, got b'a.fits'"),
     ):
         with pytest.raises(error, match=words):
             EpochCube.read(name)
@@ -332,7 +281,7 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
     wide = Beam(1 * u.arcsec, 1 * u.arcsec)
     for options, words in (
         ({}, r"0.fits: no date of observation .*times="),
-        ({"times": "2001-01-01"}, "2 images need 2 times, got 1"),
+        ({"times": "2001-01-01"}, "2 images or lists need 2 times, got 1"),
         ({"times": times, "beams": wide}, "0.fits: the beam that is given, .* larger"),
         ({"frame": "sky"}, "frame = 'sky' must be one of offset, abs"),
     ):
@@ -351,20 +300,23 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
           for date in ("2198-01-01", "1858-11-17")),
         ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "b.fits: its peak is .* ti"),
         ({"OBJECT": "1226+023"}, "b.fits: shows 1226.023, at the same place"),
-        ({"BUNIT": "ODD"}, "^a.fits, b.fits, c.fits and 1 more: its unit 'ODD'"),
+        ({"CDELT1": 1 / 3.6e7}, "b.fits: east is to the right, unlike in most"),
     ],
 )  # fmt: skip
 def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, words):
-    unit = {name: changes[name] for name in changes if name == "BUNIT"}
     paths = [
-        make_fits("a.fits", **unit),
+        make_fits("a.fits"),
         make_fits("b.fits", **{"DATE_OBS": "2007-01-01", **changes}),
-        make_fits("c.fits", OBJECT="Unknown", DATE_OBS="2008-01-01", **unit),
-        make_fits("d.fits", OBJECT="3c 273", DATE_OBS="2009-01-01", **unit),
+        make_fits("c.fits", OBJECT="Unknown", DATE_OBS="2008-01-01"),
+        make_fits("d.fits", OBJECT="3c 273", DATE_OBS="2009-01-01"),
     ]
-    with pytest.warns(EpochWarning, match=words) as caught:
+    with pytest.warns(EpochWarning) as caught:
         cube = EpochCube.read(paths)
-    assert (len(caught), caught[0].filename, len(cube)) == (1, __file__, 4)
+    said = [str(warning.message) for warning in caught]
+    # A mirror image is also on another grid.
+    said = [text for text in said if "on another grid" not in text]
+    assert (len(said), caught[0].filename, len(cube)) == (1, __file__, 4)
+    assert re.search(words, said[0])
 
 
 COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
@@ -376,13 +328,11 @@ COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
         ({"OBJECT": "3C120", "CRVAL1": 68.0}, "offset", "shows 3C120, somewhere else, "
          "where others show 3C273; leave it out .in Python, check=False reads it.", 1),
         ({"CRVAL3": 43e9}, "offset", "is at 43 GHz, others are at 15.4; leave", 1),
-        ({"CRVAL4": 2.0}, "offset", "is of Stokes Q, others are of I", 1),
         ({"FILTER": "F1"}, "offset", "is of the filter F1, others are of F502N", 1),
         ({"data": images(1, 16, 32) > 0}, "offset", "has no more than two diff", 1),
         ({"BMAJ": None}, "offset", "no beam where other epochs have one; wr", 1),
         ({"DATE_OBS": "2000-01-01"}, "offset", "is of 2000-01-01, as is 2000", 1),
-        ({"BUNIT": "K"}, "offset", "its unit is K, that of others is Jy / beam", 0),
-        ({"BUNIT": None}, "offset", "its unit is none, that of", 0),
+        ({"BUNIT": None}, "offset", "its unit is none, that of others is Jy / beam", 0),
         (COARSE, "offset", "its pixels are 3.6 mas where others are 0.1 mas", 0),
         ({"CRVAL1": 188.0}, "absolute", "lies too far from .*2000-01-01.fits", 0),
     ],
@@ -396,9 +346,17 @@ def test_files_of_something_else_are_named(make_fits, changes, frame, words, unc
         EpochCube.read([*paths, odd], frame=frame)
     assert "\n" not in str(caught.value)
     if unchecked:
-        with warnings.catch_warnings(action="ignore", category=EpochWarning):
+        with warnings.catch_warnings(record=True, action="always") as caught:
             cube = EpochCube.read([*paths, odd], check=False)
         assert (len(cube), cube.beams is None) == (3, "BMAJ" in changes)
+        # A beam is not lost, and a date is not doubled, without a word.
+        for name, said in (("BMAJ", "odd.fits: no beam"), ("DATE_OBS", "two images")):
+            if name in changes:
+                assert (
+                    str(caught[0].message)
+                    .removeprefix(f"{odd.parent}/")
+                    .startswith(said)
+                )
 
 
 def test_whole_cubes_are_not_epochs(make_fits, tmp_path):
@@ -436,17 +394,14 @@ def test_other_grids_are_resampled_in_offsets(make_fits):
         make_fits("a.fits", fine, CRPIX1=32.0, CRPIX2=32.0),
         make_fits("b.fits", coarse, **own),
     ]
-    with pytest.warns(EpochWarning, match=r"b.fits: on another grid") as caught:
+    with pytest.warns(EpochWarning, match=r"b.fits: on another grid"):
         cube = EpochCube.read(paths)
-    assert len(caught) == 1
-    assert cube.pixel_scale.to_value(u.mas) == pytest.approx(0.1)
     x0, y0 = cube.reference_pixel
     expected = gaussian(*cube.shape[1:], x0 + 10, y0 + 6)
-    for data, mask in zip(cube.data, cube.mask, strict=True):
-        assert np.allclose(data[~mask], expected[~mask], atol=0.02)
+    assert np.allclose(*(np.where(cube.mask, 0, d) for d in (cube.data, expected)),
+                       atol=0.02)  # fmt: skip
     crval = [wcs.wcs.crval[0] for wcs in (cube.wcs, cube.epoch_wcs[1])]
     assert crval == [187.25, 187.25 + 3 * STEP]
-    assert np.array_equal(cube.epoch_wcs[1].wcs.crpix, cube.wcs.wcs.crpix)
 
 
 def test_absolute_coordinates_are_trusted_when_asked(make_fits):

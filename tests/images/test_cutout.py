@@ -9,7 +9,6 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.time import Time
-from astropy.wcs import WCS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -27,19 +26,18 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import read_plane
-from astro_scc.images.grid import crop, distance_mask, refuse_pixels, region_mask
+from astro_scc.images.grid import crop, distance_mask, region_mask
+from astro_scc.images.positions import offset_wcs
 
 SHAPE = (40, 50)
 MAS = u.mas.to(u.deg)
 EXCLUDED = RegionMeta({"include": False})
 
 
-def grid(turn=0.0, crval=(187.0, 12.0)):
+def grid(turn=0.0, north=0.0):
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    wcs = WCS(naxis=2)
-    wcs.wcs.ctype, wcs.wcs.pc = ["RA---SIN", "DEC--SIN"], [[c, -s], [s, c]]
-    wcs.wcs.cdelt, wcs.wcs.crpix = [-0.1 * MAS, 0.1 * MAS], (21, 16)
-    wcs.wcs.crval = crval
+    wcs = offset_wcs(0.1 * u.mas, (20, 15), SkyCoord(187, 12 + north, unit="deg"))
+    wcs.wcs.pc = [[c, -s], [s, c]]
     return wcs
 
 
@@ -93,14 +91,13 @@ def test_regions_unite_and_exclusions_are_taken_away(tmp_path, region, expected)
     assert mask is not region
 
 
-@pytest.mark.parametrize("turn", [0, 25])
-def test_sky_regions_of_milliarcseconds(tmp_path, turn):
-    cube = make(turn)
+def test_sky_regions_of_milliarcseconds(tmp_path):
+    cube = make(25)
     centre = cube.wcs.pixel_to_world(24, 18)
     region = CircleSkyRegion(centre, 0.52 * u.mas)
-    assert_array_equal(region_mask(cube, region), disc(24, 18, 5.2))
     Regions([region]).write(tmp_path / "jet.reg", format="ds9", precision=12)
-    assert_array_equal(region_mask(cube, tmp_path / "jet.reg"), disc(24, 18, 5.2))
+    for own in (region, tmp_path / "jet.reg"):
+        assert_array_equal(region_mask(cube, own), disc(24, 18, 5.2))
     ellipse = EllipseSkyRegion(centre, 1.6 * u.mas, 0.6 * u.mas, 30 * u.deg)
     at = u.Quantity(cube.pixel_to_offset(24, 18))
     east, north = (u.Quantity(cube.offsets()) - at[:, None, None]).to_value(u.mas)
@@ -116,6 +113,11 @@ LON, LAT = SKY.ra.deg, SKY.dec.deg
 CORNERS = [(x, y) for x in (-1, 1) for y in (-x, x)]
 SQUARE = [v for x, y in CORNERS for v in (LON + x * 6e-7, LAT + y * 6e-7)]
 CRTF = "#CRTFv0\nglobal coord=ICRS\n"
+# Round numbers are those of somebody who wrote them.
+ROUND = {
+    'icrs\ncircle(187,12.0,0.002")': SkyCoord(187, 12, unit="deg"),
+    'icrs\ncircle(12:28:00.0,+12:00:00.0,0.002")': SkyCoord(187, 12, unit="deg"),
+}
 
 
 @pytest.mark.parametrize(
@@ -124,18 +126,20 @@ CRTF = "#CRTFv0\nglobal coord=ICRS\n"
         # What regions and CARTA write as CRTF, and DS9 in degrees and in hours.
         (f"{CRTF}circle[[{LON:.6f}deg, {LAT:.6f}deg], 0.000001deg]", False),
         (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000000555556deg]", True),
-        (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.0020arcsec]", True),
+        (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000001deg]", False),
         (f'icrs\ncircle({LON:.7f},{LAT:.7f},0.0020")', False),
         (f'icrs\ncircle({LON:.8f},{LAT:.8f},0.0020")', True),
         ('icrs\ncircle(12:30:49.4234,+12:23:28.044,0.0020")', False),
         ('icrs\ncircle(12:30:49.423382,+12:23:28.04432,0.0020")', True),
         (f'icrs\nellipse({LON:.9f},{LAT:.9f},0.002",0.002",12.34567)', True),
         (f"icrs\npolygon({','.join(f'{v:.6f}' for v in SQUARE)})", False),
+        (Regions([CircleSkyRegion(SKY, 2 * u.mas)]).serialize("ds9"), True),
+        *((text, True) for text in ROUND),
     ],
 )
 def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
-    times, scale = ["2000-01-01"], {"pixel_scale": 0.1 * u.mas}
-    cube = EpochCube.from_arrays(np.ones((1, 90, 90)), times, position=SKY, **scale)
+    place = {"pixel_scale": 0.1 * u.mas, "position": ROUND.get(text, SKY)}
+    cube = EpochCube.from_arrays(np.ones((1, 90, 90)), ["2000-01-01"], **place)
     (tmp_path / "r.reg").write_text(text)
     if enough:
         yy, xx = np.indices((90, 90)) - 44.5
@@ -146,56 +150,31 @@ def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
             region_mask(cube, tmp_path / "r.reg")
 
 
-def test_round_numbers_and_what_regions_writes_by_default(tmp_path):
-    path = tmp_path / "r.reg"
-    for place in ("187.0,12.0", "187,12", "12:28:00.0,+12:00:00.0"):
-        path.write_text(f'icrs\ncircle({place},0.0018")')
-        assert np.sum(region_mask(CUBE, path) != disc(20, 15, 18)) < 4
-    cube = make(25)
-    region = CircleSkyRegion(cube.wcs.pixel_to_world(24.3, 18.2), 0.52 * u.mas)
-    Regions([region]).write(path, format="ds9", overwrite=True)
-    # Eight decimals are 0.04 mas.
-    assert np.sum(region_mask(cube, path) != disc(24.3, 18.2, 5.2)) < 4
-    for kind, words in (("crtf", "cannot be read .* strictly p"), ("fits", "is not a")):
-        # In CRTF the radius has become 0.
-        Regions([region if kind == "crtf" else ONE]).write(path, kind, overwrite=True)
-        with pytest.raises(ValueError, match=f"r.reg: {words}"):
-            region_mask(cube, path)
-
-
 def test_regions_on_the_sphere():
     regions = pytest.importorskip("regions", minversion="0.12")
     cube = make(25)
     centre = cube.wcs.pixel_to_world(24.3, 18.2)
     circle = regions.CircleSphericalSkyRegion(centre, 0.52 * u.mas)
-    hole = regions.CircleSphericalSkyRegion(centre, 0.2 * u.mas, meta=EXCLUDED)
-    expected = disc(24.3, 18.2, 5.2) & ~disc(24.3, 18.2, 2)
-    assert_array_equal(region_mask(cube, [circle, hole]), expected)
-    corners = cube.wcs.pixel_to_world([10.5, 30.5, 30.5, 10.5], [5.5, 5.5, 20.5, 20.5])
-    square = regions.PolygonSphericalSkyRegion(corners)
-    assert region_mask(cube, square).sum() == 20 * 15
+    assert_array_equal(region_mask(cube, circle), disc(24.3, 18.2, 5.2))
     limits = {"longitude_range": [1, 2] * u.deg, "frame": "icrs"}
-    with pytest.raises(ValueError, match="RangeSphericalSkyRegion cannot be") as e:
+    with pytest.raises(ValueError, match="a RangeSphericalSkyRegion has no inside"):
         region_mask(cube, regions.RangeSphericalSkyRegion(**limits))
-    assert "\n" not in str(e.value)
 
 
 @pytest.mark.parametrize(
     ("region", "message"),
     [
         (b"garbage\n", "r.reg: holds no region"),
-        (b"", "r.reg: holds no region"),
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
+        (b"SIMPLE  =                    T", "r.reg: is not a text file"),
         (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
         (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
-        (b"image\ncircle(21.5,21.5,0.1)\n", "r.reg: holds no pixel"),
         # Its mask would need 30 TiB.
         (b"image\ncircle(-3000000,0,2900000)\n", "r.reg: holds no pixel"),
         (b"image\npoint(21,21)\n", "r.reg: a PointPixelRegion has no inside"),
         (b"icrs\ncircle(4:33:11,5:21:15,0.5\")\n", "r.reg: .* that the images show"),
         ("no.reg", "No such file .*no.reg"),
-        (circle(-30, 20, 4), "region: holds no pixel"),
         (np.zeros(SHAPE, dtype=bool), "no pixel"),
         (np.ones((3, 3), dtype=bool), r"array of bool of the images' shape"),
         (np.ones(SHAPE), "array of float64"),
@@ -212,22 +191,13 @@ def test_regions_that_cannot_be_used(tmp_path, region, message):
     assert "\n" not in str(caught.value)
 
 
-def test_region_files_in_pixels_are_known(tmp_path):
-    path = tmp_path / "r.reg"
-    path.write_text('icrs\ncircle(187d,12d,0.001")\n')
-    assert refuse_pixels(path) is None
-    path.write_text('icrs\ncircle(187d,12d,0.001")\nimage\ncircle(20,20,8)\n')
-    with pytest.raises(ValueError, match=r"r.reg: is in pixels, which are others in a"):
-        refuse_pixels(path)
-
-
 # -- crops --------------------------------------------------------------------
 
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 38), st.integers(1, 40), st.integers(0, 48), st.integers(1, 50))
 def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
-    cube = make(25, epoch_wcs=[grid(25), grid(25, crval=(187.0, 12.0 + 1e-7))])
+    cube = make(25, epoch_wcs=[grid(25), grid(25, north=1e-7)])
     part = crop(cube, (slice(y0, y0 + height), slice(x0, x0 + width)))
     y1, x1 = min(y0 + height, 40), min(x0 + width, 50)
     assert_array_equal(part.data, cube.data[:, y0:y1, x0:x1])
@@ -247,12 +217,9 @@ def test_cropping_to_a_region_with_a_margin():
     assert part.mask.sum() == 1
     assert (part.noise is cube.noise, part.beams) == (True, cube.beams)
     assert "cropped to pixels x 17 to 27" in part.meta["history"][-1]
-    part.data[:] = 0
-    assert cube.data.any()
     # A margin ends at the edge, and negative slices count from the end.
-    assert crop(cube, (slice(0, 5), slice(None)), pad=3).shape == (2, 8, 50)
-    part = crop(cube, (slice(-10, None), slice(3, -3)))
-    assert_array_equal(part.data, cube.data[:, -10:, 3:-3])
+    part = crop(cube, (slice(-10, None), slice(3, -3)), pad=1)
+    assert_array_equal(part.data, cube.data[:, -11:, 2:-2])
 
 
 # -- rings ----------------------------------------------------------------------
@@ -266,24 +233,17 @@ def test_rings_share_no_pixel_and_leave_none_out():
     # Pixels five steps away are at 0.5 mas but for rounding.
     assert rings[0][15, 20]
     assert rings[1][[15, 10], [25, 20]].all()
-    offset = u.Quantity(cube.pixel_to_offset(30, 22))
-    sky = cube.wcs.pixel_to_world(30, 22)
-    for origin in (offset.to(u.uas), sky, sky.galactic):
-        inside = distance_mask(cube, 0 * u.mas, 400.1 * u.uas, origin=origin)
-        assert_array_equal(inside, disc(30, 22, 4.001))
 
 
 @pytest.mark.parametrize(
     ("function", "arguments", "words"),
     [
         *((distance_mask, limits * u.mas, "0 <= r_min < r_max")
-          for limits in ([1, 1], [2, 1], [-1, 1], [np.nan, 1])),
-        (distance_mask, [1, 2] * u.arcsec, "no pixel of the image is"),
-        (distance_mask, [0, 1, 3] * u.mas, "pair of offsets"),
+          for limits in ([1, 1], [-1, 1], [np.nan, 1])),
+        (distance_mask, [1, 2] * u.arcsec, "no pixel is 1.0 arcsec to"),
         (distance_mask, [0, 1] * u.s, "not convertible"),
-        (crop, [(slice(40, 60), slice(None))], "hold no pixel of the 50 x 40 image"),
+        (crop, [(slice(40, 60), slice(None))], "holds no pixel of the 50 x 40 image"),
         (crop, [(slice(None, None, 2), slice(None))], "two, .y, x., without a step"),
-        (crop, [(slice(None),)], "must be two, .y, x., without a step"),
         *((crop, [ONE, pad], "whole number") for pad in (-1, 1.5)),
     ],
 )  # fmt: skip
@@ -328,20 +288,17 @@ def paths(tmp_path):
 
 def test_as_reading_all_and_cropping(paths, tmp_path):
     whole = EpochCube.read(paths)
-    circle = CircleSkyRegion(whole.wcs.pixel_to_world(30, 18), 0.75 * u.mas)
-    for region, pad in ((PART, 0), (circle, 3)):
-        same(EpochCube.read(paths, region=region, pad=pad), whole.crop(region, pad=pad))
     path = tmp_path / "jet.reg"
     path.write_text("image\ncircle(21,21,8.5)\nblob(3,4)\n")
     with pytest.warns(EpochWarning, match="blob") as caught:
-        EpochCube.read(paths, region=path)
+        same(EpochCube.read(paths, region=path, pad=3), whole.crop(path, pad=3))
     assert caught[0].filename == __file__
-    path, noise = tmp_path / "cube.fits", 1 * u.Jy / u.beam
-    for cube in (series(beams=None), series(noise=noise)):
-        cube.write(path, overwrite=True)
-        part = EpochCube.read(path, region=PART, pad=2)
-        same(part, cube.crop(PART, pad=2))
-        assert_array_equal(part.noise, cube.noise)
+    same(EpochCube.read(paths, region=PART), whole.crop(PART))
+    cube = series(noise=1 * u.Jy / u.beam)
+    cube.write(tmp_path / "cube.fits")
+    part = EpochCube.read(tmp_path / "cube.fits", region=PART, pad=2)
+    same(part, cube.crop(PART, pad=2))
+    assert_array_equal(part.noise, cube.noise)
 
 
 @pytest.mark.parametrize("frame", ["offset", "absolute"])

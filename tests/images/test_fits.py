@@ -4,17 +4,13 @@
 import bz2
 import gzip
 import lzma
-import warnings
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import looks_like_mask, read_plane
 
 PIXELS = np.random.default_rng(1).normal(size=(1, 1, 16, 32))
@@ -55,46 +51,6 @@ def test_stokes_i_is_taken_from_several_planes(make_fits):
         assert np.array_equal(image.data, data[plane, 0])
 
 
-def test_tables_and_extensions(tmp_path, aips_header):
-    names = {"BMAJ": 3e-7, "BMIN": 1.5e-7, "BPA": 5.0}
-    columns = [
-        fits.Column(k, "1E", unit="DEGREES", array=[v]) for k, v in names.items()
-    ]
-    table = fits.BinTableHDU.from_columns(columns, name="AIPS CG")
-    primary = fits.PrimaryHDU()
-    primary.header.update({"DATE-OBS": "1995-04-01", "TIME-OBS": "12:00:00"})
-    header = aips_header(DATE_OBS=None, BUNIT="ELECTRONS/S", BMAJ=None)
-    parts = {"SCI": PIXELS[0, 0], "WHT": PIXELS[0, 0] * 0 + 5}
-    hdus = [fits.ImageHDU(data, header, name=name) for name, data in parts.items()]
-    path = tmp_path / "hst.fits"
-    fits.HDUList([primary, *hdus, table]).writeto(path)
-    image = read_plane(path)
-    assert image.beam.major.to_value(u.deg) == pytest.approx(3e-7)
-    assert image.unit == u.electron / u.s
-    assert image.time.isot == "1995-04-01T12:00:00.000"
-    assert np.array_equal(image.data, PIXELS[0, 0])
-    for hdu in ("WHT", 2):
-        assert np.all(read_plane(path, hdu=hdu).data == 5)
-    refused(path, "holds no image of real numbers", hdu="AIPS CG")
-    refused(path, "has no extension 'ERR'", hdu="ERR")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"BUNIT": "FURLONGS"}, "unit 'FURLONGS' is not known and taken as dimensionl"),
-        ({"BMAJ": -1e-7}, "unknown: .* is not positive; write BMAJ, BMIN and BPA in"),
-        ({"BMAJ": 1.0, "BMIN": 0.5}, "larger than the image; write BMAJ, BMIN and BPA"),
-    ],
-)
-def test_what_is_not_understood_is_said_and_left_out(make_fits, changes, message):
-    path = make_fits(**changes)
-    with pytest.warns(EpochWarning, match=message):
-        cube = EpochCube.read(path)
-    assert (cube.beams is None) == ("BMAJ" in changes)
-    assert len(read_plane(path).notes) == 1
-
-
 def drizzled(path, weight, **changes):
     """An image as the pipelines of HST write it: date in one header, WCS in another."""
     scale = 0.025 / 3600
@@ -131,10 +87,10 @@ def test_drizzled_images_of_hst(tmp_path):
 # -- what is no image ------------------------------------------------------------
 
 
-def refused(path, words, error=OSError, **options):
+def refused(path, words, error=OSError):
     """The file is refused in one line that names it."""
     with pytest.raises(error, match=words) as caught:
-        read_plane(path, **options)
+        read_plane(path)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"{path}: ")
 
@@ -156,7 +112,7 @@ SIP = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "A_ORDER": 2, "B_ORDE
         (broadcast(4, 1, 16, 32), {"CRVAL4": None}, "STOKES and none of them is I"),
         (broadcast(1, 3, 16, 32), {}, "has 3 planes on axis FREQ"),
         (broadcast(5, 16, 32), {"CTYPE3": None}, "has 5 planes on axis 3 of the file"),
-        (PIXELS[0, 0], SIP, "are distorted"),
+        (PIXELS[0, 0], SIP, "has distortions .SIP.; resample"),
         (PIXELS * np.nan, {}, "no valid pixel, all are NaN"),
     ],
 )
@@ -164,13 +120,9 @@ def test_images_that_cannot_be_used(make_fits, data, changes, words):
     refused(make_fits(data=data, **changes), words, ValueError)
 
 
-def test_what_is_no_image_is_an_os_error_of_one_line(tmp_path):
-    (tmp_path / "text.fits").write_text("not FITS\nat all")
-    (tmp_path / "empty.fits").touch()
-    fits.PrimaryHDU().writeto(tmp_path / "nothing.fits")
+def test_one_row_of_pixels_is_no_image(tmp_path):
     fits.PrimaryHDU(np.ones(8)).writeto(tmp_path / "spectrum.fits")
-    for path in (*tmp_path.iterdir(), tmp_path / "missing.fits", tmp_path):
-        refused(path, str(path))
+    refused(tmp_path / "spectrum.fits", "holds no image")
     assert not looks_like_mask(np.full((2, 2), np.nan))
 
 
@@ -199,12 +151,9 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
             refused(path, "broken")
 
 
-SLOW = [
-    pytest.param(k, marks=pytest.mark.slow) for k in ("GZIP_1", "GZIP_2", "HCOMPRESS_1")
-]
-
-
-@pytest.mark.parametrize("kind", ["RICE_1", "PLIO_1", "NOCOMPRESS", *SLOW])
+@pytest.mark.parametrize(
+    "kind", ["RICE_1", "PLIO_1", pytest.param("GZIP_2", marks=pytest.mark.slow)]
+)
 def test_tile_compressed_images(make_fits, kind):
     y, x = np.mgrid[:128, :128]
     image = 1000 * np.exp(-((x - 62) ** 2 + (y - 65) ** 2) / 50)
@@ -217,9 +166,8 @@ def test_tile_compressed_images(make_fits, kind):
     options = {"compression_type": kind, "dither_seed": 7}
     with fits.open(plain) as hdus:
         fits.CompImageHDU(hdus[0].data, hdus[0].header, **options).writeto(path)
-    if kind != "NOCOMPRESS":
-        # Smaller than its pixels are, which it is not for being truncated.
-        assert path.stat().st_size < 0.7 * plain.stat().st_size
+    # Smaller than its pixels are, which it is not for being truncated.
+    assert path.stat().st_size < 0.7 * plain.stat().st_size
     one, other = read_plane(plain), read_plane(path)
     # Floats are rounded to a sixteenth of the noise.
     assert np.abs(one.data - other.data).max() <= (0 if exact else 1 / 16)
@@ -234,21 +182,6 @@ def test_tile_compressed_images(make_fits, kind):
         refused(path, r"truncated|broken|no image")
     path.write_bytes(content[: end + 8])
     assert np.array_equal(read_plane(path).data, other.data)
-
-
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 2879), st.binary(min_size=1, max_size=20))
-def test_a_damaged_header_is_read_or_refused_in_one_line(make_fits, start, damage):
-    path = make_fits()
-    content = bytearray(path.read_bytes())
-    content[start : start + len(damage)] = damage
-    path.write_bytes(content)
-    with warnings.catch_warnings(action="error"):
-        try:
-            read_plane(path)
-        except (OSError, ValueError) as error:
-            if "\n" in str(error) or not str(error).startswith(f"{path}: "):
-                raise
 
 
 def test_files_of_the_survey_and_with_quirks(shared_data):

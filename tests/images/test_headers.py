@@ -1,23 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What headers tell: dates, units, beams, facts and coordinates."""
 
-import string
 import warnings
-from contextlib import suppress
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.time import Time
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import Beam
 from astro_scc.images.headers import (
     celestial_wcs,
-    epoch_header,
-    get,
     header_facts,
     parse_unit,
     read_header,
@@ -61,16 +55,6 @@ def test_dates_of_all_sorts(text, expected):
         return
     with pytest.raises(ValueError, match="is no date; write it as 2006-03-09"):
         parse_date(text)
-
-
-@settings(max_examples=8)
-@example("1,")
-@given(st.text(string.printable, max_size=25))
-def test_any_text_is_a_date_or_a_value_error_and_a_unit_or_none(text):
-    with suppress(ValueError):
-        assert isinstance(parse_date(text), Time)
-    parsed = parse_unit(text)
-    assert parsed is None or isinstance(parsed, u.UnitBase)
 
 
 @pytest.mark.parametrize(
@@ -120,14 +104,6 @@ def test_units(text, unit):
     assert parse_unit(text) == unit
 
 
-def test_get_skips_what_is_not_there():
-    header = fits.Header([("A", None), ("B", "1.5D-3"), ("C", " "), ("D", "nan")])
-    assert get(header, "A", "B", kind=float) == 1.5e-3
-    assert get(header, "A", "C", kind=str) is get(header, "D", kind=float) is None
-    broken = fits.Header.fromstring("X       = 1 2 3 'a".ljust(80))
-    assert get(broken, "X") is None
-
-
 def test_beam_from_the_header(aips_header):
     assert header_beam(aips_header()) == BEAM
     round_ = header_beam(aips_header(BMIN=None, BPA=None))
@@ -166,24 +142,20 @@ def test_beam_from_the_history(aips_header):
     assert header_beam({"HISTORY": "AIPS CLEAN BMAJ= 0.0 BMIN= 0.0 BPA= 0.0"}) is None
 
 
-@pytest.mark.parametrize(
-    ("name", "unit", "scale"),
-    [
+def test_beam_from_a_table(aips_header):
+    for name, unit, scale in (
         ("AIPS CG", "DEGREES", 1 / 3.6e6),
-        ("BEAMS", "mas", 1),
         ("BEAMS", "ARCSECS", 1 / 1e3),
         ("BEAMS", None, 1 / 3.6e6),
-    ],
-)
-def test_beam_from_a_table(aips_header, name, unit, scale):
-    values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7.0)}
-    columns = [
-        fits.Column(key, "1E", unit=own, array=[value])
-        for key, (own, value) in values.items()
-    ]
-    tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
-    beam = header_beam(aips_header(BMAJ=None), tables)
-    assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)
+    ):
+        values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7)}
+        columns = [
+            fits.Column(key, "1E", unit=own, array=[value])
+            for key, (own, value) in values.items()
+        ]
+        tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
+        beam = header_beam(aips_header(BMAJ=None), tables)
+        assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)
     assert header_beam(aips_header(BMAJ=2 / 3.6e6), tables).major > 1.5 * u.mas
 
 
@@ -249,17 +221,3 @@ def test_unusable_coordinates_are_refused_in_one_line(aips_header, changes, mess
     with pytest.raises(ValueError, match=message) as caught:
         celestial_wcs(aips_header(**changes))
     assert "\n" not in str(caught.value)
-
-
-def test_epoch_header_reads_back():
-    facts = {"object": "3C273", "frequency": 15.4e9, "stokes": "I", "telescope": "VLBA"}
-    unit, time = u.mJy / u.beam, Time(["2006-03-09T01:02:03"], scale="tai")
-    cube = EpochCube.from_arrays(
-        np.ones((1, 4, 4)), time, pixel_scale=0.1 * u.mas, unit=unit, beams=BEAM,
-        noise=0.1 * unit, labels=["épreuve.fits"], epoch_meta=[facts],
-    )  # fmt: skip
-    header = epoch_header(cube, 0)
-    assert header_beam(header) == BEAM
-    assert header_facts(header) == facts
-    assert (header["LABEL"], header["NOISE"]) == ("?preuve.fits", 0.1)
-    assert abs((observing_time(header) - time[0]).sec) < 1e-3

@@ -100,5 +100,5 @@ def test_a_region_without_end(fuzz, inputs, tmp_path):
     cube = EpochCube.read(inputs.series(tmp_path, n=2))
     path = tmp_path / "r.reg"
     path.write_text("image\ncircle(6,4,1e400)\n")
-    with pytest.raises(ValueError, match="r.reg: a CirclePixelRegion has a size or pl"):
+    with pytest.raises(ValueError, match="r.reg: a CirclePixelRegion has no inside on"):
         cube.region_mask(path)

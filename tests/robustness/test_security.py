@@ -89,7 +89,7 @@ def test_files_make_dataclasses_of_this_package_only(inputs, tmp_path, name):
         text = f"'!class': {name}\n".encode()
         hdus["META"] = fits.ImageHDU(np.frombuffer(text, np.uint8), name="META")
         hdus.writeto(tmp_path / "bad.fits")
-    with pytest.raises(OSError, match=r"bad.fits: its \w+ is of another version"):
+    with pytest.raises(OSError, match=r"bad.fits: .* its \w+ is of another version"):
         EpochCube.read(tmp_path / "bad.fits")
 
 
