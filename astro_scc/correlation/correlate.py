@@ -31,15 +31,6 @@ COLUMNS = {
 }
 
 
-def join_columns(parts):
-    """Join tuples of the columns ``ssp`` to ``target_snr``, each in its type."""
-    columns = zip(*parts, strict=True) if parts else [()] * len(COLUMNS)
-    return [
-        np.concatenate([np.empty(0, kind), *column], dtype=kind, casting="unsafe")
-        for kind, column in zip(COLUMNS.values(), columns, strict=True)
-    ]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Matches:
     """
@@ -65,10 +56,6 @@ class Matches:
         position, in units of that plane's noise.
     pairs : `~numpy.ndarray` of int, shape (n_pairs, 2)
         The ordered pairs of epochs that were correlated.
-    search_radius : tuple of int
-        Largest displacement (y, x) that was searched.
-    kappa : float
-        Smallest coefficient that was kept.
 
     Examples
     --------
@@ -91,8 +78,6 @@ class Matches:
     overlap: np.ndarray
     target_snr: np.ndarray
     pairs: np.ndarray
-    search_radius: tuple[int, int]
-    kappa: float
 
     def __len__(self) -> int:
         return len(self.ssp)
@@ -102,35 +87,28 @@ class Matches:
 
     @classmethod
     def from_columns(
-        cls, columns: Sequence[tuple[np.ndarray, ...]], pairs: ArrayLike,
-        search_radius: tuple[int, int], kappa: float,
-    ) -> Matches:  # fmt: skip
+        cls, parts: Sequence[tuple[np.ndarray, ...]], pairs: ArrayLike
+    ) -> Matches:
         """
-        Join tuples of the columns ``ssp`` to ``target_snr``.
+        Join tuples of the columns ``ssp`` to ``target_snr``, and sort them.
 
         Parameters
         ----------
-        columns : sequence of tuple of `~numpy.ndarray`
+        parts : sequence of tuple of `~numpy.ndarray`
         pairs : array_like of int, shape (n_pairs, 2)
-        search_radius : tuple of int
-        kappa : float
 
         Returns
         -------
         `~astro_scc.correlation.Matches`
+            Sorted by SSP, then by target.
         """
-        pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
-        return cls(*join_columns(columns), pairs, tuple(search_radius), float(kappa))
-
-    def sorted(self) -> Matches:
-        """
-        Return the matches sorted by SSP, then by target.
-
-        Returns
-        -------
-        `~astro_scc.correlation.Matches`
-        """
-        return self.select(np.lexsort((self.target, self.ssp)))
+        columns = zip(*parts, strict=True) if parts else [()] * len(COLUMNS)
+        ssp, target, *others = (
+            np.concatenate([np.empty(0, kind), *column], dtype=kind, casting="unsafe")
+            for kind, column in zip(COLUMNS.values(), columns, strict=True)
+        )
+        found = cls(ssp, target, *others, np.asarray(pairs, dtype=int).reshape(-1, 2))
+        return found.select(np.lexsort((target, ssp)))
 
     def select(self, keep: ArrayLike) -> Matches:
         """
@@ -145,20 +123,6 @@ class Matches:
         `~astro_scc.correlation.Matches`
         """
         return replace(self, **{name: getattr(self, name)[keep] for name in COLUMNS})
-
-    def of_ssps(self, chosen: ArrayLike) -> Matches:
-        """
-        Return the matches of SSPs for which ``chosen`` is true.
-
-        Parameters
-        ----------
-        chosen : array_like of bool, shape (n_ssps,)
-
-        Returns
-        -------
-        `~astro_scc.correlation.Matches`
-        """
-        return self.select(np.asarray(chosen, dtype=bool)[self.ssp])
 
 
 def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
@@ -318,8 +282,8 @@ class Correlator:
         ------
         ValueError
             If pairs name epochs that do not exist, decompositions differ
-            in shape or scales, or the search radius, ``select`` or ``n_workers``
-            is not as described.
+            in shape or scales, or the search radius or ``n_workers`` is not as
+            described.
 
         Examples
         --------
@@ -335,18 +299,26 @@ class Correlator:
         >>> matches.dx.round(1)
         array([ 6.5, -6.5], dtype=float32)
         """
-        pairs, search_radius = _checked(decompositions, pairs, search_radius)
-        left, columns = Counter(pairs[:, 0].tolist()), []
-        blocks = self._blocks(decompositions, pairs, search_radius, select)
+        if len({(d.planes.shape, d.scales) for d in decompositions}) > 1:
+            raise ValueError("all epochs must have one shape and the same scales")
+        pairs = np.unique(np.asarray(pairs, dtype=int).reshape(-1, 2), axis=0)
+        if not np.all((pairs >= 0) & (pairs < len(decompositions))):
+            last = len(decompositions) - 1
+            raise ValueError(f"pairs name epochs outside 0 to {last}")
+        reach = np.broadcast_to(np.asarray(search_radius, dtype=int), 2)
+        if reach.min() < 0:
+            raise ValueError(f"search radius must be 0 or more, got {search_radius}")
+        left, parts = Counter(pairs[:, 0].tolist()), []
+        blocks = self._blocks(decompositions, pairs, reach, select)
         for references, found in in_order(match_block, blocks, n_workers):
-            columns.append(found)
+            parts += found
             left.subtract(references)
             for epoch in set(references):
                 if left[epoch] == 0 and progress is not None:
                     progress(1)
-        return Matches.from_columns(columns, pairs, search_radius, self.kappa).sorted()
+        return Matches.from_columns(parts, pairs)
 
-    def _blocks(self, decompositions, pairs, search_radius, select):
+    def _blocks(self, decompositions, pairs, reach, select):
         """
         Divide the pairs of epochs into blocks of work, by reference epoch.
 
@@ -355,23 +327,26 @@ class Correlator:
         """
         patterns = Patterns.of(decompositions)
         ssps, n = patterns.ssps, len(decompositions)
-        chosen = np.ones(len(ssps), bool) if select is None else np.asarray(select)
-        if chosen.shape != (len(ssps),) or chosen.dtype != bool:
-            raise ValueError(
-                f"select must be one bool for each of the {len(ssps)} SSPs, "
-                f"got {chosen.dtype} of shape {chosen.shape}"
-            )
-        chosen = chosen & np.isin(ssps.epoch, pairs[:, 0])
+        chosen = np.isin(ssps.epoch, pairs[:, 0])
+        if select is not None:
+            chosen &= select
         if not chosen.any():
             return
-        boxes, beyond = ssps.bbox[chosen], np.add(search_radius, 1)
-        window = _, size = _all_windows(boxes, beyond)
+        # The area that the windows of all SSPs cover; values beside the outermost
+        # displacement are needed as well.
+        boxes, beyond = ssps.bbox[chosen], reach + 1
+        sides, which = np.unique(
+            boxes[:, 2:] - boxes[:, :2], axis=0, return_inverse=True
+        )
+        shapes = np.array([fft_shape(side, beyond) for side in sides])[which.ravel()]
+        corners = boxes[:, :2] - beyond
+        origin = corners.min(axis=0) - 2
+        size = tuple((corners + shapes - origin).max(axis=0) + 2)
         scales = decompositions[0].scales
         maps = any(np.ndim(noise) for d in decompositions for noise in d.noise)
         dense = len(scales) if maps or self.target == "plane" else 1
         most = STACK_BYTES // (4 * np.prod(size) * dense)
-        targets = np.unique(pairs[:, 1])
-        most = max(FEWEST_TARGETS, int(most))
+        targets, most = np.unique(pairs[:, 1]), max(FEWEST_TARGETS, int(most))
         targets = np.array_split(targets, -(-len(targets) // most))
         # Consecutive reference epochs, divided where their work reaches a limit.
         pixels = np.prod(boxes[:, 2:] - boxes[:, :2] + 2 * beyond, axis=1)
@@ -381,53 +356,28 @@ class Correlator:
             for some in targets:
                 here = pairs[(group == number) & np.isin(pairs[:, 1], some)]
                 if len(here):
-                    of_all = chosen, patterns, decompositions, window
-                    yield PairBlock.of(self, here, search_radius, *of_all)
-
-
-def _checked(decompositions, pairs, search_radius):
-    """Return the pairs sorted, each once, and the search radius on both axes."""
-    if len({(d.planes.shape, d.scales) for d in decompositions}) > 1:
-        raise ValueError("all epochs must have one shape and the same scales")
-    pairs = np.asarray(pairs, dtype=int).reshape(-1, 2)
-    if pairs.size and not (0 <= pairs.min() and pairs.max() < len(decompositions)):
-        raise ValueError(f"pairs name epochs outside 0 to {len(decompositions) - 1}")
-    given = (search_radius,) * 2 if np.isscalar(search_radius) else search_radius
-    both = tuple(int(r) for r in given)
-    if len(both) != 2 or min(both) < 0:
-        raise ValueError(f"search radius must be one or two numbers, got {both}")
-    return np.unique(pairs, axis=0), both
-
-
-def _all_windows(boxes, search_radius):
-    """Return the origin and size of the area that the windows of some SSPs cover."""
-    corners, sizes = boxes[:, :2] - search_radius, boxes[:, 2:] - boxes[:, :2]
-    sizes, which = np.unique(sizes, axis=0, return_inverse=True)
-    shapes = np.array([fft_shape(size, search_radius) for size in sizes])
-    # Values beside the outermost displacement are needed as well.
-    origin = corners.min(axis=0) - 2
-    end = (corners + shapes[which.ravel()]).max(axis=0) + 2
-    return origin, tuple((end - origin).tolist())
+                    of_all = chosen, patterns, decompositions, origin, size
+                    yield PairBlock(self, here, reach, *of_all)
 
 
 def match_block(block):
-    """Return the reference epochs of the pairs of a block, and columns of matches."""
+    """Return the reference epochs of the pairs of a block, and parts of matches."""
     wanted = np.zeros((block.pairs.max() + 1, len(block.epochs)), dtype=bool)
     wanted[block.pairs[:, 0], np.searchsorted(block.epochs, block.pairs[:, 1])] = True
     parts = []
     for scale in np.unique(block.patterns.ssps.scale):
         patterns = block.patterns.select(block.patterns.ssps.scale == scale)
         parts += _match_scale(block, patterns, scale, wanted)
-    return block.pairs[:, 0].tolist(), tuple(join_columns(parts))
+    return block.pairs[:, 0].tolist(), parts
 
 
 def _match_scale(block, patterns, scale, wanted):
-    # One displacement more shows whether values at the largest one are maxima.
-    beyond = np.add(block.search_radius, 1)
+    """Return the matches of the patterns of one scale."""
     ssps, stack = patterns.ssps, TargetStack(block, scale)
     columns = []
     for i, box in enumerate(ssps.bbox):
-        middle, half = stack.displacements(box, beyond)
+        # One displacement more shows whether values at the largest one are maxima.
+        middle, half = stack.displacements(box, block.reach + 1)
         if half is None:
             continue
         template = patterns.template(i, block.shape[1], half)

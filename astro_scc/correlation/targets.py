@@ -2,7 +2,6 @@
 """A block of pairs of epochs: its patterns, and the target planes around them."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -50,7 +49,6 @@ class Patterns:
         return Template(values, footprint, search_radius)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class PairBlock:
     """
     Some pairs of epochs, with everything needed to correlate them.
@@ -59,63 +57,37 @@ class PairBlock:
     `Correlator`, ``patterns`` the SSPs of the reference epochs.  The targets are the
     planes of ``epochs`` on all ``scales`` in a window that may extend beyond the images
     of this ``shape``.  They are either ``segments``, SSPs outside of which the planes
-    are zero, or ``planes``, their part in the window as it is.  ``valid`` are the
-    pixels of the window that are not missing, for each different mask, and ``mask``
-    numbers those of the targets.
+    are zero, or ``planes``, their part in the window as it is, which is ``inside`` it.
+    ``valid`` are the pixels of the window that are not missing, for each different
+    mask, and ``mask`` numbers those of the targets.
     """
 
-    settings: Any
-    pairs: np.ndarray
-    search_radius: tuple
-    patterns: Patterns
-    epochs: np.ndarray
-    scales: tuple
-    shape: tuple
-    origin: np.ndarray
-    noise: list
-    segments: Patterns | None
-    planes: list | None
-    valid: np.ndarray
-    mask: np.ndarray
-
-    @classmethod
-    def of(
-        cls, settings, pairs, search_radius, chosen, patterns, decompositions, window
+    def __init__(
+        self, settings, pairs, reach, chosen, patterns, decompositions, origin, size
     ):
-        """Return the block of some pairs, given all patterns and decompositions."""
-        epochs = np.unique(pairs[:, 1])
-        own = [decompositions[epoch] for epoch in epochs]
-        shape, (origin, size) = own[0].planes.shape[1:], window
-        part, inside = _overlap(shape, origin, size)
-        valid = np.zeros((len(own), *size), dtype=bool)
-        for pixels, d in zip(valid, own, strict=True):
-            pixels[inside] = True if d.mask is None else ~d.mask[part]
-        number = {}
-        mask = [number.setdefault(pixels.tobytes(), len(number)) for pixels in valid]
-        segments = settings.target == "segments"
-        ssps = patterns.ssps
-        return cls(
-            settings=settings,
-            pairs=pairs,
-            search_radius=search_radius,
-            patterns=patterns.select(chosen & np.isin(ssps.epoch, pairs[:, 0])),
-            epochs=epochs,
-            scales=own[0].scales,
-            shape=shape,
-            origin=origin,
-            noise=[d.noise for d in own],
-            segments=patterns.select(np.isin(ssps.epoch, epochs)) if segments else None,
-            planes=None if segments else [d.planes[:, *part] for d in own],
-            valid=valid[np.unique(mask, return_index=True)[1]],
-            mask=np.array(mask),
+        self.settings, self.pairs, self.reach = settings, pairs, reach
+        self.epochs, reference = np.unique(pairs[:, 1]), patterns.ssps.epoch
+        own = [decompositions[epoch] for epoch in self.epochs]
+        self.scales, self.noise = own[0].scales, [d.noise for d in own]
+        self.shape, self.origin = own[0].planes.shape[1:], origin
+        self.patterns = patterns.select(chosen & np.isin(reference, pairs[:, 0]))
+        # The overlap of the images and the window, as slices of both.
+        ends = np.clip([origin, origin + size], 0, self.shape)
+        part, self.inside = (
+            tuple(slice(*axis) for axis in axes.T.tolist())
+            for axes in (ends, ends - origin)
         )
-
-
-def _overlap(shape, origin, size):
-    """Return the overlap of an image and a window, as slices of both."""
-    ends = np.clip([origin, np.add(origin, size)], 0, shape)
-    ranges = ends.T.tolist(), (ends - origin).T.tolist()
-    return tuple(tuple(slice(*axis) for axis in axes) for axes in ranges)
+        self.segments = self.planes = None
+        if settings.target == "segments":
+            self.segments = patterns.select(np.isin(reference, self.epochs))
+        else:
+            self.planes = [d.planes[:, *part] for d in own]
+        valid, number = np.zeros((len(own), *size), dtype=bool), {}
+        for pixels, d in zip(valid, own, strict=True):
+            pixels[self.inside] = True if d.mask is None else ~d.mask[part]
+        mask = [number.setdefault(pixels.tobytes(), len(number)) for pixels in valid]
+        self.mask, first = np.array(mask), np.unique(mask, return_index=True)[1]
+        self.valid = valid[first]
 
 
 class TargetStack:
@@ -127,10 +99,9 @@ class TargetStack:
         self.values = np.zeros((n, ny, nx), dtype=np.float32)
         # Boxes beyond which the planes of their owners are zero.
         if block.segments is None:
-            _, inside = _overlap(block.shape, block.origin, (ny, nx))
             self.boxes, self.owner = np.tile([0, 0, ny, nx], (n, 1)), np.arange(n)
             for own, planes in zip(self.values, block.planes, strict=True):
-                own[inside] = planes[self.scale]
+                own[block.inside] = planes[self.scale]
         else:
             segments = block.segments.select(block.segments.ssps.scale == scale)
             self.boxes = segments.ssps.bbox - np.tile(block.origin, 2)

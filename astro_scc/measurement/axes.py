@@ -134,7 +134,7 @@ def matched_displacements(matched, settings):
     axes = frame.matrix(east, north)
     # A radial frame has no axes at its origin.
     known = select & np.isfinite(axes).all(axis=(-2, -1))
-    matches = matched.matches.of_ssps(known)
+    matches = matched.matches.select(known[matched.matches.ssp])
     owner = matches.ssp
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T

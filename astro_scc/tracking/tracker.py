@@ -289,8 +289,7 @@ class FeatureTracker:
                 part = correlator(decompositions, own, window, **how)
                 columns.append(tuple(getattr(part, name) for name in COLUMNS))
                 done(len(own))
-        reach = kinds.max(axis=0, initial=0).tolist()
-        return Matches.from_columns(columns, pairs, reach, self.kappa).sorted()
+        return Matches.from_columns(columns, pairs)
 
     @property
     def _frame(self):

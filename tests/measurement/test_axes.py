@@ -57,7 +57,7 @@ def matches_of(ssps, pairs):
         here, ssps.epoch[there], ssps.y[there] - ssps.y[here],
         ssps.x[there] - ssps.x[here], 0.8 * one, one, 20 * one,
     )  # fmt: skip
-    return Matches.from_columns([columns], [[0, 1], [1, 2]], (99, 99), 0.6)
+    return Matches.from_columns([columns], [[0, 1], [1, 2]])
 
 
 def displacements_of(matches, ssps, cube, frame):
@@ -172,7 +172,7 @@ def test_in_homologous_expansion_all_features_move_alike():
 
 
 def test_no_ssps_no_displacements():
-    matches, cube = Matches.from_columns([], [[0, 1]], (3, 3), 0.6), cube_of()
+    matches, cube = Matches.from_columns([], [[0, 1]]), cube_of()
     for frame in SkyFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas):
         d = displacements_of(matches, SSPs.empty(), cube, frame)
         project = AxisProjection(d, cube, frame)
@@ -242,7 +242,7 @@ def matches(ssps):
     target = (ssps.epoch[ssp] + rng.integers(1, 3, n)) % 3
     motion, share = rng.uniform(-8, 8, (2, n)), rng.uniform(0.6, 1.0, (2, n))
     columns = ssp, target, *motion, *share, rng.uniform(3, 30, n)
-    return Matches.from_columns([columns], [[0, 1], [1, 0]], (8, 8), 0.6)
+    return Matches.from_columns([columns], [[0, 1], [1, 0]])
 
 
 def sky_offsets(wcs, x, y):

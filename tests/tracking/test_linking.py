@@ -63,7 +63,8 @@ def random_matches(rng, ssps, n):
     target = np.where(landed >= 0, ssps.epoch[landed], rng.integers(0, 4, n))
     columns = (source, target, np.zeros(n), np.zeros(n), rng.random(n), np.ones(n),
                np.ones(n))  # fmt: skip
-    return Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0), landed
+    order = np.lexsort((target, source))
+    return Matches.from_columns([columns], [(0, 1)]), landed[order]
 
 
 RANDOM = catalogue(
