@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.decomposition import wavelet
 from astro_scc.decomposition.segmentation import SSPs, find_ssps
-from astro_scc.decomposition.wavelet import missing_pixels, scale_kernel, wavelet_planes
+from astro_scc.decomposition.wavelet import scale_kernel, wavelet_planes
 from astro_scc.quantities import NOISES, check_choice, named
 
 #: Relative rounding error of single precision, below which nothing is significant.
@@ -115,13 +115,7 @@ class Decomposer:
         named("noise", check_choice, self.noise, *NOISES)
         object.__setattr__(self, "scales", scales)
         if self.noise_factors is not None:
-            factors = tuple(float(factor) for factor in self.noise_factors)
-            if len(factors) != len(scales) or not all(0 <= f <= 1 for f in factors):
-                raise ValueError(
-                    "noise_factors must be a number from 0 to 1 for each of the "
-                    f"{len(scales)} scales, got {self.noise_factors}"
-                )
-            object.__setattr__(self, "noise_factors", factors)
+            object.__setattr__(self, "noise_factors", tuple(self.noise_factors))
 
     def __call__(
         self, image: ArrayLike, *, mask: ArrayLike | None = None,
@@ -181,18 +175,25 @@ class Decomposer:
         -------
         share, chance : `~numpy.ndarray`, shape (n_scales,)
         """
-        each = [self._planes(*of) for of in zip(images, masks, strict=True)]
-        planes, masks, _ = zip(*each, strict=True)
-        found = [
-            wavelet.shared_variance(pair, scale, masks=masks)
-            for *pair, scale in zip(*planes, self.scales, strict=True)
-        ]
+        each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
+        found = []
+        for k, scale in enumerate(self.scales):
+            pair = [(planes[k], missing) for planes, missing in each]
+            found.append(wavelet.shared_variance(pair, scale))
         share, chance = np.array(found).T
         return share, chance
 
     def _planes(self, image, mask):
         """Return the planes, the missing pixels, and the rounding errors."""
-        image, missing = missing_pixels(image, mask)
+        image = np.asarray(image, dtype=float)
+        if image.ndim != 2:
+            raise ValueError(f"an image has two dimensions, this has {image.ndim}")
+        missing = ~np.isfinite(image)
+        if mask is not None:
+            if np.shape(mask) != image.shape:
+                shapes = f"{np.shape(mask)}, the image {image.shape}"
+                raise ValueError(f"the mask has shape {shapes}: they must agree")
+            missing |= mask
         if missing.all():
             raise ValueError("the image has no valid pixel")
         # An offset would use up the digits of single precision.

@@ -268,15 +268,10 @@ def find_ssps(
     peaks = peaks[inside & (plane[at] >= detection * noise[at])]
     if len(peaks) == 0:
         return SSPs.empty()
-    markers = np.zeros(plane.shape, dtype=np.int32)
-    markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
-    labels = watershed(-plane, markers, connectivity=1, mask=significant)
-    return _catalogue(plane, scale, noise, valid, labels, peaks)
-
-
-def _catalogue(plane, scale, noise, valid, labels, peaks):
-    """Return the SSPs whose pixels have the numbers of the peaks as labels."""
     n, at = len(peaks), tuple(peaks.T)
+    markers = np.zeros(plane.shape, dtype=np.int32)
+    markers[at] = np.arange(1, n + 1)
+    labels = watershed(-plane, markers, connectivity=1, mask=significant)
     pixels = np.flatnonzero(labels)
     pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")].astype(np.int32)
     owner, weight = labels.flat[pixels] - 1, plane.flat[pixels]

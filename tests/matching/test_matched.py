@@ -15,7 +15,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.correlation.correlate import match_block
 from astro_scc.decomposition import Decomposer
-from astro_scc.decomposition.wavelet import propagated_noise, shared_variance
+from astro_scc.decomposition.wavelet import propagated_noise
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.matching import MatchedEpochs, select_ssps
@@ -133,19 +133,6 @@ def test_a_texture_is_measured_and_said(tmp_path):
 
 
 # -- decomposition and choice -------------------------------------------------------
-
-
-def test_factors_of_the_noise():
-    with pytest.raises(ValueError, match="noise_factors must be a number from 0 to 1"):
-        Decomposer(scales=[1, 2], noise_factors=(0.5, 1.1))
-    image = np.random.default_rng(0).normal(size=(64, 64))
-    plain, halved = (
-        Decomposer(scales=[1, 2], noise_factors=factors)(image).noise
-        for factors in (None, [0.5, 1])
-    )
-    assert halved == pytest.approx([0.5 * plain[0], plain[1]], rel=1e-6)
-    # Planes of nothing share nothing.
-    assert shared_variance(np.stack([image, 0 * image]), 1) == (0.0, np.inf)
 
 
 def test_ssps_are_inside_if_their_centroid_is(matched):
