@@ -356,10 +356,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         shift = (
             (SMALL_SHIFT * fwhm,) * 2 if self.small_displacement_correction else None
         )
-        with progress(n_trials, "Permuting", show=progress_bar) as done:
-            how = {"rng": rng, "shift": shift, "progress": done}
-            permuted = paper.permute_stacks(samples, pairs, grid, n_trials, **how)
         coefficient = paper.stack(samples, pairs, grid)
+        with progress(n_trials, "Permuting", show=progress_bar) as done:
+            of = coefficient, samples, pairs, grid, n_trials
+            how = {"rng": rng, "shift": shift, "progress": done}
+            z_score = paper.permuted_z_score(*of, **how)
         box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
         peaks = tuple(
             paper.velocity_peak_near(coefficient, grid, box, *v.value)
@@ -372,8 +373,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         return {
             "grid": grid,
             "coefficient": coefficient,
-            "z_score": permuted.z_score(coefficient),
-            "permuted": permuted,
+            "z_score": z_score,
             "maxima": peaks,
             "jitters": errors,
         }

@@ -26,7 +26,7 @@ from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
 from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
-from astro_scc.stacking.stack import PermutedStacks, VelocityPeak
+from astro_scc.stacking.stack import VelocityPeak
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams.diagram import DEFAULT, INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
@@ -71,8 +71,6 @@ class SCCResult(tables.Components):
         In mas/yr.
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
-    permuted : ``PermutedStacks``
-        Mean and standard deviation of the stacks of permuted epochs.
     search : ``Search``
         The streams, and the displacement-interval diagram that shows them.
     velocities : tuple of ``StreamVelocity``
@@ -108,7 +106,6 @@ class SCCResult(tables.Components):
     grid: VelocityGrid
     coefficient: np.ndarray
     z_score: np.ndarray
-    permuted: PermutedStacks
     search: Search
     velocities: tuple[StreamVelocity, ...]
     maxima: tuple[VelocityPeak, ...]

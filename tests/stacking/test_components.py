@@ -72,17 +72,9 @@ def test_no_maximum_no_fit(surface):
     assert fit_gaussian(surface, axis, axis) is None
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "sx", "sy", "angle"),
-    [
-        (0.0, 0.0, 1.5, 1.5, 0.0),
-        (3.13, -2.29, 1.0, 2.0, 0.0),
-        (-4.75, 4.2, 2.0, 1.0, 0.6),
-        (-1.6, 0.33, 1.2, 2.4, 2.2),
-    ],
-)
-def test_one_gaussian_is_one_component(x, y, sx, sy, angle):
-    scc = gaussian(GRID, x, y, sx, sy, angle, height=0.3)
+def test_one_gaussian_is_one_component():
+    x, y = -4.75, 4.2
+    scc = gaussian(GRID, x, y, 2.0, 1.0, 0.6, height=0.3)
     (c,) = find_velocity_peaks(scc, GRID, BOX)
     np.testing.assert_allclose((c.v1, c.v2), (x, y), atol=1e-6)
     assert c.row == np.abs(GRID.v2 - y).argmin()

@@ -173,14 +173,3 @@ def test_edges_of_a_baseline_are_inside():
     minute = 1 / (365.25 * 1440)
     for limits in ((minute, 3 * minute), (1.9e-6, 5.7e-6)):
         assert len(baseline_pairs(np.arange(10) * minute, *limits)) == 9 + 8 + 7
-
-
-def test_images_of_an_order_and_of_many():
-    pairs = consecutive_pairs([0.0, 1.0, 1.0, 3.0])
-    reference, target = pairs.images([2, 0, 3, 1])
-    assert reference.tolist() == [2, 3]
-    assert target.tolist() == [0, 1]
-    orders = np.array([[0, 1, 2, 3], [3, 2, 1, 0]])
-    reference, target = pairs.images(orders)
-    assert reference.tolist() == [[0, 2], [3, 1]]
-    assert target.tolist() == [[1, 3], [2, 0]]
