@@ -32,7 +32,6 @@ from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking import stack as paper
 from astro_scc.stacking.velocities import VelocitySamples, baseline_pairs
 from astro_scc.streams.diagram import DEFAULT
-from astro_scc.units import comparable
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ PAPER_TRIALS = 200
 FEWEST_PAIRS = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StackedCrossCorrelation(MeasurementSettings):
     """
     Measure velocity components by stacked cross-correlation.
@@ -128,19 +127,6 @@ class StackedCrossCorrelation(MeasurementSettings):
         # It checks which of its settings go together.
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
-    def __eq__(self, other: object) -> bool:
-        """Return whether all settings are equal, quantities in any unit."""
-        if other.__class__ is not self.__class__:
-            return NotImplemented
-        return self._key() == other._key()
-
-    def __hash__(self) -> int:
-        """Return a hash of all settings."""
-        return hash(self._key())
-
-    def _key(self):
-        return tuple(comparable(getattr(self, field.name)) for field in fields(self))
-
     @classmethod
     def from_settings(cls, settings: Settings) -> StackedCrossCorrelation:
         """
@@ -158,9 +144,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         return cls(**own)
 
     def _decomposer(self, scales):
-        names = "detection", "segmentation", "noise"
-        own = {name: getattr(self, name) for name in names}
-        return Decomposer(scales=scales, kernel=self.wavelet, **own)
+        own = self.wavelet, self.detection, self.segmentation, self.noise
+        return Decomposer(scales, *own)
 
     def plan(self, cube: EpochCube) -> SearchPlan:
         """

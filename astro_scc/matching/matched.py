@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 import os
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,17 +18,15 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
-from astro_scc.matching.plan import scales_of_pixels
+from astro_scc.matching.plan import scale_numbers
 from astro_scc.parallel import in_order, workers_of
 from astro_scc.progress import progress
-from astro_scc.settings import require
 from astro_scc.writing import versions
 
 #: What the files are, in their headers and in messages.
@@ -99,11 +97,6 @@ class MatchedEpochs:
         return tuple(self.decomposer.scales)
 
     @property
-    def decompositions(self) -> Sequence[Decomposition]:
-        """Decompositions of all epochs, which are computed again at each access."""
-        return decompose_epochs(self.cube, self.decomposer)
-
-    @property
     def features(self) -> Features:
         """
         The features that are followed from epoch to epoch.
@@ -169,9 +162,8 @@ class MatchedEpochs:
         The file holds neither the images nor their wavelet planes, which are
         quickly computed again.
         """
-        made = match_provenance(
-            self.cube, self.decomposer, self.correlator, self.reach, self.region
-        )
+        of = self.cube, self.decomposer, self.correlator, self.reach, self.region
+        made = match_provenance(*of)
         inside = centroids_inside(self.ssps, self.cube, self.region)
         if not np.array_equal(self.select, inside):
             # No region that can be requested gives SSPs that were selected later.
@@ -250,12 +242,12 @@ def match_epochs(
             ssps = SSPs.of_epochs(decompositions)
             select = centroids_inside(ssps, cube, inside)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
+                how = {"select": select, "n_workers": workers, "progress": done}
                 work = decompositions, all_pairs(len(cube)), reach
-                how = {"n_workers": workers, "progress": done}
-                matches = correlator(*work, select=select, **how)
+                matches = correlator(*work, **how)
         # Stacks need no planes, which are larger than everything else.
-        of = decomposer, ssps, select, matches, correlator, reach, inside
-        found = MatchedEpochs(cube, *of)
+        how = {"correlator": correlator, "reach": reach, "region": inside}
+        found = MatchedEpochs(cube, decomposer, ssps, select, matches, **how)
         if cache is not None:
             cache.parent.mkdir(parents=True, exist_ok=True)
             found.write(cache, overwrite=True)
@@ -441,24 +433,17 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     -------
     tuple of ``Decomposition``
     """
-    facts = noise_facts(cube, decomposer)
+    each = zip(cube.data, cube.mask, noise_facts(cube, decomposer), strict=True)
     work = (
         partial(decomposer, image, mask=mask, rms=rms, beam_covariance=covariance)
-        for image, mask, (rms, covariance) in zip(
-            cube.data, cube.mask, facts, strict=True
-        )
+        for image, mask, (rms, covariance) in each
     )
     found = []
     with progress(len(cube), "Decomposing", show=progress_bar) as done:
-        for decomposition in in_order(_decompose, work, n_workers):
+        for decomposition in in_order(operator.call, work, n_workers):
             found.append(decomposition)
             done(1)
     return tuple(found)
-
-
-def _decompose(task):
-    """Do a task, in a process that can import this module."""
-    return task()
 
 
 def noise_facts(cube, decomposer):
@@ -588,9 +573,7 @@ def select_ssps(
         r = ssp_distances(matched, origin=origin, ridge=ridge)
         select &= (r >= low) & (r < high)
     if scales is not None:
-        scales = require("scales", scales)
-        numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
-        have = matched.scales
+        numbers, have = scale_numbers(matched.cube, scales), matched.scales
         missing = [s for s in numbers if s not in have]
         if missing:
             what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.io import fits
 from astropy.time import Time
 from scipy import ndimage
 
@@ -124,7 +123,6 @@ def test_a_texture_is_measured_and_said(tmp_path):
             matched = scc.match(cube, cache=tmp_path / "m.fits")
     assert len(matched.ssps) > 80
     again = decompose_epochs(cube, matched.decomposer)[0]
-    assert matched.decompositions[0].noise == again.noise
     assert np.sum(matched.ssps.epoch == 0) == len(again.ssps)
     row = scc.stack(matched, n_trials=40, rng=1).components[0]
     assert row["kind"] == "moving"
@@ -190,11 +188,6 @@ def test_round_trip(made, cube, tmp_path):
     made.write(tmp_path / "m.fits")
     read = MatchedEpochs.read(tmp_path / "m.fits", cube)
     same(made, read)
-    # Planes are made again, and the same, if somebody asks for them.
-    assert len(read.decompositions) == len(cube)
-    np.testing.assert_array_equal(
-        read.decompositions[2].planes, made.decompositions[2].planes
-    )
     with pytest.raises(FileExistsError):
         made.write(tmp_path / "m.fits")
     made.write(tmp_path / "m.fits", overwrite=True)
@@ -215,14 +208,6 @@ def test_dates_do_not_matter_but_images_and_versions_do(
     monkeypatch.setattr(*other)
     with pytest.raises(ValueError, match="is of other versions; match the epochs"):
         MatchedEpochs.read(path, cube)
-
-
-def test_files_that_are_no_matches(cube, tmp_path):
-    path = tmp_path / "m.fits"
-    fits.PrimaryHDU(np.ones((3, 3))).writeto(path)
-    with pytest.raises(OSError, match="it was not written as one"):
-        MatchedEpochs.read(path, cube)
-    assert [p.name for p in tmp_path.iterdir()] == ["m.fits"]
 
 
 def test_a_cache_is_used_when_only_the_stack_changes(cube, made, counted, tmp_path):
