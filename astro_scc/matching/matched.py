@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition.decompose import Decomposition
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, without_dates, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
@@ -95,6 +96,11 @@ class MatchedEpochs:
     def scales(self) -> tuple[float, ...]:
         """Numbers of the scales that were decomposed."""
         return tuple(self.decomposer.scales)
+
+    @property
+    def decompositions(self) -> tuple[Decomposition, ...]:
+        """Decompositions of all epochs, which are computed again at each access."""
+        return decompose_epochs(self.cube, self.decomposer)
 
     @property
     def features(self) -> Features:

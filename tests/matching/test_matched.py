@@ -21,7 +21,6 @@ from astro_scc.matching import MatchedEpochs, select_ssps
 from astro_scc.matching.matched import (
     allow_for_structure,
     centroids_inside,
-    decompose_epochs,
 )
 from astro_scc.simulation import simulate_two_fluid
 
@@ -122,8 +121,7 @@ def test_a_texture_is_measured_and_said(tmp_path):
         with pytest.warns(MeasurementWarning, match="full of structure on scale 2: "):
             matched = scc.match(cube, cache=tmp_path / "m.fits")
     assert len(matched.ssps) > 80
-    again = decompose_epochs(cube, matched.decomposer)[0]
-    assert np.sum(matched.ssps.epoch == 0) == len(again.ssps)
+    assert np.sum(matched.ssps.epoch == 0) == len(matched.decompositions[0].ssps)
     row = scc.stack(matched, n_trials=40, rng=1).components[0]
     assert row["kind"] == "moving"
     # 2.3 px of 0.1 mas in 0.2 yr to the right, which is west.
