@@ -24,8 +24,11 @@ from astro_scc.matching.matched import allow_for_structure, match_epochs
 from astro_scc.matching.plan import flow_direction, map_grid, scale_numbers
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.search import prepared_search
-from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
+from astro_scc.measurement.search import (
+    prepared_search,
+    sensitivity_rows,
+    with_choices,
+)
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
 from astro_scc.settings import MeasurementSettings, Settings, require

@@ -14,19 +14,20 @@ import numpy as np
 from astropy.io import fits
 from astropy.nddata import NDData
 from astropy.table import QTable
+from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.columns import cell
+from astro_scc.columns import cell, describe, round_to_errors
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
-from astro_scc.images.positions import axis_words, name_by_frame
+from astro_scc.images.positions import axis_words, name_by_frame, ssp_offsets
 from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
-from astro_scc.stacking.stack import VelocityPeak
+from astro_scc.measurement.search import sensitivity_line, sensitivity_table
+from astro_scc.stacking.stack import VelocityPeak, sample_velocities
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams.diagram import DEFAULT, INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
@@ -37,8 +38,6 @@ from astro_scc.writing import ascii_line
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: What streams are, in the order in which they are counted.
-KINDS = ("moving", "stationary", "not confirmed", "not significant")
 #: What the files of results are, in their headers and in messages.
 RESULT = "astro_scc result"
 #: What the header of the diagram says about it.
@@ -155,28 +154,20 @@ class SCCResult(tables.Components):
         write_object(self, path, creator=RESULT, overwrite=overwrite)
 
     def __repr__(self):
+        name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
         table = tables.printed(self.components)
         unit = unit_name(table["pm"].unit)
         speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
-        return f"<{self._head(', '.join(speeds))}, {len(self.cube)} epochs>"
-
-    def _head(self, found):
-        name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
-        return f"{name}: {found or 'no stream'}"
+        found = ", ".join(speeds) or "no stream"
+        return f"<{name}: {found}, {len(self.cube)} epochs>"
 
     def _repr_html_(self):
-        table = tables.printed(self.components)
-        kinds, known = table["kind"].tolist(), self.meta.get
-        counts = {kind: kinds.count(kind) for kind in KINDS}
-        lines = [
-            self._head(", ".join(f"{n} {kind}" for kind, n in counts.items() if n)),
-            repr(self.cube)[1:-1],
-            f"{len(self.pairs)} pairs of epochs, {np.sum(self.matched.select)} SSPs, "
-            f"{known('n_trials')} trials, seed {known('seed')}",
-        ]
+        lines = [repr(self)[1:-1], repr(self.cube)[1:-1]]
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
-        shown = tables.paper_table(table).pformat(max_lines=-1, max_width=-1, html=True)
-        return text + "".join(shown if kinds else ())
+        shown = tables.paper_table(tables.printed(self.components))
+        if len(shown) == 0:
+            return text
+        return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
     def cube(self) -> EpochCube:
@@ -210,7 +201,18 @@ class SCCResult(tables.Components):
     @cached_property
     def core(self) -> list[int]:
         """The rows of `components` that are the core, the reference of positions."""
-        return tables.core_streams(self)
+        if self.cube.beams is None:
+            return []
+        near = max(beam.major for beam in self.cube.beams).to_value(u.mas) / 2
+        distance = np.hypot(*ssp_offsets(self.matched.ssps, self.cube))
+        found = []
+        for number, stream in enumerate(self.search.streams, start=1):
+            if stream.kind == "stationary":
+                # Each SSP of the core is at the origin.
+                ssps = self.displacements.ssp[self._matches_of(number)]
+                if len(ssps) and distance[ssps].max() <= near:
+                    found.append(number)
+        return found
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -383,7 +385,50 @@ class SCCResult(tables.Components):
         ValueError
             If there is no such component.
         """
-        return tables.member_table(self, number)
+        if not 1 <= number <= len(self.maxima):
+            raise ValueError(f"no stream {number}: there are {len(self.maxima)}")
+        d, cube, match = self.displacements, self.cube, self._matches_of(number)
+        ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
+        east, north = d.position[ssp].T * u.mas
+        columns = {
+            "match": match,
+            "ssp": ssp,
+            "target_ssp": d.target_ssp[match],
+            "scale": d.scale[ssp],
+            "epoch": start,
+            "target_epoch": end,
+            "date": Time(cube.times[start], format="isot"),
+            "target_date": Time(cube.times[end], format="isot"),
+            "interval": (cube.years[end] - cube.years[start]).to(u.yr),
+            "east": east,
+            "north": north,
+        }
+        about, axes = {}, ((d.d1, d.s1), (d.d2, d.s2))
+        for axis, (values, errors) in zip(self.frame.axis_names, axes, strict=True):
+            name = f"displacement_{axis}"
+            columns[name], columns[f"{name}_err"] = (
+                values[match] * u.mas,
+                errors[match] * u.mas,
+            )
+            about[name] = f"displacement of the match, {axis}"
+            about[f"{name}_err"] = f"standard error of {name}"
+        table = QTable(columns | {"weight": d.weight[match]}, descriptions=about)
+        describe(describe(table, "ssps"), "members")
+        return name_by_frame(round_to_errors(table), cube)
+
+    def _matches_of(self, number):
+        """Return the indices of the matches of a component."""
+        d, features = self.displacements, self.search.streams[number - 1].features
+        if features:
+            label = np.full(len(d.epoch), -1)
+            for k, feature in enumerate(features):
+                label[feature.ssp] = k
+            there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
+            return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
+        index, *v, s1, s2, _ = sample_velocities(d, self.pairs)
+        apart = np.abs(np.transpose(v) - self.velocities[number - 1].value)
+        sigma = np.stack([s1, s2], axis=1)
+        return index[np.all(apart <= tables.MEMBER_SIGMA * sigma, axis=1)]
 
     def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
         """
