@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.decomposition.decompose import Decomposition
+from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.serialize import read_object, without_dates, write_object
+from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.positions import ssp_offsets
@@ -295,7 +295,7 @@ def kept_matches(path, cube, provenance):
     """
     path, matched = Path(path), None
     if path.suffix.lower() != ".fits":
-        digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
+        digest = _digest(json.dumps(provenance, sort_keys=True))[:16]
         path /= f"matches-{digest}.fits"
     if path.exists():
         try:
@@ -308,21 +308,11 @@ def kept_matches(path, cube, provenance):
 
 def image_provenance(cube):
     """
-    Return the images of a cube as digests: SHA-256 of values, masks, grid and beams.
+    Return the images of a cube as digests: SHA-256 of values and masks.
 
-    Dates are left out because matches do not depend on them.
+    Matches are in pixels, so that neither dates nor the size of pixels change them.
     """
-    # The dates are of the first epoch, and the pixel coordinates do not need them.
-    wcs = without_dates(cube.wcs.to_header(relax=True))
-    cards = [f"{card.keyword}={card.value!r}" for card in wcs.cards]
-    each = ((beam.major, beam.minor, beam.pa) for beam in cube.beams or ())
-    beams = [tuple(float(axis.value) for axis in axes) for axes in each]
-    return {
-        "images": _of_array(cube.data),
-        "masks": _of_array(np.packbits(cube.mask)),
-        "coordinates": _of_text(cards, cube.pixel_matrix.value.tolist()),
-        "beams": _of_text(beams),
-    }
+    return {"images": _digest(cube.data), "masks": _digest(np.packbits(cube.mask))}
 
 
 def match_provenance(cube, decomposer, correlator, reach, inside):
@@ -350,24 +340,22 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
         **image_provenance(cube),
         "settings of the decomposition": asdict(decomposer),
         "settings of the correlation": asdict(correlator),
-        "noise": _of_text([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
+        "noise": _digest([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
         "largest displacement": list(reach),
-        "region": "everything" if inside is None else _of_array(np.packbits(inside)),
+        "region": "everything" if inside is None else _digest(np.packbits(inside)),
         "versions": versions(),
     }
     # Give it the types that it will have when it is read.
     return json.loads(json.dumps(made))
 
 
-def _of_array(array):
-    array = np.ascontiguousarray(array)
-    sum_ = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
-    sum_.update(array.data)
+def _digest(value):
+    """Return the SHA-256 of an array, or of the text that another object shows."""
+    if not isinstance(value, np.ndarray):
+        return hashlib.sha256(repr(value).encode()).hexdigest()
+    sum_ = hashlib.sha256(f"{value.dtype.str}{value.shape}".encode())
+    sum_.update(np.ascontiguousarray(value).data)
     return sum_.hexdigest()
-
-
-def _of_text(*parts):
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 # -- decomposition -----------------------------------------------------------------

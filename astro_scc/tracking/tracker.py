@@ -14,8 +14,7 @@ from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.correlation import Correlator, Matches
 from astro_scc.correlation.correlate import COLUMNS, target_ssps
 from astro_scc.decomposition import SSPs
-from astro_scc.decomposition.decompose import Decomposition
-from astro_scc.decomposition.segmentation import require_ssps
+from astro_scc.decomposition.segmentation import Decomposition, require_ssps
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features

@@ -363,7 +363,7 @@ def test_small_blocks_and_processes_give_the_same_to_the_bit(
     one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "FEWEST_TARGETS": 1}
     for name, value in one_each.items():
         monkeypatch.setattr(f"astro_scc.correlation.correlate.{name}", value)
-    monkeypatch.setattr("astro_scc.correlation.targets.BATCH_PIXELS", 1)
+    monkeypatch.setattr("astro_scc.correlation.correlate.BATCH_PIXELS", 1)
     blocks = list(correlate._blocks(masked, pairs, np.array([6, 6]), None))
     assert [b.pairs.tolist() for b in blocks] == [[p] for p in pairs.tolist()]
     parts = [match_block(pickle.loads(pickle.dumps(b)))[1] for b in blocks]

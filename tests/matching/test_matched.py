@@ -200,7 +200,7 @@ def test_dates_do_not_matter_but_images_and_versions_do(
     made.write(path)
     later = replace(cube, times=cube.times + 1 * u.yr)
     assert MatchedEpochs.read(path, later).cube.times[0] == later.times[0]
-    with pytest.raises(ValueError, match="m.fits: is of other images, masks, beams;"):
+    with pytest.raises(ValueError, match="m.fits: is of other images, masks;"):
         MatchedEpochs.read(path, cube[:2])
     other = "astro_scc.matching.matched.versions", lambda: {"astro_scc": "0"}
     monkeypatch.setattr(*other)

@@ -45,7 +45,8 @@ def ssps_of(cube, east, north, epoch, scale=1.0):
         SSPs.empty(), scale=np.broadcast_to(scale, n).astype(float), x=x, y=y,
         x_centroid=x, y_centroid=y, peak=np.ones(n), flux=np.ones(n),
         snr=np.full(n, 20.0), bbox=np.zeros((n, 4), dtype=int),
-        starts=np.arange(n + 1), pixels=np.arange(n), epoch=np.asarray(epoch),
+        starts=np.arange(n + 1), pixels=np.arange(n), values=np.ones(n),
+        epoch=np.asarray(epoch),
     )  # fmt: skip
 
 

@@ -50,7 +50,7 @@ def catalogue(rows, *, scale=1.0, half=2, width=400):
         peak=rows[:, 3], flux=10 * rows[:, 3], snr=100 * rows[:, 3],
         bbox=np.stack([y - half, x - half, y + half + 1, x + half + 1], axis=1),
         starts=starts, pixels=np.concatenate([np.empty(0, int), *parts]),
-        epoch=rows[:, 0].astype(int),
+        values=np.ones(starts[-1]), epoch=rows[:, 0].astype(int),
     )  # fmt: skip
 
 
