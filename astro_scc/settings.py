@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from importlib import resources
-from operator import le
+from operator import le, lt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,7 +138,9 @@ class Settings(MeasurementSettings):
     align: str | None = _setting(q.check_text)
     crop: str | None = _setting(q.check_text)
     region: str | None = _setting(q.check_text)
-    bins: u.Quantity | Sequence[str] | None = _setting(q.check_bins)
+    bins: u.Quantity | Sequence[str] | None = _setting(
+        q.check_range, "increasing distances", "0.5 1.5 2.5 mas", 0, lt, None
+    )
     window: u.Quantity | str | None = _setting(q.one_quantity, "an angle", "2 mas")
     detections: str = _setting(q.check_choice, "gaussians", "ssp", default="gaussians")
     n_trials: int | None = _setting(q.check_integer, 2, 10**9)

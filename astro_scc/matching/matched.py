@@ -238,9 +238,20 @@ def match_epochs(
     `MatchedEpochs`
     """
     inside = None if region is None else cube.region_mask(region)
-    found, of = None, (cube, decomposer, correlator, reach, inside)
-    if cache is not None:
-        cache, found = kept_matches(cache, cube, match_provenance(*of))
+    found, path = None, None if cache is None else Path(cache)
+    if path is not None:
+        wanted = match_provenance(cube, decomposer, correlator, reach, inside)
+        if path.suffix.lower() != ".fits":
+            # A folder has a file for each provenance.
+            digest = _digest(json.dumps(wanted, sort_keys=True))[:16]
+            path /= f"matches-{digest}.fits"
+        if path.exists():
+            try:
+                found = MatchedEpochs.read(path, cube, wanted=wanted)
+            except (OSError, ValueError) as error:
+                why = str(error).removesuffix("; match the epochs again")
+                why += "; not used, the epochs are matched again"
+                warn(why, MeasurementWarning)
     if found is None:
         with workers_of(n_workers) as workers:
             how = {"n_workers": workers, "progress_bar": progress_bar}
@@ -254,9 +265,9 @@ def match_epochs(
         # Stacks need no planes, which are larger than everything else.
         how = {"correlator": correlator, "reach": reach, "region": inside}
         found = MatchedEpochs(cube, decomposer, ssps, select, matches, **how)
-        if cache is not None:
-            cache.parent.mkdir(parents=True, exist_ok=True)
-            found.write(cache, overwrite=True)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            found.write(path, overwrite=True)
     if region is not None and len(found.ssps) and not found.select.any():
         name = region if isinstance(region, str | os.PathLike) else "the region"
         warn(
@@ -269,41 +280,6 @@ def match_epochs(
 
 
 # -- files -------------------------------------------------------------------------
-
-
-def kept_matches(path, cube, provenance):
-    """
-    Return the file for the matches of a provenance, and what it holds.
-
-    Parameters
-    ----------
-    path : path
-        A FITS file, or a folder for files of many provenances.
-    cube : `~astro_scc.epochs.EpochCube`
-    provenance : dict
-        See `match_provenance`.
-
-    Returns
-    -------
-    path : `~pathlib.Path`
-    matched : `MatchedEpochs` or None
-
-    Warns
-    -----
-    `~astro_scc.exceptions.MeasurementWarning`
-        If there is a file but it cannot be used.
-    """
-    path, matched = Path(path), None
-    if path.suffix.lower() != ".fits":
-        digest = _digest(json.dumps(provenance, sort_keys=True))[:16]
-        path /= f"matches-{digest}.fits"
-    if path.exists():
-        try:
-            matched = MatchedEpochs.read(path, cube, wanted=provenance)
-        except (OSError, ValueError) as error:
-            why = str(error).removesuffix("; match the epochs again")
-            warn(f"{why}; not used, the epochs are matched again", MeasurementWarning)
-    return path, matched
 
 
 def image_provenance(cube):

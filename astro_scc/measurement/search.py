@@ -2,7 +2,7 @@
 """The search for streams, in all data and again in parts of them, with features."""
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain, combinations
 
@@ -108,24 +108,6 @@ def _search(project, angles, radius, misaligned, **how):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Followed:
-    """
-    A feature that was followed.
-
-    Its motion, with the error of a random walk, and how each position changes it if
-    not as in a straight line; its detections, the nearest SSP of each of those that
-    have one, and all SSPs of its emission.
-    """
-
-    motion: motions.Motion
-    error: np.ndarray
-    response: np.ndarray | None
-    detection: np.ndarray
-    ssp: np.ndarray
-    emission: np.ndarray
-
-
 class FollowedFeatures:
     """
     The secure features that move, along axes of a frame, or all of those that diffuse.
@@ -193,6 +175,13 @@ class FollowedFeatures:
         return use
 
     def _followed(self, features, last, use, diffusion):
+        """
+        Yield the features that are followed.
+
+        Each is its motion, with the error of a random walk, and how each position
+        changes it if not as in a straight line; its detections, the nearest SSP of each
+        of those that have one, and all SSPs of its emission.
+        """
         d, walk = self.detections, diffusion.variance if self.diffuse else 0.0
         for track, motion, secure in zip(
             features.tracks, features.motions, features.secure, strict=True
@@ -217,7 +206,7 @@ class FollowedFeatures:
             error = np.hypot(moving.velocity_err, np.sqrt(walk / moving.span))
             detection, ssps = self._near[:, np.isin(self._near[0], own)]
             nearest = ssps[np.unique(detection, return_index=True)[1]]
-            yield _Followed(moving, error, response, own, nearest, ssps)
+            yield moving, error, response, own, nearest, ssps
 
     def _positions(self, angle):
         """Return the positions of detections along an axis and across it, in beams."""
@@ -278,13 +267,12 @@ class FollowedFeatures:
         project, d, place = self.project, self.detections, self._positions(angle)
         turn, beam = axes.turned(angle), project.beam(angle)
         found, taken = [], np.zeros(len(project.displacements.epoch), dtype=bool)
-        for one in self.found:
-            own, motion = one.detection, one.motion
+        for motion, motion_error, response, own, ssp, emission in self.found:
             local = turn @ np.asarray(project.frame.matrix(*motion.place))
             epoch = d.epoch[own] - self.first
-            line = Feature.through(one.ssp, epoch, d.time[own], place[own])
+            line = Feature.through(ssp, epoch, d.time[own], place[own])
             speed, across = local @ motion.velocity / beam
-            error, across_error = np.hypot(*(local * one.error).T) / beam
+            error, across_error = np.hypot(*(local * motion_error).T) / beam
             found.append(
                 replace(
                     line,
@@ -293,11 +281,11 @@ class FollowedFeatures:
                     across=float(across),
                     across_error=float(across_error),
                     motion=float(abs(speed) * motion.span),
-                    response=line.response if one.response is None else one.response,
+                    response=line.response if response is None else response,
                     detection=own,
                 )
             )
-            taken[one.emission] = True
+            taken[emission] = True
         return found, taken
 
 
