@@ -58,42 +58,38 @@ def test_nothing_in_a_constant_image(value, noise):
     assert len(decompose(np.where(holes, np.nan, image)).ssps) == 0
 
 
-def test_planes_noise_and_patterns(scene):
-    decomposition = Decomposer(scales=(2, 1, 1.5, 1))(scene)
-    assert decomposition.scales == (1.0, 1.5, 2.0)
-    assert decomposition.planes.dtype == np.float32
-    planes = wavelet_planes(scene, decomposition.scales)
-    np.testing.assert_allclose(decomposition.planes, planes, atol=1e-6)
-    assert decomposition.mask is None
-    ssps = decomposition.ssps
-    assert (np.diff(ssps.scale) >= 0).all()
-    for plane, scale, noise in zip(
-        planes, decomposition.scales, decomposition.noise, strict=True
-    ):
-        assert noise == pytest.approx(plane_noise(plane, scale))
-        own = ssps.select(ssps.scale == scale)
-        np.testing.assert_array_equal(own.pixels, find_ssps(plane, scale, noise).pixels)
-        assert own.flux == pytest.approx(np.bincount(
-            np.repeat(np.arange(len(own)), own.n_pixels), plane.flat[own.pixels]
-        ))  # fmt: skip
+COVARIANCE = np.array([[9, 1], [1, 4]])
+NOISES = {
+    "plane": lambda plane, scale, _: plane_noise(plane, scale),
+    "local": lambda plane, scale, _: local_noise(plane, scale),
+    "propagated": lambda _, scale, kernel: propagated_noise(
+        0.005, [scale], beam_covariance=COVARIANCE, kernel=kernel
+    ),
+}
 
 
-def test_kinds_of_noise(scene):
-    planes, scales = wavelet_planes(scene, (1, 2)), (1, 2)
-    local = Decomposer(scales=scales, noise="local")(scene)
-    assert local.noise[0].shape == scene.shape
-    np.testing.assert_allclose(local.noise[1], local_noise(planes[1], 2), rtol=1e-6)
-    covariance = [[9, 1], [1, 4]]
-    propagated = Decomposer(scales=scales, noise="propagated", kernel="b3")(
-        scene, rms=0.005, beam_covariance=covariance
-    )
-    np.testing.assert_allclose(
-        propagated.noise,
-        propagated_noise(0.005, scales, beam_covariance=covariance, kernel="b3"),
-    )
-    factors = Decomposer(scales=scales, noise_factors=[0.5, 1])(scene).noise
-    expected = [0.5 * plane_noise(planes[0], 1), plane_noise(planes[1], 2)]
-    np.testing.assert_allclose(factors, expected, rtol=1e-6)
+@pytest.mark.parametrize(
+    ("noise", "kernel", "factors"),
+    [
+        ("plane", "b1", None), ("plane", "b1", [0.5, 1, 0.8]), ("local", "b1", None),
+        ("propagated", "b1", None), ("propagated", "b3", None),
+    ],
+)  # fmt: skip
+def test_planes_noise_and_patterns(scene, noise, kernel, factors):
+    scales = (2, 1, 1.5, 1) if kernel == "b1" else (1, 2, 3)
+    decompose = Decomposer(scales, kernel, noise=noise, noise_factors=factors)
+    found = decompose(scene, rms=0.005, beam_covariance=COVARIANCE)
+    assert found.scales == tuple(sorted({float(scale) for scale in scales}))
+    assert (found.planes.dtype, found.mask) == (np.float32, None)
+    planes = wavelet_planes(scene, found.scales, kernel=kernel)
+    np.testing.assert_allclose(found.planes, planes, atol=1e-6)
+    for k, (plane, scale) in enumerate(zip(planes, found.scales, strict=True)):
+        sigma = NOISES[noise](plane, scale, kernel) * (factors or [1] * 3)[k]
+        np.testing.assert_allclose(found.noise[k], sigma, rtol=1e-5)
+        own = found.ssps.select(found.ssps.scale == scale)
+        np.testing.assert_array_equal(own.pixels, find_ssps(plane, scale, sigma).pixels)
+        np.testing.assert_allclose(own.values, plane.flat[own.pixels], rtol=1e-5)
+    assert (np.diff(found.ssps.scale) >= 0).all()
 
 
 def test_masked_and_missing_pixels(scene):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from astro_scc.components.restoring import correlated_noise
-from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import (
     KERNELS,
     atrous_transform,
@@ -150,17 +149,6 @@ def test_propagated_noise_equals_measured(kernel, beam):
     assert (np.abs(measured / expected - 1) < tolerance).all()
 
 
-def ratios(images, *, mask=None):
-    """Measured over true noise of beam-correlated noise, (image, scale)."""
-    expected = propagated_noise(RMS, SCALES, beam_covariance=COVARIANCE)
-    planes = [wavelet_planes(image, SCALES, mask=mask) for image in images]
-    found = [
-        [plane_noise(plane, j, mask=mask) for plane, j in zip(own, SCALES, strict=True)]
-        for own in planes
-    ]
-    return np.array(found) / expected
-
-
 @pytest.mark.slow
 def test_plane_noise_beside_a_bright_jet():
     """
@@ -170,7 +158,10 @@ def test_plane_noise_beside_a_bright_jet():
     tenth of 256 x 128 px, some ten independent patches of noise.
     """
     jets = [simulate_two_fluid(rng=seed, n_epochs=2).cube.data for seed in range(10)]
-    ratio = ratios(np.concatenate(jets))
+    expected = propagated_noise(RMS, SCALES, beam_covariance=COVARIANCE)
+    planes = [wavelet_planes(image, SCALES) for image in np.concatenate(jets)]
+    found = [[*map(plane_noise, own, SCALES)] for own in planes]
+    ratio = np.array(found) / expected
     assert (np.abs(ratio.mean(axis=0) - 1) < [0.06, 0.06, 0.08, 0.12]).all()
     assert (ratio.std(axis=0) < [0.08, 0.08, 0.08, 0.3]).all()
 
@@ -202,14 +193,6 @@ def test_plane_noise_of_sources_without_sky_and_of_blanked_pixels():
 
 
 def test_masked_pixels_do_not_count():
-    image, mask = beam_noise(3), np.zeros((128, 256), dtype=bool)
-    mask[20:60, 30:200] = True
-    # The transform is undisturbed by what the mask covers.
-    ratio = ratios([image], mask=mask)
-    np.testing.assert_array_equal(
-        ratios([np.where(mask, 1e9, image)], mask=mask), ratio
-    )
-    np.testing.assert_allclose(ratio, 1, atol=0.25)
     plane = np.random.default_rng(0).normal(size=(64, 64))
     plane[:, 32:] *= 1000
     mask = np.zeros(plane.shape, dtype=bool)
@@ -280,17 +263,3 @@ def test_noise_of_an_image():
     alike = np.ones((10, 10))
     alike[0, 0] = 2
     assert measure_noise(alike, alike > 2) == pytest.approx(alike.std())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", ["plane", "local", "propagated"])
-def test_false_positives_are_rare(noise):
-    """Above 4 sigma, about one pattern in two images of pure noise."""
-    images = [beam_noise(seed) for seed in range(5)]
-    limits = {(4, 3): 7, (6, 5): 0}
-    for (detection, segmentation), most in limits.items():
-        decompose = Decomposer(
-            noise=noise, detection=detection, segmentation=segmentation
-        )
-        found = (decompose(i, rms=RMS, beam_covariance=COVARIANCE).ssps for i in images)
-        assert sum(map(len, found)) <= most

@@ -194,13 +194,6 @@ def test_every_part_of_a_steady_flow_has_its_speed(result):
     assert table["pm"][0] == result.components["pm"][0]
 
 
-@pytest.mark.slow
-def test_two_processes_give_the_same_parts(matched, result):
-    again = SCC.stack(matched, n_trials=99, rng=1, n_workers=2).sensitivity
-    for name in again.colnames:
-        np.testing.assert_array_equal(again[name], result.sensitivity[name])
-
-
 def test_both_parts_may_differ_from_the_whole():
     whole = row("as measured", 1.05, 0.1, False)
     fine, coarse = row("fine", 0.75, 0.07, False), row("coarse", 0.81, 0.1, False)

@@ -72,16 +72,6 @@ def test_no_maximum_no_fit(surface):
     assert fit_gaussian(surface, axis, axis) is None
 
 
-def test_one_gaussian_is_one_component():
-    x, y = -4.75, 4.2
-    scc = gaussian(GRID, x, y, 2.0, 1.0, 0.6, height=0.3)
-    (c,) = find_velocity_peaks(scc, GRID, BOX)
-    np.testing.assert_allclose((c.v1, c.v2), (x, y), atol=1e-6)
-    assert c.row == np.abs(GRID.v2 - y).argmin()
-    assert c.column == np.abs(GRID.v1 - x).argmin()
-    assert c.coefficient == scc[c.row, c.column] == scc.max()
-
-
 @pytest.mark.parametrize("box", [(4.0, 4.0), (6.0, 6.0), (10.0, 10.0)])
 @pytest.mark.parametrize("second", [1.0, 0.6])
 @pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
@@ -101,6 +91,9 @@ def test_sorted_by_falling_coefficient():
     found = find_velocity_peaks(scc, GRID, BOX)
     assert [round(c.v1) for c in found] == [0, 6, -6]
     np.testing.assert_allclose([c.coefficient for c in found], [0.5, 0.3, 0.2])
+    for c in found:
+        assert max(abs(GRID.v1[c.column] - c.v1), abs(GRID.v2[c.row])) < 0.2
+        assert c.coefficient == scc[c.row, c.column]
 
 
 @pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])

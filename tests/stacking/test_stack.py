@@ -176,14 +176,10 @@ def test_few_epochs_are_gone_through_in_every_order(n, trials):
     assert every == set(permutations(range(n))) - {tuple(range(n))}
 
 
-@pytest.mark.parametrize(
-    ("n", "number"), [(1, 1), (2, 1), (3, 3), (4, 12), (5, 60), (8, 20160)]
-)
-def test_an_order_and_its_reversal_are_one(n, number):
-    assert number_of_permutations(n) == number
-    if n < 6:
-        every = {min(order, order[::-1]) for order in permutations(range(n))}
-        assert len(every) == number
+@pytest.mark.parametrize("n", range(1, 6))
+def test_an_order_and_its_reversal_are_one(n):
+    every = {min(order, order[::-1]) for order in permutations(range(n))}
+    assert number_of_permutations(n) == len(every)
     # Of many there are orders without end.
     assert number_of_permutations(1000) == number_of_permutations(20) > 1e18
 
