@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
@@ -21,7 +20,7 @@ from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
 from astro_scc.matching import MatchedEpochs, SearchPlan
 from astro_scc.matching.matched import allow_for_structure, match_epochs
-from astro_scc.matching.plan import flow_direction, map_grid, scale_numbers
+from astro_scc.matching.plan import flow_direction, scale_numbers
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import matched_displacements
 from astro_scc.measurement.search import (
@@ -33,7 +32,7 @@ from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking import stack as paper
-from astro_scc.stacking.velocities import VelocitySamples, baseline_pairs
+from astro_scc.stacking.velocities import VelocityGrid, VelocitySamples, baseline_pairs
 from astro_scc.streams.diagram import DEFAULT
 from astro_scc.writing import versions
 
@@ -44,6 +43,8 @@ __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
+#: Spacing of the velocity grid in units of the narrowest kernel.
+GRID_STEP = 0.5
 #: Extent of the map, in units of the largest speed found.
 MAP_SPEEDS = 3.0
 #: Most permutations for the paper's z-score and trials for its error: they are standard
@@ -296,15 +297,13 @@ class StackedCrossCorrelation(MeasurementSettings):
                 velocities = with_choices(velocities[0], choices), *velocities[1:]
             smallest = search.permutations.smallest_p
             _warn_of_limits(smallest, len(cube), n_trials, self.alpha)
-            pairs = self._pairs_of_map(cube, plan, search.streams, velocities)
-            of = samples, pairs, velocities, plan, min(n_trials, PAPER_TRIALS)
+            of = samples, plan, search.streams, velocities, min(n_trials, PAPER_TRIALS)
             rngs = paper_rng, error_rng
             stacked = self._stack_as_in_paper(*of, *rngs, progress_bar)
         return SCCResult(
             matched=matched,
             frame=frame,
             position_angle=angle,
-            pairs=pairs,
             displacements=samples,
             search=search,
             velocities=velocities,
@@ -320,30 +319,28 @@ class StackedCrossCorrelation(MeasurementSettings):
             **stacked,
         )
 
-    def _pairs_of_map(self, cube, plan, streams, velocities):
-        """Return the pairs of dates of the paper's stack."""
-        moves = any(stream.kind == "moving" for stream in streams[:1])
-        if self.baseline is not None or not moves:
-            return plan.pairs
-        # Without a baseline, those in which the first stream moves 0.2 to 1 beam.
-        years = plan.fwhm / np.hypot(*velocities[0].value)
-        limits = DEFAULT.nearest * years, DEFAULT.farthest * years
-        found = baseline_pairs(cube.years.to_value(u.yr), *limits)
-        return found if len(found) >= FEWEST_PAIRS else plan.pairs
-
     def _stack_as_in_paper(
-        self, samples, pairs, velocities, plan, n_trials, rng, error_rng, progress_bar
+        self, samples, plan, streams, velocities, n_trials, rng, error_rng, progress_bar
     ):  # fmt: skip
         """Return the paper's stack, its z-score, and its peaks with their errors."""
-        fwhm, limit = plan.fwhm, plan.max_speed
+        pairs, fwhm, limit = plan.pairs, plan.fwhm, plan.max_speed
+        if self.baseline is None and streams and streams[0].kind == "moving":
+            # The pairs of dates in which the first stream moves 0.2 to 1 beam.
+            years = fwhm / np.hypot(*velocities[0].value)
+            limits = DEFAULT.nearest * years, DEFAULT.farthest * years
+            some = baseline_pairs(samples.years, *limits)
+            pairs = some if len(some) >= FEWEST_PAIRS else pairs
         fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
         if limit is None:
             limit = plan.radius * fwhm / np.median(pairs.interval)
             limit = min(limit, MAP_SPEEDS * fastest) if fastest > 0 else limit
-        grid = map_grid(samples, pairs, max(limit, 1.2 * fastest))
-        shift = (
-            (SMALL_SHIFT * fwhm,) * 2 if self.small_displacement_correction else None
-        )
+        limit = max(limit, 1.2 * fastest)
+        rate, errors = 1 / pairs.interval.max(), (samples.s1, samples.s2)
+        steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
+        grid = VelocityGrid.covering(limit, steps)
+        shift = None
+        if self.small_displacement_correction:
+            shift = (SMALL_SHIFT * fwhm,) * 2
         coefficient = paper.stack(samples, pairs, grid)
         with progress(n_trials, "Permuting", show=progress_bar) as done:
             of = coefficient, samples, pairs, grid, n_trials
@@ -359,6 +356,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
         )
         return {
+            "pairs": pairs,
             "grid": grid,
             "coefficient": coefficient,
             "z_score": z_score,

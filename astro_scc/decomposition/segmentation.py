@@ -439,13 +439,23 @@ class Decomposer:
             the mask has another shape, or ``rms`` is missing.
         """
         planes, missing, floor = self._planes(image, mask)
-        noise = self._noise(planes, missing, rms, beam_covariance)
+        if self.noise == "propagated":
+            if rms is None or not 0 < rms < np.inf:
+                raise ValueError(f"'propagated' needs the rms of the image, got {rms}")
+            how = {"beam_covariance": beam_covariance, "kernel": self.kernel}
+            noise = wavelet.propagated_noise(rms, self.scales, **how)
+        else:
+            kinds = {"plane": wavelet.plane_noise, "local": wavelet.local_noise}
+            each = zip(planes, self.scales, strict=True)
+            noise = [kinds[self.noise](*one, mask=missing) for one in each]
+            if self.noise_factors is not None:
+                both = zip(noise, self.noise_factors, strict=True)
+                noise = [factor * sigma for sigma, factor in both]
         noise = tuple(np.maximum(sigma, floor) for sigma in noise)
         thresholds = {"detection": self.detection, "segmentation": self.segmentation}
         each = zip(planes, self.scales, noise, strict=True)
         found = [find_ssps(*one, mask=missing, **thresholds) for one in each]
-        ssps = SSPs.concatenate(found)
-        planes = planes.astype(np.float32)
+        planes, ssps = planes.astype(np.float32), SSPs.concatenate(found)
         return Decomposition(self.scales, planes, noise, ssps, missing)
 
     def shared_variance(
@@ -495,17 +505,3 @@ class Decomposer:
         missing = missing if missing.any() else None
         planes = wavelet_planes(image, self.scales, kernel=self.kernel, mask=missing)
         return planes, missing, ROUNDING * max(np.ptp(image), abs(offset))
-
-    def _noise(self, planes, missing, rms, beam_covariance):
-        if self.noise == "propagated":
-            if rms is None or not 0 < rms < np.inf:
-                raise ValueError(f"'propagated' needs the rms of the image, got {rms}")
-            return wavelet.propagated_noise(
-                rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
-            )
-        kinds = {"plane": wavelet.plane_noise, "local": wavelet.local_noise}
-        factors = self.noise_factors or (1.0,) * len(self.scales)
-        return [
-            factor * kinds[self.noise](plane, scale, mask=missing)
-            for plane, scale, factor in zip(planes, self.scales, factors, strict=True)
-        ]

@@ -35,8 +35,6 @@ LARGEST_SCALE = 12
 LEAST_MOTION = 0.01
 #: Largest displacement in the shortest interval, in diagonals of the image.
 MOST_MOTION = 10
-#: Spacing of the velocity grid in units of the narrowest kernel.
-GRID_STEP = 0.5
 #: Smoothing lengths by which the search goes beyond the largest displacement.
 MARGIN = 3.0
 #: Beams by which matches go beyond the largest speed: stacks in speed and
@@ -304,28 +302,6 @@ def search_radius(cube, max_speed, fwhm):
     elif len(cube) <= FEW_EPOCHS:
         far = FAR_BEAMS * short / np.median(gaps)
     return max(DEFAULT.radius, far + MARGIN * DEFAULT.smoothing)
-
-
-def map_grid(displacements, pairs, limit):
-    """
-    Return the grid of velocities of the stack.
-
-    Parameters
-    ----------
-    displacements : ``VelocitySamples``
-    pairs : ``DatePairs``
-    limit : float
-        Largest velocity along either axis.
-
-    Returns
-    -------
-    ``VelocityGrid``
-        Spaced by half the narrowest kernel.
-    """
-    rate = 1 / pairs.interval.max()
-    errors = displacements.s1, displacements.s2
-    steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
-    return velocities.VelocityGrid.covering(limit, steps)
 
 
 def flow_direction(matched, frame=None):

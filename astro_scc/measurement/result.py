@@ -17,7 +17,7 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.columns import cell, describe, round_to_errors
+from astro_scc.columns import build_table, cell, describe, round_to_errors
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
@@ -26,13 +26,12 @@ from astro_scc.images.positions import axis_words, name_by_frame, ssp_offsets
 from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.search import sensitivity_line, sensitivity_table
 from astro_scc.stacking.stack import VelocityPeak, sample_velocities
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams.diagram import DEFAULT, INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
 from astro_scc.streams.search import Search
-from astro_scc.units import PM_UNIT, unit_name
+from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 
 if TYPE_CHECKING:
@@ -233,12 +232,26 @@ class SCCResult(tables.Components):
         component holds half of the difference.  Without significant motion the table
         is empty, and the ``note`` in its meta says so.
         """
-        return sensitivity_table(self.choices, self.cube.speed_unit)
+        table = build_table("sensitivity", self.choices)
+        if not self.choices:
+            table.meta["note"] = "nothing moves significantly"
+        return round_to_errors(in_speed_unit(table, self.cube.speed_unit))
 
     @property
     def sensitivity_line(self) -> str:
         """On what the main speed depends, in words; empty if on nothing."""
-        return sensitivity_line(self.sensitivity)
+        lines, table, found = [], self.sensitivity, np.isfinite(self.sensitivity["pm"])
+        parts = [
+            f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
+            for row in table[table["significant"] & found]
+        ]
+        if parts:
+            lines.append("differs with the data: " + ", ".join(parts))
+        # The first row is the whole.
+        missing, n = np.sum(~found), len(table[1:])
+        if 2 * missing > n:
+            lines.append(f"not found in {missing} of {n} parts of the data")
+        return "; ".join(lines)
 
     @cached_property
     def components(self) -> QTable:
@@ -389,7 +402,6 @@ class SCCResult(tables.Components):
             raise ValueError(f"no stream {number}: there are {len(self.maxima)}")
         d, cube, match = self.displacements, self.cube, self._matches_of(number)
         ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
-        east, north = d.position[ssp].T * u.mas
         columns = {
             "match": match,
             "ssp": ssp,
@@ -400,16 +412,13 @@ class SCCResult(tables.Components):
             "date": Time(cube.times[start], format="isot"),
             "target_date": Time(cube.times[end], format="isot"),
             "interval": (cube.years[end] - cube.years[start]).to(u.yr),
-            "east": east,
-            "north": north,
         }
+        columns["east"], columns["north"] = d.position[ssp].T * u.mas
         about, axes = {}, ((d.d1, d.s1), (d.d2, d.s2))
         for axis, (values, errors) in zip(self.frame.axis_names, axes, strict=True):
             name = f"displacement_{axis}"
-            columns[name], columns[f"{name}_err"] = (
-                values[match] * u.mas,
-                errors[match] * u.mas,
-            )
+            columns[name] = values[match] * u.mas
+            columns[f"{name}_err"] = errors[match] * u.mas
             about[name] = f"displacement of the match, {axis}"
             about[f"{name}_err"] = f"standard error of {name}"
         table = QTable(columns | {"weight": d.weight[match]}, descriptions=about)
@@ -523,9 +532,28 @@ def velocity_hdus(result, *, text=None):
         header = _header(image, ("direction of the proper motion",) * 2)
         hdus.append(kind(np.asarray(image.data, dtype=float), header))
         hdus[-1].name = which.replace("_", "").upper()
-    primary = hdus[0].header
-    primary.update(_facts(result))
-    for line in result.cube.meta.get("history", ()):
+    primary, cube, meta = hdus[0].header, result.cube, result.meta
+    times, angle = cube.times.utc[[0, -1]], result.position_angle.to_value(u.deg)
+    versions = meta.get("versions", {})
+    creator = f"astro_scc {versions.get('astro_scc', '')}"
+    facts = {
+        "OBJECT": (ascii_line(cube.meta.get("object", ""))[:60], "name of the object"),
+        # If one form of a date is missing, readers warn that they add it.
+        "TIMESYS": ("UTC", "time scale"),
+        "DATE-BEG": (times.isot[0], "first epoch"),
+        "DATE-END": (times.isot[1], "last epoch"),
+        "MJD-BEG": (float(times.mjd[0]), "first epoch"),
+        "MJD-END": (float(times.mjd[1]), "last epoch"),
+        "NEPOCHS": (len(cube), "number of epochs"),
+        "JETPA": (float(angle), "[deg] position angle of the jet"),
+        "NTRIALS": (meta.get("n_trials"), "number of trials"),
+        "SEED": (meta.get("seed"), "seed of the trials"),
+        "CREATOR": (ascii_line(creator)[:60], "program"),
+    }
+    primary.update({k: v for k, v in facts.items() if v[0] not in (None, "")})
+    for i, (name, version) in enumerate(sorted(versions.items()), start=1):
+        primary[f"VERS{i}"] = ascii_line(f"{name} {version}")[:60]
+    for line in cube.meta.get("history", ()):
         primary.add_history(ascii_line(line))
     for line in (text or "").splitlines():
         primary.add_comment(ascii_line(line) or " ")
@@ -569,28 +597,3 @@ def _header(image, comments):
     for i, named in enumerate(zip(image.meta["axes"], comments, strict=True), start=1):
         header[f"CNAME{i}"] = named
     return header
-
-
-def _facts(result):
-    cube, meta = result.cube, result.meta
-    times, angle = cube.times.utc[[0, -1]], result.position_angle.to_value(u.deg)
-    versions = meta.get("versions", {})
-    creator = f"astro_scc {versions.get('astro_scc', '')}"
-    facts = {
-        "OBJECT": (ascii_line(cube.meta.get("object", ""))[:60], "name of the object"),
-        # If one form of a date is missing, readers warn that they add it.
-        "TIMESYS": ("UTC", "time scale"),
-        "DATE-BEG": (times.isot[0], "first epoch"),
-        "DATE-END": (times.isot[1], "last epoch"),
-        "MJD-BEG": (float(times.mjd[0]), "first epoch"),
-        "MJD-END": (float(times.mjd[1]), "last epoch"),
-        "NEPOCHS": (len(cube), "number of epochs"),
-        "JETPA": (float(angle), "[deg] position angle of the jet"),
-        "NTRIALS": (meta.get("n_trials"), "number of trials"),
-        "SEED": (meta.get("seed"), "seed of the trials"),
-        "CREATOR": (ascii_line(creator)[:60], "program"),
-    }
-    facts = {k: v for k, v in facts.items() if v[0] not in (None, "")}
-    for i, (name, version) in enumerate(sorted(versions.items()), start=1):
-        facts[f"VERS{i}"] = ascii_line(f"{name} {version}")[:60]
-    return facts

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import ndtr
 
-from astro_scc.columns import build_table, cell, round_to_errors, with_errors
+from astro_scc.columns import with_errors
 from astro_scc.features import motion as motions
 from astro_scc.features.trust import LEAST_EPOCHS, measure_diffusion
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
@@ -23,7 +23,7 @@ from astro_scc.streams import find_streams
 from astro_scc.streams.chains import Feature
 from astro_scc.streams.diagram import DEFAULT
 from astro_scc.streams.dispersion import velocity_of
-from astro_scc.units import PM_UNIT, in_speed_unit, offset_unit
+from astro_scc.units import offset_unit
 
 #: Number of directions, over half a turn, that are searched if none is known.
 N_AXES = 12
@@ -49,7 +49,7 @@ NOTHING = np.nan, np.nan, 0
 
 def prepared_search(
     matched, settings, plan, samples, frame, *, n_trials, rng, intervals=None,
-    epochs=None,
+    epochs=slice(None),
 ):  # fmt: skip
     """
     Return a search for streams, to be called; it holds no images and can be sent.
@@ -76,10 +76,8 @@ def prepared_search(
     """
     cube, max_speed = matched.cube, plan.max_speed
     intervals = plan.intervals if intervals is None else intervals
-    if epochs is not None:
-        samples = samples.of_epochs(epochs)
-    first = 0 if epochs is None else epochs.start or 0
-    project = axes.AxisProjection(samples, cube, frame, first)
+    samples = samples.of_epochs(epochs)
+    project = axes.AxisProjection(samples, cube, frame, epochs.start or 0)
     known = not isinstance(frame, SkyFrame)
     n_axes = 1 if known else N_AXES
     misaligned = axes.alignment_errors(cube, settings.alignment_error)
@@ -88,7 +86,7 @@ def prepared_search(
         project,
         np.arange(n_axes) * np.pi / n_axes,
         plan.radius,
-        misaligned[epochs or slice(None)],
+        misaligned[epochs],
         alpha=settings.alpha,
         n_trials=n_trials,
         rng=rng,
@@ -134,9 +132,9 @@ class FollowedFeatures:
         by one of them, so it is part of the errors, and all of them count.
     """
 
-    def __init__(self, matched, project, radius, epochs=None, intervals=EVERY):
+    def __init__(self, matched, project, radius, epochs=slice(None), intervals=EVERY):
         self.project, self.diffuse, self.intervals = project, False, intervals
-        self.first, last, _ = (epochs or slice(None)).indices(len(matched.cube))
+        self.first, last, _ = epochs.indices(len(matched.cube))
         features = matched.features
         self.detections = d = features.detections
         inside = (matched.ssps.epoch >= self.first) & (matched.ssps.epoch < last)
@@ -380,56 +378,6 @@ def with_choices(velocity, rows):
     return replace(velocity, choices=half**2 * np.outer(axis, axis))
 
 
-def sensitivity_table(rows, unit=PM_UNIT):
-    """
-    Return the speed of the first component with other choices of the data.
-
-    Parameters
-    ----------
-    rows : list of dict
-        See `sensitivity_rows`.
-    unit : `~astropy.units.Unit`, optional
-        Of speeds.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        See `SCCResult.sensitivity`.
-    """
-    table = in_speed_unit(build_table("sensitivity", rows), unit)
-    if not rows:
-        table.meta["note"] = "nothing moves significantly"
-    return round_to_errors(table)
-
-
-def sensitivity_line(table):
-    """
-    Return on what the main speed depends, in words.
-
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        See `SCCResult.sensitivity`.
-
-    Returns
-    -------
-    str
-        Empty if it depends on nothing that was tried, and most parts show it.
-    """
-    lines, found = [], np.isfinite(table["pm"])
-    parts = [
-        f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
-        for row in table[table["significant"] & found]
-    ]
-    if parts:
-        lines.append("differs with the data: " + ", ".join(parts))
-    # The first row is the whole.
-    missing, n = np.sum(~found), len(table[1:])
-    if 2 * missing > n:
-        lines.append(f"not found in {missing} of {n} parts of the data")
-    return "; ".join(lines)
-
-
 def _moving(search, velocities):
     """Return velocities and numbers of features of the streams that move."""
     return [
@@ -461,13 +409,9 @@ def _row(choice, measured, main=None):
     """Return a row of the table; the whole, ``main``, does not change."""
     speed, error, number = measured
     change = (0.0, 0.0) if main is None else (speed - main[0], np.hypot(error, main[1]))
-    return with_errors(pm=(speed, error), change=change) | {
-        "choice": choice,
-        "n_features": number,
-        "change_sigma": 0.0,
-        "p_value": 1.0,
-        "significant": False,
-    }
+    row = {"change_sigma": 0.0, "p_value": 1.0, "significant": False}
+    row |= {"choice": choice, "n_features": number}
+    return row | with_errors(pm=(speed, error), change=change)
 
 
 def _pairs_of_parts(samples, matched, stream):
@@ -501,9 +445,8 @@ def _pairs_of_parts(samples, matched, stream):
         )
     if len(matched.scales) > 1:
         halves = []
-        for name, own in zip(
-            ("fine", "coarse"), np.array_split(matched.scales, 2), strict=True
-        ):
+        fine, coarse = np.array_split(matched.scales, 2)
+        for name, own in (("fine", fine), ("coarse", coarse)):
             part = matched.part(select & np.isin(matched.ssps.scale, own))
             shown = ", ".join(f"{scale:g}" for scale in own)
             halves.append((f"{name} scales ({shown})", part, {}))

@@ -20,7 +20,6 @@ from astro_scc.matching.plan import (
     choose_direction,
     choose_scales,
     flow_direction,
-    map_grid,
     mean_fwhm,
     pairs_of_dates,
     scale_numbers,
@@ -109,15 +108,6 @@ def test_windows_end_with_the_image_and_warn():
         warnings.simplefilter("error")
         reach(cube, pairs, 1.5, 1.0, 2.85)
         assert reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
-
-
-def test_the_grid_is_half_the_narrowest_kernel(sky_result):
-    d, pairs = sky_result.displacements, sky_result.pairs
-    grid = map_grid(d, pairs, 30.0)
-    assert grid.v_max == (30.0, 30.0)
-    narrowest = np.array([d.s1.min(), d.s2.min()]) / pairs.interval.max()
-    assert np.all((0.45 * narrowest < grid.step) & (grid.step <= 0.5 * narrowest))
-    assert map_grid(d.select(np.zeros(len(d), bool)), pairs, 30.0).shape == (41, 41)
 
 
 YEARLY = cube_of((0, YEAR))

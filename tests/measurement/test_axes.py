@@ -188,7 +188,7 @@ def test_errors_of_the_alignment_are_given_or_those_that_it_found():
     np.testing.assert_allclose(one, np.full((3, 2), 0.2))
     each = alignment_errors(cube, [0.1, 0.0, 0.3] * u.mas)
     np.testing.assert_allclose(each, [[0.1, 0.1], [0, 0], [0.3, 0.3]])
-    with pytest.raises(ValueError, match="must be one angle or 3, one an epoch, got 2"):
+    with pytest.raises(ValueError, match="must be 1 or 3 angles, got 2"):
         alignment_errors(cube, [0.1, 0.2] * u.mas)
     columns = {"east": [0, 0, 0], "north": [0, 0, 0]}
     columns |= {"east_err": [3, 1, 0], "north_err": [4, 1, 0]}

@@ -14,8 +14,6 @@ from astro_scc.measurement.axes import AxisProjection
 from astro_scc.measurement.search import (
     FollowedFeatures,
     largest_difference,
-    sensitivity_line,
-    sensitivity_table,
     with_choices,
 )
 from astro_scc.simulation import JetSimulation, Stream, simulate_jet
@@ -204,20 +202,20 @@ def test_both_parts_may_differ_from_the_whole():
     assert np.isnan(largest_difference([nothing, nothing, whole]))
 
 
-def test_parts_without_the_speed_are_said():
+def test_parts_without_the_speed_are_said(result):
     rows = [row("as measured", 0.9, 0.1, False)]
     rows += [row("inner half", 0.1, 0.04, True), row("outer half", *NOTHING, True)]
     own = StreamVelocity(np.array([0.9, 0.0]), *np.zeros((2, 2, 2)), 0.0, 0.0)
     assert np.sqrt(with_choices(own, rows).covariance[0, 0]) == pytest.approx(0.4)
     assert with_choices(own, rows[:1]) is own
     rows += [row("fine scales", *NOTHING, False), row("coarse scales", *NOTHING, False)]
-    assert sensitivity_line(sensitivity_table(rows)) == (
+    assert replace(result, choices=rows).sensitivity_line == (
         "differs with the data: 0.100 +- 0.040 mas / yr (inner half); "
         "not found in 3 of 4 parts of the data"
     )
 
 
-def test_halves_that_differ_are_in_the_error_along_the_velocity():
+def test_halves_that_differ_are_in_the_error_along_the_velocity(result):
     """The first half of the dates has slow features, and the second has fast ones."""
     rows = [
         row("as measured", 0.3, 0.02, False),
@@ -226,7 +224,7 @@ def test_halves_that_differ_are_in_the_error_along_the_velocity():
         row("fine scales (1)", 0.3, 0.02, False),
         row("coarse scales (2)", 0.3, 0.02, False),
     ]
-    line = sensitivity_line(sensitivity_table(rows))
+    line = replace(result, choices=rows).sensitivity_line
     assert line.count("mas / yr (epochs") == 2
     assert "scales" not in line
     axis, zero = np.array([np.cos(0.5), np.sin(0.5)]), np.zeros((2, 2))

@@ -126,6 +126,12 @@ def test_the_velocity_map_has_velocity_coordinates(sky_result):
     v1, v2 = found.wcs.pixel_to_world(*np.indices(grid.shape[::-1]))
     np.testing.assert_allclose(v1[:, 0].to_value(PM), grid.v1, atol=1e-9)
     np.testing.assert_allclose(v2[0].to_value(PM), grid.v2, atol=1e-9)
+    # It is spaced by half the narrowest kernel.
+    d = sky_result.displacements
+    ratio = (
+        np.array(grid.step) * sky_result.pairs.interval.max() / [d.s1.min(), d.s2.min()]
+    )
+    assert np.all((ratio > 0.45) & (ratio <= 0.5))
     assert found.meta["axes"] == ("east", "north")
 
 
