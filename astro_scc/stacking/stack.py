@@ -609,9 +609,7 @@ def _intervals(maps):
     own, kind = np.unique(np.round(interval, 9), return_inverse=True)
     if len(own) > 1 and len(d):
         # Along the line v t the map varies on the scale of the kernel.
-        fastest = np.hypot(
-            np.abs(grid.v1).max() / d.s1.min(), np.abs(grid.v2).max() / d.s2.min()
-        )
+        fastest = np.hypot(*np.divide(grid.v_max, (d.s1.min(), d.s2.min())))
         number = int(np.ceil(np.ptp(own) * fastest / STEP_SIGMA)) + 1
         number = max(number + 2 * BEYOND, DEGREE + 1)
         if number < len(own):
@@ -654,14 +652,12 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
     apart = np.abs(columns[:2] - centre[:, None])
     near = np.all(apart < half[:, None] + 5 * columns[2:4], axis=0)
     index, columns = index[near], columns[:, near]
-    grid1, grid2 = (
-        np.linspace(v - h, v + h, POINTS) for v, h in zip(centre, half, strict=True)
-    )
     # Single precision is enough for positions in units of the box.
     columns[:2] -= centre[:, None]
     columns[:4] /= half[[0, 1, 0, 1], None]
     x, y, sx, sy, w = columns.astype(np.float32)
-    unit_grid = np.linspace(-1, 1, POINTS, dtype=np.float32)
+    grid = np.linspace(-1, 1, POINTS)
+    grids = (grid.astype(np.float32),) * 2
     # An SSP is one position in all its matches, at either end of a displacement; an end
     # without an SSP is a position of its own.
     end = samples.target_ssp[index]
@@ -673,17 +669,14 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
         # Each end of a displacement has half of its variance.
         unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
         shift = (unit[:, end] - unit[:, start]).astype(np.float32)
-        local = gaussian_sum(
-            x + sx * shift[0], y + sy * shift[1], sx, sy, w, unit_grid, unit_grid
-        )
+        moved = x + sx * shift[0], y + sy * shift[1]
+        local = gaussian_sum(*moved, sx, sy, w, *grids)
         row, column = np.unravel_index(np.argmax(local), local.shape)
         # A maximum on the border is none.
         if 0 < row < POINTS - 1 and 0 < column < POINTS - 1:
-            dy, dx, _ = quadratic_peak(
-                local[row - 1 : row + 2, column - 1 : column + 2]
-            )
-            v1 = grid1[column] + dx * (grid1[1] - grid1[0])
-            found.append((v1, grid2[row] + dy * (grid2[1] - grid2[0])))
+            around = local[row - 1 : row + 2, column - 1 : column + 2]
+            dy, dx, _ = quadratic_peak(around)
+            found.append(grid[[column, row]] + (grid[1] - grid[0]) * np.array([dx, dy]))
     if len(found) < 3:
         return np.full((2, 2), np.nan)
-    return np.cov(np.transpose(found))
+    return np.cov(np.transpose(found)) * np.outer(half, half)
