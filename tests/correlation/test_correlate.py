@@ -55,40 +55,30 @@ def double_loop(values, footprint, window, reach, valid, min_overlap):
     return coefficient, overlap
 
 
-@st.composite
-def patterns(draw):
-    """A pattern, its footprint and a window around it."""
-    height, width = draw(st.integers(1, 7)), draw(st.integers(1, 7))
-    reach = draw(st.integers(0, 5)), draw(st.integers(0, 5))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    footprint = rng.random((height, width)) < draw(st.floats(0.3, 1))
+@settings(max_examples=80)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans(), st.floats(0.05, 1))
+def test_coefficients_equal_the_double_loop(seed, sparse, own, min_overlap):
+    """Of a pattern, which may be part of the window, and its footprint."""
+    rng = np.random.default_rng(seed)
+    height, width, *reach = rng.integers([1, 1, 0, 0], [8, 8, 6, 6]).tolist()
+    footprint = rng.random((height, width)) < rng.uniform(0.3, 1)
     footprint[rng.integers(height), rng.integers(width)] = True
     shape = (height + 2 * reach[0], width + 2 * reach[1])
     # Rounded, so that no local variance is lost beside the window's energy.
     window = np.round(rng.normal(size=shape), 2)
-    if draw(st.booleans()):
+    if sparse:
         # Zero almost everywhere, as a plane outside its SSPs.
         window[rng.random(shape) < 0.7] = 0
     values = rng.normal(size=footprint.shape)
-    if draw(st.booleans()):
+    if own:
         values = window[reach[0] :, reach[1] :][:height, :width].copy()
-    valid = rng.random(shape) >= draw(st.sampled_from([0, 0.1, 0.5]))
-    return values, footprint, window, reach, valid
-
-
-@settings(max_examples=80)
-@given(patterns(), st.floats(0.05, 1))
-def test_coefficients_equal_the_double_loop(case, min_overlap):
-    values, footprint, window, reach, valid = case
-    expected = double_loop(*case, min_overlap)
+    valid = rng.random(shape) >= rng.choice([0, 0.1, 0.5])
+    expected = double_loop(values, footprint, window, reach, valid, min_overlap)
     # What stands in missing pixels is of no account.
-    for given_, options in (
-        (window, {"valid": valid}),
-        (np.where(valid, window, np.nan), {}),
-    ):
-        found = correlate_windows(
-            values, footprint, given_, reach, min_overlap=min_overlap, **options
-        )
+    missing = np.where(valid, window, np.nan), None
+    for given_, exists in ((window, valid), missing):
+        how = {"valid": exists, "min_overlap": min_overlap}
+        found = correlate_windows(values, footprint, given_, reach, **how)
         np.testing.assert_allclose(found[1], expected[1], atol=1e-12)
         np.testing.assert_allclose(found[0], expected[0], atol=1e-8)
 

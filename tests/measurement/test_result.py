@@ -53,18 +53,6 @@ def test_components_are_the_streams_in_their_order(sky_result):
     assert table["pm_err_jitter"][0] > 0 * PM
 
 
-def test_the_error_of_the_alignment_is_a_part_of_the_error(sky_result):
-    velocity = sky_result.velocities[0]
-    bad = replace(velocity, alignment=np.diag([0.3, 0.2]) ** 2)
-    other = replace(sky_result, velocities=(bad, *sky_result.velocities[1:]))
-    one, other = sky_result.components[0], other.components[0]
-    assert one["pm_err_alignment"] == 0
-    assert other["pm"] == one["pm"]
-    both = np.hypot(one["pm_err"].value, other["pm_err_alignment"].value)
-    assert 0.2 < other["pm_err_alignment"].value <= 0.3
-    assert other["pm_err"].value == pytest.approx(both)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [

@@ -23,6 +23,7 @@ from astro_scc.stacking.stack import (
 )
 from astro_scc.stacking.velocities import (
     VelocityGrid,
+    VelocitySamples,
     baseline_pairs,
     consecutive_pairs,
 )
@@ -33,6 +34,27 @@ COARSE = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
 
 def rng(seed=0):
     return np.random.default_rng(seed)
+
+
+def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s1=(0.2, 0.6), s2=None):
+    """Matches between random epochs, of SSPs that exist, some landing on none."""
+    n_ssps = rng.integers(1, 9, n_epochs)
+    first = np.cumsum(n_ssps) - n_ssps
+    reference = rng.integers(n_epochs, size=n)
+    target = (reference + rng.integers(1, n_epochs, size=n)) % n_epochs
+    landed = first[target] + rng.integers(n_ssps[target])
+    return VelocitySamples(
+        d1=rng.uniform(-reach, reach, n),
+        d2=rng.uniform(-reach, reach, n),
+        s1=rng.uniform(*s1, n),
+        s2=rng.uniform(*(s2 or s1), n),
+        weight=rng.uniform(0.5, 1.0, n),
+        reference=reference,
+        target=target,
+        ssp=first[reference] + rng.integers(n_ssps[reference]),
+        target_ssp=np.where(rng.random(n) < 0.2, -1, landed),
+        n_ssps=n_ssps,
+    )
 
 
 def all_stacks(maps, orders, **kwargs):
@@ -62,7 +84,7 @@ def literal(d, pairs, grid, order):
 
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-def test_is_the_papers_equation(random_displacements, seed, every_pair, shuffled):
+def test_is_the_papers_equation(seed, every_pair, shuffled):
     rng = np.random.default_rng(seed)
     d = random_displacements(rng, n_epochs=4, n=25)
     years = np.cumsum(rng.uniform(0.3, 1.5, 4))
@@ -73,7 +95,7 @@ def test_is_the_papers_equation(random_displacements, seed, every_pair, shuffled
     np.testing.assert_allclose(found, literal(d, pairs, COARSE, order), atol=1e-5)
 
 
-def test_without_matches_or_ssps_it_is_zero(random_displacements):
+def test_without_matches_or_ssps_it_is_zero():
     none = random_displacements(np.random.default_rng(4)).select(slice(0, 0))
     pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
     for d in (none, replace(none, n_ssps=np.zeros(4, dtype=int))):
@@ -83,7 +105,7 @@ def test_without_matches_or_ssps_it_is_zero(random_displacements):
         np.testing.assert_array_equal(found, 0.0)
 
 
-def test_blocks_of_matches_give_the_same_sum(random_displacements, monkeypatch):
+def test_blocks_of_matches_give_the_same_sum(monkeypatch):
     d, pairs = random_displacements(rng(6)), consecutive_pairs(0.5 * np.arange(4))
     whole = stack(d, pairs, COARSE)
     # The function hides the module of the same name.
@@ -108,7 +130,7 @@ def check(d, pairs, orders, shift=(0.0, 0.0)):
 
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.booleans())
-def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, every_pair):
+def test_uneven_dates_and_kernels_of_all_shapes(seed, every_pair):
     rng = np.random.default_rng(seed)
     d = random_displacements(rng, 5, 120, s1=(0.2, 0.8), s2=(0.4, 1.5))
     years = np.cumsum(rng.uniform(0.2, 1.5, 5))
@@ -118,14 +140,14 @@ def test_uneven_dates_and_kernels_of_all_shapes(random_displacements, seed, ever
     check(d, pairs, random_permutations(5, 4, rng), shift=shift)
 
 
-def test_evenly_spaced_dates_which_share_one_interval(random_displacements):
+def test_evenly_spaced_dates_which_share_one_interval():
     rng = np.random.default_rng(0)
     pairs = consecutive_pairs(0.7 * np.arange(6))
     d = random_displacements(rng, 6, 200)
     check(d, pairs, random_permutations(6, 9, rng))
 
 
-def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeypatch):
+def test_maps_made_as_needed_give_the_same_numbers(monkeypatch):
     rng = np.random.default_rng(8)
     d = random_displacements(rng, 6, 200)
     pairs = consecutive_pairs(np.cumsum(rng.uniform(0.4, 0.7, 6)))
@@ -140,7 +162,7 @@ def test_maps_made_as_needed_give_the_same_numbers(random_displacements, monkeyp
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3)])
-def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
+def test_many_intervals_are_few_for_the_maps(shift):
     """A spline between intervals: hundreds of pairs of dates, 1e-3 as ever."""
     rng = np.random.default_rng(9)
     d = random_displacements(rng, 14, 900, reach=5.0, s1=(0.4, 0.8), s2=(0.5, 1.0))
@@ -152,9 +174,7 @@ def test_many_intervals_are_few_for_the_maps(random_displacements, shift):
 
 
 @pytest.mark.parametrize("farthest", [0.5, 50.0])
-def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(
-    random_displacements, farthest
-):
+def test_matches_beyond_the_largest_velocity_do_not_widen_the_maps(farthest):
     d = random_displacements(np.random.default_rng(7), reach=farthest)
     pairs = consecutive_pairs(0.5 * np.arange(4.0))
     maps = PairMaps(d, pairs, GRID)
@@ -198,7 +218,7 @@ def test_orders_are_permutations_and_all_of_them_occur_equally_often():
 
 
 @pytest.mark.parametrize("shift", [None, (0.3, 0.2)])
-def test_the_z_score_is_among_the_stacks_of_the_orders(random_displacements, shift):
+def test_the_z_score_is_among_the_stacks_of_the_orders(shift):
     """A shift is added in four directions in turn."""
     d, pairs, done = random_displacements(rng(), 5, 300), consecutive_pairs(YEARS), []
     grid = VelocityGrid.covering((16.0, 12.0), (0.5, 0.6))
