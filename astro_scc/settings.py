@@ -49,7 +49,7 @@ def _of_object(value, name):
 
 
 def _text_for(value, module, parse):
-    """Return text that a function can read; its module is imported when it is needed."""
+    """Return text that a function can read, whose module is imported when needed."""
     getattr(import_module(f"astro_scc.{module}"), parse)(q.check_text(value))
     return value.strip()
 
