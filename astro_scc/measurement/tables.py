@@ -483,8 +483,8 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
         values[use] = part[: use.sum()]
         if "p_fdr" in table.colnames:
             table.remove_column("p_fdr")
-        before = [name for name in table.colnames if name.startswith("p_global")]
-        index = table.colnames.index(before[-1]) + 1
+        before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
+        index = table.colnames.index(before) + 1
         table.add_column(values, index, name="p_fdr")
         describe(table, "added").meta.update(meta)
     return done if is_mapping else list(done.values())
