@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from scipy import fft
+from scipy import signal
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from astro_scc.alignment.registration import MISALIGNED
@@ -458,10 +458,9 @@ def structure_size(cube):
         image = np.ma.masked_invalid(np.ma.masked_array(*parts, dtype=float))
         image = (image - np.ma.median(image)).filled(0.0)
         image -= gaussian_filter(image, BACKGROUND)
-        # Twice the size, so that the image does not meet itself at its border.
-        shape = [fft.next_fast_len(2 * k, real=True) for k in image.shape]
-        power = np.abs(fft.rfft2(image, shape)) ** 2
-        total += fft.irfft2(power, shape)[:n, :n]
+        around = signal.correlate(image, image, method="fft")
+        ny, nx = image.shape
+        total += around[ny - 1 : ny - 1 + n, nx - 1 : nx - 1 + n]
     lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
     profile = (np.bincount(lag, total.ravel()) / np.bincount(lag))[:n]
     if not 0 < profile[2] < profile[1]:
