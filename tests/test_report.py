@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from astro_scc.columns import cell
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.measurement.tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, feature_lines, headline, notes
@@ -291,7 +290,7 @@ def test_the_core_is_no_component_of_the_jet(result, words_of):
     assert "2 stationary" not in words
     plain = replace(result.cube, beams=None)
     plain = replace(result, matched=replace(result.matched, cube=plain))
-    assert core_streams(plain) == []
+    assert plain.core == []
     table.meta["core"] = []
     assert "2 stationary" in words_of(result, table)
 
