@@ -166,7 +166,8 @@ def _samples_of(scc, parts, limit):
         displacements, _ = sky.displacements(part)
         s = displacements.within(scc.plan(part.cube).pairs, (limit, limit))
         columns.append(
-            (s.middle, s.velocity, np.abs(s.interval), s.sigma, np.full(len(s), k),
+            (s.position[s.ssp] + 0.5 * s.motion, s.motion * (1 / s.interval)[:, None],
+             np.abs(s.interval), np.sqrt(s.s1 * s.s2), np.full(len(s), k),
              part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
              np.minimum(s.reference, s.target), s.weight)
         )  # fmt: skip

@@ -400,8 +400,6 @@ def random_generator(rng):
     """
     import numpy as np
 
-    if isinstance(rng, bool | np.random.RandomState):
-        raise ValueError(f"rng must be a seed or a numpy Generator, got {rng!r}")
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
@@ -419,11 +417,14 @@ CORRELATION = {
 }
 
 
-def check_range(value, wanted, example, least=-math.inf, ordered=operator.lt):
-    """Return two quantities of the unit of the example, the smaller one first."""
+def check_range(
+    value, wanted, example, least=-math.inf, ordered=operator.lt, number=2
+):  # fmt: skip
+    """Return so many quantities, or any number for None, in increasing order."""
     wanted = f"must be {wanted}, such as {example!r}"
-    found = finite_quantities(value, example.split()[-1], wanted)
-    if found.shape != (2,) or found.value[0] < least or not ordered(*found.value):
+    found = finite_quantities(value, example.split()[-1], wanted).reshape(-1)
+    in_order = all(map(ordered, found.value[:-1], found.value[1:]))
+    if len(found) != (number or len(found)) or found.value[0] < least or not in_order:
         raise ValueError(wanted)
     return found
 
@@ -448,15 +449,6 @@ def check_alignment_error(value):
     if not (errors >= 0).all():
         raise ValueError("must be 0 or above")
     return errors
-
-
-def check_bins(value):
-    """Return increasing distances."""
-    wanted = "must be increasing distances, such as '0.5 1.5 2.5 mas'"
-    edges = finite_quantities(value, "mas", wanted).reshape(-1)
-    if not (edges[0] >= 0 and all(edges[1:] > edges[:-1])):
-        raise ValueError(wanted)
-    return edges
 
 
 def check_scales(value):

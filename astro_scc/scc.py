@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
@@ -21,18 +20,20 @@ from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
 from astro_scc.matching import MatchedEpochs, SearchPlan
 from astro_scc.matching.matched import allow_for_structure, match_epochs
-from astro_scc.matching.plan import flow_direction, map_grid, scale_numbers
+from astro_scc.matching.plan import flow_direction, scale_numbers
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.search import prepared_search
-from astro_scc.measurement.sensitivity import sensitivity_rows, with_choices
+from astro_scc.measurement.search import (
+    prepared_search,
+    sensitivity_rows,
+    with_choices,
+)
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.stacking import stack as paper
-from astro_scc.stacking.velocities import VelocitySamples, baseline_pairs
+from astro_scc.stacking.velocities import VelocityGrid, VelocitySamples, baseline_pairs
 from astro_scc.streams.diagram import DEFAULT
-from astro_scc.units import comparable
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
+#: Spacing of the velocity grid in units of the narrowest kernel.
+GRID_STEP = 0.5
 #: Extent of the map, in units of the largest speed found.
 MAP_SPEEDS = 3.0
 #: Most permutations for the paper's z-score and trials for its error: they are standard
@@ -51,7 +54,7 @@ PAPER_TRIALS = 200
 FEWEST_PAIRS = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StackedCrossCorrelation(MeasurementSettings):
     """
     Measure velocity components by stacked cross-correlation.
@@ -128,19 +131,6 @@ class StackedCrossCorrelation(MeasurementSettings):
         # It checks which of its settings go together.
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
-    def __eq__(self, other: object) -> bool:
-        """Return whether all settings are equal, quantities in any unit."""
-        if other.__class__ is not self.__class__:
-            return NotImplemented
-        return self._key() == other._key()
-
-    def __hash__(self) -> int:
-        """Return a hash of all settings."""
-        return hash(self._key())
-
-    def _key(self):
-        return tuple(comparable(getattr(self, field.name)) for field in fields(self))
-
     @classmethod
     def from_settings(cls, settings: Settings) -> StackedCrossCorrelation:
         """
@@ -158,9 +148,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         return cls(**own)
 
     def _decomposer(self, scales):
-        names = "detection", "segmentation", "noise"
-        own = {name: getattr(self, name) for name in names}
-        return Decomposer(scales=scales, kernel=self.wavelet, **own)
+        own = self.wavelet, self.detection, self.segmentation, self.noise
+        return Decomposer(scales, *own)
 
     def plan(self, cube: EpochCube) -> SearchPlan:
         """
@@ -308,15 +297,13 @@ class StackedCrossCorrelation(MeasurementSettings):
                 velocities = with_choices(velocities[0], choices), *velocities[1:]
             smallest = search.permutations.smallest_p
             _warn_of_limits(smallest, len(cube), n_trials, self.alpha)
-            pairs = self._pairs_of_map(cube, plan, search.streams, velocities)
-            of = samples, pairs, velocities, plan, min(n_trials, PAPER_TRIALS)
+            of = samples, plan, search.streams, velocities, min(n_trials, PAPER_TRIALS)
             rngs = paper_rng, error_rng
             stacked = self._stack_as_in_paper(*of, *rngs, progress_bar)
         return SCCResult(
             matched=matched,
             frame=frame,
             position_angle=angle,
-            pairs=pairs,
             displacements=samples,
             search=search,
             velocities=velocities,
@@ -332,34 +319,33 @@ class StackedCrossCorrelation(MeasurementSettings):
             **stacked,
         )
 
-    def _pairs_of_map(self, cube, plan, streams, velocities):
-        """Return the pairs of dates of the paper's stack."""
-        moves = any(stream.kind == "moving" for stream in streams[:1])
-        if self.baseline is not None or not moves:
-            return plan.pairs
-        # Without a baseline, those in which the first stream moves 0.2 to 1 beam.
-        years = plan.fwhm / np.hypot(*velocities[0].value)
-        limits = DEFAULT.nearest * years, DEFAULT.farthest * years
-        found = baseline_pairs(cube.years.to_value(u.yr), *limits)
-        return found if len(found) >= FEWEST_PAIRS else plan.pairs
-
     def _stack_as_in_paper(
-        self, samples, pairs, velocities, plan, n_trials, rng, error_rng, progress_bar
+        self, samples, plan, streams, velocities, n_trials, rng, error_rng, progress_bar
     ):  # fmt: skip
         """Return the paper's stack, its z-score, and its peaks with their errors."""
-        fwhm, limit = plan.fwhm, plan.max_speed
+        pairs, fwhm, limit = plan.pairs, plan.fwhm, plan.max_speed
+        if self.baseline is None and streams and streams[0].kind == "moving":
+            # The pairs of dates in which the first stream moves 0.2 to 1 beam.
+            years = fwhm / np.hypot(*velocities[0].value)
+            limits = DEFAULT.nearest * years, DEFAULT.farthest * years
+            some = baseline_pairs(samples.years, *limits)
+            pairs = some if len(some) >= FEWEST_PAIRS else pairs
         fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
         if limit is None:
             limit = plan.radius * fwhm / np.median(pairs.interval)
             limit = min(limit, MAP_SPEEDS * fastest) if fastest > 0 else limit
-        grid = map_grid(samples, pairs, max(limit, 1.2 * fastest))
-        shift = (
-            (SMALL_SHIFT * fwhm,) * 2 if self.small_displacement_correction else None
-        )
-        with progress(n_trials, "Permuting", show=progress_bar) as done:
-            how = {"rng": rng, "shift": shift, "progress": done}
-            permuted = paper.permute_stacks(samples, pairs, grid, n_trials, **how)
+        limit = max(limit, 1.2 * fastest)
+        rate, errors = 1 / pairs.interval.max(), (samples.s1, samples.s2)
+        steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
+        grid = VelocityGrid.covering(limit, steps)
+        shift = None
+        if self.small_displacement_correction:
+            shift = (SMALL_SHIFT * fwhm,) * 2
         coefficient = paper.stack(samples, pairs, grid)
+        with progress(n_trials, "Permuting", show=progress_bar) as done:
+            of = coefficient, samples, pairs, grid, n_trials
+            how = {"rng": rng, "shift": shift, "progress": done}
+            z_score = paper.permuted_z_score(*of, **how)
         box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
         peaks = tuple(
             paper.velocity_peak_near(coefficient, grid, box, *v.value)
@@ -370,10 +356,10 @@ class StackedCrossCorrelation(MeasurementSettings):
             for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
         )
         return {
+            "pairs": pairs,
             "grid": grid,
             "coefficient": coefficient,
-            "z_score": permuted.z_score(coefficient),
-            "permuted": permuted,
+            "z_score": z_score,
             "maxima": peaks,
             "jitters": errors,
         }

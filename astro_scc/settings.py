@@ -16,8 +16,8 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from importlib import resources
-from operator import le
+from importlib import import_module, resources
+from operator import le, lt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,17 +48,9 @@ def _of_object(value, name):
     return found
 
 
-def _cosmology(value):
-    from astro_scc.kinematics.cosmology import to_cosmology
-
-    to_cosmology(q.check_text(value))
-    return value.strip()
-
-
-def _beam(value):
-    from astro_scc.images.beam import parse_beam
-
-    parse_beam(q.check_text(value))
+def _text_for(value, module, parse):
+    """Return text that a function can read, whose module is imported when needed."""
+    getattr(import_module(f"astro_scc.{module}"), parse)(q.check_text(value))
     return value.strip()
 
 
@@ -132,20 +124,22 @@ class Settings(MeasurementSettings):
     """
 
     epochs: Sequence[str] | None = _setting(q.check_paths)
-    beam: str | None = _setting(_beam)
+    beam: str | None = _setting(_text_for, "images.beam", "parse_beam")
     after: str | None = _setting(q.check_date)
     before: str | None = _setting(q.check_date)
     align: str | None = _setting(q.check_text)
     crop: str | None = _setting(q.check_text)
     region: str | None = _setting(q.check_text)
-    bins: u.Quantity | Sequence[str] | None = _setting(q.check_bins)
+    bins: u.Quantity | Sequence[str] | None = _setting(
+        q.check_range, "increasing distances", "0.5 1.5 2.5 mas", 0, lt, None
+    )
     window: u.Quantity | str | None = _setting(q.one_quantity, "an angle", "2 mas")
     detections: str = _setting(q.check_choice, "gaussians", "ssp", default="gaussians")
     n_trials: int | None = _setting(q.check_integer, 2, 10**9)
     # FITS and TOML keep integers of 64 bits.
     seed: int | None = _setting(q.check_integer, 0, 2**63 - 1)
     redshift: float | str | u.Quantity | None = _setting(_of_object, "redshift")
-    cosmology: str | None = _setting(_cosmology)
+    cosmology: str | None = _setting(_text_for, "kinematics.cosmology", "to_cosmology")
     distance: u.Quantity | str | None = _setting(_of_object, "distance")
 
     def __post_init__(self):

@@ -49,13 +49,6 @@ def unit_name(unit):
     return u.Unit(unit).to_string().replace(" / ", "/")
 
 
-def comparable(value):
-    """Return a value, or for a quantity what can be compared as a whole and hashed."""
-    if isinstance(value, u.Quantity):
-        return value.shape, tuple(value.si.value.flat), str(value.si.unit)
-    return value
-
-
 def in_speed_unit(table, unit):
     """Convert proper motions in mas/yr, and accelerations, to a unit, in place."""
     length, time = unit.bases

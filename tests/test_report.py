@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from astro_scc.columns import cell
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.measurement.tables import core_streams
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import component_lines, feature_lines, headline, notes
@@ -271,7 +270,7 @@ def test_a_core_is_known_by_its_beam(result, words_of):
     assert table.meta["core"] == [2]
     plain = replace(result.cube, beams=None)
     plain = replace(result, matched=replace(result.matched, cube=plain))
-    assert core_streams(plain) == []
+    assert plain.core == []
     table.meta["core"] = []
     assert "2 stationary" in words_of(result, table)
 

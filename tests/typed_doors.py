@@ -61,7 +61,7 @@ def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
     assert_type(ssps, decomposition.SSPs)
     both = [decomposer(image), decomposer(image)]
     matches = correlation.Correlator(kappa=0.6)(both, correlation.all_pairs(2), 5)
-    return matches.of_ssps(np.arange(3) > 0)
+    return matches.select(np.arange(3) > 0)
 
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:

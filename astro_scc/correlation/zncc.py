@@ -17,14 +17,6 @@ VARIANCE_FLOOR = 5e-15
 FLAT = 1e-14
 
 
-def _zero_mean(values):
-    """Return values minus their mean, all zero if they differ by rounding only."""
-    values = np.asarray(values, dtype=float)
-    deviation = values - values.mean()
-    flat = np.abs(deviation).max() <= FLAT * np.abs(values).max()
-    return np.zeros_like(deviation) if flat else deviation
-
-
 def fft_shape(shape, search_radius):
     """
     Return the shape of the transforms of a template.
@@ -63,12 +55,12 @@ class Template:
     """
 
     def __init__(self, values, footprint, search_radius):
-        self.n_pixels = int(footprint.sum())
-        own = _zero_mean(values[footprint])
-        self.energy = float((own**2).sum())
-        self.values = np.zeros(footprint.shape)
-        if self.energy > 0:
-            self.values[footprint] = own / self.energy**0.5
+        own = values[footprint].astype(float)
+        deviation, self.n_pixels = own - own.mean(), len(own)
+        self.energy, self.values = 0.0, np.zeros(footprint.shape)
+        if np.abs(deviation).max() > FLAT * np.abs(own).max():
+            self.energy = float((deviation**2).sum())
+            self.values[footprint] = deviation / self.energy**0.5
         self.footprint = footprint.astype(float)
         self.result_shape = tuple(2 * r + 1 for r in search_radius)
         self.window_shape = tuple(
@@ -202,9 +194,6 @@ def correlate_windows(
     number = np.maximum(exists.sum(axis=(-2, -1), keepdims=True), 1)
     windows -= windows.sum(axis=(-2, -1), keepdims=True) / number
     windows[~exists] = 0.0
-    if exists.all():
-        coefficient = template.of_windows(windows)
-        return coefficient, np.ones_like(coefficient)
     overlap = template.overlap(exists, min_overlap)
     coefficient = template.of_windows(windows, overlap)
     return np.nan_to_num(coefficient, copy=False), overlap.share

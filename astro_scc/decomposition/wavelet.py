@@ -72,21 +72,6 @@ def _smooth(image, kernel, level):
     return image
 
 
-def missing_pixels(image, mask):
-    """Return an image as floats, and a mask of its missing pixels."""
-    image = np.asarray(image, dtype=float)
-    missing = ~np.isfinite(image)
-    if mask is not None:
-        mask = np.asarray(mask, dtype=bool)
-        if mask.shape != image.shape:
-            raise ValueError(
-                f"the mask has shape {mask.shape}, the image {image.shape}: "
-                "give one value for each pixel"
-            )
-        missing |= mask
-    return image, missing
-
-
 def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     """
     Decompose an image into wavelet planes of doubling scale.
@@ -95,21 +80,17 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     filter dilated by 2^j.  The planes are ``w_j = a_j - a_{j+1}``, and the image is
     exactly ``sum_j w_j + a_J`` [1]_.  Edges are mirrored.
 
-    The ``image`` and the ``mask`` of missing pixels have the shape (ny, nx); pixels
-    that are not finite are missing as well.  Each smoothing is normalised by the
+    The ``image`` and the ``mask`` of missing pixels have the shape (ny, nx).  Each
+    smoothing is normalised by the
     weight of the valid pixels (``h * (m a) / h * m``), and the planes are zero where
     the image is missing.  Returns the planes, shape (n_levels, ny, nx), and the smooth
-    image a_J.  Raises a ValueError if the image does not have two dimensions, the mask
-    has another shape, or the largest filter does not fit the image.
+    image a_J.  Raises a ValueError if the largest filter does not fit the image.
 
     References
     ----------
     .. [1] Starck, J.-L. & Murtagh, F. 2006, Astronomical Image and Data
        Analysis (Springer), chapter 2.
     """
-    image, missing = missing_pixels(image, mask)
-    if image.ndim != 2:
-        raise ValueError(f"an image has two dimensions, this has {image.ndim}")
     filter_ = KERNELS[kernel]
     # Half a filter must fit the image, or mirrored edges would be mirrored again.
     if (len(filter_) // 2) * 2 ** (n_levels - 1) >= min(image.shape):
@@ -119,15 +100,15 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
             "leave out the largest scales"
         )
     planes = np.empty((n_levels, *image.shape))
-    smooth = np.where(missing, 0.0, image)
-    valid = (~missing).astype(float)
+    smooth = image if mask is None else np.where(mask, 0.0, image)
+    valid = None if mask is None else (~mask).astype(float)
     for level in range(n_levels):
         following = _smooth(smooth, filter_, level)
-        if missing.any():
+        if mask is not None:
             weight = _smooth(valid, filter_, level)
             # A valid pixel contributes to its own weight, which is thus positive.
             following = np.divide(
-                following, weight, out=np.zeros_like(smooth), where=~missing
+                following, weight, out=np.zeros_like(smooth), where=~mask
             )
         planes[level] = smooth - following
         smooth = following
@@ -157,7 +138,7 @@ def wavelet_planes(
     Raises
     ------
     ValueError
-        If `scale_size` or ``atrous_transform`` raises one.
+        If there is no such scale, or it does not fit the image.
 
     Examples
     --------
@@ -200,11 +181,20 @@ def source_free(plane, scale, *, mask=None):
         return valid, 0.0
     quantiles = np.quantile(values, [0.1, 0.5]) * [DECILE_TO_SIGMA, MAD_TO_SIGMA]
     faintest, everything = quantiles.tolist()
-    for start in (min(faintest, everything), everything):
-        free, sigma = _without_source(plane, scale_size(scale), valid, start)
+    free, radius = valid, scale_size(scale)
+    for sigma in (min(faintest, everything), everything):
+        for _ in range(MAX_ITERATIONS):
+            candidate = valid & _away_from_source(plane, radius, valid, sigma)
+            sky = np.abs(plane[candidate & (plane != 0)])
+            # A sky smaller than one disk is too small to measure noise.
+            if candidate.sum() < np.pi * radius**2 or len(sky) == 0:
+                break
+            before, free, sigma = sigma, candidate, MAD_TO_SIGMA * np.median(sky)
+            if abs(sigma - before) < 1e-3 * before:
+                break
         if free is not valid:
             break
-    return free, sigma
+    return free, float(sigma)
 
 
 def _away_from_source(plane, radius, valid, sigma):
@@ -217,21 +207,6 @@ def _away_from_source(plane, radius, valid, sigma):
         near = tuple(slice(max(k.start - margin, 0), k.stop + margin) for k in box)
         away[near] = ndimage.distance_transform_edt(~source[near]) > radius
     return away
-
-
-def _without_source(plane, radius, valid, sigma):
-    """Iterate `source_free`, starting from a first sigma."""
-    free = valid
-    for _ in range(MAX_ITERATIONS):
-        candidate = valid & _away_from_source(plane, radius, valid, sigma)
-        sky = np.abs(plane[candidate & (plane != 0)])
-        # A sky smaller than one disk is too small to measure noise.
-        if candidate.sum() < np.pi * radius**2 or len(sky) == 0:
-            break
-        before, free, sigma = sigma, candidate, MAD_TO_SIGMA * float(np.median(sky))
-        if abs(sigma - before) < 1e-3 * before:
-            break
-    return free, sigma
 
 
 def plane_noise(
@@ -276,7 +251,7 @@ def plane_noise(
     return source_free(plane, scale, mask=mask)[1]
 
 
-def shared_variance(planes, scale, *, masks=(None, None)):
+def shared_variance(pair, scale):
     r"""
     Measure the share of variance beside bright sources that two images have in common.
 
@@ -289,14 +264,14 @@ def shared_variance(planes, scale, *, masks=(None, None)):
     The image is taken to be periodic.  Noise differs between the images; what they
     share is structure, which moves or stands still.
 
-    ``planes`` are those of one ``scale`` at two epochs, shape (ny, nx), and ``masks``,
-    or None, mark missing pixels.  Returns the share, so that the variance of the noise
+    The ``pair`` are two planes of one ``scale``, shape (ny, nx), each with a mask of
+    its missing pixels, or None.  Returns the share, so that the variance of the noise
     is ``1 - share`` of the plane's, or less if structure moves at different
     velocities or changes; and the standard deviation of the correlation of independent
     planes at one displacement, which is infinite if a plane is zero.
     """
     skies, parts = [], []
-    for plane, mask in zip(planes, masks, strict=True):
+    for plane, mask in pair:
         free, _ = source_free(plane, scale, mask=mask)
         skies.append(np.where(free, plane, 0.0))
         parts.append(free.mean())
@@ -384,15 +359,15 @@ def propagated_noise(
         power = np.exp(-4 * np.pi**2 * form)
     power /= power.sum()
 
-    def smoothed(taps, n_steps):
+    def smoothed(name, n_steps):
         """Return the response of some smoothings on one axis."""
-        offsets = np.multiply.outer(frequency, np.arange(len(taps)) - len(taps) // 2)
-        phases = [2 * np.pi * 2**step * offsets for step in range(n_steps)]
-        return np.prod([(taps * np.cos(p)).sum(axis=-1) for p in phases], axis=0)
+        waves = [np.cos(np.pi * 2**step * frequency) for step in range(n_steps)]
+        # That of a B-spline is a power of the cosine.
+        return np.prod(waves, axis=0) ** (len(KERNELS[name]) - 1)
 
     sigma = []
     for name, level in (scale_kernel(scale, kernel) for scale in scales):
-        before, after = (smoothed(KERNELS[name], level + k) for k in (0, 1))
+        before, after = (smoothed(name, level + k) for k in (0, 1))
         response = np.outer(before, before) - np.outer(after, after)
         sigma.append(rms * np.sqrt((response**2 * power).sum()))
     return np.array(sigma)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 import os
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,17 +18,16 @@ from numpy.typing import ArrayLike
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.decomposition.decompose import Decomposition
+from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.epochs import EpochCube
-from astro_scc.epochs.serialize import read_object, without_dates, write_object
+from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
-from astro_scc.matching.plan import scales_of_pixels
+from astro_scc.matching.plan import scale_numbers
 from astro_scc.parallel import in_order, workers_of
 from astro_scc.progress import progress
-from astro_scc.settings import require
 from astro_scc.writing import versions
 
 #: What the files are, in their headers and in messages.
@@ -99,7 +98,7 @@ class MatchedEpochs:
         return tuple(self.decomposer.scales)
 
     @property
-    def decompositions(self) -> Sequence[Decomposition]:
+    def decompositions(self) -> tuple[Decomposition, ...]:
         """Decompositions of all epochs, which are computed again at each access."""
         return decompose_epochs(self.cube, self.decomposer)
 
@@ -169,9 +168,8 @@ class MatchedEpochs:
         The file holds neither the images nor their wavelet planes, which are
         quickly computed again.
         """
-        made = match_provenance(
-            self.cube, self.decomposer, self.correlator, self.reach, self.region
-        )
+        of = self.cube, self.decomposer, self.correlator, self.reach, self.region
+        made = match_provenance(*of)
         inside = centroids_inside(self.ssps, self.cube, self.region)
         if not np.array_equal(self.select, inside):
             # No region that can be requested gives SSPs that were selected later.
@@ -240,9 +238,20 @@ def match_epochs(
     `MatchedEpochs`
     """
     inside = None if region is None else cube.region_mask(region)
-    found, of = None, (cube, decomposer, correlator, reach, inside)
-    if cache is not None:
-        cache, found = kept_matches(cache, cube, match_provenance(*of))
+    found, path = None, None if cache is None else Path(cache)
+    if path is not None:
+        wanted = match_provenance(cube, decomposer, correlator, reach, inside)
+        if path.suffix.lower() != ".fits":
+            # A folder has a file for each provenance.
+            digest = _digest(json.dumps(wanted, sort_keys=True))[:16]
+            path /= f"matches-{digest}.fits"
+        if path.exists():
+            try:
+                found = MatchedEpochs.read(path, cube, wanted=wanted)
+            except (OSError, ValueError) as error:
+                why = str(error).removesuffix("; match the epochs again")
+                why += "; not used, the epochs are matched again"
+                warn(why, MeasurementWarning)
     if found is None:
         with workers_of(n_workers) as workers:
             how = {"n_workers": workers, "progress_bar": progress_bar}
@@ -250,15 +259,15 @@ def match_epochs(
             ssps = SSPs.of_epochs(decompositions)
             select = centroids_inside(ssps, cube, inside)
             with progress(len(cube), "Correlating", show=progress_bar) as done:
+                how = {"select": select, "n_workers": workers, "progress": done}
                 work = decompositions, all_pairs(len(cube)), reach
-                how = {"n_workers": workers, "progress": done}
-                matches = correlator(*work, select=select, **how)
+                matches = correlator(*work, **how)
         # Stacks need no planes, which are larger than everything else.
-        of = decomposer, ssps, select, matches, correlator, reach, inside
-        found = MatchedEpochs(cube, *of)
-        if cache is not None:
-            cache.parent.mkdir(parents=True, exist_ok=True)
-            found.write(cache, overwrite=True)
+        how = {"correlator": correlator, "reach": reach, "region": inside}
+        found = MatchedEpochs(cube, decomposer, ssps, select, matches, **how)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            found.write(path, overwrite=True)
     if region is not None and len(found.ssps) and not found.select.any():
         name = region if isinstance(region, str | os.PathLike) else "the region"
         warn(
@@ -273,58 +282,13 @@ def match_epochs(
 # -- files -------------------------------------------------------------------------
 
 
-def kept_matches(path, cube, provenance):
-    """
-    Return the file for the matches of a provenance, and what it holds.
-
-    Parameters
-    ----------
-    path : path
-        A FITS file, or a folder for files of many provenances.
-    cube : `~astro_scc.epochs.EpochCube`
-    provenance : dict
-        See `match_provenance`.
-
-    Returns
-    -------
-    path : `~pathlib.Path`
-    matched : `MatchedEpochs` or None
-
-    Warns
-    -----
-    `~astro_scc.exceptions.MeasurementWarning`
-        If there is a file but it cannot be used.
-    """
-    path, matched = Path(path), None
-    if path.suffix.lower() != ".fits":
-        digest = _of_text(json.dumps(provenance, sort_keys=True))[:16]
-        path /= f"matches-{digest}.fits"
-    if path.exists():
-        try:
-            matched = MatchedEpochs.read(path, cube, wanted=provenance)
-        except (OSError, ValueError) as error:
-            why = str(error).removesuffix("; match the epochs again")
-            warn(f"{why}; not used, the epochs are matched again", MeasurementWarning)
-    return path, matched
-
-
 def image_provenance(cube):
     """
-    Return the images of a cube as digests: SHA-256 of values, masks, grid and beams.
+    Return the images of a cube as digests: SHA-256 of values and masks.
 
-    Dates are left out because matches do not depend on them.
+    Matches are in pixels, so that neither dates nor the size of pixels change them.
     """
-    # The dates are of the first epoch, and the pixel coordinates do not need them.
-    wcs = without_dates(cube.wcs.to_header(relax=True))
-    cards = [f"{card.keyword}={card.value!r}" for card in wcs.cards]
-    each = ((beam.major, beam.minor, beam.pa) for beam in cube.beams or ())
-    beams = [tuple(float(axis.value) for axis in axes) for axes in each]
-    return {
-        "images": _of_array(cube.data),
-        "masks": _of_array(np.packbits(cube.mask)),
-        "coordinates": _of_text(cards, cube.pixel_matrix.value.tolist()),
-        "beams": _of_text(beams),
-    }
+    return {"images": _digest(cube.data), "masks": _digest(np.packbits(cube.mask))}
 
 
 def match_provenance(cube, decomposer, correlator, reach, inside):
@@ -352,24 +316,22 @@ def match_provenance(cube, decomposer, correlator, reach, inside):
         **image_provenance(cube),
         "settings of the decomposition": asdict(decomposer),
         "settings of the correlation": asdict(correlator),
-        "noise": _of_text([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
+        "noise": _digest([(rms, np.asarray(beam).tolist()) for rms, beam in noise]),
         "largest displacement": list(reach),
-        "region": "everything" if inside is None else _of_array(np.packbits(inside)),
+        "region": "everything" if inside is None else _digest(np.packbits(inside)),
         "versions": versions(),
     }
     # Give it the types that it will have when it is read.
     return json.loads(json.dumps(made))
 
 
-def _of_array(array):
-    array = np.ascontiguousarray(array)
-    sum_ = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
-    sum_.update(array.data)
+def _digest(value):
+    """Return the SHA-256 of an array, or of the text that another object shows."""
+    if not isinstance(value, np.ndarray):
+        return hashlib.sha256(repr(value).encode()).hexdigest()
+    sum_ = hashlib.sha256(f"{value.dtype.str}{value.shape}".encode())
+    sum_.update(np.ascontiguousarray(value).data)
     return sum_.hexdigest()
-
-
-def _of_text(*parts):
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 # -- decomposition -----------------------------------------------------------------
@@ -441,24 +403,17 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     -------
     tuple of ``Decomposition``
     """
-    facts = noise_facts(cube, decomposer)
+    each = zip(cube.data, cube.mask, noise_facts(cube, decomposer), strict=True)
     work = (
         partial(decomposer, image, mask=mask, rms=rms, beam_covariance=covariance)
-        for image, mask, (rms, covariance) in zip(
-            cube.data, cube.mask, facts, strict=True
-        )
+        for image, mask, (rms, covariance) in each
     )
     found = []
     with progress(len(cube), "Decomposing", show=progress_bar) as done:
-        for decomposition in in_order(_decompose, work, n_workers):
+        for decomposition in in_order(operator.call, work, n_workers):
             found.append(decomposition)
             done(1)
     return tuple(found)
-
-
-def _decompose(task):
-    """Do a task, in a process that can import this module."""
-    return task()
 
 
 def noise_facts(cube, decomposer):
@@ -588,9 +543,7 @@ def select_ssps(
         r = ssp_distances(matched, origin=origin, ridge=ridge)
         select &= (r >= low) & (r < high)
     if scales is not None:
-        scales = require("scales", scales)
-        numbers = scales_of_pixels(scales, matched.cube.pixel_scale)
-        have = matched.scales
+        numbers, have = scale_numbers(matched.cube, scales), matched.scales
         missing = [s for s in numbers if s not in have]
         if missing:
             what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from scipy import fft
+from scipy import signal
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from astro_scc.alignment.registration import MISALIGNED
@@ -35,8 +35,6 @@ LARGEST_SCALE = 12
 LEAST_MOTION = 0.01
 #: Largest displacement in the shortest interval, in diagonals of the image.
 MOST_MOTION = 10
-#: Spacing of the velocity grid in units of the narrowest kernel.
-GRID_STEP = 0.5
 #: Smoothing lengths by which the search goes beyond the largest displacement.
 MARGIN = 3.0
 #: Beams by which matches go beyond the largest speed: stacks in speed and
@@ -71,7 +69,7 @@ INNER, NEAR = 0.05, 4.0
 CERTAIN = 10.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SearchPlan:
     """
     What settings mean for the pixels, beams and dates of a cube.
@@ -129,19 +127,11 @@ class SearchPlan:
         pairs = pairs_of_dates(cube, settings.baseline)
         scales = scale_numbers(cube, settings.scales)
         fwhm = mean_fwhm(cube, max(scales))
-        max_speed, intervals = settings.max_speed, (0.0, np.inf)
-        if max_speed is not None:
-            max_speed = max_speed.to_value(PM_UNIT)
-        if settings.baseline is not None:
-            intervals = settings.baseline.to_value(u.yr)
-        return cls(
-            scales=scales,
-            pairs=pairs,
-            intervals=tuple(intervals),
-            radius=search_radius(cube, max_speed, fwhm),
-            fwhm=fwhm,
-            max_speed=max_speed,
-        )
+        speed, intervals = settings.max_speed, settings.baseline
+        speed = None if speed is None else speed.to_value(PM_UNIT)
+        intervals = (0, np.inf) if intervals is None else intervals.to_value(u.yr)
+        radius = search_radius(cube, speed, fwhm)
+        return cls(scales, pairs, tuple(intervals), radius, fwhm, speed)
 
     def reach(self, cube: EpochCube) -> tuple[int, int]:
         """
@@ -167,23 +157,14 @@ class SearchPlan:
         side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
         if self.max_speed is not None:
             least, most = self.max_speed * np.array([interval.min(), interval.max()])
-            unit = cube.speed_unit.bases[1]
-            short, long = (
-                f"max_speed moves {moved:.3g} mas in the {which} interval "
-                f"({(moved / self.max_speed * u.yr).to(unit):.3g})"
-                for moved, which in ((least, "shortest"), (most, "longest"))
-            )
-            if least > MOST_MOTION * np.hypot(*(side * shape[::-1])):
-                many = f"more than {MOST_MOTION} times the image"
-                raise ValueError(f"{short}, {many}: give a smaller one")
-            if most < LEAST_MOTION * side.min():
-                raise ValueError(
-                    f"{long}, less than {LEAST_MOTION:g} of a pixel: give a larger "
-                    "one, or a baseline with longer intervals"
-                )
+            image = np.hypot(*(side * shape[::-1]))
+            moved = f"max_speed moves {least:.3g} to {most:.3g} mas between two dates"
+            if least > MOST_MOTION * image or most < LEAST_MOTION * side.min():
+                sizes = f"pixels of {side.min():.3g} mas, the image {image:.3g} mas"
+                raise ValueError(f"{moved}, and there are {sizes}: give another one")
             if np.any(most / side > (shape.max() - 1) // 2):
                 warn(
-                    f"{long}, more than half the image: give a smaller one, or a "
+                    f"{moved}, more than half the image: give a smaller one, or a "
                     "baseline that leaves out long intervals",
                     MeasurementWarning,
                 )
@@ -233,40 +214,20 @@ def scale_numbers(cube, scales):
     """
     if scales is None:
         return choose_scales(cube)[0]
-    return require("scales", scales_of_pixels(scales, cube.pixel_scale))
-
-
-def scales_of_pixels(scales, pixel_scale):
-    """
-    Return the numbers of scales that are given as angles.
-
-    Parameters
-    ----------
-    scales : sequence of float or `~astropy.units.Quantity`
-        Numbers, or angles.
-    pixel_scale : `~astropy.units.Quantity`
-
-    Returns
-    -------
-    tuple of float
-
-    Raises
-    ------
-    ValueError
-        If an angle is not within 20% of the size of a scale.
-    """
+    scales = require("scales", scales)
     if not isinstance(scales, u.Quantity):
         return scales
-    numbers, scales = np.arange(0, LARGEST_SCALE, 0.5), np.atleast_1d(scales)
+    numbers = np.arange(0, LARGEST_SCALE, 0.5)
     sizes = np.array([scale_size(j) for j in numbers])
-    wanted = (scales / pixel_scale).to_value(u.one)
+    wanted = (scales / cube.pixel_scale).to_value(u.one)
     nearest = np.abs(np.log(wanted[:, None] / sizes)).argmin(axis=1)
     for angle, size, k in zip(scales, wanted, nearest, strict=True):
         if abs(size / sizes[k] - 1) > SCALE_TOLERANCE:
             raise ValueError(
                 f"scale {angle} is {size:.2g} px, not near 2^j or 1.5 x 2^j px"
             )
-    return tuple(numbers[nearest].tolist())
+    # Two angles may mean the same scale.
+    return require("scales", numbers[nearest].tolist())
 
 
 def pairs_of_dates(cube, baseline):
@@ -299,13 +260,12 @@ def pairs_of_dates(cube, baseline):
         why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
         why += "velocities need different dates"
     else:
-        limits = shortest, longest = baseline.to_value(u.yr)
-        pairs = velocities.baseline_pairs(years, *limits)
-        why = (
-            f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
-            f"separations go from {np.diff(years).min():.3g} to "
-            f"{np.ptp(years):.3g} yr; choose another baseline"
-        )
+        shortest, longest = baseline.to_value(u.yr)
+        pairs = velocities.baseline_pairs(years, shortest, longest)
+        least, most = np.diff(years).min(), np.ptp(years)
+        why = f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
+        why += f"separations go from {least:.3g} to {most:.3g} yr; choose another "
+        why += "baseline"
     if len(pairs) == 0:
         raise ValueError(why)
     return pairs
@@ -342,28 +302,6 @@ def search_radius(cube, max_speed, fwhm):
     elif len(cube) <= FEW_EPOCHS:
         far = FAR_BEAMS * short / np.median(gaps)
     return max(DEFAULT.radius, far + MARGIN * DEFAULT.smoothing)
-
-
-def map_grid(displacements, pairs, limit):
-    """
-    Return the grid of velocities of the stack.
-
-    Parameters
-    ----------
-    displacements : ``VelocitySamples``
-    pairs : ``DatePairs``
-    limit : float
-        Largest velocity along either axis.
-
-    Returns
-    -------
-    ``VelocityGrid``
-        Spaced by half the narrowest kernel.
-    """
-    rate = 1 / pairs.interval.max()
-    errors = displacements.s1, displacements.s2
-    steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
-    return velocities.VelocityGrid.covering(limit, steps)
 
 
 def flow_direction(matched, frame=None):
@@ -420,19 +358,18 @@ def choose_alignment(cube):
     >>> choose_alignment(simulate_jet(n_epochs=12, alignment_error=0.4, rng=1).cube)
     ('core', 'the epochs scatter by 0.38 beams, 0.01 on the core')
     """
-    scatter = cube.misalignment
+    scatter, on_core = cube.misalignment, None
     if scatter is None:
         return "none", "the images do not show how well they are aligned"
     if scatter < MISALIGNED:
         return "none", f"the epochs are aligned to {scatter:.2f} beams"
-    on_core = None
     with suppress(ValueError), warnings.catch_warnings():
         warnings.simplefilter("ignore", AstroSccWarning)
         on_core = cube.align("core").misalignment
+    reason = f"the epochs scatter by {scatter:.2f} beams, "
     if on_core is None or on_core >= scatter:
-        return "none", f"the epochs scatter by {scatter:.2f} beams, no less on the core"
-    reason = f"the epochs scatter by {scatter:.2f} beams, {on_core:.2f} on the core"
-    return "core", reason
+        return "none", f"{reason}no less on the core"
+    return "core", f"{reason}{on_core:.2f} on the core"
 
 
 def mean_fwhm(cube, scale):
@@ -521,10 +458,9 @@ def structure_size(cube):
         image = np.ma.masked_invalid(np.ma.masked_array(*parts, dtype=float))
         image = (image - np.ma.median(image)).filled(0.0)
         image -= gaussian_filter(image, BACKGROUND)
-        # Twice the size, so that the image does not meet itself at its border.
-        shape = [fft.next_fast_len(2 * k, real=True) for k in image.shape]
-        power = np.abs(fft.rfft2(image, shape)) ** 2
-        total += fft.irfft2(power, shape)[:n, :n]
+        around = signal.correlate(image, image, method="fft")
+        ny, nx = image.shape
+        total += around[ny - 1 : ny - 1 + n, nx - 1 : nx - 1 + n]
     lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
     profile = (np.bincount(lag, total.ravel()) / np.bincount(lag))[:n]
     if not 0 < profile[2] < profile[1]:

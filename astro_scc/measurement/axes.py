@@ -131,16 +131,19 @@ def matched_displacements(matched, settings):
     cube, ssps, select = matched.cube, matched.ssps, matched.select
     frame, fraction = _frame(cube, settings.position_angle), settings.min_error_beams
     east, north = positions.ssp_offsets(ssps, cube)
-    axes = frame.matrix(east, north)
+    axes = np.asarray(frame.matrix(east, north))
     # A radial frame has no axes at its origin.
     known = select & np.isfinite(axes).all(axis=(-2, -1))
-    matches = matched.matches.of_ssps(known)
+    matches = matched.matches.select(known[matched.matches.ssp])
     owner = matches.ssp
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     sky = pixels @ cube.pixel_matrix.value.T
     position = np.stack([east[owner], north[owner]], axis=-1)
     d = frame_displacements(frame, position, sky)
-    here, there = _widths(cube, ssps, axes, owner, matches.target)
+    # The resolution in the epochs of SSPs and of their matches.
+    here = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
+    own = ssps.scale[owner], axes if axes.ndim == 2 else axes[owner]
+    there = positions.beam_fwhm(cube, matches.target, *own)
     ends = (ssps.snr[owner], here), (matches.target_snr, there)
     first, second = (positions.position_errors(*end, fraction) for end in ends)
     s = np.sqrt(first**2 + second**2)
@@ -181,17 +184,6 @@ def _frame(cube, position_angle):
     return position_angle
 
 
-def _widths(cube, ssps, axes, owner, target):
-    """Return the resolution in the epochs of SSPs and of their matches, (n, 2)."""
-    here = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
-    if cube.beams is None:
-        return here, here
-    if np.ndim(axes) == 2:
-        every = np.arange(len(cube))
-        return here, positions.beam_fwhm(cube, every, every, axes)[target]
-    return here, positions.beam_fwhm(cube, target, ssps.scale[owner], axes[owner])
-
-
 def alignment_errors(cube, error=None):
     """
     Return the standard error of the alignment of each epoch on both axes.
@@ -223,7 +215,6 @@ def alignment_errors(cube, error=None):
         each = np.atleast_1d(error.to_value(u.mas)).astype(float)
         if each.shape not in ((1,), (n,)):
             raise ValueError(
-                f"alignment_error must be one angle or {n}, one an epoch, "
-                f"got {each.size}"
+                f"alignment_error must be 1 or {n} angles, got {each.size}"
             )
     return np.broadcast_to(each[:, None], (n, 2))

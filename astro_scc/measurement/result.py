@@ -14,31 +14,29 @@ import numpy as np
 from astropy.io import fits
 from astropy.nddata import NDData
 from astropy.table import QTable
+from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.columns import cell
+from astro_scc.columns import build_table, cell, describe, round_to_errors
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
-from astro_scc.images.positions import axis_words, name_by_frame
+from astro_scc.images.positions import axis_words, name_by_frame, ssp_offsets
 from astro_scc.matching.matched import MatchedEpochs
 from astro_scc.measurement import tables
 from astro_scc.measurement.axes import projection_of
-from astro_scc.measurement.sensitivity import sensitivity_line, sensitivity_table
-from astro_scc.stacking.stack import PermutedStacks, VelocityPeak
+from astro_scc.stacking.stack import VelocityPeak, sample_velocities
 from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
 from astro_scc.streams.diagram import DEFAULT, INTERVAL_STEP
 from astro_scc.streams.dispersion import StreamVelocity
 from astro_scc.streams.search import Search
-from astro_scc.units import PM_UNIT, unit_name
+from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: What streams are, in the order in which they are counted.
-KINDS = ("moving", "stationary", "not confirmed", "not significant")
 #: What the files of results are, in their headers and in messages.
 RESULT = "astro_scc result"
 #: What the header of the diagram says about it.
@@ -71,8 +69,6 @@ class SCCResult(tables.Components):
         In mas/yr.
     coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
         The stack and its significance.
-    permuted : ``PermutedStacks``
-        Mean and standard deviation of the stacks of permuted epochs.
     search : ``Search``
         The streams, and the displacement-interval diagram that shows them.
     velocities : tuple of ``StreamVelocity``
@@ -108,7 +104,6 @@ class SCCResult(tables.Components):
     grid: VelocityGrid
     coefficient: np.ndarray
     z_score: np.ndarray
-    permuted: PermutedStacks
     search: Search
     velocities: tuple[StreamVelocity, ...]
     maxima: tuple[VelocityPeak, ...]
@@ -158,28 +153,20 @@ class SCCResult(tables.Components):
         write_object(self, path, creator=RESULT, overwrite=overwrite)
 
     def __repr__(self):
+        name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
         table = tables.printed(self.components)
         unit = unit_name(table["pm"].unit)
         speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
-        return f"<{self._head(', '.join(speeds))}, {len(self.cube)} epochs>"
-
-    def _head(self, found):
-        name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
-        return f"{name}: {found or 'no stream'}"
+        found = ", ".join(speeds) or "no stream"
+        return f"<{name}: {found}, {len(self.cube)} epochs>"
 
     def _repr_html_(self):
-        table = tables.printed(self.components)
-        kinds, known = table["kind"].tolist(), self.meta.get
-        counts = {kind: kinds.count(kind) for kind in KINDS}
-        lines = [
-            self._head(", ".join(f"{n} {kind}" for kind, n in counts.items() if n)),
-            repr(self.cube)[1:-1],
-            f"{len(self.pairs)} pairs of epochs, {np.sum(self.matched.select)} SSPs, "
-            f"{known('n_trials')} trials, seed {known('seed')}",
-        ]
+        lines = [repr(self)[1:-1], repr(self.cube)[1:-1]]
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
-        shown = tables.paper_table(table).pformat(max_lines=-1, max_width=-1, html=True)
-        return text + "".join(shown if kinds else ())
+        shown = tables.paper_table(tables.printed(self.components))
+        if len(shown) == 0:
+            return text
+        return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
 
     @property
     def cube(self) -> EpochCube:
@@ -213,7 +200,18 @@ class SCCResult(tables.Components):
     @cached_property
     def core(self) -> list[int]:
         """The rows of `components` that are the core, the reference of positions."""
-        return tables.core_streams(self)
+        if self.cube.beams is None:
+            return []
+        near = max(beam.major for beam in self.cube.beams).to_value(u.mas) / 2
+        distance = np.hypot(*ssp_offsets(self.matched.ssps, self.cube))
+        found = []
+        for number, stream in enumerate(self.search.streams, start=1):
+            if stream.kind == "stationary":
+                # Each SSP of the core is at the origin.
+                ssps = self.displacements.ssp[self._matches_of(number)]
+                if len(ssps) and distance[ssps].max() <= near:
+                    found.append(number)
+        return found
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -234,12 +232,26 @@ class SCCResult(tables.Components):
         component holds half of the difference.  Without significant motion the table
         is empty, and the ``note`` in its meta says so.
         """
-        return sensitivity_table(self.choices, self.cube.speed_unit)
+        table = build_table("sensitivity", self.choices)
+        if not self.choices:
+            table.meta["note"] = "nothing moves significantly"
+        return round_to_errors(in_speed_unit(table, self.cube.speed_unit))
 
     @property
     def sensitivity_line(self) -> str:
         """On what the main speed depends, in words; empty if on nothing."""
-        return sensitivity_line(self.sensitivity)
+        lines, table, found = [], self.sensitivity, np.isfinite(self.sensitivity["pm"])
+        parts = [
+            f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
+            for row in table[table["significant"] & found]
+        ]
+        if parts:
+            lines.append("differs with the data: " + ", ".join(parts))
+        # The first row is the whole.
+        missing, n = np.sum(~found), len(table[1:])
+        if 2 * missing > n:
+            lines.append(f"not found in {missing} of {n} parts of the data")
+        return "; ".join(lines)
 
     @cached_property
     def components(self) -> QTable:
@@ -386,7 +398,46 @@ class SCCResult(tables.Components):
         ValueError
             If there is no such component.
         """
-        return tables.member_table(self, number)
+        if not 1 <= number <= len(self.maxima):
+            raise ValueError(f"no stream {number}: there are {len(self.maxima)}")
+        d, cube, match = self.displacements, self.cube, self._matches_of(number)
+        ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
+        columns = {
+            "match": match,
+            "ssp": ssp,
+            "target_ssp": d.target_ssp[match],
+            "scale": d.scale[ssp],
+            "epoch": start,
+            "target_epoch": end,
+            "date": Time(cube.times[start], format="isot"),
+            "target_date": Time(cube.times[end], format="isot"),
+            "interval": (cube.years[end] - cube.years[start]).to(u.yr),
+        }
+        columns["east"], columns["north"] = d.position[ssp].T * u.mas
+        about, axes = {}, ((d.d1, d.s1), (d.d2, d.s2))
+        for axis, (values, errors) in zip(self.frame.axis_names, axes, strict=True):
+            name = f"displacement_{axis}"
+            columns[name] = values[match] * u.mas
+            columns[f"{name}_err"] = errors[match] * u.mas
+            about[name] = f"displacement of the match, {axis}"
+            about[f"{name}_err"] = f"standard error of {name}"
+        table = QTable(columns | {"weight": d.weight[match]}, descriptions=about)
+        describe(describe(table, "ssps"), "members")
+        return name_by_frame(round_to_errors(table), cube)
+
+    def _matches_of(self, number):
+        """Return the indices of the matches of a component."""
+        d, features = self.displacements, self.search.streams[number - 1].features
+        if features:
+            label = np.full(len(d.epoch), -1)
+            for k, feature in enumerate(features):
+                label[feature.ssp] = k
+            there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
+            return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
+        index, *v, s1, s2, _ = sample_velocities(d, self.pairs)
+        apart = np.abs(np.transpose(v) - self.velocities[number - 1].value)
+        sigma = np.stack([s1, s2], axis=1)
+        return index[np.all(apart <= tables.MEMBER_SIGMA * sigma, axis=1)]
 
     def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
         """
@@ -481,9 +532,28 @@ def velocity_hdus(result, *, text=None):
         header = _header(image, ("direction of the proper motion",) * 2)
         hdus.append(kind(np.asarray(image.data, dtype=float), header))
         hdus[-1].name = which.replace("_", "").upper()
-    primary = hdus[0].header
-    primary.update(_facts(result))
-    for line in result.cube.meta.get("history", ()):
+    primary, cube, meta = hdus[0].header, result.cube, result.meta
+    times, angle = cube.times.utc[[0, -1]], result.position_angle.to_value(u.deg)
+    versions = meta.get("versions", {})
+    creator = f"astro_scc {versions.get('astro_scc', '')}"
+    facts = {
+        "OBJECT": (ascii_line(cube.meta.get("object", ""))[:60], "name of the object"),
+        # If one form of a date is missing, readers warn that they add it.
+        "TIMESYS": ("UTC", "time scale"),
+        "DATE-BEG": (times.isot[0], "first epoch"),
+        "DATE-END": (times.isot[1], "last epoch"),
+        "MJD-BEG": (float(times.mjd[0]), "first epoch"),
+        "MJD-END": (float(times.mjd[1]), "last epoch"),
+        "NEPOCHS": (len(cube), "number of epochs"),
+        "JETPA": (float(angle), "[deg] position angle of the jet"),
+        "NTRIALS": (meta.get("n_trials"), "number of trials"),
+        "SEED": (meta.get("seed"), "seed of the trials"),
+        "CREATOR": (ascii_line(creator)[:60], "program"),
+    }
+    primary.update({k: v for k, v in facts.items() if v[0] not in (None, "")})
+    for i, (name, version) in enumerate(sorted(versions.items()), start=1):
+        primary[f"VERS{i}"] = ascii_line(f"{name} {version}")[:60]
+    for line in cube.meta.get("history", ()):
         primary.add_history(ascii_line(line))
     for line in (text or "").splitlines():
         primary.add_comment(ascii_line(line) or " ")
@@ -527,28 +597,3 @@ def _header(image, comments):
     for i, named in enumerate(zip(image.meta["axes"], comments, strict=True), start=1):
         header[f"CNAME{i}"] = named
     return header
-
-
-def _facts(result):
-    cube, meta = result.cube, result.meta
-    times, angle = cube.times.utc[[0, -1]], result.position_angle.to_value(u.deg)
-    versions = meta.get("versions", {})
-    creator = f"astro_scc {versions.get('astro_scc', '')}"
-    facts = {
-        "OBJECT": (ascii_line(cube.meta.get("object", ""))[:60], "name of the object"),
-        # If one form of a date is missing, readers warn that they add it.
-        "TIMESYS": ("UTC", "time scale"),
-        "DATE-BEG": (times.isot[0], "first epoch"),
-        "DATE-END": (times.isot[1], "last epoch"),
-        "MJD-BEG": (float(times.mjd[0]), "first epoch"),
-        "MJD-END": (float(times.mjd[1]), "last epoch"),
-        "NEPOCHS": (len(cube), "number of epochs"),
-        "JETPA": (float(angle), "[deg] position angle of the jet"),
-        "NTRIALS": (meta.get("n_trials"), "number of trials"),
-        "SEED": (meta.get("seed"), "seed of the trials"),
-        "CREATOR": (ascii_line(creator)[:60], "program"),
-    }
-    facts = {k: v for k, v in facts.items() if v[0] not in (None, "")}
-    for i, (name, version) in enumerate(sorted(versions.items()), start=1):
-        facts[f"VERS{i}"] = ascii_line(f"{name} {version}")[:60]
-    return facts

@@ -16,7 +16,7 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.axes import turned
-from astro_scc.stacking.stack import number_of_permutations, sample_velocities
+from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.units import PM_UNIT, in_speed_unit
 
 if TYPE_CHECKING:
@@ -363,31 +363,6 @@ def components_of(result, features):
     return np.where(members, members, away.argmin(axis=0))
 
 
-def core_streams(result):
-    """
-    Return the numbers of the stationary streams of which each SSP is at the core.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-
-    Returns
-    -------
-    list of int
-    """
-    if result.cube.beams is None:
-        return []
-    near = max(beam.major for beam in result.cube.beams).to_value(u.mas) / 2
-    distance = np.hypot(*positions.ssp_offsets(result.matched.ssps, result.cube))
-    found = []
-    for number, stream in enumerate(result.search.streams, start=1):
-        if stream.kind == "stationary":
-            ssps = result.displacements.ssp[_matches_of(result, number)]
-            if len(ssps) and distance[ssps].max() <= near:
-                found.append(number)
-    return found
-
-
 def frame_velocities(frame, features):
     """
     Return the velocities of features along the axes of a frame.
@@ -412,71 +387,6 @@ def frame_velocities(frame, features):
     return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
 
 
-def member_table(result, number):
-    """
-    Return the matches that belong to a component, see `SCCResult.members`.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-    number : int
-        From 1.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-
-    Raises
-    ------
-    ValueError
-        If there is no such component.
-    """
-    if not 1 <= number <= len(result.maxima):
-        raise ValueError(f"no stream {number}: there are {len(result.maxima)}")
-    d, cube, ssps = result.displacements, result.cube, result.matched.ssps
-    match = _matches_of(result, number)
-    ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
-    east, north = d.position[ssp].T * u.mas
-    table = QTable(
-        {
-            "match": match,
-            "ssp": ssp,
-            "target_ssp": d.target_ssp[match],
-            "scale": ssps.scale[ssp],
-            "epoch": start,
-            "target_epoch": end,
-            "date": Time(cube.times[start], format="isot"),
-            "target_date": Time(cube.times[end], format="isot"),
-            "interval": (cube.years[end] - cube.years[start]).to(u.yr),
-            "east": east,
-            "north": north,
-        }
-    )
-    axes = (d.d1, d.s1), (d.d2, d.s2)
-    for name, (values, errors) in zip(result.frame.axis_names, axes, strict=True):
-        name, about = f"displacement_{name}", f"displacement of the match, {name}"
-        table[name], table[f"{name}_err"] = values[match] * u.mas, errors[match] * u.mas
-        table[name].info.description = about
-        table[f"{name}_err"].info.description = f"standard error of {name}"
-    table["weight"] = d.weight[match]
-    describe(describe(table, "ssps"), "members")
-    return positions.name_by_frame(round_to_errors(table), cube)
-
-
-def _matches_of(result, number):
-    """Return the indices of the matches of a component."""
-    d, features = result.displacements, result.search.streams[number - 1].features
-    if features:
-        label = np.full(len(result.matched.ssps), -1)
-        for k, feature in enumerate(features):
-            label[feature.ssp] = k
-        there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
-        return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
-    index, *v, s1, s2, _ = sample_velocities(d, result.pairs)
-    apart = np.abs(np.transpose(v) - result.velocities[number - 1].value)
-    return index[np.all(apart <= MEMBER_SIGMA * np.stack([s1, s2], axis=1), axis=1)]
-
-
 def stack_tables(tables, meta):
     """Return one table of the rows of all, with a meta of its own."""
     filled = [table for table in tables if len(table)] or tables[:1]
@@ -486,9 +396,7 @@ def stack_tables(tables, meta):
     return round_to_errors(stacked)
 
 
-def false_discovery_rate(
-    tables: Sequence[QTable] | Mapping[Any, QTable], *, method: str = "bh"
-) -> Any:
+def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any:
     """
     Adjust the p-values of components for the number of regions searched.
 
@@ -496,23 +404,18 @@ def false_discovery_rate(
     velocities that were tested in all regions, bins or groups of scales
     together.  The k-th smallest becomes
 
-    .. math:: q_{(k)} = \\min_{l \\ge k}\\ \\min(1,\\ c_m\\, m\\, p_{(l)} / l),
+    .. math:: q_{(k)} = \\min_{l \\ge k}\\ \\min(1,\\ m\\, p_{(l)} / l)
 
-    with :math:`c_m = 1` [1]_, or :math:`c_m = \\sum_{l=1}^{m} 1 / l` [2]_.  Of
-    the components with ``p_fdr <= q``, a share of at most q is expected to be
-    false.
+    (Benjamini & Hochberg 1995, J. R. Stat. Soc. B 57, 289).  Of the components with
+    ``p_fdr <= q``, a share of at most q is expected to be false.  It holds for
+    independent and for positively dependent tests, for example of regions that share
+    features or of scales that see the same feature.
 
     Parameters
     ----------
     tables : sequence of `~astropy.table.QTable`, or a mapping to them
         Components, see `SCCResult.components`: one table for each region,
         bin or group of scales, *those without components included*.
-    method : {"bh", "by"}, optional
-        Benjamini & Hochberg, which holds for independent and for positively
-        dependent tests, for example of regions that share features or of
-        scales that see the same feature; or Benjamini & Yekutieli, which
-        holds for any dependence and costs the factor :math:`c_m`, 3.6 for
-        m = 20.
 
     Returns
     -------
@@ -525,8 +428,7 @@ def false_discovery_rate(
     TypeError
         If ``tables`` is one table.
     ValueError
-        If a table has no column ``p_global``, if a value in it is no
-        probability, or if ``method`` is unknown.
+        If a table has no column ``p_global``, or a value in it is no probability.
 
     Notes
     -----
@@ -542,11 +444,6 @@ def false_discovery_rate(
     With n trials, the ``p_fdr`` of a single small p-value cannot be below
     m / (n + 1).
 
-    References
-    ----------
-    .. [1] Benjamini, Y. & Hochberg, Y. 1995, J. R. Stat. Soc. B 57, 289.
-    .. [2] Benjamini, Y. & Yekutieli, D. 2001, Ann. Statist. 29, 1165.
-
     Examples
     --------
     >>> from astropy.table import QTable
@@ -560,23 +457,30 @@ def false_discovery_rate(
     """
     from scipy.stats import false_discovery_control
 
-    if method not in ("bh", "by"):
-        raise ValueError(f"unknown method {method!r}: use 'bh' or 'by'")
     if isinstance(tables, Table):
         raise TypeError("tables must be a sequence of tables, got one: give [table]")
     is_mapping = hasattr(tables, "items")
     tables = dict(tables.items() if is_mapping else enumerate(tables))
-    tested = {name: _tested(table, name) for name, table in tables.items()}
+    tested = {}
+    for name, table in tables.items():
+        if "p_global" not in table.colnames:
+            raise ValueError(f"table {name!r} has no column p_global: give components")
+        # What stands still is not tested.
+        kinds = table["kind"] if "kind" in table.colnames else [""] * len(table)
+        tested[name] = np.array([kind != "stationary" for kind in kinds], dtype=bool)
     # A region where nothing could be tested was searched all the same.
-    p = [p[use] if use.any() else np.ones(1) for p, use in tested.values()]
-    adjusted = false_discovery_control(np.concatenate(p), method=method) if p else []
-    meta = {"false_discovery": {"method": method, "n_tests": len(adjusted)}}
+    p = [
+        np.asarray(tables[name]["p_global"], dtype=float)[use] if use.any() else [1.0]
+        for name, use in tested.items()
+    ]
+    adjusted = false_discovery_control(np.concatenate(p)) if p else []
+    meta = {"false_discovery": {"method": "bh", "n_tests": len(adjusted)}}
     parts = np.split(adjusted, np.cumsum([len(part) for part in p])[:-1])
     done = {}
-    for (name, (values, use)), part in zip(tested.items(), parts, strict=False):
-        values = values.copy()
-        values[use] = part[: use.sum()]
+    for (name, use), part in zip(tested.items(), parts, strict=False):
         done[name] = table = tables[name].copy()
+        values = np.array(table["p_global"], dtype=float)
+        values[use] = part[: use.sum()]
         if "p_fdr" in table.colnames:
             table.remove_column("p_fdr")
         before = "p_global_err" if "p_global_err" in table.colnames else "p_global"
@@ -584,16 +488,3 @@ def false_discovery_rate(
         table.add_column(values, index, name="p_fdr")
         describe(table, "added").meta.update(meta)
     return done if is_mapping else list(done.values())
-
-
-def _tested(table, name):
-    """Return the p-values, and which were tested: stationary components are not."""
-    if "p_global" not in table.colnames:
-        raise ValueError(f"table {name!r} has no column p_global: give components")
-    p = np.asarray(table["p_global"], dtype=float)
-    # A comparison with NaN is false.
-    if not np.all((p >= 0) & (p <= 1)):
-        raise ValueError(f"table {name!r}: p_global must be from 0 to 1, got {p}")
-    if "kind" not in table.colnames:
-        return p, np.ones(len(p), dtype=bool)
-    return p, np.asarray(table["kind"], dtype=str) != "stationary"

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -287,34 +287,27 @@ def find_velocity_peaks(
     [1.1]
     """
     _, y, x, _ = find_peaks(scc[None], np.finfo(float).tiny)
-    points = [_grid_point(scc, *place) for place in zip(y, x, strict=True)]
-    step1, step2 = grid.step
-    found = []
+    # Simple rounding may miss the grid point of a maximum.
+    ends = np.stack([np.floor([y, x]), np.ceil([y, x])], axis=-1).astype(int)
+    points = [max(product(*both), key=scc.__getitem__) for both in ends.swapaxes(0, 1)]
+    (step1, step2), found = grid.step, []
     for (row, column), py, px in zip(points, y, x, strict=True):
         v1, v2 = float(grid.v1[0] + px * step1), float(grid.v2[0] + py * step2)
-        fit = fit_gaussian(*_fitted_part(scc, grid, box, (row, column), points))
-        if (
-            fit is not None
-            and abs(fit[0] - v1) <= max(box[0] / 2, step1)
-            and abs(fit[1] - v2) <= max(box[1] / 2, step2)
-        ):
-            v1, v2 = fit
+        near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
+        near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
+        part = rows, columns = np.ix_(near2, near1)
+        # Grid points that are nearer to this maximum than to any other.
+        apart = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in points]
+        own = (rows - row) ** 2 + (columns - column) ** 2 <= np.min(apart, axis=0)
+        use = own & (scc[part] >= LEVEL * scc[row, column])
+        values = np.where(use, scc[part], 0.0)
+        fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
+        if fit is not None:
+            away1, away2 = np.abs(np.subtract(fit, (v1, v2)))
+            if away1 <= max(box[0] / 2, step1) and away2 <= max(box[1] / 2, step2):
+                v1, v2 = fit
         found.append(VelocityPeak(v1, v2, float(scc[row, column]), row, column))
     return sorted(found, key=lambda c: -c.coefficient)
-
-
-def _fitted_part(scc, grid, box, point, points):
-    """Return the values in the box, zero where they do not enter the fit, and axes."""
-    row, column = point
-    step1, step2 = grid.step
-    near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
-    near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
-    part = rows, columns = np.ix_(near2, near1)
-    squares = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in (point, *points)]
-    # Grid points that are nearer to this maximum than to any other.
-    own = np.all([squares[0] <= other for other in squares[1:]], axis=0)
-    use = own & (scc[part] >= LEVEL * scc[row, column])
-    return np.where(use, scc[part], 0.0), grid.v1[near1], grid.v2[near2]
 
 
 def velocity_peak_near(scc, grid, box, v1, v2):
@@ -348,12 +341,6 @@ def velocity_peak_near(scc, grid, box, v1, v2):
     return VelocityPeak(float(v1), float(v2), float(scc[row, column]), row, column)
 
 
-def _grid_point(scc, y, x):
-    """Return the grid point of a maximum, which simple rounding may miss."""
-    ends = ((int(np.floor(place)), int(np.ceil(place))) for place in (y, x))
-    return max(itertools.product(*ends), key=lambda point: scc[point])
-
-
 # -- permuted epochs ---------------------------------------------------------------
 
 
@@ -377,32 +364,20 @@ def random_permutations(n_epochs, n_trials, rng):
     return rng.permuted(np.tile(np.arange(n_epochs), (n_trials, 1)), axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class PermutedStacks:
-    """Mean and standard deviation of the stacks of permuted epochs, on the grid."""
-
-    mean: np.ndarray
-    std: np.ndarray
-
-    def z_score(self, scc):
-        """
-        Return the z-score of a stack, ``(C - mean) / std`` (paper, Sect. 2.3).
-
-        It is not a probability: the paper's 11 sigma come from 1000 trials.  The
-        standard deviation is at least a hundredth of its largest value; where no
-        trial has any correlation, the result is zero.
-        """
-        floor = np.maximum(self.std, STD_FLOOR * self.std.max(initial=0.0))
-        excess = scc - self.mean
-        return np.divide(excess, floor, out=np.zeros_like(excess), where=floor > 0)
-
-
-def permute_stacks(samples, pairs, grid, n_trials, *, rng, shift=None, progress=None):
+def permuted_z_score(
+    scc, samples, pairs, grid, n_trials, *, rng, shift=None, progress=None
+):  # fmt: skip
     """
-    Stack the epochs in many permuted orders, for the paper's z-score.
+    Return the z-score of a stack among those of permuted epochs (paper, Sect. 2.3).
+
+    It is ``(C - mean) / std``, where the standard deviation is at least a hundredth of
+    its largest value; where no trial has any correlation, it is zero.  It is not a
+    probability: the paper's 11 sigma come from 1000 trials.
 
     Parameters
     ----------
+    scc : `~numpy.ndarray`, shape ``grid.shape``
+        The stack.
     samples : ``VelocitySamples``
     pairs : ``DatePairs``
     grid : ``VelocityGrid``
@@ -418,7 +393,7 @@ def permute_stacks(samples, pairs, grid, n_trials, *, rng, shift=None, progress=
 
     Returns
     -------
-    `PermutedStacks`
+    `~numpy.ndarray`, shape ``grid.shape``
     """
     orders = random_permutations(pairs.n_dates, n_trials, rng)
     pair_maps = PairMaps(samples, pairs, grid)
@@ -436,7 +411,9 @@ def permute_stacks(samples, pairs, grid, n_trials, *, rng, shift=None, progress=
                 progress(len(block))
     mean = total / n_trials
     variance = np.maximum(squares / n_trials - mean**2, 0.0)
-    return PermutedStacks(mean, np.sqrt(variance * n_trials / (n_trials - 1)))
+    std = np.sqrt(variance * n_trials / (n_trials - 1))
+    std = np.maximum(std, STD_FLOOR * std.max())
+    return np.divide(scc - mean, std, out=np.zeros_like(scc), where=std > 0)
 
 
 class PairMaps:
@@ -573,13 +550,12 @@ class _Stretch:
         # both axes, of which the second are beside each other.
         self.steps, twos, self.ends = [], [], [0]
         for interval in at:
-            one = _basis(maps.axis1, grid.v1 * interval - shift[0])
-            two = _basis(maps.axis2, grid.v2 * interval - shift[1])
-            part = rows, columns = _support(two), _support(one)
-            to1 = np.ascontiguousarray(one[:, columns].T, dtype=kind)
-            self.steps.append((part, to1))
-            twos.append(two[:, rows].astype(kind))
-            self.ends.append(self.ends[-1] + twos[-1].shape[1])
+            columns, one = _basis(maps.axis1, grid.v1 * interval - shift[0])
+            rows, two = _basis(maps.axis2, grid.v2 * interval - shift[1])
+            to1 = np.ascontiguousarray(one.T, dtype=kind)
+            self.steps.append(((rows, columns), to1))
+            twos.append(two.astype(kind))
+            self.ends.append(self.ends[-1] + two.shape[1])
         self.to2 = np.concatenate(twos, axis=1)
 
     def __call__(self, maps, row, total):
@@ -605,18 +581,19 @@ class _Stretch:
 
 
 def _basis(axis, positions):
-    """Return the matrix from coefficients to values, zero beyond the axis."""
+    """
+    Return the matrix from coefficients to values, which are zero beyond the axis.
+
+    Only columns that are not all zero are returned, after a slice that selects them.
+    """
     knots = make_interp_spline(axis, axis, k=DEGREE).t
     inside = np.abs(positions) <= axis[-1]
     at = np.clip(positions, axis[0], axis[-1])
     basis = BSpline.design_matrix(at, knots, DEGREE).toarray()
-    return np.where(inside[:, None], basis, 0.0)
-
-
-def _support(matrix):
-    """Return the columns that are not all zero."""
-    used = np.flatnonzero(matrix.any(axis=0))
-    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+    basis = np.where(inside[:, None], basis, 0.0)
+    used = np.flatnonzero(basis.any(axis=0))
+    part = slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+    return part, basis[:, part]
 
 
 def _intervals(maps):
@@ -632,9 +609,7 @@ def _intervals(maps):
     own, kind = np.unique(np.round(interval, 9), return_inverse=True)
     if len(own) > 1 and len(d):
         # Along the line v t the map varies on the scale of the kernel.
-        fastest = np.hypot(
-            np.abs(grid.v1).max() / d.s1.min(), np.abs(grid.v2).max() / d.s2.min()
-        )
+        fastest = np.hypot(*np.divide(grid.v_max, (d.s1.min(), d.s2.min())))
         number = int(np.ceil(np.ptp(own) * fastest / STEP_SIGMA)) + 1
         number = max(number + 2 * BEYOND, DEGREE + 1)
         if number < len(own):
@@ -645,20 +620,6 @@ def _intervals(maps):
 
 
 # -- errors ------------------------------------------------------------------------
-
-
-def _ends(samples, index):
-    """
-    Return the positions from which each match starts and at which it ends.
-
-    They are indices of n positions.  An SSP is one position in all its matches,
-    at either end of a displacement; an end without an SSP is a position of its
-    own.  n is returned as well.
-    """
-    start, end = samples.ssp[index], samples.target_ssp[index]
-    end = np.where(end < 0, -1 - np.arange(len(end)), end)
-    positions, number = np.unique(np.concatenate([start, end]), return_inverse=True)
-    return number[: len(start)], number[len(start) :], len(positions)
 
 
 def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
@@ -691,36 +652,31 @@ def jitter_positions(samples, pairs, peak, box, n_trials, *, rng):
     apart = np.abs(columns[:2] - centre[:, None])
     near = np.all(apart < half[:, None] + 5 * columns[2:4], axis=0)
     index, columns = index[near], columns[:, near]
-    grid1, grid2 = (
-        np.linspace(v - h, v + h, POINTS) for v, h in zip(centre, half, strict=True)
-    )
     # Single precision is enough for positions in units of the box.
     columns[:2] -= centre[:, None]
     columns[:4] /= half[[0, 1, 0, 1], None]
     x, y, sx, sy, w = columns.astype(np.float32)
-    unit_grid = np.linspace(-1, 1, POINTS, dtype=np.float32)
-    start, end, n = _ends(samples, index)
-    found = []
+    grid = np.linspace(-1, 1, POINTS)
+    grids = (grid.astype(np.float32),) * 2
+    # An SSP is one position in all its matches, at either end of a displacement; an end
+    # without an SSP is a position of its own.
+    end = samples.target_ssp[index]
+    end = np.where(end < 0, -1 - np.arange(len(end)), end)
+    both = np.stack([samples.ssp[index], end])
+    positions, number = np.unique(both, return_inverse=True)
+    (start, end), found = number.reshape(both.shape), []
     for _ in range(n_trials):
         # Each end of a displacement has half of its variance.
-        unit = rng.standard_normal((2, n)) / np.sqrt(2)
+        unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
         shift = (unit[:, end] - unit[:, start]).astype(np.float32)
-        local = gaussian_sum(
-            x + sx * shift[0], y + sy * shift[1], sx, sy, w, unit_grid, unit_grid
-        )
-        place = _maximum(local, grid1, grid2)
-        if place is not None:
-            found.append(place)
+        moved = x + sx * shift[0], y + sy * shift[1]
+        local = gaussian_sum(*moved, sx, sy, w, *grids)
+        row, column = np.unravel_index(np.argmax(local), local.shape)
+        # A maximum on the border is none.
+        if 0 < row < POINTS - 1 and 0 < column < POINTS - 1:
+            around = local[row - 1 : row + 2, column - 1 : column + 2]
+            dy, dx, _ = quadratic_peak(around)
+            found.append(grid[[column, row]] + (grid[1] - grid[0]) * np.array([dx, dy]))
     if len(found) < 3:
         return np.full((2, 2), np.nan)
-    return np.cov(np.transpose(found))
-
-
-def _maximum(scc, grid1, grid2):
-    """Return the position of the largest value, None if it is on the border."""
-    row, column = np.unravel_index(np.argmax(scc), scc.shape)
-    if not (0 < row < len(grid2) - 1 and 0 < column < len(grid1) - 1):
-        return None
-    dy, dx, _ = quadratic_peak(scc[row - 1 : row + 2, column - 1 : column + 2])
-    step1, step2 = grid1[1] - grid1[0], grid2[1] - grid2[0]
-    return grid1[column] + dx * step1, grid2[row] + dy * step2
+    return np.cov(np.transpose(found)) * np.outer(half, half)

@@ -88,21 +88,6 @@ class VelocitySamples:
         """Time from the SSP's epoch to that of its match, in years, signed."""
         return self.years[self.target] - self.years[self.reference]
 
-    @property
-    def velocity(self) -> np.ndarray:
-        """Velocity in the coordinates of the positions, (n, 2)."""
-        return self.motion * (1 / self.interval)[:, None]
-
-    @property
-    def middle(self) -> np.ndarray:
-        """Position of the feature midway between the epochs, (n, 2)."""
-        return self.position[self.ssp] + 0.5 * self.motion
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """Standard error of the displacement, geometric mean of both axes."""
-        return np.sqrt(self.s1 * self.s2)
-
     def select(self, keep: ArrayLike) -> VelocitySamples:
         """
         Return a selection of the samples, with the same SSPs and dates.

@@ -12,8 +12,7 @@ from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.correlation import Correlator, Matches
 from astro_scc.correlation.correlate import COLUMNS, target_ssps
 from astro_scc.decomposition import SSPs
-from astro_scc.decomposition.decompose import Decomposition
-from astro_scc.decomposition.segmentation import require_ssps
+from astro_scc.decomposition.segmentation import Decomposition, require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
 from astro_scc.features.detections import finest_patterns, is_new, ssps_of
@@ -252,8 +251,7 @@ class FeatureTracker:
                 part = correlator(decompositions, own, window, n_workers=n_workers)
                 columns.append(tuple(getattr(part, name) for name in COLUMNS))
                 done(len(own))
-        reach = kinds.max(axis=0).tolist()
-        return Matches.from_columns(columns, pairs, reach, self.kappa)
+        return Matches.from_columns(columns, pairs)
 
     @property
     def _limited(self):

@@ -12,7 +12,7 @@ REFUSED = {
 --scales "0.01 mas" | scale 0.01 mas is 0.1 px
 --scales 9 | too small for wavelet scale 9 (512 px): leave out the
 --baseline "5 6 yr" | no two epochs are 5 to 6 yr apart
---max-speed "1e9 mas/yr" | error: --max-speed moves 8.21e+07 mas in the
+--max-speed "1e9 mas/yr" | error: --max-speed moves 8.21e+07 to
 --seed -3 | --seed '-3' must be 0 to
 --workers 0 | --workers must be at least 1
 --beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another

@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from astro_scc.correlation import Correlator, Matches, all_pairs
-from astro_scc.correlation.correlate import TargetStack, match_block, target_ssps
+from astro_scc.correlation.correlate import (
+    COLUMNS,
+    TargetStack,
+    match_block,
+    target_ssps,
+)
 from astro_scc.correlation.zncc import correlate_windows, find_peaks
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.wavelet import scale_size
@@ -19,7 +24,6 @@ from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 96, 128
 SHAPE = (40, 52)
-DISPLACED = ("ssp", "target", "dy", "dx", "coefficient", "overlap", "target_snr")
 
 
 def zncc(a, b):
@@ -30,7 +34,7 @@ def zncc(a, b):
     return np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b))
 
 
-def same(one, other, names=DISPLACED):
+def same(one, other, names=COLUMNS):
     for name in names:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
@@ -51,40 +55,30 @@ def double_loop(values, footprint, window, reach, valid, min_overlap):
     return coefficient, overlap
 
 
-@st.composite
-def patterns(draw):
-    """A pattern, its footprint and a window around it."""
-    height, width = draw(st.integers(1, 7)), draw(st.integers(1, 7))
-    reach = draw(st.integers(0, 5)), draw(st.integers(0, 5))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    footprint = rng.random((height, width)) < draw(st.floats(0.3, 1))
+@settings(max_examples=80)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans(), st.floats(0.05, 1))
+def test_coefficients_equal_the_double_loop(seed, sparse, own, min_overlap):
+    """Of a pattern, which may be part of the window, and its footprint."""
+    rng = np.random.default_rng(seed)
+    height, width, *reach = rng.integers([1, 1, 0, 0], [8, 8, 6, 6]).tolist()
+    footprint = rng.random((height, width)) < rng.uniform(0.3, 1)
     footprint[rng.integers(height), rng.integers(width)] = True
     shape = (height + 2 * reach[0], width + 2 * reach[1])
     # Rounded, so that no local variance is lost beside the window's energy.
     window = np.round(rng.normal(size=shape), 2)
-    if draw(st.booleans()):
+    if sparse:
         # Zero almost everywhere, as a plane outside its SSPs.
         window[rng.random(shape) < 0.7] = 0
     values = rng.normal(size=footprint.shape)
-    if draw(st.booleans()):
+    if own:
         values = window[reach[0] :, reach[1] :][:height, :width].copy()
-    valid = rng.random(shape) >= draw(st.sampled_from([0, 0.1, 0.5]))
-    return values, footprint, window, reach, valid
-
-
-@settings(max_examples=80)
-@given(patterns(), st.floats(0.05, 1))
-def test_coefficients_equal_the_double_loop(case, min_overlap):
-    values, footprint, window, reach, valid = case
-    expected = double_loop(*case, min_overlap)
+    valid = rng.random(shape) >= rng.choice([0, 0.1, 0.5])
+    expected = double_loop(values, footprint, window, reach, valid, min_overlap)
     # What stands in missing pixels is of no account.
-    for given_, options in (
-        (window, {"valid": valid}),
-        (np.where(valid, window, np.nan), {}),
-    ):
-        found = correlate_windows(
-            values, footprint, given_, reach, min_overlap=min_overlap, **options
-        )
+    missing = np.where(valid, window, np.nan), None
+    for given_, exists in ((window, valid), missing):
+        how = {"valid": exists, "min_overlap": min_overlap}
+        found = correlate_windows(values, footprint, given_, reach, **how)
         np.testing.assert_allclose(found[1], expected[1], atol=1e-12)
         np.testing.assert_allclose(found[0], expected[0], atol=1e-8)
 
@@ -228,7 +222,7 @@ def test_matches_equal_the_papers_equation(masked, target, maps):
     expected = np.array(sorted(slow_matches(masked, (3, 5), target, 0.6))).T
     assert len(found) > 40
     assert (found.overlap < 1).sum() > 5
-    for name, values in zip(DISPLACED, expected, strict=True):
+    for name, values in zip(COLUMNS, expected, strict=True):
         tolerance = 1e-3 if name == "target_snr" else 1e-4
         np.testing.assert_allclose(
             getattr(found, name), values, rtol=tolerance, atol=tolerance, err_msg=name
@@ -298,20 +292,6 @@ def test_shifted_gaussian_comes_back(dx, dy, x0, y0, scale, target):
     assert (back.dx[0], back.dy[0]) == pytest.approx((-dx, -dy), abs=0.06)
 
 
-@pytest.mark.parametrize(
-    ("fwhm", "scale", "largest"), [(3, 1, 0.15), (10, 2, 0.03), (20, 4, 0.01)]
-)
-def test_sub_pixel_error(fwhm, scale, largest):
-    """Of single features without noise: a few hundredths of a pixel at most."""
-    rng = np.random.default_rng(0)
-    for _ in range(8):
-        first, moved = rng.uniform(-0.5, 0.5, (2, 2)) + [[60, 48], [7, 3]]
-        images = [gaussian(*(first + k * moved), fwhm) + noise(k, 1e-6) for k in (0, 1)]
-        pair = list(map(Decomposer(scales=[scale]), images))
-        best = best_match(Correlator()(pair, [(0, 1)], 12), brightest(pair[0], scale))
-        assert [best.dx[0], best.dy[0]] == pytest.approx(moved, abs=largest)
-
-
 def test_faint_feature_beside_a_core():
     """A knot is found beside a core a hundred thousand times brighter."""
     images = [
@@ -352,21 +332,12 @@ def test_feature_that_leaves(target, end):
         assert not (own.dx > end - 90 - 15).any()
 
 
-@pytest.mark.parametrize(("number", "expected"), [(2, 0), (3, 1)])
-def test_two_pixels_match_nothing(number, expected):
-    # Their coefficient is one or minus one, wherever they fall.
-    rng = np.random.default_rng(1)
-    epochs = [Decomposer(scales=[1])(rng.normal(size=(30, 40))) for _ in range(2)]
-    one = np.ones(1)
-    ssps = SSPs(
-        scale=one, y=12 * one, x=15 * one, y_centroid=12 * one, x_centroid=15 * one,
-        peak=one, flux=one, snr=9 * one, bbox=np.array([[12, 14, 13, 14 + number]]),
-        starts=np.array([0, number]), pixels=12 * 40 + 14 + np.arange(number),
-        epoch=np.zeros(1, int),
-    )  # fmt: skip
-    epochs = [replace(epoch, ssps=ssps) for epoch in epochs]
-    matches = Correlator(target="plane")(epochs, all_pairs(2), 8)
-    assert (len(matches) > 0) == expected
+def test_patterns_of_few_pixels_match_nothing(masked, matched, monkeypatch):
+    """With two pixels the coefficient is one or minus one, wherever they fall."""
+    number = SSPs.of_epochs(masked).n_pixels[matched.ssp]
+    least = int(np.sort(number)[len(number) // 2])
+    monkeypatch.setattr("astro_scc.correlation.correlate.FEWEST_PIXELS", least)
+    same(Correlator()(masked, all_pairs(3), 6), matched.select(number >= least))
 
 
 # -- calls --------------------------------------------------------------------------
@@ -382,25 +353,15 @@ def test_small_blocks_and_processes_give_the_same_to_the_bit(
     one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "FEWEST_TARGETS": 1}
     for name, value in one_each.items():
         monkeypatch.setattr(f"astro_scc.correlation.correlate.{name}", value)
-    monkeypatch.setattr("astro_scc.correlation.targets.BATCH_PIXELS", 1)
-    blocks = list(correlate._blocks(masked, pairs, (6, 6), None))
+    monkeypatch.setattr("astro_scc.correlation.correlate.BATCH_PIXELS", 1)
+    blocks = list(correlate._blocks(masked, pairs, np.array([6, 6]), None))
     assert [b.pairs.tolist() for b in blocks] == [[p] for p in pairs.tolist()]
-    again = [match_block(pickle.loads(pickle.dumps(b)))[1] for b in blocks]
-    found = Matches.from_columns(again, pairs, (6, 6), 0.6)
-    np.testing.assert_equal(vars(found.sorted()), vars(whole))
+    parts = [match_block(pickle.loads(pickle.dumps(b)))[1] for b in blocks]
+    found = Matches.from_columns(sum(parts, []), pairs)
+    np.testing.assert_equal(vars(found), vars(whole))
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     assert done == [1] * 6
-
-
-def test_blocks_hold_no_more_than_their_work(masked, monkeypatch):
-    """Consecutive epochs share a block until their work reaches the limit."""
-    ssps = SSPs.of_epochs(masked)
-    sizes = np.prod(ssps.bbox[:, 2:] - ssps.bbox[:, :2] + 14, axis=1)
-    work = np.cumsum(3 * np.bincount(ssps.epoch, sizes))
-    monkeypatch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", work[1] + 1)
-    blocks = list(Correlator()._blocks(masked, all_pairs(3), (6, 6), None))
-    assert [sorted(set(b.pairs[:, 0].tolist())) for b in blocks] == [[0, 1], [2]]
 
 
 def test_only_the_pairs_and_patterns_asked_for(masked, matched):
@@ -414,7 +375,7 @@ def test_only_the_pairs_and_patterns_asked_for(masked, matched):
     chosen = np.random.default_rng(2).random(len(ssps)) < 0.5
     some = Correlator()(masked, all_pairs(3), 6, select=chosen)
     assert 0 < len(some) < len(matched)
-    np.testing.assert_equal(vars(some), vars(matched.of_ssps(chosen)))
+    np.testing.assert_equal(vars(some), vars(matched.select(chosen[matched.ssp])))
 
 
 @pytest.mark.parametrize("target", ["segments", "plane"])
@@ -444,10 +405,8 @@ def test_nothing_to_correlate(masked, target):
         ({"min_overlap": 0}, {}, "min_overlap = 0 must be above 0, up to 1"),
         ({}, {"pairs": [(0, 3)]}, "outside 0 to 2"),
         ({}, {"pairs": [(-1, 2)]}, "outside 0 to 2"),
-        ({}, {"search_radius": (5, -1)}, "search radius must be one or two"),
-        ({}, {"search_radius": (1, 2, 3)}, "search radius must be one or two"),
-        ({}, {"select": np.ones(3, bool)}, "select must be one bool for each"),
-        ({}, {"select": np.arange(3)}, "select must be one bool for each"),
+        ({}, {"search_radius": (5, -1)}, "search radius must be 0 or more"),
+        ({}, {"search_radius": (1, 2, 3)}, "shape"),
         ({}, {"other": ((1, 2), NY, NX)}, "one shape and the same scales"),
         ({}, {"other": ((1, 3), *SHAPE)}, "one shape and the same scales"),
     ],
@@ -471,21 +430,9 @@ def jet():
     return matches, SSPs.of_epochs(epochs)
 
 
-def test_selections_and_order(jet):
-    matches, ssps = jet
-    fine = matches.of_ssps(ssps.scale == 1)
-    assert 0 < len(fine) < len(matches)
-    assert (ssps.scale[fine.ssp] == 1).all()
-    first = matches.select([0, 2])
-    np.testing.assert_array_equal(first.dx, matches.dx[[0, 2]])
-    assert repr(first) == "<Matches: 2 peaks of 6 pairs of epochs>"
-    mixed = matches.select(np.random.default_rng(0).permutation(len(matches)))
-    same(mixed.sorted(), mixed.select(np.lexsort((mixed.target, mixed.ssp))))
-    same(mixed.sorted(), matches, ("ssp", "target"))
-
-
 def test_landing_is_on_the_nearest_pattern(jet):
     matches, ssps = jet
+    assert repr(matches.select([0, 2])) == "<Matches: 2 peaks of 6 pairs of epochs>"
     landed = target_ssps(matches, ssps)
     assert 0.3 < np.mean(landed >= 0) < 1
     for k, own in enumerate(matches.ssp):
@@ -499,6 +446,6 @@ def test_landing_is_on_the_nearest_pattern(jet):
         near = distance.min(initial=np.inf) <= scale_size(ssps.scale[own])
         assert landed[k] == (there[distance.argmin()] if near else -1)
     nowhere = (np.arange(2), np.full(2, 3), *np.zeros((5, 2)))
-    nowhere = Matches.from_columns([nowhere], [(0, 3)], (5, 5), 0.6)
+    nowhere = Matches.from_columns([nowhere], [(0, 3)])
     assert target_ssps(nowhere, ssps).tolist() == [-1, -1]
     assert target_ssps(nowhere.select([]), ssps).shape == (0,)

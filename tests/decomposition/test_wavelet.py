@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from astro_scc.components.restoring import correlated_noise
-from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import (
     KERNELS,
     atrous_transform,
@@ -83,17 +82,13 @@ def test_missing_pixels_never_spread(case, share, value):
     shape, n_levels, kernel, seed = case
     rng = np.random.default_rng(seed)
     image, mask = rng.normal(size=shape), rng.random(shape) < share
-    nan = rng.random(shape) < share / 4
-    image[nan] = rng.choice([np.nan, np.inf, -np.inf], size=nan.sum())
-    missing = mask | nan
     planes, residual = atrous_transform(image, n_levels, kernel=kernel, mask=mask)
-    assert (planes[:, missing] == 0).all()
-    np.testing.assert_allclose(
-        (planes.sum(axis=0) + residual)[~missing], image[~missing], atol=1e-13
-    )
+    assert (planes[:, mask] == 0).all()
+    total = planes.sum(axis=0) + residual
+    np.testing.assert_allclose(total[~mask], image[~mask], atol=1e-13)
     # What stands behind the mask is of no account.
-    other = np.where(missing, 1e6, image)
-    again, _ = atrous_transform(other, n_levels, kernel=kernel, mask=missing)
+    other = np.where(mask, np.nan, image)
+    again, _ = atrous_transform(other, n_levels, kernel=kernel, mask=mask)
     np.testing.assert_array_equal(planes, again)
     # A constant image with holes has no planes.
     constant = np.full(shape, value)
@@ -110,20 +105,6 @@ def test_planes_are_those_of_the_transform():
     planes = wavelet_planes(image, [1, 3], kernel="b3")
     np.testing.assert_array_equal(planes, [cubic[1], cubic[3]])
     assert [scale_size(j) for j in (0, 0.5, 1, 1.5, 4)] == [1, 1.5, 2, 3, 16]
-
-
-@pytest.mark.parametrize(
-    ("scales", "kernel", "message"),
-    [
-        ([4], "b1", "too small for wavelet scale 4 .16 px.: leave out the largest sc"),
-        ([3], "b3", "too small for wavelet scale"),
-        ([1.5], "haar", "unknown wavelet kernel 'haar'"),
-        *(([j], "b1", "not a number of the") for j in (-0.5, 1.25, np.nan, np.inf)),
-    ],
-)
-def test_what_is_refused(scales, kernel, message):
-    with pytest.raises(ValueError, match=message):
-        wavelet_planes(np.zeros((16, 40)), scales, kernel=kernel)
 
 
 # -- noise of planes --------------------------------------------------------------
@@ -168,23 +149,6 @@ def test_propagated_noise_equals_measured(kernel, beam):
     assert (np.abs(measured / expected - 1) < tolerance).all()
 
 
-def ratios(images, *, mask=None):
-    """Measured over true noise of beam-correlated noise, (image, scale)."""
-    expected = propagated_noise(RMS, SCALES, beam_covariance=COVARIANCE)
-    planes = [wavelet_planes(image, SCALES, mask=mask) for image in images]
-    found = [
-        [plane_noise(plane, j, mask=mask) for plane, j in zip(own, SCALES, strict=True)]
-        for own in planes
-    ]
-    return np.array(found) / expected
-
-
-def test_plane_noise_without_source():
-    ratio = ratios([beam_noise(seed) for seed in range(8)])
-    np.testing.assert_allclose(ratio.mean(axis=0), 1, atol=0.06)
-    np.testing.assert_allclose(ratio, 1, atol=0.2)
-
-
 @pytest.mark.slow
 def test_plane_noise_beside_a_bright_jet():
     """
@@ -194,7 +158,10 @@ def test_plane_noise_beside_a_bright_jet():
     tenth of 256 x 128 px, some ten independent patches of noise.
     """
     jets = [simulate_two_fluid(rng=seed, n_epochs=2).cube.data for seed in range(10)]
-    ratio = ratios(np.concatenate(jets))
+    expected = propagated_noise(RMS, SCALES, beam_covariance=COVARIANCE)
+    planes = [wavelet_planes(image, SCALES) for image in np.concatenate(jets)]
+    found = [[*map(plane_noise, own, SCALES)] for own in planes]
+    ratio = np.array(found) / expected
     assert (np.abs(ratio.mean(axis=0) - 1) < [0.06, 0.06, 0.08, 0.12]).all()
     assert (ratio.std(axis=0) < [0.08, 0.08, 0.08, 0.3]).all()
 
@@ -226,14 +193,6 @@ def test_plane_noise_of_sources_without_sky_and_of_blanked_pixels():
 
 
 def test_masked_pixels_do_not_count():
-    image, mask = beam_noise(3), np.zeros((128, 256), dtype=bool)
-    mask[20:60, 30:200] = True
-    # The transform is undisturbed by what the mask covers.
-    ratio = ratios([image], mask=mask)
-    np.testing.assert_array_equal(
-        ratios([np.where(mask, 1e9, image)], mask=mask), ratio
-    )
-    np.testing.assert_allclose(ratio, 1, atol=0.25)
     plane = np.random.default_rng(0).normal(size=(64, 64))
     plane[:, 32:] *= 1000
     mask = np.zeros(plane.shape, dtype=bool)
@@ -278,20 +237,13 @@ def test_shared_variance_is_that_of_what_both_images_show():
     mask[:20] = True
     # Two thirds of the variance moves by (3, -5) px; what is beyond the mask is blank.
     moved = np.roll(same, (3, -5), (0, 1))
-    planes = [own[0] + np.sqrt(2) * same, own[1] + np.sqrt(2) * moved]
-    share, chance = shared_variance(planes, 1)
+    planes = own[0] + np.sqrt(2) * same, own[1] + np.sqrt(2) * moved
+    share, chance = shared_variance([(plane, None) for plane in planes], 1)
     assert share == pytest.approx(2 / 3, abs=0.05)
     assert chance == pytest.approx(1 / 96, rel=0.3)
-    share, chance = shared_variance(own, 1, masks=(mask, None))
+    share, chance = shared_variance([(own[0], mask), (own[1], None)], 1)
     assert share < 6 * chance
-    assert shared_variance([same, 0 * same], 1) == (0, np.inf)
-    masks = mask, mask
-    found = Decomposer(scales=(1, 2)).shared_variance(own, masks=masks)
-    pairs = zip(*(wavelet_planes(i, (1, 2), mask=mask) for i in own), strict=True)
-    each = [
-        shared_variance(p, j, masks=masks) for j, p in zip((1, 2), pairs, strict=True)
-    ]
-    np.testing.assert_allclose(found, np.transpose(each), rtol=1e-6)
+    assert shared_variance([(same, None), (0 * same, None)], 1) == (0, np.inf)
 
 
 def test_noise_of_an_image():
@@ -311,17 +263,3 @@ def test_noise_of_an_image():
     alike = np.ones((10, 10))
     alike[0, 0] = 2
     assert measure_noise(alike, alike > 2) == pytest.approx(alike.std())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", ["plane", "local", "propagated"])
-def test_false_positives_are_rare(noise):
-    """Above 4 sigma, about one pattern in two images of pure noise."""
-    images = [beam_noise(seed) for seed in range(5)]
-    limits = {(4, 3): 7, (6, 5): 0}
-    for (detection, segmentation), most in limits.items():
-        decompose = Decomposer(
-            noise=noise, detection=detection, segmentation=segmentation
-        )
-        found = (decompose(i, rms=RMS, beam_covariance=COVARIANCE).ssps for i in images)
-        assert sum(map(len, found)) <= most

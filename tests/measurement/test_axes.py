@@ -45,7 +45,8 @@ def ssps_of(cube, east, north, epoch, scale=1.0):
         SSPs.empty(), scale=np.broadcast_to(scale, n).astype(float), x=x, y=y,
         x_centroid=x, y_centroid=y, peak=np.ones(n), flux=np.ones(n),
         snr=np.full(n, 20.0), bbox=np.zeros((n, 4), dtype=int),
-        starts=np.arange(n + 1), pixels=np.arange(n), epoch=np.asarray(epoch),
+        starts=np.arange(n + 1), pixels=np.arange(n), values=np.ones(n),
+        epoch=np.asarray(epoch),
     )  # fmt: skip
 
 
@@ -57,7 +58,7 @@ def matches_of(ssps, pairs):
         here, ssps.epoch[there], ssps.y[there] - ssps.y[here],
         ssps.x[there] - ssps.x[here], 0.8 * one, one, 20 * one,
     )  # fmt: skip
-    return Matches.from_columns([columns], [[0, 1], [1, 2]], (99, 99), 0.6)
+    return Matches.from_columns([columns], [[0, 1], [1, 2]])
 
 
 def displacements_of(matches, ssps, cube, frame):
@@ -172,7 +173,7 @@ def test_in_homologous_expansion_all_features_move_alike():
 
 
 def test_no_ssps_no_displacements():
-    matches, cube = Matches.from_columns([], [[0, 1]], (3, 3), 0.6), cube_of()
+    matches, cube = Matches.from_columns([], [[0, 1]]), cube_of()
     for frame in SkyFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas):
         d = displacements_of(matches, SSPs.empty(), cube, frame)
         project = AxisProjection(d, cube, frame)
@@ -187,7 +188,7 @@ def test_errors_of_the_alignment_are_given_or_those_that_it_found():
     np.testing.assert_allclose(one, np.full((3, 2), 0.2))
     each = alignment_errors(cube, [0.1, 0.0, 0.3] * u.mas)
     np.testing.assert_allclose(each, [[0.1, 0.1], [0, 0], [0.3, 0.3]])
-    with pytest.raises(ValueError, match="must be one angle or 3, one an epoch, got 2"):
+    with pytest.raises(ValueError, match="must be 1 or 3 angles, got 2"):
         alignment_errors(cube, [0.1, 0.2] * u.mas)
     columns = {"east": [0, 0, 0], "north": [0, 0, 0]}
     columns |= {"east_err": [3, 1, 0], "north_err": [4, 1, 0]}
@@ -242,7 +243,7 @@ def matches(ssps):
     target = (ssps.epoch[ssp] + rng.integers(1, 3, n)) % 3
     motion, share = rng.uniform(-8, 8, (2, n)), rng.uniform(0.6, 1.0, (2, n))
     columns = ssp, target, *motion, *share, rng.uniform(3, 30, n)
-    return Matches.from_columns([columns], [[0, 1], [1, 0]], (8, 8), 0.6)
+    return Matches.from_columns([columns], [[0, 1], [1, 0]])
 
 
 def sky_offsets(wcs, x, y):

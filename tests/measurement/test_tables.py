@@ -2,7 +2,6 @@
 """Tables that keep their columns and units, on disk too, and adjusted p-values."""
 
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -53,22 +52,6 @@ def test_components_have_all_columns_with_units_and_descriptions():
         assert all(table[name].info.description for name in table.colnames)
         assert table["pm"].unit == table["pm_err_jitter"].unit == PM
         assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
-    # A missing column is no silence.
-    del row["pm_dec"]
-    with pytest.raises(KeyError, match="pm_dec"):
-        component_table([row])
-
-
-def test_versions_name_what_the_numbers_depend_on(monkeypatch):
-    found = versions()
-    assert set(found) >= {"astro_scc", "numpy", "scipy", "astropy", "scikit-image"}
-    assert found["numpy"] == np.__version__
-
-    def missing(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setitem(versions.__globals__, "version", missing)
-    assert set(versions().values()) == {"unknown"}
 
 
 # Of a measurement ----------------------------------------------------------------
@@ -81,6 +64,7 @@ def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_
     meta = QTable.read(tmp_path / "c.ecsv").meta
     assert (meta["seed"], meta["n_trials"]) == (1, 40)
     assert meta["versions"] == versions()
+    assert meta["versions"]["numpy"] == np.__version__
     again = StackedCrossCorrelation(**meta["settings"])
     assert again.to_dict() == sky_result.meta["settings"]
     # Printed columns are rounded to their errors, the numbers are whole.
@@ -277,30 +261,20 @@ def table(p, **columns):
     return QTable({"p_global": np.array(p, dtype=float), **columns})
 
 
-def by_definition(p, method):
-    """The smallest rate at which the procedure would accept each of them."""
-    m = len(p)
-    factor = m * (sum(1 / k for k in range(1, m + 1)) if method == "by" else 1.0)
-    return [
-        min(1.0, *(factor * other / np.sum(p <= other) for other in p if other >= own))
-        for own in p
-    ]
-
-
 probabilities = st.lists(
     st.integers(1, 40).map(lambda b: b / 40), min_size=1, max_size=9
 )
 
 
-@settings(max_examples=60, deadline=None)
-@given(groups=st.lists(probabilities, min_size=1, max_size=4), by=st.booleans())
-def test_is_the_procedure_over_all_tables_together(groups, by):
-    method = "by" if by else "bh"
-    done = false_discovery_rate([table(p) for p in groups], method=method)
-    got = np.concatenate([t["p_fdr"] for t in done])
+@settings(max_examples=30)
+@given(groups=st.lists(probabilities, min_size=1, max_size=4))
+def test_is_the_procedure_over_all_tables_together(groups):
+    """The smallest rate at which the procedure would accept each of them."""
+    got = [t["p_fdr"] for t in false_discovery_rate([table(p) for p in groups])]
     p = np.concatenate(groups)
-    np.testing.assert_allclose(got, by_definition(p, method), rtol=1e-12)
-    assert np.all((got >= p - 1e-12) & (got <= 1))
+    rates = {other: len(p) * other / np.sum(p <= other) for other in p}
+    expected = [min(1.0, *(rates[other] for other in p if other >= own)) for own in p]
+    np.testing.assert_allclose(np.concatenate(got), expected, rtol=1e-12)
 
 
 def test_empty_tables_are_searches_and_what_stands_still_is_none():
@@ -322,14 +296,13 @@ def test_empty_tables_are_searches_and_what_stands_still_is_none():
 
 
 @pytest.mark.parametrize(
-    ("tables", "method", "words"),
+    ("tables", "words"),
     [
-        (table([0.1]), "bh", r"got one: give \[table\]"),
-        ([table([0.1]), QTable()], "bh", "table 1 has no column p_global"),
-        ({"inner": table([np.nan])}, "bh", "'inner': p_global must be from 0 to 1"),
-        ([], "bonferroni", "unknown method 'bonferroni': use 'bh' or"),
+        (table([0.1]), r"got one: give \[table\]"),
+        ([table([0.1]), QTable()], "table 1 has no column p_global"),
+        ({"inner": table([np.nan])}, "between 0 and 1"),
     ],
 )
-def test_says_what_is_wrong(tables, method, words):
+def test_says_what_is_wrong(tables, words):
     with pytest.raises((TypeError, ValueError), match=words):
-        false_discovery_rate(tables, method=method)
+        false_discovery_rate(tables)

@@ -146,31 +146,3 @@ def test_velocities_scale_with_time(usual, exponent):
     found, _ = velocity(images(), times=times, speed=5 / factor)
     # The fits of the mixture end at other last digits.
     assert np.hypot(*(found * factor - usual[0])) < 0.05 * usual[1]
-
-
-# -- objects and files ---------------------------------------------------------------
-
-ANGLES = st.floats(0.1, 10)
-
-
-@settings(max_examples=8)
-@given(ANGLES, ANGLES, st.sampled_from([1, 1000]))
-def test_measurements_are_equal_where_their_settings_are(low, high, factor):
-    def make(**changes):
-        options = {
-            "scales": [1, 2] * u.mas,
-            "max_speed": high * u.mas / u.yr,
-            "baseline": sorted([low, high]) * u.yr,
-            "alignment_error": [low, high] * u.mas,
-        }
-        return StackedCrossCorrelation(**{**options, **changes})
-
-    one = make()
-    assert one == make()
-    assert hash(one) == hash(make())
-    assert one != make(baseline=None)
-    assert one != make(kappa=0.5)
-    assert one != make(baseline=[0, 20] * u.yr)
-    assert one != "measurement"
-    assert StackedCrossCorrelation(max_speed=factor * u.deg / u.yr) != one
-    assert len({one, make()}) == 1

@@ -12,7 +12,6 @@ import pytest
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli.survey import run_survey
 from astro_scc.cli.survey_sources import read_survey
-from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 
 SPEED = 5 * u.mas / u.yr
@@ -41,17 +40,9 @@ def mask(cube):
     return {"mask": bad}
 
 
-def moved(cube):
-    wcs = cube.wcs.deepcopy()
-    wcs.wcs.cdelt = 1.001 * wcs.wcs.cdelt
-    return {"wcs": wcs}
-
-
 IMAGES = {
     "images": pixel,
     "masks": mask,
-    "coordinates": moved,
-    "beams": lambda cube: {"beams": [Beam(0.5 * u.mas, 0.4 * u.mas)] * 5},
     "noise": lambda cube: {"noise": np.full(5, 2e-3) * cube.unit},
 }
 SETTINGS = {

@@ -38,6 +38,7 @@ def catalogue(rows, *, scale=1.0):
         scale=np.broadcast_to(np.asarray(scale, dtype=float), n), y=y, x=x,
         y_centroid=y, x_centroid=x, peak=peak, flux=10 * peak, snr=100 * peak,
         bbox=np.zeros((n, 4), int), starts=np.arange(n + 1), pixels=np.zeros(n, int),
+        values=np.ones(n),
         epoch=epoch.astype(int),
     )  # fmt: skip
 
@@ -57,7 +58,9 @@ def test_candidates_are_the_highest_peaks_at_a_later_date(max_gap):
     source, landed, zero = source.astype(int), landed.astype(int), np.zeros(8)
     target = np.where(landed < 0, 1, landed)
     columns = source, target, zero, zero, coefficient, zero, zero
-    matches = Matches.from_columns([columns], [(0, 1)], (5, 5), 0.0)
+    matches = Matches.from_columns([columns], [(0, 1)])
+    # Matches are in the order of their SSPs and targets.
+    landed = landed[np.lexsort((target, source))]
     found = find_candidates(matches, landed, ssps, years, max_gap)
     use = [True, max_gap == 5, True]
     for name, wanted in {

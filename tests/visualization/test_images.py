@@ -97,7 +97,8 @@ def test_outlines_are_the_edges_of_the_pixels():
     ssps = SSPs(
         scale=one, y=5 * one, x=7 * one, y_centroid=5 * one, x_centroid=7 * one,
         peak=one, flux=one, snr=9 * one, bbox=np.array([[5, 7, 7, 9]]),
-        starts=np.array([0, 3]), pixels=pixels @ [30, 1], epoch=np.zeros(1, int),
+        starts=np.array([0, 3]), pixels=pixels @ [30, 1], values=np.ones(3),
+        epoch=np.zeros(1, int),
     )  # fmt: skip
     ax = cube.plot(0, ssps, zoom=False).axes[0]
     (edges,) = (c for c in ax.collections if c.get_gid() == "outlines")
