@@ -124,29 +124,23 @@ def test_work_that_is_not_done():
     future.cancel()
     future.set_running_or_notify_cancel()
     with pytest.raises(OSError, match="was lost; start it and this again"):
-        _result(future.result)
+        _result(future)
     # As the scheduler says after four workers died of one piece.
     future = Future()
     worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
     future.set_exception(distributed.KilledWorker("piece", worker, 3))
     with pytest.raises(ChildProcessError, match="several workers died of one piece"):
-        _result(future.result)
+        _result(future)
 
 
-def test_without_dask(monkeypatch):
+def test_without_dask_or_a_scheduler(monkeypatch):
+    monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
+    for address, message in {
+        "tcp://127.0.0.1:9": "tcp://127.0.0.1:9: cannot be reached",
+        "node1": "node1: cannot be reached: missing port number",
+    }.items():
+        with pytest.raises(OSError, match=message):
+            list(in_order(operator.neg, [1], address))
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ImportError, match="pip install distributed"):
         list(in_order(operator.neg, [1], "tcp://127.0.0.1:9"))
-
-
-@pytest.mark.parametrize(
-    ("address", "message"),
-    [
-        ("tcp://127.0.0.1:9", "tcp://127.0.0.1:9: cannot be reached"),
-        ("node1", "node1: cannot be reached: missing port number"),
-    ],
-)
-def test_a_scheduler_that_is_not_there(monkeypatch, address, message):
-    monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
-    with pytest.raises(OSError, match=message):
-        list(in_order(operator.neg, [1], address))

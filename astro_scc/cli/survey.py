@@ -12,7 +12,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 __all__ = ["run_survey"]
 
 TABLE = "survey.ecsv"
-#: Prefix of the folder of a source until it is complete.
-PARTIAL = "partial-"
+#: Prefix of a folder until it is complete.
+PARTIAL = ".partial-"
 #: Why there is nothing to test.
 NO_MATCH = "no match that could be tested"
 NO_PATTERN = "no significant pattern here on these scales"
@@ -99,14 +99,10 @@ def survey(args, reporter):
         if not failed and not sys.stderr.isatty():
             reporter.say(f"{name}: {'finished before' if before else 'done'}")
 
-    with ExitStack() as stack:
-        if not isinstance(n_workers, int):
-            client = parallel.open_client(n_workers)
-            if n_workers == "local":
-                client = parallel.open_local(args.workers or 1)
-            n_workers = stack.enter_context(client)
-            reporter.note(f"dashboard of the cluster: {n_workers.dashboard_link}")
-        how = {"n_workers": n_workers, "progress_bar": reporter.progress}
+    with parallel.workers_of(n_workers) as workers:
+        if workers is not n_workers:
+            reporter.note(f"dashboard of the cluster: {workers.dashboard_link}")
+        how = {"n_workers": workers, "progress_bar": reporter.progress}
         table = run_survey(plan, output, report=report, done=done, **how)
     reporter.say(*_summary(table))
     if set(table["status"]) == {"failed"}:
@@ -181,8 +177,7 @@ def run_survey(
     Raises
     ------
     OSError
-        If the folder has other files, another run writes there, or it cannot
-        be written to.
+        If the folder has other files, or it cannot be written to.
 
     Examples
     --------
@@ -209,26 +204,13 @@ def run_survey(
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
     for folder in (output / SOURCES, work):
         writing.make_folder(folder, output)
-    try:
-        with writing.hold(work):
-            with writing.replace_when_complete(plan, overwrite=True) as part:
-                part.write_text(survey.text, encoding="utf-8")
-            try:
-                found = _outcomes(
-                    survey.sources, output, report, n_workers, done, progress_bar
-                )
-            finally:
-                # Delete what terminated workers left.
-                writing.remove_left(work, PARTIAL)
-            table, features = catalogues(found, survey.sources, output)
-            _write_catalogues(table, features, output)
-            published = {source.name: source.published for source in survey.sources}
-            write_overview(table, features, found, output, published=published)
-    except BlockingIOError:
-        raise OSError(
-            f"{output}: another run measures a survey here; wait for it, or choose "
-            "another folder"
-        ) from None
+    with writing.replace_when_complete(plan, overwrite=True) as part:
+        part.write_text(survey.text, encoding="utf-8")
+    found = _outcomes(survey.sources, output, report, n_workers, done, progress_bar)
+    table, features = catalogues(found, survey.sources, output)
+    _write_catalogues(table, features, output)
+    published = {source.name: source.published for source in survey.sources}
+    write_overview(table, features, found, output, published=published)
     return table
 
 
@@ -239,26 +221,41 @@ def _write_catalogues(table, features, output):
             own.write(part, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
-    with writing.partial_folder(output / WORK, PARTIAL) as part:
-        write_publication({"components": measured, "features": features}, part)
-        if (output / FOLDER).exists():
-            os.replace(output / FOLDER, part / "old")
-        os.replace(part / FOLDER, output / FOLDER)
+    with _new_folder(output / FOLDER, output) as part:
+        write_publication({"components": measured, "features": features}, part.parent)
+
+
+@contextmanager
+def _new_folder(path, parts):
+    """Provide a folder that takes the place of another one when it is complete."""
+    with writing.partial_folder(parts, PARTIAL) as parent:
+        part = parent / path.name
+        part.mkdir()
+        yield part
+        if path.exists():
+            os.replace(path, parent / "old")
+        os.replace(part, path)
 
 
 def _outcomes(every, output, report, n_workers, done, progress_bar):
     """Return the outcomes of the sources, in their order."""
     found = [sources.finished_outcomes(source, output, report) for source in every]
     left = [k for k, outcomes in enumerate(found) if outcomes is None]
-    before = [pair for pair in enumerate(found) if pair[0] not in left]
+    before = [(k, own) for k, own in enumerate(found) if own is not None]
     # The largest first, so that no process waits for one at the end.
     left.sort(key=lambda k: -every[k].size())
-    measure = partial(measure_source, output=output, report=report)
     with (
-        parallel.workers_of(n_workers) as workers,
         progress(len(every), "Sources", show=progress_bar) as step,
+        # What terminated workers leave in this folder is deleted with it.
+        writing.partial_folder(output / WORK, PARTIAL) as parts,
+        closing(
+            parallel.as_done(
+                partial(measure_source, output=output, report=report, parts=parts),
+                (every[k] for k in left),
+                n_workers,
+            )
+        ) as new,
     ):
-        new = parallel.as_done(measure, (every[k] for k in left), workers)
         for k, outcomes in chain(before, ((left[i], own) for i, own in new)):
             if isinstance(outcomes, Exception):
                 # The worker failed, not the measurement: it died, or its disk is full.
@@ -383,7 +380,7 @@ def _with_head(table, outcomes, redshifts):
 # -- one source ------------------------------------------------------------------
 
 
-def measure_source(source, output, report=False):
+def measure_source(source, output, report=False, parts=None):
     """
     Measure a source in all its regions and scale groups, without raising errors.
 
@@ -398,6 +395,8 @@ def measure_source(source, output, report=False):
     output : path
         Folder of the survey.
     report : bool, optional
+    parts : path, optional
+        Where the folder is until it is complete, by default that of ``output``.
 
     Returns
     -------
@@ -405,9 +404,10 @@ def measure_source(source, output, report=False):
         One for each region and scale group.
     """
     output, key = Path(output), source.key()
-    (output / WORK).mkdir(exist_ok=True)
+    for name in (WORK, SOURCES):
+        (output / name).mkdir(exist_ok=True)
     with (
-        writing.partial_folder(output / WORK, PARTIAL) as part,
+        _new_folder(output / SOURCES / source.folder, parts or output) as part,
         warnings.catch_warnings(record=True) as said,
     ):
         warnings.simplefilter("always")
@@ -423,12 +423,6 @@ def measure_source(source, output, report=False):
             "warnings": _lines(said),
         }
         (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
-        final = output / SOURCES / source.folder
-        final.parent.mkdir(exist_ok=True)
-        with writing.partial_folder(output / WORK, PARTIAL) as old:
-            if final.exists():
-                os.replace(final, old / "old")
-            os.replace(part, final)
     return outcomes
 
 

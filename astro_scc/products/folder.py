@@ -7,7 +7,6 @@ import errno
 import os
 import shutil
 import signal
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -19,7 +18,6 @@ from astropy.table import QTable
 
 from astro_scc import writing
 from astro_scc.columns import describe
-from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
 from astro_scc.measurement.result import SCCResult, velocity_hdus
 from astro_scc.products.publication import with_published, write_publication
@@ -51,19 +49,14 @@ def product_folder(
     Yields
     ------
     `~pathlib.Path`
-        Where to write.  Nothing is left behind if there is an error.
+        Where to write.  Nothing is left behind if there is an error; a process that
+        is killed leaves this folder, which is hidden.
 
     Raises
     ------
     OSError
         If the path is a file or cannot be written to, if the folder is not
-        empty and ``overwrite`` is False, or if another run writes there.
-
-    Warns
-    -----
-    `~astro_scc.exceptions.MeasurementWarning`
-        If there are partial products that a run on another machine may have
-        left.  Those that killed runs left on this machine are deleted.
+        empty and ``overwrite`` is False, or if another run has written there.
 
     Examples
     --------
@@ -80,16 +73,15 @@ def product_folder(
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
     # On the same disk as the target, so that files only have to be renamed.
-    outside = target.parent, f".{target.name}.partial-"
-    inside = target, ".partial-"
-    _refuse_others(path, outside, inside)
+    place = target.parent, f".{target.name}.partial-"
+    if exists:
+        place = target, ".partial-"
     try:
         if exists and any(target.iterdir()) and not overwrite:
             what = "exists and is not empty; choose another folder, or --overwrite"
             raise OSError(f"{path}: {what}")
         target.parent.mkdir(parents=True, exist_ok=True)
-        with writing.partial_folder(*(inside if exists else outside)) as folder:
-            _refuse_others(path, outside, inside, own=folder)
+        with writing.partial_folder(*place) as folder:
             yield folder
             with _undisturbed():
                 if exists:
@@ -113,23 +105,6 @@ def product_folder(
         else:
             raise
         raise OSError(f"{path}: {what}") from None
-
-
-def _refuse_others(path, *places, own=None):
-    """Raise an error if another run writes there; warn if one may do so."""
-    for left in (left for place in places for left in writing.remove_left(*place)):
-        if left == own:
-            continue
-        if writing.is_held(left):
-            what = "another run is at work for this folder; wait for it, or choose "
-            raise BlockingIOError(f"{path}: {what}another folder")
-        if own is None:
-            warnings.warn(
-                f"{left}: is of another run, which goes on or was killed; delete it "
-                "if nothing runs any more",
-                MeasurementWarning,
-                stacklevel=4,
-            )
 
 
 @contextmanager

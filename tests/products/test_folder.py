@@ -13,13 +13,10 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement.result import velocity_hdus
-from astro_scc.products import folder as products
 from astro_scc.products import write_products
 from astro_scc.products.folder import product_folder
-from astro_scc.writing import _machine
 
 SETTINGS = {"scales": [2], "max_speed": "36 mas / yr"}
 
@@ -101,46 +98,6 @@ def test_an_error_changes_nothing(tmp_path, error, before):
     with pytest.raises(error):
         fill(tmp_path if before else tmp_path / "a" / "b", error(), overwrite=True)
     assert tree(tmp_path) == before
-
-
-@pytest.mark.parametrize("exists", [True, False])
-def test_what_a_killed_run_left_is_taken_away_and_others_are_told(tmp_path, exists):
-    pytest.importorskip("fcntl")
-    out, end = tmp_path / "out", f"{_machine()}-0123abcd"
-    left = [tmp_path / f".out.partial-{end}", tmp_path / f".other.partial-{end}"]
-    left += [out / f".partial-{end}"] * exists
-    elsewhere = tmp_path / ".out.partial-01234567-0123abcd"
-    for folder in (*left, elsewhere):
-        folder.mkdir(parents=True)
-        (folder / "half").write_text("x")
-    line = rf"{elsewhere}: is of another run, which goes on or was killed; delete it"
-    with pytest.warns(MeasurementWarning, match=line) as said:
-        fill(out)
-    assert [warning.filename for warning in said] == [__file__]
-    names = [elsewhere.name, left[1].name, "out"]
-    assert {p.name for p in tmp_path.iterdir()} == {*names}
-    assert tree(out) == NEW
-
-
-@pytest.mark.parametrize(("exists", "looks"), [(True, 0), (False, 2), (True, 2)])
-def test_a_second_run_at_once_is_refused(tmp_path, monkeypatch, exists, looks):
-    """Also if it looks before the first has made its folder: it looks again."""
-    pytest.importorskip("fcntl")
-    monkeypatch.setattr("astro_scc.writing.PATIENCE", 0.01)
-    out, real, looked = tmp_path / "deep" / "out", products.writing.remove_left, []
-
-    def look(parent, prefix):
-        looked.append(prefix)
-        return [] if len(looked) <= looks else real(parent, prefix)
-
-    if exists:
-        out.mkdir(parents=True)
-    with product_folder(out) as first:
-        (first / "a.txt").write_text("first")
-        monkeypatch.setattr(products.writing, "remove_left", look)
-        with pytest.raises(OSError, match="out: another run is at work for this"):
-            fill(out, overwrite=True)
-    assert tree(out) == {"a.txt": "first"}
 
 
 @pytest.mark.parametrize(
