@@ -16,9 +16,14 @@ def test_a_folder_and_a_file_that_are_gone_unless_complete(tmp_path):
     with partial_folder(tmp_path, ".part-") as folder:
         folder.rename(tmp_path / "whole")
     file = tmp_path / "a"
-    with pytest.raises(KeyboardInterrupt), replace_when_complete(file) as part:
-        part.write_text("half")
-        raise KeyboardInterrupt
+
+    def interrupted():
+        with replace_when_complete(file) as part:
+            part.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert names(tmp_path) == ["whole"]
     with replace_when_complete(file) as part:
         part.write_text("complete")
