@@ -56,12 +56,6 @@ NO_MATCH = "no match that could be tested"
 NO_PATTERN = "no significant pattern here on these scales"
 #: Options on images that are restored from components.
 RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
-#: A unit in the header of an ECSV file to which others refer, and the item of its meta
-#: on columns that are objects.
-UNIT = re.compile(r"&(id\d+) (!astropy\.units\.Unit \{[^}]*\})")
-OBJECTS = re.compile(
-    r"# - \{?__serialized_columns__.*?(?=\n# - |\n# schema: |\Z)", re.S
-)
 #: Columns that identify a row of the table, and their descriptions.
 HEAD = {
     "source": "name of the source",
@@ -321,45 +315,30 @@ def _stacked(outcomes, output, name, empty):
     """
     Return a table of all parts with their numbers.
 
-    Most of the time to read an ECSV file is that for its header, and headers of
-    different sources differ only in the meta.  The rows under equal headers are
-    therefore read together.
+    Most of the time to read an ECSV file is that for its header.  The rows of files
+    with the same columns are therefore read together, below the header of the first.
     """
     parts, tables = {}, [empty]
+    empty["outcome"] = np.zeros(0, dtype=int)
     for number, outcome in enumerate(outcomes):
         if outcome.folder:
             path = Path(output, outcome.folder, name)
-            head, (names, *rows) = _split(path)
-            _, numbers, lines = parts.setdefault(head, (path, [], [names]))
-            numbers += [number] * len(rows)
+            columns, _, rest = path.read_text(encoding="utf-8").partition("\n# meta:")
+            # Numbers of digits are those of the source.
+            columns = re.sub(r", format: [^,}]*", "", columns)
+            lines = f"{columns}\n# meta:{rest}".splitlines()
+            head = [line for line in lines if line.startswith("#")]
+            names, rows = lines[len(head) :][:1], lines[len(head) + 1 :]
+            kind = columns, *re.findall("__class__: .*", rest)
+            _, lines, numbers = parts.setdefault(kind, (path, head + names, []))
             lines += rows
-    empty["outcome"] = np.zeros(0, dtype=int)
-    for head, (path, numbers, lines) in parts.items():
-        table = read_table([*head.splitlines(), *lines], name=path)
+            numbers += [number] * len(rows)
+    for path, lines, numbers in parts.values():
+        table = read_table(lines, name=path)
         table.meta.clear()
         table["outcome"] = numbers
         tables.append(table)
     return round_to_errors(vstack(tables, metadata_conflicts="silent"))
-
-
-def _split(path):
-    """Return what the head of an ECSV file says of the columns, and the other lines."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        n = next(k for k, line in enumerate(lines) if line[:1] != "#")
-    except (OSError, ValueError, StopIteration):
-        # Says what is wrong.
-        read_table(path)
-        raise
-    head, _, meta = "\n".join(lines[:n]).partition("\n# meta: !!omap\n")
-    # Numbers of digits are those of the source.
-    head = re.sub(r", format: [^,}]*", "", head)
-    if found := OBJECTS.search(meta):
-        # They refer to units of other items.
-        units, own = dict(UNIT.findall(meta)), re.sub(r"&id\d+ ", "", found[0])
-        own = re.sub(r"\*(id\d+)", lambda m: units[m[1]], own)
-        head += f"\n# meta: !!omap\n{own}\n# schema: astropy-2.0"
-    return head, lines[n:]
 
 
 def _with_head(table, outcomes, redshifts):
