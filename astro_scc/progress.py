@@ -2,11 +2,10 @@
 """Progress of long calculations, on standard error."""
 
 import sys
-import threading
 import time
 from contextlib import contextmanager
 
-#: Seconds between two lines of progress where there is no terminal.
+#: Least seconds between two lines of progress where there is no terminal.
 EVERY = 30
 
 
@@ -43,30 +42,22 @@ def progress(total, label, *, show=True):
         with tqdm(total=total, desc=label, dynamic_ncols=True) as bar:
             yield bar.update
     else:
-        with _lines(total, label) as update:
-            yield update
+        yield _lines(total, label)
 
 
-@contextmanager
 def _lines(total, label):
-    """Print a line every `EVERY` seconds, even if no step has ended since."""
-    done, begun, ended = 0, time.monotonic(), threading.Event()
+    """Return a function of steps that prints a line no sooner than `EVERY` seconds."""
+    begun = said = time.monotonic()
+    done = 0
 
     def update(number):
-        nonlocal done
+        nonlocal done, said
         done += number
-
-    def tell():
-        while not ended.wait(EVERY):
+        now = time.monotonic()
+        if now - said >= EVERY:
+            said = now
             steps = f"{done} of {total}" if total else f"{done} done"
-            minutes = (time.monotonic() - begun) / 60
-            sys.stderr.write(f"{label}: {steps}, {minutes:.1f} min\n")
+            sys.stderr.write(f"{label}: {steps}, {(now - begun) / 60:.1f} min\n")
             sys.stderr.flush()
 
-    teller = threading.Thread(target=tell, daemon=True)
-    teller.start()
-    try:
-        yield update
-    finally:
-        ended.set()
-        teller.join()
+    return update

@@ -25,7 +25,7 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, read_table, workers_of
-from astro_scc.cli.measure import WORK, write_measurement
+from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
 from astro_scc.columns import round_to_errors, table_lines
@@ -71,8 +71,6 @@ def survey(args, reporter):
     n_workers, output = workers_of(args), Path(args.output)
     reporter.resumes = True
     of_file = Path(args.survey).suffix.lower() == ".toml"
-    if of_file and args.redshifts:
-        raise ValueError("--redshifts is not for a .toml file; write them to it")
     if of_file or Path(args.survey).is_dir():
         for name in RESTORING:
             if getattr(args, name) is not None:
@@ -80,10 +78,13 @@ def survey(args, reporter):
                     f"--{name} is for a table of components, not for {args.survey}; "
                     "settings are written into survey.toml"
                 )
-    if of_file:
-        plan, report = sources.read_survey(args.survey), args.report is not False
-    else:
-        plan, report = sources.survey_of(args, output, reporter), bool(args.report)
+    redshifts = sources.read_redshifts(args.redshifts) if args.redshifts else {}
+    path = args.survey if of_file else sources.write_survey(args, output, reporter)
+    plan = sources.read_survey(path, redshifts)
+    report = of_file if args.report is None else args.report
+    if unknown := redshifts.keys() - {source.name for source in plan.sources}:
+        some = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
 
     def done(name, outcomes, before):
         name = name if name.isprintable() else ascii(name)
@@ -192,12 +193,10 @@ def run_survey(
     ({'Jet'}, {'measured'})
     """
     output = Path(output).absolute()
-    work = output / WORK
     plan = output / sources.PLAN
     if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
-    for folder in (output / SOURCES, work):
-        writing.make_folder(folder, output)
+    writing.make_folder(output / SOURCES, output)
     with writing.replace_when_complete(plan, overwrite=True) as part:
         part.write_text(survey.text, encoding="utf-8")
     found = _outcomes(survey.sources, output, report, n_workers, done, progress_bar)
@@ -241,7 +240,7 @@ def _outcomes(every, output, report, n_workers, done, progress_bar):
     with (
         progress(len(every), "Sources", show=progress_bar) as step,
         # What terminated workers leave in this folder is deleted with it.
-        writing.partial_folder(output / WORK, PARTIAL) as parts,
+        writing.partial_folder(output, PARTIAL) as parts,
         closing(
             parallel.as_done(
                 partial(measure_source, output=output, report=report, parts=parts),
@@ -383,8 +382,7 @@ def measure_source(source, output, report=False, parts=None):
         One for each region and scale group.
     """
     output, key = Path(output), source.key()
-    for name in (WORK, SOURCES):
-        (output / name).mkdir(exist_ok=True)
+    (output / SOURCES).mkdir(exist_ok=True)
     with (
         _new_folder(output / SOURCES / source.folder, parts or output) as part,
         warnings.catch_warnings(record=True) as said,
@@ -409,44 +407,33 @@ def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
     cube, settings, left_out, *_ = read_epochs(source.settings)
     published = source.compare and published_positions(source.compare, cube)
-    masks, failed, matched = {}, {}, None
-    for name, path in source.regions.items():
-        try:
-            if path is not None and settings.crop is not None:
-                refuse_pixels(path)
-            masks[name] = None if path is None else cube.region_mask(path)
-        except (ValueError, OSError) as error:
-            failed[name] = _reason(error)
-    if masks:
-        whole = None in source.regions.values()
-        inside = None if whole else np.any(list(masks.values()), axis=0)
-        # One part takes no longer to match again than to be read.
-        several = len(source.parts) > 1
-        cache = output / WORK / f"{source.folder}.fits" if several else None
-        scc = StackedCrossCorrelation.from_settings(settings)
-        matched = scc.match(cube, region=inside, cache=cache)
+    if settings.crop is not None:
+        for path in filter(None, source.regions.values()):
+            refuse_pixels(path)
+    masks = {path: path and cube.region_mask(path) for path in source.regions.values()}
+    inside = None if None in masks else np.any([*masks.values()], axis=0)
+    matched = StackedCrossCorrelation.from_settings(settings).match(cube, region=inside)
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
     of_all, outcomes = len(said), []
     first, last = cube.times.isot[[0, -1]].tolist()
     seen = {"n_epochs": len(cube), "first": first, "last": last}
     for region, group in source.parts:
         outcome = partial(Outcome, source.name, region, group, **seen)
-        if region in failed:
-            outcomes.append(outcome("failed", failed[region]))
-            continue
         where = Path(SOURCES, source.folder, regions[region], groups[group])
         folder = part / regions[region] / groups[group]
         folder.mkdir(parents=True)
         names = (name for name in (region, group) if name != sources.WHOLE)
         page = {"title": ", ".join([source.name, *names]), "left_out": left_out}
         page |= {"report": report, "archives": report, "published": published}
-        scales, before = source.scale_groups[group], len(said)
+        before, scales = len(said), source.scale_groups[group]
         scales = settings.scales if scales is None else scales
         own = replace(settings, region=source.regions[region], scales=scales)
         try:
             scc = StackedCrossCorrelation.from_settings(own)
-            of_part = select_ssps(matched, region=masks[region], scales=scc.scales)
-            result = scc.stack(of_part, n_trials=own.n_trials, rng=own.seed)
+            how = {"region": masks[own.region], "scales": scc.scales}
+            result = scc.stack(
+                select_ssps(matched, **how), n_trials=own.n_trials, rng=own.seed
+            )
             page["warnings"] = _lines([*said[:of_all], *said[before:]])
             page["output"] = output / where
             components = write_measurement(result, own, folder, **page)

@@ -197,15 +197,6 @@ def test_goes_on_and_ends_the_same(jet, astro_scc, done, here, monkeypatch):
     assert (status, len(blocks)) == (0, 12)
 
 
-@pytest.mark.slow
-def test_nothing_is_left_when_no_scheduler_answers(jet, refused, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
-    words = ["-o", "deep/out", "--resume", "--scheduler", "tcp://127.0.0.1:9"]
-    line = refused("measure", *jet[:4], *QUICK, *words)
-    assert "scheduler tcp://127.0.0.1:9: cannot be reached" in line
-
-
 # -- the demo --------------------------------------------------------------------------
 
 

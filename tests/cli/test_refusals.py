@@ -36,8 +36,6 @@ REFUSED = {
 -o full --resume | full: exists and is not of a run with --resume; choose another
 -o file --resume | file: cannot be made or used
 -o taken --resume --overwrite | taken: taken/.astro_scc-work is a file; choose another
--o deep/out --resume --region no.reg | no.reg: No such file or directory
--o deep/out --resume --baseline "7 yr 8 yr" | no two epochs are 7 to 8 yr apart
 """,
     "measure": """
 -o out | no epochs were given
