@@ -2,10 +2,11 @@
 """Progress of long calculations, on standard error."""
 
 import sys
+import threading
 import time
 from contextlib import contextmanager
 
-#: Least seconds between two lines of progress where there is no terminal.
+#: Seconds between two lines of progress where there is no terminal.
 EVERY = 30
 
 
@@ -42,22 +43,30 @@ def progress(total, label, *, show=True):
         with tqdm(total=total, desc=label, dynamic_ncols=True) as bar:
             yield bar.update
     else:
-        yield _lines(total, label)
+        with _lines(total, label) as update:
+            yield update
 
 
+@contextmanager
 def _lines(total, label):
-    """Return a function of steps that prints a line no sooner than `EVERY` seconds."""
-    begun = said = time.monotonic()
-    done = 0
+    """Print a line every `EVERY` seconds, even if no step has ended since."""
+    done, begun, ended = 0, time.monotonic(), threading.Event()
 
     def update(number):
-        nonlocal done, said
+        nonlocal done
         done += number
-        now = time.monotonic()
-        if now - said >= EVERY:
-            said = now
+
+    def tell():
+        while not ended.wait(EVERY):
             steps = f"{done} of {total}" if total else f"{done} done"
-            sys.stderr.write(f"{label}: {steps}, {(now - begun) / 60:.1f} min\n")
+            minutes = (time.monotonic() - begun) / 60
+            sys.stderr.write(f"{label}: {steps}, {minutes:.1f} min\n")
             sys.stderr.flush()
 
-    return update
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield update
+    finally:
+        ended.set()
+        teller.join()

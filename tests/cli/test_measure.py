@@ -116,25 +116,6 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     assert "--n-trials" in error
 
 
-DIFFER = [1, 1.2, 1, 1, 1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("sizes", "options", "note", "common"),
-    [
-        (DIFFER, [], "the beams differ: convolving to a common one", True),
-        (DIFFER, ["--no-common-beam"], "the beams differ and are", False),
-        ([None] * 5, [], "the epochs have no beams: three pixels count as one", False),
-    ],
-)
-def test_beams_that_differ_become_one(series, done, here, sizes, options, note, common):
-    out = ["-o", "a", "--no-report"]
-    _, err = done("measure", *series(sizes), *QUICK, *out, *options)
-    assert err.startswith(f"note: {note}")
-    assert config_of(here / "a")["common_beam"] is common
-
-
 def test_images_without_beams_have_none_for_a_core(series, refused):
     words = ["measure", *series([None] * 2), "-o", "out"]
     assert "the epochs have no beams" in refused(*words, "--common-beam")

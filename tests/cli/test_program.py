@@ -183,22 +183,17 @@ def test_messages_name_options_as_they_are_typed(capsys, said, typed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "options", "labels"),
-    [
-        (
-            "measure",
-            ["--n-trials=20", "--no-report"],
-            {"Decomposing", "Correlating", "Searching"},
-        ),
-        ("track", ["--no-figures"], {"Fitting"}),
-    ],
-)
-def test_long_commands_tell_how_far_they_are(
-    name, options, labels, jet, done, monkeypatch
-):
+def test_long_commands_tell_how_far_they_are(jet, done, monkeypatch):
     # As if every half minute, and pytest's standard error is no terminal.
     monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
-    _, err = done(name, *jet, "-o", "out", *options, "--scales", "2")
-    line = rf"^({'|'.join(labels)}): \d+ (?:of \d+|done), \d+\.\d min$"
-    assert set(re.findall(line, err, re.MULTILINE)) == labels
+    for words, labels in (
+        (
+            "measure --n-trials=20 --no-report",
+            {"Decomposing", "Correlating", "Searching"},
+        ),
+        ("track --no-figures", {"Fitting"}),
+    ):
+        name, *options = words.split()
+        _, err = done(name, *jet, "-o", name, *options, "--scales", "2")
+        line = rf"^({'|'.join(labels)}): \d+ (?:of \d+|done), \d+\.\d min$"
+        assert set(re.findall(line, err, re.MULTILINE)) == labels

@@ -96,34 +96,6 @@ def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment", [0, 3])
-def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
-    """Into a folder that has some already, they go one by one."""
-    argv, expected, _ = usual
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "notes.txt").write_text("mine")
-    real, left = os.replace, [moment]
-
-    def replace(old, new):
-        if left[0] == 0:
-            os._exit(9)
-        left[0] -= 1
-        real(old, new)
-
-    monkeypatch.setattr("astro_scc.products.folder.os.replace", replace)
-    child = start([*argv, str(out), "--overwrite"], tmp_path / "log")
-    _, status = os.waitpid(child, 0)
-    monkeypatch.undo()
-    assert os.waitstatus_to_exitcode(status) == 9
-    # Each file is whole.
-    for name, content in contents(out).items():
-        assert content == {**expected, "notes.txt": b"mine"}[name]
-    assert main([*argv, str(out), "--overwrite"]) == 0
-    assert contents(out) == {**expected, "notes.txt": b"mine"}
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
 def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
