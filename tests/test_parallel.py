@@ -11,7 +11,6 @@ import sys
 import time
 from functools import partial
 from operator import truediv
-from pathlib import Path
 
 import pytest
 
@@ -109,37 +108,6 @@ def test_memory_of_the_machine_and_of_a_job(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "resource", None)
     monkeypatch.delattr("os.sysconf")
     assert machine_memory() == math.inf
-
-
-UNENDING = """
-import multiprocessing, sys, time
-from astro_scc.parallel import in_order
-
-def nap(value):
-    time.sleep(0.05)
-    return value
-
-if __name__ == "__main__":
-    for _ in in_order(nap, range(10_000), 2):
-        print(*(p.pid for p in multiprocessing.active_children()), flush=True)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_workers_end_with_a_parent_that_is_killed(tmp_path):
-    script = tmp_path / "parent.py"
-    script.write_text(UNENDING)
-    with subprocess.Popen(
-        [sys.executable, script], stdout=subprocess.PIPE, text=True
-    ) as parent:
-        workers = next(line.split() for line in parent.stdout if len(line.split()) == 2)
-        parent.kill()
-        parent.wait()
-        limit = time.monotonic() + 60
-        while any(Path(f"/proc/{pid}").exists() for pid in workers):
-            assert time.monotonic() < limit
-            time.sleep(0.05)
 
 
 def deadly(values):

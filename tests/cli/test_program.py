@@ -52,19 +52,6 @@ def test_completion_of_a_shell(capsys, monkeypatch):
     assert "needs shtab: pip install shtab" in said.err
 
 
-def test_an_option_of_several_commands_is_explained_alike():
-    (commands,) = (a for a in build_parser()._actions if a.dest == "command")
-    # What differs by what a command makes or takes.
-    own, said = {"--output", "--epochs", "--no-report"}, {}
-    for command in commands.choices.values():
-        for action in command._actions:
-            for option in set(action.option_strings) - own:
-                if option.startswith("--"):
-                    said.setdefault(option, set()).add((action.metavar, action.help))
-    assert {option for option, texts in said.items() if len(texts) > 1} == set()
-    assert len(said) > 25
-
-
 @pytest.mark.parametrize("angle", ["-112deg", "-112 deg", "-.5rad", "-112", "radial"])
 def test_angles_below_zero_are_no_options(angle):
     words = ["measure", "a.fits", "-o", "out", "--position-angle", angle, "--quiet"]
