@@ -332,6 +332,7 @@ class _Cluster:
 
     def check(self, function):
         """Raise an OSError if the workers cannot import the function."""
+        function = getattr(function, "func", function)
         name = getattr(function, "__module__", None) or "builtins"
 
         def load(_):

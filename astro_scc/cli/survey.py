@@ -87,7 +87,6 @@ def survey(args, reporter):
         reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
 
     def done(name, outcomes, before):
-        name = name if name.isprintable() else ascii(name)
         failed = {o.message for o in outcomes if o.status == "failed"}
         for message in sorted(failed):
             reporter.warn(f"{name}: {message}")

@@ -6,7 +6,6 @@ import hashlib
 import json
 import re
 import shutil
-import tomllib
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -349,18 +348,16 @@ def write_survey(args, output, reporter):
         asked = {k: str(v) for k, v in how.items()} | {"seed": args.seed}
         made_of = [made_of, state.st_size, state.st_mtime_ns, asked]
     head, path = f"{HEAD} {json.dumps(made_of)}", output / PLAN
-    before = path.read_text(encoding="utf-8") if path.is_file() else ""
+    values, before = read_toml(path) if path.is_file() else ({}, "")
     # Images that were not restored here must not be deleted.
     if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
         raise OSError(
             f"{output}: exists and is not of a survey of a table; choose another folder"
         )
     # What was added to the file stays, and so do the sources of other calls.
-    text = before if before.startswith(f"{head}\n") else f"{head}\n\n{published}"
-    try:
-        known = tomllib.loads(text).get("sources", {})
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: {first_line(error)}") from None
+    text, known = before, values.get("sources", {})
+    if not text.startswith(f"{head}\n"):
+        text, known = f"{head}\n\n{published}", {}
     for name, files in epochs.items():
         if name not in known:
             table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"

@@ -127,7 +127,7 @@ def test_folders_of_images(done, refused, here):
     assert set(table["redshift"][table["source"] == "two"]) == {0.158}
     assert tomllib.loads(plan.read_text())["sources"]["two"]["n_trials"] == 50
     plan.write_text(f"{plan.read_text()}n_trials = \n")
-    assert "survey.toml: Invalid value" in refused(*argv)
+    assert "survey.toml: is not a TOML file: Invalid value" in refused(*argv)
 
 
 def test_redshifts_and_folders_that_make_no_sense(refused, here):
