@@ -261,13 +261,10 @@ class _Processes:
 def _serve(pipe):
     """Work in a process."""
     # The parent handles the signals of its terminal, and then ends its workers.
-    for name, handler in (
-        ("SIGINT", signal.SIG_IGN),
-        ("SIGHUP", signal.SIG_IGN),
-        ("SIGTERM", signal.SIG_DFL),
-    ):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), handler)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 

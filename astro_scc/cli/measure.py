@@ -287,11 +287,6 @@ def explore(args, reporter):
         what = "does not exist" if error.filename else "is no FITS file"
         raise OSError(f"{folder / 'scc.fits'}: {what}; measure again") from None
     with hdus:
-        if "FEATURES" not in hdus or "pm_axis1" not in hdus["FEATURES"].columns.names:
-            raise ValueError(
-                f"{folder}: is of an earlier version, without the positions of the "
-                "features; measure again"
-            )
         cube, notes = _images(folder / "config.toml", hdus[0].header, reporter)
         page = folder / "explore.html"
         path = write_explore(page, *tables, hdus, cube=cube, notes=notes)
