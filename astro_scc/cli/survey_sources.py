@@ -85,8 +85,8 @@ class Source:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
-        """Return the size of the epochs in bytes, at least 1."""
-        return max(sum(_facts(path)[1] for path in self._epochs()), 1)
+        """Return the size of the epochs in bytes."""
+        return sum(_facts(path)[1] for path in self._epochs())
 
     def _epochs(self):
         """Return the paths of the epochs; a pattern that matches nothing is one."""

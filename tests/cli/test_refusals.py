@@ -83,7 +83,6 @@ static . | .: exists and is not empty
 --seed x | --seed 'x' must be a whole number
 --after 2011-01-01 | no component is left
 --origin core | no core component (feature 0)
---source M87,3C120 | --source: restore takes one source, survey
 --source M87 | no source 'M87'; it does not say of which source it is
 """,
     'restore -o out --beam "1 mas" --pixel "0.1 mas"': """
