@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from astro_scc.cli import main
 from astro_scc.parallel import _result, as_done, in_order, workers_of
 
 distributed = pytest.importorskip("distributed")
@@ -58,6 +59,17 @@ def test_results_come_in_order_and_as_needed():
         with workers_of(cluster) as same:
             assert same is cluster
         assert cluster.status == "running"
+
+
+def test_a_survey_on_a_cluster(tmp_path, capsys):
+    plan, out = tmp_path / "s.toml", tmp_path / "out"
+    plan.write_text("[sources.A]\nepochs = 'no.fits'\n")
+    with cluster_of(1) as client:
+        address = client.scheduler.address
+        assert main(f"survey {plan} -o {out} --scheduler {address}".split()) == 2
+    err = capsys.readouterr().err
+    assert "note: dashboard of the cluster: http" in err
+    assert "no source could be measured" in err
 
 
 @pytest.mark.slow
