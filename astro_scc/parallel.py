@@ -4,27 +4,30 @@
 import importlib
 import logging
 import math
-import multiprocessing
 import os
 import signal
 import threading
 import time
 import traceback
 import warnings
-from collections import deque
-from concurrent.futures import BrokenExecutor, CancelledError, Future
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import ExitStack, closing, contextmanager, suppress
-from functools import partial
+from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.reduction import ForkingPickler
 from numbers import Integral
 from pathlib import Path
+from queue import SimpleQueue
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.
 WAITING = 2
-#: Seconds that a process has to end.
-GRACE = 2
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 15
 #: Seconds to wait for workers of a cluster that has none, and between two checks.
@@ -105,13 +108,10 @@ def in_order(function, pieces, n_workers, *, context=None):
     with workers_of(n_workers) as workers:
         if workers == 1:
             yield from map(function, pieces)
-        elif isinstance(workers, int):
-            with closing(_Pool(workers, context)) as pool:
-                for _, future in _in_pool(pool, function, enumerate(pieces)):
-                    yield _result(future.result)
-        else:
-            for _, get in _on_cluster(workers, function, pieces):
-                yield _result(get)
+            return
+        with _pool(workers, context, function) as pool:
+            for _, future in _each_done(pool, function, enumerate(pieces)):
+                yield _result(future)
 
 
 def as_done(function, pieces, n_workers, *, context=None):
@@ -122,16 +122,32 @@ def as_done(function, pieces, n_workers, *, context=None):
     `Exception` that was raised.  A piece whose process dies is tried once more, alone,
     before it counts as failed.  Arguments and errors are those of `in_order`.
     """
+    items, lost = enumerate(pieces), []
+
+    def until_lost():
+        while not lost and (item := next(items, None)):
+            yield item
+
     with workers_of(n_workers) as workers:
         if workers == 1:
-            for index, piece in enumerate(pieces):
+            for index, piece in items:
                 yield index, _outcome(function, piece)
-        elif isinstance(workers, int):
-            yield from _as_done(function, enumerate(pieces), workers, context)
-        else:
-            done = _on_cluster(workers, function, pieces, ordered=False)
-            for (index, _), get in done:
-                yield index, _outcome(_result, get)
+            return
+        while True:
+            lost.clear()
+            with _pool(workers, context, function) as pool:
+                done = _each_done(pool, function, until_lost(), ordered=False)
+                for item, future in done:
+                    if isinstance(future.exception(), BrokenExecutor):
+                        lost.append(item)
+                    else:
+                        yield item[0], _outcome(_result, future)
+            for index, piece in lost:
+                # Alone, so that it has all of the memory.
+                with _pool(1, context, function) as pool:
+                    yield index, _outcome(_result, pool.submit(function, piece))
+            if not lost:
+                return
 
 
 def _outcome(function, *args):
@@ -141,10 +157,10 @@ def _outcome(function, *args):
         return error
 
 
-def _result(get):
-    """Get the result of a future, or raise a uniform error for lost workers."""
+def _result(future):
+    """Return the result of a future, or raise a uniform error for lost workers."""
     try:
-        return get()
+        return future.result()
     except BrokenExecutor:
         raise ChildProcessError(DIED) from None
     except CancelledError:
@@ -159,154 +175,96 @@ def _result(get):
         ) from None
 
 
-def _each_done(items, waiting, submit, wait_for, n_workers, ordered):
+def _each_done(pool, function, items, *, ordered=True):
     """Yield numbered pieces and their futures, once they are done."""
+    waiting = {}
 
     def next_done():
-        futures = [future for _, future in waiting]
-        wait_for(futures[:1] if ordered else futures)
-        done = (k for k, future in enumerate(futures) if ordered or future.done())
-        return waiting.pop(next(done))
+        futures = list(waiting)[: 1 if ordered else None]
+        pool.wait(futures)
+        done = next(future for future in futures if future.done())
+        return waiting.pop(done), done
 
     for item in items:
-        waiting.append((item, submit(item[1])))
-        if len(waiting) > WAITING * n_workers():
+        waiting[pool.submit(function, item[1])] = item
+        if len(waiting) > WAITING * pool.n_workers:
             yield next_done()
     while waiting:
         yield next_done()
 
 
-def _in_pool(pool, function, items, *, ordered=True):
-    """Yield numbered pieces and their futures, once processes have done them."""
-    how = partial(pool.submit, function), pool.wait, lambda: pool.n_workers, ordered
-    return _each_done(items, [], *how)
+@contextmanager
+def _pool(workers, context, function):
+    """Open processes or a cluster that can work on a function."""
+    local = isinstance(workers, int)
+    pool = _Processes(workers, context) if local else _Cluster(workers)
+    with closing(pool):
+        pool.check(function)
+        yield pool
 
 
-def _as_done(function, items, n_workers, context):
-    def until_broken():
-        while not lost and (item := next(items, None)):
-            yield item
-
-    while True:
-        lost = []
-        with closing(_Pool(n_workers, context)) as pool:
-            # If processes cannot start at all, no piece is tried.
-            pool.call(eval, "None")
-            done = _in_pool(pool, function, until_broken(), ordered=False)
-            for item, future in done:
-                if isinstance(future.exception(), BrokenExecutor):
-                    lost.append(item)
-                else:
-                    yield item[0], _outcome(_result, future.result)
-        for index, piece in lost:
-            # Alone, so that it cannot harm other pieces.
-            with closing(_Pool(1, context)) as pool:
-                yield index, _outcome(pool.call, function, piece)
-        if not lost:
-            return
-
-
-class _Worker:
-    """A process, the parent's end of its pipe, and the future of its task."""
-
-    def __init__(self, context):
-        self.pipe, theirs = context.Pipe()
-        self.future = None
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        # The end of the file is only seen where nobody else can write.
-        with theirs:
-            self.process.start()
-
-
-class _Pool:
+class _Processes:
     """
-    Processes that share nothing: each has a pipe for tasks and results.
+    Processes that share nothing: each has a pipe, and a thread here that waits for it.
 
     One that is killed, at whatever moment, ends its own message and holds no lock, as
-    it would with the queues of `concurrent.futures`.  It breaks the pool: whatever is
-    not done fails with a BrokenExecutor, and the other processes are killed.
+    it would with the queues of `concurrent.futures`.
     """
 
     def __init__(self, n_workers, context):
         self.n_workers = n_workers
-        self._context = multiprocessing.get_context(context)
-        self._workers, self._tasks = [], deque()
+        context, self._processes, self._pipes = get_context(context), [], SimpleQueue()
+        for _ in range(n_workers):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            self._processes.append(process)
+            # The end of the file is only seen where nobody else can write.
+            with theirs:
+                process.start()
+            self._pipes.put(ours)
+        self._threads = ThreadPoolExecutor(n_workers)
+
+    def check(self, function):
+        """Raise an error if processes cannot start at all."""
+        _result(self.submit(eval, "None"))
 
     def submit(self, function, piece):
-        """Return the future of a call, of which `wait` gets the result."""
-        future = Future()
-        self._tasks.append((future, ForkingPickler.dumps((function, piece))))
-        self._send()
-        return future
+        """Return the future of a call."""
+        return self._threads.submit(self._call, function, piece)
 
-    def call(self, function, piece):
-        """Return the result of a call."""
-        future = self.submit(function, piece)
-        self.wait([future])
-        return _result(future.result)
+    def _call(self, *task):
+        pipe = self._pipes.get()
+        try:
+            pipe.send_bytes(ForkingPickler.dumps(task))
+            answer = pipe.recv_bytes()
+        except (EOFError, OSError):
+            raise BrokenExecutor from None
+        finally:
+            self._pipes.put(pipe)
+        error, result = ForkingPickler.loads(answer)
+        if error is not None:
+            raise error
+        return result
 
     def wait(self, futures):
-        """Wait until one of the futures is done."""
-        while not any(future.done() for future in futures):
-            ready = wait_for_any([worker.pipe for worker in self._workers])
-            for worker in [w for w in self._workers if w.pipe in ready]:
-                try:
-                    answer = worker.pipe.recv_bytes()
-                except (EOFError, OSError):
-                    self._break()
-                    break
-                future, worker.future = worker.future, None
-                try:
-                    error, result = ForkingPickler.loads(answer)
-                except Exception as wrong:
-                    error = wrong
-                if error is None:
-                    future.set_result(result)
-                else:
-                    future.set_exception(error)
-            self._send()
-
-    def _send(self):
-        """Send tasks to processes that have none."""
-        try:
-            # All start at once, for a task is sent no faster than its process starts.
-            while len(self._workers) < self.n_workers:
-                self._workers.append(_Worker(self._context))
-            for worker in self._workers:
-                if worker.future is None and self._tasks:
-                    worker.future, task = self._tasks.popleft()
-                    worker.pipe.send_bytes(task)
-        except (ConnectionError, EOFError):
-            self._break()
-
-    def _break(self):
-        futures = [w.future for w in self._workers] + [f for f, _ in self._tasks]
-        self._tasks.clear()
-        self.close()
-        for future in futures:
-            if future is not None:
-                future.set_exception(BrokenExecutor())
+        """Wait until one future is done."""
+        wait(futures, return_when=FIRST_COMPLETED)
 
     def close(self):
         """Kill the processes, even at work."""
-        for worker in self._workers:
-            worker.process.kill()
-        while self._workers:
-            worker = self._workers.pop()
-            worker.process.join(GRACE)
-            worker.pipe.close()
+        for process in self._processes:
+            process.kill()
+            process.join()
+        self._threads.shutdown(cancel_futures=True)
 
 
 def _serve(pipe):
     """Work in a process."""
     # The parent handles the signals of its terminal, and then ends its workers.
-    for name, handler in (
-        ("SIGINT", signal.SIG_IGN),
-        ("SIGHUP", signal.SIG_IGN),
-        ("SIGTERM", signal.SIG_DFL),
-    ):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), handler)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
@@ -333,54 +291,13 @@ def _answer(task):
 
 
 def _end_with_parent():
-    wait_for_any([multiprocessing.parent_process().sentinel])
+    wait_for_any([parent_process().sentinel])
     os._exit(1)
 
 
 @contextmanager
 def open_client(address):
     """Connect to a Dask scheduler, such as ``tcp://node1:8786``, in this context."""
-    distributed = _dask()
-    try:
-        # A client that is refused an address would try to close itself for long.
-        distributed.comm.resolve_address(address)
-        client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
-    except (OSError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise OSError(f"scheduler {address}: cannot be reached: {reason}") from None
-    with _without_logs(), client:
-        yield client
-
-
-@contextmanager
-def open_local(n_workers):
-    """Start a Dask cluster of one-thread processes on this machine in this context."""
-    distributed = _dask()
-    options = {"processes": True, "threads_per_worker": 1, "memory_limit": None}
-    with warnings.catch_warnings():
-        # If the usual port of the dashboard is taken, it gets another one.
-        warnings.filterwarnings("ignore", "Port 8787", UserWarning)
-        cluster = distributed.LocalCluster(n_workers=n_workers, **options)
-    with (
-        _without_logs(),
-        cluster,
-        distributed.Client(cluster, set_as_default=False) as client,
-    ):
-        yield client
-
-
-@contextmanager
-def _without_logs():
-    """Keep quiet about lost workers and schedulers, of which there is one error."""
-    with ExitStack() as stack:
-        for name in ("distributed", "distributed.client", "asyncio"):
-            log = logging.getLogger(name)
-            stack.callback(log.setLevel, log.level)
-            log.setLevel(logging.CRITICAL)
-        yield
-
-
-def _dask():
     try:
         import distributed
     except ImportError:
@@ -388,67 +305,88 @@ def _dask():
             "a scheduler needs Dask: pip install distributed, or give a number "
             "of processes"
         ) from None
-    return distributed
-
-
-def _on_cluster(client, function, pieces, *, ordered=True):
-    """
-    Yield numbered pieces, once a cluster has done them, and how to get their results.
-
-    Another worker repeats a piece whose worker dies.
-    """
-    _check_import(client, function)
-    submit = partial(_submit, client, _one_thread, function)
-    how = submit, partial(_wait_on_cluster, client), partial(_threads, client), ordered
-    waiting = []
     try:
-        for item, future in _each_done(enumerate(pieces), waiting, *how):
-            # A worker may take a result with it when it ends.
-            yield item, partial(_while_workers, client, future.result)
-    finally:
-        if client.status == "running":
-            client.cancel([future for _, future in waiting])
+        # A client that is refused an address would try to close itself for long.
+        distributed.comm.resolve_address(address)
+        client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise OSError(f"scheduler {address}: cannot be reached: {reason}") from None
+    with ExitStack() as stack:
+        # Of lost workers and schedulers there is one error.
+        for name in ("distributed", "distributed.client", "asyncio"):
+            log = logging.getLogger(name)
+            stack.callback(log.setLevel, log.level)
+            log.setLevel(logging.CRITICAL)
+        yield stack.enter_context(client)
 
 
-def _threads(client):
-    return max(sum(_ask(client, client.nthreads).values()), 1)
+class _Cluster:
+    """A Dask cluster, on which another worker repeats a piece whose worker dies."""
 
+    def __init__(self, client):
+        self._client, self._pool = client, client.get_executor(pure=False)
 
-def _check_import(client, function):
-    """Raise an OSError if the workers cannot import the function."""
-    name = getattr(function, "__module__", None) or "builtins"
+    def check(self, function):
+        """Raise an OSError if the workers cannot import the function."""
+        function = getattr(function, "func", function)
+        name = getattr(function, "__module__", None) or "builtins"
 
-    def load():
-        # Pickled by value, since this module may be the missing one.
-        importlib.import_module(name)
+        def load(_):
+            # Pickled by value, since this module may be the missing one.
+            importlib.import_module(name)
 
-    future = _submit(client, load)
-    _wait_on_cluster(client, [future])
-    try:
-        _result(partial(_while_workers, client, future.result))
-    except ImportError as error:
-        raise OSError(
-            f"workers of the scheduler cannot import {name} ({error}); install there "
-            "what is installed here"
-        ) from None
+        future = self._submit(load, None)
+        self.wait([future])
+        try:
+            _result(future)
+        except ImportError as error:
+            raise OSError(
+                f"workers of the scheduler cannot import {name} ({error}); install "
+                "there what is installed here"
+            ) from None
 
+    @property
+    def n_workers(self):
+        """Number of threads of all workers, at least 1."""
+        return max(sum(self._ask(self._client.nthreads).values()), 1)
 
-def _ask(client, ask, *args, **options):
-    """Ask the scheduler, and raise a uniform error if it is lost."""
-    try:
-        return ask(*args, **options)
-    except Exception as error:
-        if client.status == "running" and not isinstance(error, OSError):
-            raise
-        raise OSError(LOST) from None
+    def submit(self, function, piece):
+        """Return the future of a call."""
+        return self._submit(_one_thread, function, piece)
 
+    def _submit(self, *call):
+        with warnings.catch_warnings():
+            # Pieces are large, but each is sent once to one worker.  Scattered data
+            # would be lost with the worker that holds them.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            return self._ask(self._pool.submit, *call)
 
-def _submit(client, function, *args):
-    with warnings.catch_warnings():
-        # Pieces are large, but each is sent once to one worker.  Scattered data would
-        # be lost with the worker that holds them.
-        warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-        return _ask(client, client.submit, function, *args, pure=False)
+    def wait(self, futures):
+        """Wait until one future is done, as long as there are workers."""
+        last = time.monotonic()
+        while not wait(futures, LOOK, FIRST_COMPLETED).done:
+            if self._ask(self._client.nthreads):
+                last = time.monotonic()
+            elif time.monotonic() - last >= WITHOUT_WORKERS:
+                raise OSError(
+                    f"the scheduler has had no workers for {WITHOUT_WORKERS} s; start "
+                    "some, or see in their logs why they end"
+                )
+
+    def _ask(self, ask, *args):
+        """Ask the scheduler, and raise a uniform error if it is lost."""
+        try:
+            return ask(*args)
+        except Exception as error:
+            if self._client.status == "running" and not isinstance(error, OSError):
+                raise
+            raise OSError(LOST) from None
+
+    def close(self):
+        """Cancel what is not done."""
+        if self._client.status == "running":
+            self._pool.shutdown(wait=False)
 
 
 def _one_thread(function, piece):
@@ -456,35 +394,3 @@ def _one_thread(function, piece):
 
     with threadpool_limits(1):
         return function(piece)
-
-
-def _wait_on_cluster(client, futures):
-    """Wait until one future is done, as long as there are workers."""
-    from distributed import wait
-
-    def wait_for(timeout):
-        # All futures are cancelled when the scheduler is lost.
-        with client.as_current(), suppress(CancelledError):
-            wait(futures, timeout=timeout, return_when="FIRST_COMPLETED")
-
-    _while_workers(client, wait_for)
-
-
-def _while_workers(client, ask):
-    """Ask with a timeout, again and again as long as there are workers."""
-    last = time.monotonic()
-    while True:
-        begin = time.monotonic()
-        try:
-            return ask(timeout=LOOK)
-        except TimeoutError:
-            # The function may have raised it.
-            if time.monotonic() - begin < LOOK:
-                raise
-        if _ask(client, client.nthreads):
-            last = time.monotonic()
-        elif time.monotonic() - last >= WITHOUT_WORKERS:
-            raise OSError(
-                f"the scheduler has had no workers for {WITHOUT_WORKERS} s; start "
-                "some, or see in their logs why they end"
-            )

@@ -1,13 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Hidden folders for incomplete output, and what is written of text and versions."""
 
-import hashlib
 import os
-import platform
-import re
 import secrets
 import shutil
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -21,14 +18,13 @@ def partial_folder(parent, prefix):
     ----------
     parent : `~pathlib.Path`
     prefix : str
-        Start of the folder's name.  Folders with this prefix that killed
-        processes left behind are removed, see `remove_left`.
+        Start of the folder's name.
 
     Yields
     ------
     `~pathlib.Path`
         The folder.  It is deleted with its contents when the block ends,
-        unless it has been renamed by then.
+        unless it has been renamed by then.  A killed process leaves it.
 
     Raises
     ------
@@ -47,18 +43,12 @@ def partial_folder(parent, prefix):
     >>> [path.name for path in Path("out").iterdir()]
     ['a.txt']
     """
-    remove_left(parent, prefix)
-    with ExitStack() as stack:
-        while True:
-            folder = Path(parent) / f"{prefix}{_machine()}-{secrets.token_hex(4)}"
-            folder.mkdir()
-            # Before it is held, another process may remove it as left behind.
-            with suppress(BlockingIOError):
-                stack.enter_context(hold(folder))
-                if folder.exists():
-                    break
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+    folder = Path(parent) / f"{prefix}{secrets.token_hex(4)}"
+    try:
+        folder.mkdir()
         yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
@@ -105,78 +95,6 @@ def make_folder(path, named):
         raise OSError(f"{named}: {what}; choose another folder") from None
     except OSError as error:
         raise OSError(f"{named}: cannot be made or used: {error.strerror}") from None
-
-
-def remove_left(parent, prefix):
-    """
-    Remove the folders of `partial_folder` that killed processes left behind.
-
-    Only folders that were made on this machine and that no process holds are
-    removed.  A process holds its folder by a lock, which ends with the process;
-    on systems without such locks nothing is removed.
-
-    Parameters
-    ----------
-    parent : `~pathlib.Path`
-    prefix : str
-
-    Returns
-    -------
-    list of `~pathlib.Path`
-        The folders with this prefix that remain.
-    """
-    # Eight digits of the machine, and eight random ones.
-    names = re.compile(re.escape(prefix) + "[0-9a-f]{8}-[0-9a-f]{8}")
-    stay = []
-    for path in sorted(p for p in Path(parent).glob("*") if names.fullmatch(p.name)):
-        if path.is_symlink() or not path.is_dir():
-            continue
-        with suppress(OSError), hold(path) as held:
-            if held and path.name.startswith(prefix + _machine()):
-                shutil.rmtree(path)
-        if path.exists():
-            stay.append(path)
-    return stay
-
-
-def _machine():
-    """Return eight hexadecimal digits that stand for this machine."""
-    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
-
-
-@contextmanager
-def hold(folder):
-    """
-    Hold a folder within this context, where the system can lock folders.
-
-    Parameters
-    ----------
-    folder : path
-
-    Yields
-    ------
-    bool
-        Whether the folder is locked.
-
-    Raises
-    ------
-    BlockingIOError
-        If another process, or another part of this one, holds the folder.
-    """
-    with ExitStack() as stack:
-        try:
-            import fcntl
-
-            number = os.open(folder, os.O_RDONLY)
-            stack.callback(os.close, number)
-            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = True
-        except BlockingIOError:
-            raise
-        except (ImportError, OSError):
-            # Windows and some network file systems have no such locks.
-            held = False
-        yield held
 
 
 def ascii_line(text):

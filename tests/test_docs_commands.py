@@ -19,6 +19,7 @@ from astro_scc.simulation import JetSimulation, Stream
 
 REPOSITORY = Path(__file__).parents[1]
 IMAGES = REPOSITORY / "docs" / "images" / "start"
+START = REPOSITORY / "docs" / "start.rst"
 PAGES = sorted(
     [
         *(REPOSITORY / "docs").glob("*.rst"),
@@ -35,9 +36,9 @@ SCRIPT = re.compile(
 )
 
 
-def unfolded(path):
-    """The text of a page, with lines that end in a backslash joined."""
-    return re.sub(r" *\\\n +", " ", path.read_text(encoding="utf-8"))
+def unfolded(text):
+    """A text with lines that end in a backslash joined."""
+    return re.sub(r" *\\\n +", " ", text)
 
 
 def commands(text):
@@ -50,12 +51,13 @@ def commands(text):
                 yield words.partition(" > ")[0]
 
 
-SHOWN = [(page.name, words) for page in PAGES for words in commands(unfolded(page))]
-
-
-#: The same of the help of each command.
-SHOWN += [(name, words) for name, own in COMMANDS.items() for words in commands(
-    re.sub(r" *\\\n +", " ", own["epilog"]))]  # fmt: skip
+TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
+HELP = {Path(name): own["epilog"] for name, own in COMMANDS.items()}
+SHOWN = [
+    (page.name, words)
+    for page, text in (TEXTS | HELP).items()
+    for words in commands(unfolded(text))
+]
 
 
 @pytest.mark.parametrize(("page", "words"), SHOWN)
@@ -83,7 +85,7 @@ def test_what_is_shown_is_found():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_every_script_of_the_documentation_is_there(page):
-    for match in SCRIPT.finditer(unfolded(page)):
+    for match in SCRIPT.finditer(unfolded(TEXTS[page])):
         script, options = match[1] or match[3], match[2] or match[4] or ""
         source = REPOSITORY / script
         if script.startswith("benchmarks/") and not source.parent.is_dir():
@@ -97,19 +99,17 @@ def test_every_script_of_the_documentation_is_there(page):
 @pytest.mark.slow
 def test_the_first_page_shows_what_its_commands_write(tmp_path, shared_data):
     tool = runpy.run_path(str(REPOSITORY / "tools" / "first_jet.py"))
-    assert [words[0] for words in tool["commands"]("t.txt")] == [
-        *("restore", "inspect", "measure")
-    ]
+    shown = [words[0] for words in tool["commands"]("t.txt")]
+    assert shown == ["restore", "inspect", "measure"]
     tool["keep"](shared_data, tmp_path, ["--before", "1996-09-01"])
-    shown = [REPOSITORY / "docs" / f"{page}.rst" for page in ("start", "method")]
-    text = "".join(page.read_text(encoding="utf-8") for page in shown)
+    text = TEXTS[START] + TEXTS[START.with_name("method.rst")]
     for path in tmp_path.iterdir():
         assert f"images/start/{path.name}" in text
         assert (IMAGES / path.name).stat().st_size < 250_000
 
 
 def test_numbers_of_the_first_page():
-    page = " ".join((REPOSITORY / "docs" / "start.rst").read_text("utf-8").split())
+    page = " ".join(TEXTS[START].split())
     printed = (IMAGES / "measure.txt").read_text(encoding="utf-8")
     pattern = r"^\d +moving +([\d.]+) \+- ([\d.]+) .* (\d+)$"
     ((speed, error, n),) = re.findall(pattern, printed, re.MULTILINE)
@@ -121,10 +121,8 @@ def test_numbers_of_the_first_page():
 
 def blocks(page, language):
     """The code blocks of a language, without their indentation."""
-    text = page.read_text(encoding="utf-8")
-    found = re.findall(
-        rf"^\.\. code-block:: {language}\n\n((?:(?: +.*)?\n)+)", text, re.MULTILINE
-    )
+    pattern = rf"^\.\. code-block:: {language}\n\n((?:(?: +.*)?\n)+)"
+    found = re.findall(pattern, TEXTS[page], re.MULTILINE)
     return [re.sub(r"^ {1,4}", "", block, flags=re.MULTILINE) for block in found]
 
 

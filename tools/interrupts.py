@@ -169,8 +169,10 @@ def stop_and_go_on(words, folder, expected, *, how, after, launch=launch):
     start = time.monotonic()
     again = end_of(launch(words, log))
     seconds = time.monotonic() - start
-    rest = [path.name for path in Path(folder).rglob("*partial-*")]
-    rest += [path.name for path in Path(folder).rglob(".astro_scc-*-*")]
+    rest = [path.name for path in Path(folder).rglob(".*") if path.name != WORK]
+    if how == signal.SIGKILL:
+        # Who is killed cannot delete its hidden folder.
+        rest = []
     said = log.read_text(encoding="utf-8") if log.exists() else ""
     same = tables(out) == expected
     return Trial(how, after, status, left, again, seconds, same, tuple(rest), said)

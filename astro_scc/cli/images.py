@@ -87,8 +87,6 @@ def _of_option(message):
 
 def restore(args, reporter):
     """Make images from lists of components according to the arguments."""
-    if args.source and "," in args.source:
-        raise ValueError("--source: restore takes one source, survey takes several")
     how = images_of(args)
     found = read_components(
         args.tables, source=args.source, origin=args.origin, beams=how["beam"]

@@ -3,7 +3,7 @@
 
 import math
 import shlex
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -53,10 +53,8 @@ def measure(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     output, overwrite = inputs.output_of(args, settings), args.overwrite
     reporter.resumes = args.resume
-    with (
-        working_folder(output, overwrite) if args.resume else nullcontext() as work,
-        product_folder(output, overwrite=overwrite or work, stale=STALE) as folder,
-    ):
+    work = working_folder(output, overwrite) if args.resume else None
+    with product_folder(output, overwrite=overwrite or work, stale=STALE) as folder:
         if work and settings.seed is None:
             settings = replace(settings, seed=kept_seed(work))
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
@@ -144,27 +142,16 @@ def write_measurement(
     return components
 
 
-@contextmanager
 def working_folder(output, overwrite):
-    """Make the folder that --resume needs; remove it if a failed run left nothing."""
+    """Make and return the folder that --resume needs."""
     work = output / WORK
     if not (overwrite or work.is_dir()) and output.is_dir() and any(output.iterdir()):
         raise OSError(
             f"{output}: exists and is not of a run with --resume; choose another "
             "folder, or --overwrite"
         )
-    made = [p for p in (work, *work.parents) if not p.exists()]
     make_folder(work, output)
-    try:
-        yield work
-    except BaseException:
-        # A seed alone is nothing to resume from.
-        if made and {p.name for p in work.iterdir()} <= {SEED}:
-            (work / SEED).unlink(missing_ok=True)
-            for folder in made:
-                with suppress(OSError):
-                    folder.rmdir()
-        raise
+    return work
 
 
 def kept_seed(work):
@@ -236,8 +223,11 @@ def demo(args, reporter):
     jet.truth.meta["seed"] = DEMO_SEED
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         *files, _ = write_simulation(jet, folder / "epochs")
-        region = folder / "region.reg"
-        _write_region(region, jet.cube.shape[1:])
+        region, height = folder / "region.reg", jet.cube.shape[1]
+        # Pixels of DS9 count from 1.
+        x, y, width = (FIRST + LAST) / 2 + 1, (height + 1) / 2, LAST - FIRST + 1
+        box = f"box({x},{y},{width},{height},0)"
+        region.write_text(f"image\n{box}\n", encoding="ascii")
         settings = Settings(
             epochs=[str(path) for path in files],
             region=str(region),
@@ -261,15 +251,6 @@ def demo(args, reporter):
         *answer.component_lines(components, result.features),
         f"\nReport: {output / 'report.html'}",
     )
-
-
-def _write_region(path, shape):
-    """Write the jet between ``FIRST`` and ``LAST`` as a DS9 region."""
-    from regions import PixCoord, RectanglePixelRegion, Regions
-
-    centre = PixCoord((FIRST + LAST) / 2, (shape[0] - 1) / 2)
-    box = RectanglePixelRegion(centre, LAST - FIRST + 1, shape[0])
-    Regions([box]).write(path, format="ds9", precision=12)
 
 
 def _truth_lines(jet):
@@ -304,11 +285,6 @@ def explore(args, reporter):
         what = "does not exist" if error.filename else "is no FITS file"
         raise OSError(f"{folder / 'scc.fits'}: {what}; measure again") from None
     with hdus:
-        if "FEATURES" not in hdus or "pm_axis1" not in hdus["FEATURES"].columns.names:
-            raise ValueError(
-                f"{folder}: is of an earlier version, without the positions of the "
-                "features; measure again"
-            )
         cube, notes = _images(folder / "config.toml", hdus[0].header, reporter)
         page = folder / "explore.html"
         path = write_explore(page, *tables, hdus, cube=cube, notes=notes)

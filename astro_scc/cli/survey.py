@@ -12,7 +12,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
@@ -25,7 +25,7 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, read_table, workers_of
-from astro_scc.cli.measure import WORK, write_measurement
+from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
 from astro_scc.columns import round_to_errors, table_lines
@@ -49,19 +49,13 @@ if TYPE_CHECKING:
 __all__ = ["run_survey"]
 
 TABLE = "survey.ecsv"
-#: Prefix of the folder of a source until it is complete.
-PARTIAL = "partial-"
+#: Prefix of a folder until it is complete.
+PARTIAL = ".partial-"
 #: Why there is nothing to test.
 NO_MATCH = "no match that could be tested"
 NO_PATTERN = "no significant pattern here on these scales"
 #: Options on images that are restored from components.
 RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
-#: A unit in the header of an ECSV file to which others refer, and the item of its meta
-#: on columns that are objects.
-UNIT = re.compile(r"&(id\d+) (!astropy\.units\.Unit \{[^}]*\})")
-OBJECTS = re.compile(
-    r"# - \{?__serialized_columns__.*?(?=\n# - |\n# schema: |\Z)", re.S
-)
 #: Columns that identify a row of the table, and their descriptions.
 HEAD = {
     "source": "name of the source",
@@ -77,8 +71,6 @@ def survey(args, reporter):
     n_workers, output = workers_of(args), Path(args.output)
     reporter.resumes = True
     of_file = Path(args.survey).suffix.lower() == ".toml"
-    if of_file and args.redshifts:
-        raise ValueError("--redshifts is not for a .toml file; write them to it")
     if of_file or Path(args.survey).is_dir():
         for name in RESTORING:
             if getattr(args, name) is not None:
@@ -86,27 +78,25 @@ def survey(args, reporter):
                     f"--{name} is for a table of components, not for {args.survey}; "
                     "settings are written into survey.toml"
                 )
-    if of_file:
-        plan, report = sources.read_survey(args.survey), args.report is not False
-    else:
-        plan, report = sources.survey_of(args, output, reporter), bool(args.report)
+    redshifts = sources.read_redshifts(args.redshifts) if args.redshifts else {}
+    path = args.survey if of_file else sources.write_survey(args, output, reporter)
+    plan = sources.read_survey(path, redshifts)
+    report = of_file if args.report is None else args.report
+    if unknown := redshifts.keys() - {source.name for source in plan.sources}:
+        some = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
 
     def done(name, outcomes, before):
-        name = name if name.isprintable() else ascii(name)
         failed = {o.message for o in outcomes if o.status == "failed"}
         for message in sorted(failed):
             reporter.warn(f"{name}: {message}")
         if not failed and not sys.stderr.isatty():
             reporter.say(f"{name}: {'finished before' if before else 'done'}")
 
-    with ExitStack() as stack:
-        if not isinstance(n_workers, int):
-            client = parallel.open_client(n_workers)
-            if n_workers == "local":
-                client = parallel.open_local(args.workers or 1)
-            n_workers = stack.enter_context(client)
-            reporter.note(f"dashboard of the cluster: {n_workers.dashboard_link}")
-        how = {"n_workers": n_workers, "progress_bar": reporter.progress}
+    with parallel.workers_of(n_workers) as workers:
+        if workers is not n_workers:
+            reporter.note(f"dashboard of the cluster: {workers.dashboard_link}")
+        how = {"n_workers": workers, "progress_bar": reporter.progress}
         table = run_survey(plan, output, report=report, done=done, **how)
     reporter.say(*_summary(table))
     if set(table["status"]) == {"failed"}:
@@ -181,8 +171,7 @@ def run_survey(
     Raises
     ------
     OSError
-        If the folder has other files, another run writes there, or it cannot
-        be written to.
+        If the folder has other files, or it cannot be written to.
 
     Examples
     --------
@@ -203,32 +192,17 @@ def run_survey(
     ({'Jet'}, {'measured'})
     """
     output = Path(output).absolute()
-    work = output / WORK
     plan = output / sources.PLAN
     if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
-    for folder in (output / SOURCES, work):
-        writing.make_folder(folder, output)
-    try:
-        with writing.hold(work):
-            with writing.replace_when_complete(plan, overwrite=True) as part:
-                part.write_text(survey.text, encoding="utf-8")
-            try:
-                found = _outcomes(
-                    survey.sources, output, report, n_workers, done, progress_bar
-                )
-            finally:
-                # Delete what terminated workers left.
-                writing.remove_left(work, PARTIAL)
-            table, features = catalogues(found, survey.sources, output)
-            _write_catalogues(table, features, output)
-            published = {source.name: source.published for source in survey.sources}
-            write_overview(table, features, found, output, published=published)
-    except BlockingIOError:
-        raise OSError(
-            f"{output}: another run measures a survey here; wait for it, or choose "
-            "another folder"
-        ) from None
+    writing.make_folder(output / SOURCES, output)
+    with writing.replace_when_complete(plan, overwrite=True) as part:
+        part.write_text(survey.text, encoding="utf-8")
+    found = _outcomes(survey.sources, output, report, n_workers, done, progress_bar)
+    table, features = catalogues(found, survey.sources, output)
+    _write_catalogues(table, features, output)
+    published = {source.name: source.published for source in survey.sources}
+    write_overview(table, features, found, output, published=published)
     return table
 
 
@@ -239,26 +213,41 @@ def _write_catalogues(table, features, output):
             own.write(part, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
-    with writing.partial_folder(output / WORK, PARTIAL) as part:
-        write_publication({"components": measured, "features": features}, part)
-        if (output / FOLDER).exists():
-            os.replace(output / FOLDER, part / "old")
-        os.replace(part / FOLDER, output / FOLDER)
+    with _new_folder(output / FOLDER, output) as part:
+        write_publication({"components": measured, "features": features}, part.parent)
+
+
+@contextmanager
+def _new_folder(path, parts):
+    """Provide a folder that takes the place of another one when it is complete."""
+    with writing.partial_folder(parts, PARTIAL) as parent:
+        part = parent / path.name
+        part.mkdir()
+        yield part
+        if path.exists():
+            os.replace(path, parent / "old")
+        os.replace(part, path)
 
 
 def _outcomes(every, output, report, n_workers, done, progress_bar):
     """Return the outcomes of the sources, in their order."""
     found = [sources.finished_outcomes(source, output, report) for source in every]
     left = [k for k, outcomes in enumerate(found) if outcomes is None]
-    before = [pair for pair in enumerate(found) if pair[0] not in left]
+    before = [(k, own) for k, own in enumerate(found) if own is not None]
     # The largest first, so that no process waits for one at the end.
     left.sort(key=lambda k: -every[k].size())
-    measure = partial(measure_source, output=output, report=report)
     with (
-        parallel.workers_of(n_workers) as workers,
         progress(len(every), "Sources", show=progress_bar) as step,
+        # What terminated workers leave in this folder is deleted with it.
+        writing.partial_folder(output, PARTIAL) as parts,
+        closing(
+            parallel.as_done(
+                partial(measure_source, output=output, report=report, parts=parts),
+                (every[k] for k in left),
+                n_workers,
+            )
+        ) as new,
     ):
-        new = parallel.as_done(measure, (every[k] for k in left), workers)
         for k, outcomes in chain(before, ((left[i], own) for i, own in new)):
             if isinstance(outcomes, Exception):
                 # The worker failed, not the measurement: it died, or its disk is full.
@@ -324,45 +313,30 @@ def _stacked(outcomes, output, name, empty):
     """
     Return a table of all parts with their numbers.
 
-    Most of the time to read an ECSV file is that for its header, and headers of
-    different sources differ only in the meta.  The rows under equal headers are
-    therefore read together.
+    Most of the time to read an ECSV file is that for its header.  The rows of files
+    with the same columns are therefore read together, below the header of the first.
     """
     parts, tables = {}, [empty]
+    empty["outcome"] = np.zeros(0, dtype=int)
     for number, outcome in enumerate(outcomes):
         if outcome.folder:
             path = Path(output, outcome.folder, name)
-            head, (names, *rows) = _split(path)
-            _, numbers, lines = parts.setdefault(head, (path, [], [names]))
-            numbers += [number] * len(rows)
+            columns, _, rest = path.read_text(encoding="utf-8").partition("\n# meta:")
+            # Numbers of digits are those of the source.
+            columns = re.sub(r", format: [^,}]*", "", columns)
+            lines = f"{columns}\n# meta:{rest}".splitlines()
+            head = [line for line in lines if line.startswith("#")]
+            names, rows = lines[len(head) :][:1], lines[len(head) + 1 :]
+            kind = columns, *re.findall("__class__: .*", rest)
+            _, lines, numbers = parts.setdefault(kind, (path, head + names, []))
             lines += rows
-    empty["outcome"] = np.zeros(0, dtype=int)
-    for head, (path, numbers, lines) in parts.items():
-        table = read_table([*head.splitlines(), *lines], name=path)
+            numbers += [number] * len(rows)
+    for path, lines, numbers in parts.values():
+        table = read_table(lines, name=path)
         table.meta.clear()
         table["outcome"] = numbers
         tables.append(table)
     return round_to_errors(vstack(tables, metadata_conflicts="silent"))
-
-
-def _split(path):
-    """Return what the head of an ECSV file says of the columns, and the other lines."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        n = next(k for k, line in enumerate(lines) if line[:1] != "#")
-    except (OSError, ValueError, StopIteration):
-        # Says what is wrong.
-        read_table(path)
-        raise
-    head, _, meta = "\n".join(lines[:n]).partition("\n# meta: !!omap\n")
-    # Numbers of digits are those of the source.
-    head = re.sub(r", format: [^,}]*", "", head)
-    if found := OBJECTS.search(meta):
-        # They refer to units of other items.
-        units, own = dict(UNIT.findall(meta)), re.sub(r"&id\d+ ", "", found[0])
-        own = re.sub(r"\*(id\d+)", lambda m: units[m[1]], own)
-        head += f"\n# meta: !!omap\n{own}\n# schema: astropy-2.0"
-    return head, lines[n:]
 
 
 def _with_head(table, outcomes, redshifts):
@@ -383,7 +357,7 @@ def _with_head(table, outcomes, redshifts):
 # -- one source ------------------------------------------------------------------
 
 
-def measure_source(source, output, report=False):
+def measure_source(source, output, report=False, parts=None):
     """
     Measure a source in all its regions and scale groups, without raising errors.
 
@@ -398,6 +372,8 @@ def measure_source(source, output, report=False):
     output : path
         Folder of the survey.
     report : bool, optional
+    parts : path, optional
+        Where the folder is until it is complete, by default that of ``output``.
 
     Returns
     -------
@@ -405,9 +381,9 @@ def measure_source(source, output, report=False):
         One for each region and scale group.
     """
     output, key = Path(output), source.key()
-    (output / WORK).mkdir(exist_ok=True)
+    (output / SOURCES).mkdir(exist_ok=True)
     with (
-        writing.partial_folder(output / WORK, PARTIAL) as part,
+        _new_folder(output / SOURCES / source.folder, parts or output) as part,
         warnings.catch_warnings(record=True) as said,
     ):
         warnings.simplefilter("always")
@@ -423,12 +399,6 @@ def measure_source(source, output, report=False):
             "warnings": _lines(said),
         }
         (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
-        final = output / SOURCES / source.folder
-        final.parent.mkdir(exist_ok=True)
-        with writing.partial_folder(output / WORK, PARTIAL) as old:
-            if final.exists():
-                os.replace(final, old / "old")
-            os.replace(part, final)
     return outcomes
 
 
@@ -436,44 +406,33 @@ def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
     cube, settings, left_out, *_ = read_epochs(source.settings)
     published = source.compare and published_positions(source.compare, cube)
-    masks, failed, matched = {}, {}, None
-    for name, path in source.regions.items():
-        try:
-            if path is not None and settings.crop is not None:
-                refuse_pixels(path)
-            masks[name] = None if path is None else cube.region_mask(path)
-        except (ValueError, OSError) as error:
-            failed[name] = _reason(error)
-    if masks:
-        whole = None in source.regions.values()
-        inside = None if whole else np.any(list(masks.values()), axis=0)
-        # One part takes no longer to match again than to be read.
-        several = len(source.parts) > 1
-        cache = output / WORK / f"{source.folder}.fits" if several else None
-        scc = StackedCrossCorrelation.from_settings(settings)
-        matched = scc.match(cube, region=inside, cache=cache)
+    if settings.crop is not None:
+        for path in filter(None, source.regions.values()):
+            refuse_pixels(path)
+    masks = {path: path and cube.region_mask(path) for path in source.regions.values()}
+    inside = None if None in masks else np.any([*masks.values()], axis=0)
+    matched = StackedCrossCorrelation.from_settings(settings).match(cube, region=inside)
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
     of_all, outcomes = len(said), []
     first, last = cube.times.isot[[0, -1]].tolist()
     seen = {"n_epochs": len(cube), "first": first, "last": last}
     for region, group in source.parts:
         outcome = partial(Outcome, source.name, region, group, **seen)
-        if region in failed:
-            outcomes.append(outcome("failed", failed[region]))
-            continue
         where = Path(SOURCES, source.folder, regions[region], groups[group])
         folder = part / regions[region] / groups[group]
         folder.mkdir(parents=True)
         names = (name for name in (region, group) if name != sources.WHOLE)
         page = {"title": ", ".join([source.name, *names]), "left_out": left_out}
         page |= {"report": report, "archives": report, "published": published}
-        scales, before = source.scale_groups[group], len(said)
+        before, scales = len(said), source.scale_groups[group]
         scales = settings.scales if scales is None else scales
         own = replace(settings, region=source.regions[region], scales=scales)
         try:
             scc = StackedCrossCorrelation.from_settings(own)
-            of_part = select_ssps(matched, region=masks[region], scales=scc.scales)
-            result = scc.stack(of_part, n_trials=own.n_trials, rng=own.seed)
+            how = {"region": masks[own.region], "scales": scc.scales}
+            result = scc.stack(
+                select_ssps(matched, **how), n_trials=own.n_trials, rng=own.seed
+            )
             page["warnings"] = _lines([*said[:of_all], *said[before:]])
             page["output"] = output / where
             components = write_measurement(result, own, folder, **page)

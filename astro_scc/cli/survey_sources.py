@@ -6,7 +6,6 @@ import hashlib
 import json
 import re
 import shutil
-import tomllib
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -86,8 +85,8 @@ class Source:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
-        """Return the size of the epochs in bytes, at least 1."""
-        return max(sum(_facts(path)[1] for path in self._epochs()), 1)
+        """Return the size of the epochs in bytes."""
+        return sum(_facts(path)[1] for path in self._epochs())
 
     def _epochs(self):
         """Return the paths of the epochs; a pattern that matches nothing is one."""
@@ -143,7 +142,7 @@ class Survey:
     text: str = ""
 
 
-def read_survey(path: Path | str) -> Survey:
+def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> Survey:
     """
     Read the file of a survey.
 
@@ -156,6 +155,8 @@ def read_survey(path: Path | str) -> Survey:
         published features to compare with, and any setting of a
         measurement; and a table ``[defaults]`` for what a source does not set.
         Paths are relative to the file.
+    redshifts : dict of float, optional
+        Redshifts of sources, in place of those in the file.
 
     Returns
     -------
@@ -201,6 +202,8 @@ def read_survey(path: Path | str) -> Survey:
     for name, values in sources.items():
         where = f"{path}: sources.{name}"
         given = inputs.override(defaults, _known(values, where, "published_pm"))
+        if name in (redshifts or {}):
+            given = inputs.override(given, {"redshift": redshifts[name]})
         try:
             found.append(_source(name, folders[name], given, path.absolute().parent))
         except ValueError as error:
@@ -285,31 +288,26 @@ def folder_names(names):
 
     They have only letters, digits and ``+ - _ .``, none at the beginning that hides
     the folder or leads upwards, and at most 60 characters and a check sum.  A name that
-    needs no change is kept.  A name that is changed, looks like a check sum, or differs
-    from another only in upper and lower case, ends in a check sum.
+    needs no change is kept.  A name that is changed, looks like a check sum, is
+    reserved, or differs from another only in upper and lower case, ends in a check sum.
     """
-    plain = {}
+    found, count = {}, Counter(name.casefold() for name in names)
     for name in names:
         text = re.sub(r"[^A-Za-z0-9+._-]+", "_", name)[:LONGEST]
-        text = text.lstrip("._-+").rstrip("._") or "unnamed"
-        plain[name] = f"{text}_" if RESERVED.fullmatch(text) else text
-    kept = {
-        name for name, text in plain.items() if text == name and not SUM.search(name)
-    }
-    count = Counter(name.casefold() for name in kept)
-    for name, text in plain.items():
-        if name not in kept or count[name.casefold()] > 1:
+        found[name] = text = text.lstrip("._-+").rstrip("._") or "unnamed"
+        taken = SUM.search(name) or RESERVED.fullmatch(name)
+        if text != name or taken or count[name.casefold()] > 1:
             code = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
-            plain[name] = f"{text}-{code[:6]}"
-    return plain
+            found[name] = f"{text}-{code[:6]}"
+    return found
 
 
 # -- the file of a table of components, or of folders of images ----------------------
 
 
-def survey_of(args, output, reporter):
+def write_survey(args, output, reporter):
     """
-    Return the survey of a table of components, or of a folder of folders of images.
+    Write the file of a survey of a table of components, or of folders of images.
 
     The folder of the survey gets ``survey.toml``, which names the images of each
     source; settings may be added to it.  Of a table, they are restored into
@@ -327,7 +325,8 @@ def survey_of(args, output, reporter):
 
     Returns
     -------
-    ``Survey``
+    `~pathlib.Path`
+        The file.
 
     Raises
     ------
@@ -336,48 +335,39 @@ def survey_of(args, output, reporter):
         the images of no source can be restored.
     """
     source, found, how, published = Path(args.survey), {}, {}, ""
-    redshifts = read_redshifts(args.redshifts) if args.redshifts else {}
+    made_of = str(source.absolute())
     if source.is_dir():
         epochs = _images_in(source)
-        made_of = str(source.absolute())
     else:
         found, how = _components(args, reporter)
-        folders = folder_names(list(found))
-        epochs = {k: f"{IMAGES}/{folders[k]}/*.fits" for k in found}
-        state, table = source.stat(), str(source.absolute())
-        asked = {k: str(v) for k, v in how.items()} | {"seed": args.seed}
-        made_of = [table, state.st_size, state.st_mtime_ns, asked]
+        target = {k: output / IMAGES / v for k, v in folder_names(list(found)).items()}
+        epochs = {k: f"{IMAGES}/{own.name}/*.fits" for k, own in target.items()}
         if any((own.feature > 0).any() for own in found.values()):
-            published = f"[defaults]\ncompare = {json.dumps(table)}\n"
+            published = f"[defaults]\ncompare = {json.dumps(made_of)}\n"
+        state = source.stat()
+        asked = {k: str(v) for k, v in how.items()} | {"seed": args.seed}
+        made_of = [made_of, state.st_size, state.st_mtime_ns, asked]
     head, path = f"{HEAD} {json.dumps(made_of)}", output / PLAN
-    before = path.read_text(encoding="utf-8") if path.is_file() else ""
+    values, before = read_toml(path) if path.is_file() else ({}, "")
     # Images that were not restored here must not be deleted.
     if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
         raise OSError(
             f"{output}: exists and is not of a survey of a table; choose another folder"
         )
     # What was added to the file stays, and so do the sources of other calls.
-    text = before if before.startswith(f"{head}\n") else f"{head}\n\n{published}"
-    try:
-        known = tomllib.loads(text).get("sources", {})
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: {first_line(error)}") from None
+    text, known = before, values.get("sources", {})
+    if not text.startswith(f"{head}\n"):
+        text, known = f"{head}\n\n{published}", {}
     for name, files in epochs.items():
         if name not in known:
             table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
             text = f"{text.rstrip()}\n\n{table}"
-    if unknown := sorted(redshifts.keys() - epochs.keys() - known.keys()):
-        some = "source is" if len(unknown) == 1 else "sources are"
-        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
-    for name in redshifts.keys() - unknown:
-        text = _with_redshift(text, name, redshifts[name])
     if text != before:
         if not known:
             shutil.rmtree(output / IMAGES, ignore_errors=True)
         output.mkdir(parents=True, exist_ok=True)
         with replace_when_complete(path, overwrite=True) as part:
             part.write_text(text, encoding="utf-8")
-    target = {name: output / IMAGES / folders[name] for name in found}
     left = [name for name in found if not target[name].is_dir()]
     work = ((found[name], target[name], how) for name in left)
     done = in_order(_restore, work, args.workers or 1)
@@ -389,19 +379,7 @@ def survey_of(args, output, reporter):
             path.unlink()
             output.rmdir()
         raise ValueError(f"{args.survey}: the images of no source can be restored")
-    return read_survey(path)
-
-
-def _with_redshift(text, name, redshift):
-    """Return the text of a survey's file with the redshift of one of its sources."""
-    table = re.escape(f"[sources.{json.dumps(name)}]\n")
-    found = re.search(rf"^{table}(.*?)(?=^\[|\Z)", text, re.DOTALL | re.MULTILINE)
-    if found is None:
-        raise ValueError(f"survey.toml: write the redshift of {name} into it")
-    own = re.sub(r"^redshift\b.*\n", "", found[1], flags=re.MULTILINE)
-    epochs, line, rest = own.partition("\n")
-    own = f"{epochs}{line}redshift = {redshift}\n{rest}"
-    return text[: found.start(1)] + own + text[found.end(1) :]
+    return path
 
 
 def _restore(task):

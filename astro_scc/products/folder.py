@@ -49,7 +49,8 @@ def product_folder(
     Yields
     ------
     `~pathlib.Path`
-        Where to write.  Nothing is left behind if there is an error.
+        Where to write.  Nothing is left behind if there is an error; a process that
+        is killed leaves this folder, which is hidden.
 
     Raises
     ------
@@ -72,17 +73,18 @@ def product_folder(
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
     # On the same disk as the target, so that files only have to be renamed.
-    outside = target.parent, f".{target.name}.partial-"
-    inside = target, ".partial-"
-    for place in (outside, inside):
-        # What killed runs left is no product.
-        writing.remove_left(*place)
+    place = target.parent, f".{target.name}.partial-"
+    if exists:
+        place = target, ".partial-"
     try:
-        if exists and any(target.iterdir()) and not overwrite:
+        # What a killed run has left is no product.
+        names = [path.name for path in target.iterdir()] if exists else []
+        kept = any(not name.startswith(".partial-") for name in names)
+        if kept and not overwrite:
             what = "exists and is not empty; choose another folder, or --overwrite"
             raise OSError(f"{path}: {what}")
         target.parent.mkdir(parents=True, exist_ok=True)
-        with writing.partial_folder(*(inside if exists else outside)) as folder:
+        with writing.partial_folder(*place) as folder:
             yield folder
             with _undisturbed():
                 if exists:

@@ -117,11 +117,7 @@ def test_inspect_explains_speeds(jet, done):
     assert rising[-1].split()[1] == "1.5"
     (row,) = table_of(done("inspect", *jet, "--speed", "0.01 mas/yr")[0])
     assert row.split()[2:] == ["too", "slow", "for", "this", "series", "0"]
-
-
-@pytest.mark.slow
-def test_inspect_counts_the_pairs_of_a_night(done):
-    """Of epochs ten minutes apart are those pairs counted that would be measured."""
+    # Of epochs ten minutes apart are those pairs counted that would be measured.
     simulate_two_fluid(n_epochs=4, interval=10 * u.min, rng=1).cube.write("night.fits")
     for speed, pairs in ((2, "6"), (8, "3")):
         speed = (speed * u.mas / u.hr).to(u.mas / u.yr)

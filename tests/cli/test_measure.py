@@ -116,25 +116,6 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     assert "--n-trials" in error
 
 
-DIFFER = [1, 1.2, 1, 1, 1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("sizes", "options", "note", "common"),
-    [
-        (DIFFER, [], "the beams differ: convolving to a common one", True),
-        (DIFFER, ["--no-common-beam"], "the beams differ and are", False),
-        ([None] * 5, [], "the epochs have no beams: three pixels count as one", False),
-    ],
-)
-def test_beams_that_differ_become_one(series, done, here, sizes, options, note, common):
-    out = ["-o", "a", "--no-report"]
-    _, err = done("measure", *series(sizes), *QUICK, *out, *options)
-    assert err.startswith(f"note: {note}")
-    assert config_of(here / "a")["common_beam"] is common
-
-
 def test_images_without_beams_have_none_for_a_core(series, refused):
     words = ["measure", *series([None] * 2), "-o", "out"]
     assert "the epochs have no beams" in refused(*words, "--common-beam")
@@ -195,15 +176,6 @@ def test_goes_on_and_ends_the_same(jet, astro_scc, done, here, monkeypatch):
     assert line.startswith("warning: out/.astro_scc-work/matches.fits: is of other ")
     assert line.endswith("not used, the epochs are matched again")
     assert (status, len(blocks)) == (0, 12)
-
-
-@pytest.mark.slow
-def test_nothing_is_left_when_no_scheduler_answers(jet, refused, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
-    words = ["-o", "deep/out", "--resume", "--scheduler", "tcp://127.0.0.1:9"]
-    line = refused("measure", *jet[:4], *QUICK, *words)
-    assert "scheduler tcp://127.0.0.1:9: cannot be reached" in line
 
 
 # -- the demo --------------------------------------------------------------------------
@@ -279,11 +251,6 @@ def test_the_page_with_and_without_its_images(change, out, done):
 
 
 def test_measurements_that_no_page_can_show(out, refused, monkeypatch):
-    with fits.open(out / "scc.fits") as hdus:
-        del hdus["FEATURES"]
-        hdus.writeto(out / "new.fits")
-    (out / "new.fits").replace(out / "scc.fits")
-    assert "out: is of an earlier version" in refused("explore", "out")
     (out / "scc.fits").write_text("nothing")
     assert "scc.fits: is no FITS file; measure again" in refused("explore", "out")
     (out / "scc.fits").unlink()

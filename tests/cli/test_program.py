@@ -52,19 +52,6 @@ def test_completion_of_a_shell(capsys, monkeypatch):
     assert "needs shtab: pip install shtab" in said.err
 
 
-def test_an_option_of_several_commands_is_explained_alike():
-    (commands,) = (a for a in build_parser()._actions if a.dest == "command")
-    # What differs by what a command makes or takes.
-    own, said = {"--output", "--epochs", "--no-report"}, {}
-    for command in commands.choices.values():
-        for action in command._actions:
-            for option in set(action.option_strings) - own:
-                if option.startswith("--"):
-                    said.setdefault(option, set()).add((action.metavar, action.help))
-    assert {option for option, texts in said.items() if len(texts) > 1} == set()
-    assert len(said) > 25
-
-
 @pytest.mark.parametrize("angle", ["-112deg", "-112 deg", "-.5rad", "-112", "radial"])
 def test_angles_below_zero_are_no_options(angle):
     words = ["measure", "a.fits", "-o", "out", "--position-angle", angle, "--quiet"]
@@ -183,22 +170,17 @@ def test_messages_name_options_as_they_are_typed(capsys, said, typed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "options", "labels"),
-    [
-        (
-            "measure",
-            ["--n-trials=20", "--no-report"],
-            {"Decomposing", "Correlating", "Searching"},
-        ),
-        ("track", ["--no-figures"], {"Fitting"}),
-    ],
-)
-def test_long_commands_tell_how_far_they_are(
-    name, options, labels, jet, done, monkeypatch
-):
+def test_long_commands_tell_how_far_they_are(jet, done, monkeypatch):
     # As if every half minute, and pytest's standard error is no terminal.
     monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
-    _, err = done(name, *jet, "-o", "out", *options, "--scales", "2")
-    line = rf"^({'|'.join(labels)}): \d+ (?:of \d+|done), \d+\.\d min$"
-    assert set(re.findall(line, err, re.MULTILINE)) == labels
+    for words, labels in (
+        (
+            "measure --n-trials=20 --no-report",
+            {"Decomposing", "Correlating", "Searching"},
+        ),
+        ("track --no-figures", {"Fitting"}),
+    ):
+        name, *options = words.split()
+        _, err = done(name, *jet, "-o", name, *options, "--scales", "2")
+        line = rf"^({'|'.join(labels)}): \d+ (?:of \d+|done), \d+\.\d min$"
+        assert set(re.findall(line, err, re.MULTILINE)) == labels

@@ -1,7 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-import importlib.util
-import sys
+import runpy
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,16 +11,10 @@ from astro_scc.cli import main
 TOOLS = Path(__file__).parents[2] / "tools"
 
 
+@cache
 def load_tool(name):
-    """A script of ``tools`` as a module."""
-    full = f"_astro_scc_tools_{name}"
-    if full not in sys.modules:
-        spec = importlib.util.spec_from_file_location(full, TOOLS / f"{name}.py")
-        module = importlib.util.module_from_spec(spec)
-        # Dataclasses look their module up.
-        sys.modules[full] = module
-        spec.loader.exec_module(module)
-    return sys.modules[full]
+    """The names of a script of ``tools``."""
+    return SimpleNamespace(**runpy.run_path(str(TOOLS / f"{name}.py")))
 
 
 def pytest_generate_tests(metafunc):
@@ -31,17 +26,17 @@ def pytest_generate_tests(metafunc):
         metafunc.parametrize("case", cases)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def inputs():
     return load_tool("inputs")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def fuzz():
     return load_tool("fuzz")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def interrupts():
     return load_tool("interrupts")
 

@@ -4,9 +4,7 @@
 import gzip
 import re
 import sys
-import time
 
-import numpy as np
 import pytest
 
 from astro_scc.alignment.align import offsets_from_table
@@ -32,25 +30,6 @@ def test_damaged_files_are_read_or_refused(fuzz):
     # The damage is neither harmless nor the end of everything.
     whole = counts.total()
     assert 0.05 * whole < sum(n for (_, what), n in counts.items() if what == "read")
-
-
-def test_what_is_wrong_is_seen(fuzz, tmp_path, monkeypatch):
-    def crash(path):
-        raise KeyError("NAXIS")
-
-    def lines(path):
-        raise ValueError("one\ntwo")
-
-    def endless(path):
-        time.sleep(60)
-
-    monkeypatch.setattr(fuzz, "TIME", 0.05)
-    assert fuzz.read(tmp_path, crash).startswith("KeyError: 'NAXIS' (test_fuzz.py:")
-    assert fuzz.read(tmp_path, lines).startswith("of lines: ")
-    assert fuzz.read(tmp_path, endless).startswith("TooLongError")
-    with fuzz.limits(2**27):
-        found = fuzz.read(tmp_path, lambda path: np.ones(2**28))
-    assert found.startswith("_ArrayMemoryError") or found.startswith("MemoryError")
 
 
 # -- what was found ------------------------------------------------------------------
@@ -79,24 +58,23 @@ def test_broken_cards_of_clean_components(fuzz, tmp_path, old, new, message):
         read_components(path)
 
 
-def test_axes_without_end_in_any_header(fuzz, inputs, tmp_path):
+def test_axes_without_end_in_any_header(fuzz, tmp_path):
     """Astropy would count to their number."""
     sound = fuzz.sources(tmp_path)
-    axes = b"NAXIS   = 99999999999999999999"
+    own, axes = rb"NAXIS   = {20}\d", b"NAXIS   = 99999999999999999999"
     for kind in ("image", "cube", "AIPS components"):
         suffix, content, reader = sound[kind]
-        for match in re.finditer(rb"NAXIS   = {20}\d", content):
+        for match in re.finditer(own, content):
             path = tmp_path / f"bad{suffix}"
             path.write_bytes(content[: match.start()] + axes + content[match.end() :])
             assert fuzz.read(path, reader) == "refused"
     packed = tmp_path / "bad.fits.gz"
-    image = sound["image"][1]
-    packed.write_bytes(gzip.compress(re.sub(rb"NAXIS   = {20}\d", axes, image)))
+    packed.write_bytes(gzip.compress(re.sub(own, axes, sound["image"][1])))
     with pytest.raises(OSError, match="bad.fits.gz: is broken, it claims 9999"):
         EpochCube.read(packed)
 
 
-def test_a_region_without_end(fuzz, inputs, tmp_path):
+def test_a_region_without_end(inputs, tmp_path):
     cube = EpochCube.read(inputs.series(tmp_path, n=2))
     path = tmp_path / "r.reg"
     path.write_text("image\ncircle(6,4,1e400)\n")

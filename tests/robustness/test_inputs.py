@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Files, options and memory as they are in practice, see ``tools/inputs.py``."""
 
-import errno
 import io
 import os
 import resource
@@ -20,42 +19,12 @@ def test_every_case_gets_what_it_should(inputs, case, tmp_path):
     assert inputs.faults(inputs.run(case, tmp_path), case) == []
 
 
-def test_a_wrong_answer_would_be_seen(inputs):
-    one = inputs.Case(name="", make=None, says="look", velocity=(1.0, 0.0))
-    right = inputs.Outcome(0, "note: look", (1.0, 0.01), frozenset())
-    assert inputs.faults(right, one) == []
-    wrong = inputs.Outcome(2, "x\ny", (-1.0, 0.0), frozenset({"part"}))
-    assert inputs.faults(wrong, one) == [
-        "status 2", "left ['part']", "other words", "more than one line",
-    ]  # fmt: skip
-    assert inputs.faults(inputs.Outcome(0, "look", None, frozenset()), one) == [
-        "wrong velocity"
-    ]
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
-@pytest.mark.parametrize("read", [EpochCube.read, read_components])
-def test_nobody_waits_for_a_pipe(tmp_path, read):
-    path = tmp_path / "pipe.fits"
-    os.mkfifo(path)
-    for name in (path, str(tmp_path / "*.fits")):
-        with pytest.raises(
-            OSError, match="pipe.fits: is no ordinary file; give the na"
-        ):
-            read(name)
-
-
-# -- the folder of the products ----------------------------------------------------
-
-
-def test_a_file_system_that_is_read_only(epochs, measure, tmp_path, monkeypatch):
-    def refuse(path, *args, **kwargs):
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
-
-    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
-    status, err = measure(*epochs, "-o", tmp_path / "out")
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert "out: cannot be made or used: Read-only file system" in err
+def test_nobody_waits_for_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe.fits")
+    for name in (tmp_path / "pipe.fits", str(tmp_path / "*.fits")):
+        with pytest.raises(OSError, match="pipe.fits: is no ordinary file"):
+            read_components(name)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of files are of Linux")
@@ -84,28 +53,27 @@ def test_output_that_nobody_can_print(inputs, epochs, tmp_path, monkeypatch):
     """Terminals without Unicode get the answer too."""
     text = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr("sys.stdout", text)
-    from astro_scc.cli import main
-
     words = ["measure", *map(str, epochs), "-o", str(tmp_path / "ö"), *inputs.QUICK]
     assert main([*words, "--no-report"]) == 0
     text.flush()
     assert b"\\xf6" in text.buffer.getvalue()
 
 
-SKY = 'fk5\nbox(10d,0d,0.0036",0.0026",0)\n'
-
-
-@pytest.fixture
-def part(tmp_path):
-    path = tmp_path / "part.reg"
-    path.write_text("image\nbox(24,21,38,30,0)\n")
-    return path
-
-
 @pytest.mark.slow
-def test_a_part_is_measured(inputs, epochs, measure, part, tmp_path):
-    status, err = measure(*epochs, "-o", tmp_path / "out", "--crop", part)
-    assert (status, err.count("error")) == (0, 0)
+def test_a_part_is_measured(inputs, epochs, measure, tmp_path):
+    part, region = tmp_path / "part.reg", tmp_path / "jet.reg"
+    part.write_text("image\nbox(24,21,38,30,0)\n")
+    words = [*epochs, "-o", tmp_path / "out", "--crop", part]
+    # Regions in pixels would be those of the part.
+    region.write_text("image\ncircle(20,20,9)\n")
+    status, err = measure(*words, "--region", region)
+    assert status == 2
+    assert err.splitlines()[-1] == (
+        f"astro-scc measure: error: {region}: is in pixels, which are others in a part "
+        "of the images (crop); give it in celestial coordinates"
+    )
+    region.write_text('fk5\nbox(10d,0d,0.0036",0.0026",0)\n')
+    assert measure(*words, "--region", region)[0] == 0
     table = QTable.read(tmp_path / "out" / "components.ecsv")
     assert table["pm_ra_cosdec"][0].value == pytest.approx(-inputs.SPEED, abs=0.05)
     assert table.meta["configuration"]["crop"] == str(part)
@@ -119,29 +87,6 @@ def test_a_part_is_measured(inputs, epochs, measure, part, tmp_path):
     assert same[0] == same[1]
 
 
-@pytest.mark.slow
-def test_regions_in_pixels_are_those_of_the_part(epochs, measure, part, tmp_path):
-    region = tmp_path / "jet.reg"
-    region.write_text("image\ncircle(20,20,9)\n")
-    words = [*epochs, "-o", tmp_path / "out", "--crop", part, "--region", region]
-    status, err = measure(*words)
-    assert status == 2
-    assert err.splitlines()[-1] == (
-        f"astro-scc measure: error: {region}: is in pixels, which are others in a part "
-        "of the images (crop); give it in celestial coordinates"
-    )
-    region.write_text(SKY)
-    assert measure(*words)[0] == 0
-
-
-def test_a_part_that_is_nowhere(epochs, measure, tmp_path):
-    part = tmp_path / "part.reg"
-    part.write_text("image\nbox(900,21,38,30,0)\n")
-    status, err = measure(*epochs, "-o", tmp_path / "out", "--crop", part)
-    assert (status, len(err.splitlines())) == (2, 1)
-    assert "part.reg: holds no pixel of the 48 x 40 image; check its coord" in err
-
-
 def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("astro_scc.epochs.reading.machine_memory", lambda: 1e4)
     status, err = measure(*epochs, "-o", tmp_path / "out")
@@ -150,7 +95,6 @@ def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsy
         "astro-scc measure: error: 5 images of 48 x 40 pixels are 8.64e-05 GB, this "
         "machine has 1e-05; read a region of them (region=, --crop)"
     )
-    assert not (tmp_path / "out").exists()
     # Each file by itself can be looked at.
     assert main(["inspect", *map(str, epochs)]) == 0
     out = capsys.readouterr().out

@@ -52,7 +52,7 @@ def stop(child, after, how):
 
 
 def contents(folder):
-    """Files; the hidden folder that a kill leaves is taken away by the next run."""
+    """Files, but for the hidden folder that a kill leaves."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
@@ -70,32 +70,25 @@ def usual(inputs, epochs, tmp_path):
     return argv, contents(tmp_path / "usual"), seconds
 
 
-def check_interrupts(usual, tmp_path, how, n, seed):
-    argv, expected, seconds = usual
-    out, log = tmp_path / "here" / "out", tmp_path / "log"
-    rng = random.Random(seed)
-    ends = []
-    for _ in range(n):
-        child = start([*argv, str(out), "--overwrite"], log)
-        ends.append(stop(child, rng.uniform(0, 1.1 * seconds), how))
-        # All of it, or nothing.
-        assert not out.exists() or contents(out) == expected
-        if how != signal.SIGKILL and not out.exists():
-            assert not out.parent.exists()
-    assert main([*argv, str(out), "--overwrite"]) == 0
-    assert contents(out) == expected
-    assert not list(out.glob(".*"))
-    return set(ends), log.read_text(encoding="utf-8")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "seed"), [(signal.SIGINT, 1), (signal.SIGINT, 2), (signal.SIGTERM, 3)]
 )
 def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
-    ends, said = check_interrupts(usual, tmp_path, how, 3, seed)
-    # 70 and the signal itself: before the command began.
-    assert ends <= {0, 128 + how, 70, -how}
+    argv, expected, seconds = usual
+    out, log = tmp_path / "here" / "out", tmp_path / "log"
+    rng = random.Random(seed)
+    for _ in range(3):
+        child = start([*argv, str(out), "--overwrite"], log)
+        # 70 and the signal itself: before the command began.
+        end = stop(child, rng.uniform(0, 1.1 * seconds), how)
+        assert end in (0, 128 + how, 70, -how)
+        # All of it, or nothing.
+        assert not out.parent.exists() or contents(out) == expected
+    assert main([*argv, str(out), "--overwrite"]) == 0
+    assert contents(out) == expected
+    assert not list(out.parent.rglob(".*"))
+    said = log.read_text(encoding="utf-8")
     assert "Traceback" not in said
     for line in said.splitlines():
         if ": error:" in line:
@@ -103,37 +96,9 @@ def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moment", range(4))
-def test_a_kill_while_products_are_moved(usual, tmp_path, monkeypatch, moment):
-    """Into a folder that has some already, they go one by one."""
-    argv, expected, _ = usual
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "notes.txt").write_text("mine")
-    real, left = os.replace, [moment]
-
-    def replace(old, new):
-        if left[0] == 0:
-            os._exit(9)
-        left[0] -= 1
-        real(old, new)
-
-    monkeypatch.setattr("astro_scc.products.folder.os.replace", replace)
-    child = start([*argv, str(out), "--overwrite"], tmp_path / "log")
-    _, status = os.waitpid(child, 0)
-    monkeypatch.undo()
-    assert os.waitstatus_to_exitcode(status) == 9
-    # Each file is whole.
-    for name, content in contents(out).items():
-        assert content == {**expected, "notes.txt": b"mine"}[name]
-    assert main([*argv, str(out), "--overwrite"]) == 0
-    assert contents(out) == {**expected, "notes.txt": b"mine"}
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
-def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_workers_end_with_a_run(inputs, tmp_path, how):
     # The jet 64 times, on which workers are for seconds.
     paths = [
         inputs.write(tmp_path, i, data=np.tile(inputs.image(i), (8, 8)))
@@ -144,61 +109,39 @@ def test_workers_end_with_a_run_that_is_told_to(inputs, tmp_path, how):
     child = start([*argv, "--no-report", "-o", str(out), "--workers", "2"], log)
     children = Path(f"/proc/{child}/task/{child}/children")
     limit = time.monotonic() + 60
-    while len(children.read_text().split()) < 2 and time.monotonic() < limit:
+    while len(workers := children.read_text().split()) < 2:
+        assert time.monotonic() < limit
         time.sleep(0.001)
     # Not while they are forked, when Python tells of exceptions and goes on.
-    time.sleep(0.2)
-    workers = children.read_text().split()
-    assert len(workers) == 2
-    assert stop(child, 0, how) == 128 + how
-    assert not out.parent.exists()
-    for worker in workers:
-        state = Path(f"/proc/{worker}/stat")
-        assert (
-            not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+    status = stop(child, 0.2, how)
+    assert not out.exists()
+    if how != signal.SIGKILL:
+        assert status == 128 + how
+        assert not out.parent.exists()
+        assert log.read_text().splitlines()[-1] == (
+            "astro-scc measure: error: interrupted, nothing was written"
         )
-    assert log.read_text().splitlines()[-1] == (
-        "astro-scc measure: error: interrupted, nothing was written"
-    )
+    while any(map(alive, workers)):
+        assert time.monotonic() < limit
+        time.sleep(0.05)
 
 
-# -- with what is kept ----------------------------------------------------------------
-
-
-def check_trials(interrupts, words, folder, *, number, seed):
-    found = []
-    options = {"number": number, "seed": seed, "launch": start}
-    for trial, seconds in interrupts.trials(words, folder, **options):
-        assert trial.good, trial
-        assert 0 < trial.after < seconds
-        assert trial.status in (128 + trial.how, 70, -trial.how)
-        assert trial.again == 0
-        assert "Traceback" not in trial.said
-        found.append(trial.how)
-    assert found == [signal.SIGINT, signal.SIGTERM, signal.SIGKILL] * number
-
-
-def resumed(inputs, epochs):
-    return ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "--resume"]
+def alive(process):
+    """Whether a process runs; ``Z`` is one that has ended."""
+    try:
+        state = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return state.rpartition(")")[2].split()[0] != "Z"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_is_kept_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
-    words = resumed(inputs, epochs)
-    check_trials(interrupts, words, tmp_path / "runs", number=1, seed=seed)
-
-
-def test_what_a_stopped_run_has_left_is_seen(interrupts, tmp_path):
-    out = tmp_path / "out"
-    assert interrupts.what_is_left(out) == "nothing"
-    work = out / ".astro_scc-work"
-    work.mkdir(parents=True)
-    (tmp_path / ".out.partial-1").mkdir()
-    assert interrupts.what_is_left(out) == "a hidden folder"
-    (work / "matches.fits").write_text("")
-    (out / "components.ecsv").write_text("a")
-    assert interrupts.what_is_left(out) == (
-        "a hidden folder, all matches, 1 tables and maps"
-    )
-    assert interrupts.tables(out) == {"components.ecsv": b"a"}
+    words = ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "--resume"]
+    options = {"number": 1, "seed": seed, "launch": start}
+    for trial, seconds in interrupts.trials(words, tmp_path / "runs", **options):
+        assert trial.good, trial
+        assert 0 < trial.after < seconds
+        assert trial.status in (128 + trial.how, 70, -trial.how)
+        assert "Traceback" not in trial.said
