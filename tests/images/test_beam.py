@@ -10,13 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import Beam
-from astro_scc.images.beam import (
-    common_beam,
-    different_beam,
-    gaussian_smooth,
-    parse_beam,
-    smallest_common_beam,
-)
+from astro_scc.images.beam import different_beam, parse_beam, smallest_common_beam
+from astro_scc.images.convolution import common_beam, gaussian_smooth
 from astro_scc.images.positions import offset_wcs
 from astro_scc.tracking import FeatureTracker
 
