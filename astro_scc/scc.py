@@ -30,7 +30,13 @@ from astro_scc.measurement.search import (
 )
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
-from astro_scc.settings import MeasurementSettings, Settings, require
+from astro_scc.settings import (
+    MeasurementSettings,
+    Settings,
+    check_setting,
+    in_unit,
+    require,
+)
 from astro_scc.stacking import stack as paper
 from astro_scc.stacking.velocities import VelocityGrid, VelocitySamples, baseline_pairs
 from astro_scc.streams.diagram import DEFAULT
@@ -52,6 +58,10 @@ MAP_SPEEDS = 3.0
 PAPER_TRIALS = 200
 #: Fewest pairs of dates of a map.
 FEWEST_PAIRS = 3
+
+
+#: Names of the settings of a measurement.
+OWN = tuple(field.name for field in fields(MeasurementSettings))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,10 +135,12 @@ class StackedCrossCorrelation(MeasurementSettings):
     """
 
     def __post_init__(self):
-        for field in fields(self):
-            value = require(field.name, getattr(self, field.name))
-            object.__setattr__(self, field.name, value)
-        # It checks which of its settings go together.
+        self._take({n: check_setting(n, getattr(self, n)) for n in OWN})
+
+    def _take(self, values):
+        """Set values that are checked, and see whether they go together."""
+        for name, value in values.items():
+            object.__setattr__(self, name, in_unit(name, value))
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
     @classmethod
@@ -144,8 +156,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `StackedCrossCorrelation`
         """
-        own = {field.name: getattr(settings, field.name) for field in fields(cls)}
-        return cls(**own)
+        made = object.__new__(cls)
+        made._take({name: getattr(settings, name) for name in OWN})
+        return made
 
     def _decomposer(self, scales):
         own = self.wavelet, self.detection, self.segmentation, self.noise

@@ -14,6 +14,7 @@ import csv
 import math
 import tomllib
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from importlib import import_module, resources
@@ -143,8 +144,29 @@ class Settings(MeasurementSettings):
     distance: u.Quantity | str | None = _setting(_of_object, "distance")
 
     def __post_init__(self):
-        for name in OPTIONS:
-            object.__setattr__(self, name, check_setting(name, getattr(self, name)))
+        self._take({name: getattr(self, name) for name in OPTIONS})
+
+    def changed(self, **values: Any) -> Settings:
+        """
+        Return settings of which some have other values.
+
+        Parameters
+        ----------
+        **values
+            They are checked, all others have been.
+
+        Returns
+        -------
+        `Settings`
+        """
+        made = copy(self)
+        made._take(values)
+        return made
+
+    def _take(self, values):
+        """Check values of settings, and whether all settings go together."""
+        for name, value in values.items():
+            object.__setattr__(self, name, check_setting(name, value))
         by_redshift = self.redshift is not None or self.cosmology is not None
         if self.distance is not None and by_redshift:
             text = "distance needs neither redshift nor cosmology; leave one out"
@@ -247,10 +269,15 @@ def check_setting(name, value):
         raise
 
 
+def in_unit(name, value):
+    """Return the checked value of a setting in the unit of calculations."""
+    unit = OPTIONS[name]["unit"]
+    return value.to(unit) if unit and hasattr(value, "to") else value
+
+
 def require(name, value):
-    """Return the value of a setting in the unit of calculations; None stays None."""
-    found, unit = check_setting(name, value), OPTIONS[name]["unit"]
-    return found.to(unit) if unit and hasattr(found, "to") else found
+    """Check the value of a setting and return it in the unit of calculations."""
+    return in_unit(name, check_setting(name, value))
 
 
 def read_toml(path):

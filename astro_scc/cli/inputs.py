@@ -5,7 +5,6 @@ import os
 import re
 import secrets
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -155,7 +154,7 @@ def read_epochs(settings, args=None, *, note=None, features=False):
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     cube, found, chosen = prepare(cube, settings, note=note, features=features)
     found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
-    settings = replace(settings, **found)
+    settings = settings.changed(**found)
     n_workers = 1 if args is None else workers_of(args, cube)
     published = getattr(args, "compare", None) and published_positions(
         args.compare, cube

@@ -4,7 +4,7 @@
 import math
 import shlex
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from astropy.io import fits
@@ -56,7 +56,7 @@ def measure(args, reporter):
     work = working_folder(output, overwrite) if args.resume else None
     with product_folder(output, overwrite=overwrite or work, stale=STALE) as folder:
         if work and settings.seed is None:
-            settings = replace(settings, seed=kept_seed(work))
+            settings = settings.changed(seed=kept_seed(work))
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
         result = _measured(epochs, reporter, cache=work and work / MATCHES)
         components = write_measurement(
@@ -241,7 +241,7 @@ def demo(args, reporter):
         result = _measured(epochs, reporter)
         # Where they will be when the folder is complete.
         paths = [str(output / path.relative_to(folder)) for path in (region, *files)]
-        settings = replace(epochs.settings, region=paths[0], epochs=paths[1:])
+        settings = epochs.settings.changed(region=paths[0], epochs=paths[1:])
         components = write_measurement(
             result, settings, folder, output=output, warnings=reporter.warnings
         )

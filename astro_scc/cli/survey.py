@@ -13,7 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -426,7 +426,7 @@ def _measure(source, output, part, report, said):
         page |= {"report": report, "archives": report, "published": published}
         before, scales = len(said), source.scale_groups[group]
         scales = settings.scales if scales is None else scales
-        own = replace(settings, region=source.regions[region], scales=scales)
+        own = settings.changed(region=source.regions[region], scales=scales)
         try:
             scc = StackedCrossCorrelation.from_settings(own)
             how = {"region": masks[own.region], "scales": scc.scales}

@@ -75,7 +75,7 @@ class Source:
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
         groups = self.scale_groups.values()
-        settings = [replace(self.settings, scales=scales) for scales in groups]
+        settings = [self.settings.changed(scales=scales) for scales in groups]
         settings = [own.to_dict() for own in (self.settings, *settings)]
         others = self.settings.crop, self.settings.align, self.compare
         files = {*self.regions.values(), *others}.difference(ALIGNMENTS)
@@ -271,8 +271,7 @@ def _source(name, folder, given, base):
 
     # Special characters in the folder's own name are not meant as a pattern.
     escaped, align = glob.escape(str(base)), settings.align
-    settings = replace(
-        settings,
+    settings = settings.changed(
         epochs=[str(Path(escaped, pattern)) for pattern in settings.epochs],
         align=align if align in ALIGNMENTS else of_base(align),
         crop=of_base(settings.crop),

@@ -28,6 +28,7 @@ from astro_scc.kinematics import RidgeLine
 from astro_scc.matching.plan import scale_numbers
 from astro_scc.parallel import in_order, workers_of
 from astro_scc.progress import progress
+from astro_scc.settings import require
 from astro_scc.writing import versions
 
 #: What the files are, in their headers and in messages.
@@ -543,7 +544,8 @@ def select_ssps(
         r = ssp_distances(matched, origin=origin, ridge=ridge)
         select &= (r >= low) & (r < high)
     if scales is not None:
-        numbers, have = scale_numbers(matched.cube, scales), matched.scales
+        numbers = scale_numbers(matched.cube, require("scales", scales))
+        have = matched.scales
         missing = [s for s in numbers if s not in have]
         if missing:
             what, there = (", ".join(f"{s:g}" for s in v) for v in (missing, have))

@@ -199,8 +199,9 @@ def scale_numbers(cube, scales):
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    scales : sequence of float, `~astropy.units.Quantity` or None
-        If None, they follow from the beam, or the size of the structures.
+    scales : tuple of float, `~astropy.units.Quantity` or None
+        As settings have them; if None, they follow from the beam, or the size of the
+        structures.
 
     Returns
     -------
@@ -214,7 +215,6 @@ def scale_numbers(cube, scales):
     """
     if scales is None:
         return choose_scales(cube)[0]
-    scales = require("scales", scales)
     if not isinstance(scales, u.Quantity):
         return scales
     numbers = np.arange(0, LARGEST_SCALE, 0.5)
