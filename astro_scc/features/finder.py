@@ -99,7 +99,7 @@ class Features:
         """Probability of each that it is no feature, or parts of several."""
         each = zip(self.tracks, self.motions, strict=True)
         known = [properties(self.detections, *one) for one in each]
-        logit = CONSTANT + np.reshape(known, (-1, len(COEFFICIENTS))) @ COEFFICIENTS
+        logit = np.array([CONSTANT + one @ COEFFICIENTS for one in known])
         return 1 / (1 + np.exp(logit))
 
     @property
