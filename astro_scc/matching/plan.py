@@ -160,8 +160,8 @@ class SearchPlan:
             image = np.hypot(*(side * shape[::-1]))
             moved = f"max_speed moves {least:.3g} to {most:.3g} mas between two dates"
             if least > MOST_MOTION * image or most < LEAST_MOTION * side.min():
-                sizes = f"pixels of {side.min():.3g} mas, the image {image:.3g} mas"
-                raise ValueError(f"{moved}, and there are {sizes}: give another one")
+                sizes = f"images of {image:.3g} mas with pixels of {side.min():.3g} mas"
+                raise ValueError(f"{moved}, in {sizes}: give another one")
             if np.any(most / side > (shape.max() - 1) // 2):
                 warn(
                     f"{moved}, more than half the image: give a smaller one, or a "

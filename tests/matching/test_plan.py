@@ -122,8 +122,8 @@ REFUSED = [
     (lambda: pairs_of_dates(cube_of(), [1, 2] * u.yr),
      "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.246"),
     (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e9),
-     r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, and there are pixels "
-     "of 0.1 mas, the image 7.21 mas: give another one$"),
+     r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, in images of 7.21 "
+     "mas with pixels of 0.1 mas: give another one$"),
     (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e-9),
      "1e-09 mas .*: give another one"),
 ]  # fmt: skip
