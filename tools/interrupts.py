@@ -86,7 +86,8 @@ def tables(folder):
     found = {}
     for path in sorted(Path(folder).rglob("*")):
         name = path.relative_to(folder)
-        if path.suffix not in TABLES or WORK in name.parts:
+        # Neither what a killed run has left.
+        if path.suffix not in TABLES or any(part[0] == "." for part in name.parts):
             continue
         content = path.read_bytes()
         if path.suffix == ".fits":

@@ -64,6 +64,8 @@ class SkyFrame:
     """
 
     axis_names = ("east", "north")
+    #: Whether the axes are the same everywhere.
+    uniform = True
 
     def matrix(self, east: ArrayLike = 0.0, north: ArrayLike = 0.0) -> np.ndarray:
         """
@@ -117,6 +119,8 @@ class PositionAngleFrame:
     pa: u.Quantity
 
     axis_names = ("parallel", "transverse")
+    #: Whether the axes are the same everywhere.
+    uniform = True
 
     def __post_init__(self):
         pa = named("pa", one_quantity, self.pa, "an angle", "65 deg", False)
@@ -171,6 +175,8 @@ class RadialFrame:
     origin: u.Quantity = (0.0, 0.0) * u.mas
 
     axis_names = ("radial", "transverse")
+    #: Whether the axes are the same everywhere.
+    uniform = False
 
     def __post_init__(self):
         wanted = "must be (east, north), two finite angles with a unit"
@@ -242,6 +248,8 @@ class ExpansionFrame:
     radius: u.Quantity
 
     axis_names = ("expansion", "rotation")
+    #: Whether the axes are the same everywhere.
+    uniform = False
 
     def __post_init__(self):
         radius = named("radius", one_quantity, self.radius, "an angle", "100 arcsec")
@@ -367,6 +375,8 @@ class RidgeLine:
     meta: dict = field(default_factory=dict)
 
     axis_names = ("parallel", "transverse")
+    #: Whether the axes are the same everywhere.
+    uniform = False
 
     def __post_init__(self):
         east, north = (

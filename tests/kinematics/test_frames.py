@@ -58,6 +58,7 @@ def test_radial_is_away_from_the_origin(x, y, x0, y0):
 def test_one_rate_is_one_velocity(angle, r, rate):
     place = r * np.array([np.sin(angle), np.cos(angle)])
     frame = ExpansionFrame(CENTRE, RADIUS)
+    assert not frame.uniform
     position = place + CENTRE.to_value(u.mas)
     # The motion that is midway at the place is in proportion to it.
     motion = rate * place
