@@ -412,8 +412,8 @@ def measure_expansion(
     >>> table["rate"].round(2)[0]
     <Quantity 0.11 % / yr>
     """
-    named("sectors", check_integer, sectors, 1)
-    edges = np.linspace(0, 360, int(sectors) + 1)
+    sectors = named("sectors", check_integer, sectors, 1)
+    edges = np.linspace(0, 360, sectors + 1)
     frame = ExpansionFrame(centre, radius)
     stacker = replace(scc, position_angle=frame)
     east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)

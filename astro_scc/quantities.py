@@ -390,7 +390,7 @@ def random_generator(rng):
     Raises
     ------
     ValueError
-        If it is something else.
+        If numpy makes no generator of it.
 
     Examples
     --------
@@ -420,7 +420,7 @@ CORRELATION = {
 def check_range(
     value, wanted, example, least=-math.inf, ordered=operator.lt, number=2
 ):  # fmt: skip
-    """Return so many quantities, or any number for None, in increasing order."""
+    """Return quantities in increasing order, ``number`` of them or, for None, any."""
     wanted = f"must be {wanted}, such as {example!r}"
     found = finite_quantities(value, example.split()[-1], wanted).reshape(-1)
     in_order = all(map(ordered, found.value[:-1], found.value[1:]))

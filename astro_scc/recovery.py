@@ -387,8 +387,9 @@ def completeness(
         if number is None:
             return None
         velocity = result.velocities[number - 1]
-        variance = np.nan_to_num(axis @ velocity.covariance @ axis, nan=np.inf)
-        return axis @ velocity.value - speed, np.sqrt(variance)
+        variance = axis @ velocity.covariance @ axis
+        error = np.inf if np.isnan(variance) else np.sqrt(variance)
+        return axis @ velocity.value - speed, error
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
@@ -419,7 +420,7 @@ def _direction(position_angle, axis):
     if given is None or any(radial) or not straight:
         raise ValueError(
             f"position_angle {given} does not go with that of the measurement, {axis}: "
-            "features move on straight lines, so give angles, or 'radial' twice"
+            "features move on straight lines, so give both an angle, or both 'radial'"
         )
     how = q.one_quantity, given, "an angle", "65 deg", False
     angle = q.named("position_angle", *how).to(u.deg)

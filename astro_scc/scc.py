@@ -58,8 +58,6 @@ MAP_SPEEDS = 3.0
 PAPER_TRIALS = 200
 #: Fewest pairs of dates of a map.
 FEWEST_PAIRS = 3
-
-
 #: Names of the settings of a measurement.
 OWN = tuple(field.name for field in fields(MeasurementSettings))
 

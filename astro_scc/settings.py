@@ -65,7 +65,7 @@ def _setting(check, *more, default=None):
     return field(default=default, metadata={"check": (check, *more)})
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
@@ -96,7 +96,7 @@ class MeasurementSettings:
     common_beam: bool | None = _setting(q.check_boolean)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Settings(MeasurementSettings):
     """
     All settings that determine a measurement.
@@ -158,6 +158,11 @@ class Settings(MeasurementSettings):
         Returns
         -------
         `Settings`
+
+        Raises
+        ------
+        ValueError
+            If a value is not allowed, or does not go with the others.
         """
         made = copy(self)
         made._take(values)

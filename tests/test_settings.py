@@ -65,6 +65,9 @@ def test_settings_survive_the_file_to_the_bit(tmp_path):
     # What the measurement computes with is the same, too.
     one, other = map(StackedCrossCorrelation.from_settings, (made, again))
     assert one.max_speed == other.max_speed == 2 * PM
+    # Both hold arrays: they are equal only to themselves.
+    assert len({one, other, one}) == 2
+    assert made != again
     # A command keeps its own settings.
     for command in ("profile", "track"):
         plain = Settings(epochs="a.fits", **OTHERS).to_dict(command)

@@ -532,11 +532,12 @@ refused(
 refused("scale below none", "--scales '-1' must be of the series")(
     _options("--scales=-1")
 )
-refused("largest speed beyond the image", "--max-speed moves .* mas: give another one")(
-    _options("--max-speed=1e12 mas/yr")
-)
 refused(
-    "largest speed below any that is seen", "--max-speed moves .* mas: give another one"
+    "largest speed beyond the image", "--max-speed moves .* mas: give a smaller one"
+)(_options("--max-speed=1e12 mas/yr"))
+refused(
+    "largest speed below any that is seen",
+    "--max-speed moves .* mas: give a larger one",
 )(_options("--max-speed=1e-12 mas/yr"))
 case("position angle of the jet beyond 360 degrees")(
     _options("--position-angle=630 deg")

@@ -307,9 +307,11 @@ class Correlator:
         if not np.all((pairs >= 0) & (pairs < len(decompositions))):
             last = len(decompositions) - 1
             raise ValueError(f"pairs name epochs outside 0 to {last}")
-        reach = np.broadcast_to(np.asarray(search_radius, dtype=int), 2)
-        if reach.min() < 0:
-            raise ValueError(f"search radius must be 0 or more, got {search_radius}")
+        reach = np.ravel(search_radius)
+        if len(reach) not in (1, 2) or not np.all(reach >= 0):
+            wanted = "one or two numbers of pixels, 0 or more"
+            raise ValueError(f"search radius must be {wanted}, got {search_radius}")
+        reach = np.broadcast_to(reach.astype(int), 2)
         left, parts = Counter(pairs[:, 0].tolist()), []
         blocks = self._blocks(decompositions, pairs, reach, select)
         for references, found in in_order(match_block, blocks, n_workers):

@@ -408,7 +408,13 @@ class Decomposer:
         named("noise", check_choice, self.noise, *NOISES)
         object.__setattr__(self, "scales", scales)
         if self.noise_factors is not None:
-            object.__setattr__(self, "noise_factors", tuple(self.noise_factors))
+            factors = tuple(map(float, self.noise_factors))
+            if len(factors) != len(scales) or not all(0 <= f <= 1 for f in factors):
+                n = len(scales)
+                raise ValueError(
+                    f"noise_factors must be {n} from 0 to 1, got {factors}"
+                )
+            object.__setattr__(self, "noise_factors", factors)
 
     def __call__(
         self, image: ArrayLike, *, mask: ArrayLike | None = None,

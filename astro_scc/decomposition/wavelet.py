@@ -80,11 +80,11 @@ def atrous_transform(image, n_levels, *, kernel="b1", mask=None):
     filter dilated by 2^j.  The planes are ``w_j = a_j - a_{j+1}``, and the image is
     exactly ``sum_j w_j + a_J`` [1]_.  Edges are mirrored.
 
-    The ``image`` and the ``mask`` of missing pixels have the shape (ny, nx).  Each
-    smoothing is normalised by the
-    weight of the valid pixels (``h * (m a) / h * m``), and the planes are zero where
-    the image is missing.  Returns the planes, shape (n_levels, ny, nx), and the smooth
-    image a_J.  Raises a ValueError if the largest filter does not fit the image.
+    The ``image`` and the ``mask`` of missing pixels are arrays of shape (ny, nx).  Each
+    smoothing is normalised by the weight of the valid pixels (``h * (m a) / h * m``),
+    and the planes are zero where the image is missing.  Returns the planes, shape
+    (n_levels, ny, nx), and the smooth image a_J.  Raises a ValueError if the largest
+    filter does not fit the image.
 
     References
     ----------
@@ -362,7 +362,7 @@ def propagated_noise(
     def smoothed(name, n_steps):
         """Return the response of some smoothings on one axis."""
         waves = [np.cos(np.pi * 2**step * frequency) for step in range(n_steps)]
-        # That of a B-spline is a power of the cosine.
+        # The response of a B-spline is a power of a cosine.
         return np.prod(waves, axis=0) ** (len(KERNELS[name]) - 1)
 
     sigma = []

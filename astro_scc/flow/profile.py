@@ -188,6 +188,8 @@ def fit_profile(
         return float((((y - speeds) / s) ** 2).sum())
 
     how = {"sigma": s, "absolute_sigma": True, "bounds": limits, "method": "trf"}
+    # Parameters in any units.
+    how["x_scale"] = "jac"
     fits = [curve_fit(curve, x, y, start, **how) for start in starts]
     values, covariance = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
     least = chi2(curve(x, *values))

@@ -710,6 +710,8 @@ def _follow(cube, image, direction, half, faintest):
     width = mean_width(cube)
     step = STEP * width
     points, tops = [np.zeros(2)], [np.nan]
+    # It ends: a line that does not come near itself cannot be longer than the image has
+    # room for.
     while True:
         guess = points[-1] + step * direction
         found = _slice_point(cube, image, guess, direction, half)

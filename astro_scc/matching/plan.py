@@ -159,9 +159,11 @@ class SearchPlan:
             least, most = self.max_speed * np.array([interval.min(), interval.max()])
             image = np.hypot(*(side * shape[::-1]))
             moved = f"max_speed moves {least:.3g} to {most:.3g} mas between two dates"
-            if least > MOST_MOTION * image or most < LEAST_MOTION * side.min():
+            too_fast = least > MOST_MOTION * image
+            if too_fast or most < LEAST_MOTION * side.min():
                 sizes = f"images of {image:.3g} mas with pixels of {side.min():.3g} mas"
-                raise ValueError(f"{moved}, in {sizes}: give another one")
+                other = "smaller" if too_fast else "larger"
+                raise ValueError(f"{moved}, in {sizes}: give a {other} one")
             if np.any(most / side > (shape.max() - 1) // 2):
                 warn(
                     f"{moved}, more than half the image: give a smaller one, or a "

@@ -180,7 +180,7 @@ def find_chains(samples, speeds, rays):
     ----------
     samples : ``VelocitySamples``
     speeds : sequence of float
-        About those of the streams, in beams/yr.
+        Approximate speeds of the streams, in beams/yr.
     rays : `~astro_scc.streams.diagram.Rays`
 
     Returns

@@ -1,5 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tracking: SSPs linked within limits of speed, apart from ``astro_scc.features``."""
+"""
+SSPs linked within limits of speed.
+
+``astro-scc track`` does not use them, but ``astro_scc.features``.
+"""
 
 from astro_scc.tracking.tracker import FeatureTracker
 

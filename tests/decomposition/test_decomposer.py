@@ -125,6 +125,10 @@ def test_masked_and_missing_pixels(scene):
         ),
         ({"detection": 2}, {}, "0 < segmentation <= detection"),
         ({"segmentation": 0}, {}, "0 < segmentation <= detection"),
+        *(
+            ({"noise_factors": factors}, {}, "noise_factors must be 1 from 0 to 1")
+            for factors in ((-1,), (0.5, 0.5))
+        ),
         ({}, {"image": np.full((16, 16), np.nan)}, "no valid pixel"),
         ({}, {"mask": np.zeros((4, 4), bool)}, r"mask has shape \(4, 4\)"),
         ({}, {"image": np.zeros((2, 16, 16))}, "two dimensions, this has 3"),

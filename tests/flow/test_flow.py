@@ -190,6 +190,18 @@ def test_broken_line_finds_the_break():
     assert 0 < fit.errors["r_break"].value < 0.5
 
 
+def test_a_fit_does_not_depend_on_the_units():
+    # A zigzag, which no broken line is.
+    r = np.linspace(1, 10, 24)
+    v, errors = 1 + 2 * np.abs((r % 5) - 2.5), np.full(24, 0.02)
+    fits = [
+        fit_profile((r * u.mas).to(unit), v, errors, model="broken")
+        for unit in (u.mas, u.arcsec, u.deg)
+    ]
+    chi2 = [fit.chi2 for fit in fits]
+    np.testing.assert_allclose(chi2, chi2[0], rtol=1e-6)
+
+
 def test_constant_has_uniform_probabilities():
     speeds = np.random.default_rng(4).normal(2, 0.1, (300, 12))
     p = np.array([fit_profile(R, v, np.full(12, 0.1)).p_constant for v in speeds])

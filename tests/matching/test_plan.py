@@ -123,9 +123,9 @@ REFUSED = [
      "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.246"),
     (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e9),
      r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, in images of 7.21 "
-     "mas with pixels of 0.1 mas: give another one$"),
+     "mas with pixels of 0.1 mas: give a smaller one$"),
     (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e-9),
-     "1e-09 mas .*: give another one"),
+     "1e-09 mas .*: give a larger one$"),
 ]  # fmt: skip
 
 

@@ -130,7 +130,7 @@ REFUSED = [
     ({}, {}, {"n_trials": 18}, "18 trials allow no p_global below 0.053.*n_trials$"),
     ({}, {}, {"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
     ({}, {}, {"tolerance": 1 * u.s}, "tolerance = 1.0 s must be"),
-    ({}, {}, {"position_angle": "radial"}, "radial does not go with .*'radial' twice"),
+    ({}, {}, {"position_angle": "radial"}, "radial does not go with .*both 'radial'"),
     ({}, {"position_angle": None}, {}, "position_angle None does not go with"),
     ({}, {"position_angle": RIDGE}, {}, "RidgeLine.*features move on straight"),
     # All directions are searched, each to the largest speed.
