@@ -138,7 +138,8 @@ def as_done(function, pieces, n_workers, *, context=None):
             with _pool(workers, context, function) as pool:
                 done = _each_done(pool, function, until_lost(), ordered=False)
                 for item, future in done:
-                    if isinstance(future.exception(), BrokenExecutor):
+                    died = not future.cancelled() and future.exception()
+                    if isinstance(died, BrokenExecutor):
                         lost.append(item)
                     else:
                         yield item[0], _outcome(_result, future)
@@ -214,15 +215,19 @@ class _Processes:
     def __init__(self, n_workers, context):
         self.n_workers = n_workers
         context, self._processes, self._pipes = get_context(context), [], SimpleQueue()
-        for _ in range(n_workers):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs,), daemon=True)
-            self._processes.append(process)
-            # The end of the file is only seen where nobody else can write.
-            with theirs:
-                process.start()
-            self._pipes.put(ours)
         self._threads = ThreadPoolExecutor(n_workers)
+        try:
+            for _ in range(n_workers):
+                ours, theirs = context.Pipe()
+                process = context.Process(target=_serve, args=(theirs,), daemon=True)
+                # The end of the file is only seen where nobody else can write.
+                with theirs:
+                    process.start()
+                self._processes.append(process)
+                self._pipes.put(ours)
+        except BaseException:
+            self.close()
+            raise
 
     def check(self, function):
         """Raise an error if processes cannot start at all."""

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.parallel import _result, as_done, in_order, workers_of
+from astro_scc.parallel import _Cluster, _result, as_done, in_order, workers_of
 
 distributed = pytest.importorskip("distributed")
 
@@ -107,7 +107,7 @@ def test_a_scheduler_without_workers(monkeypatch):
                 list(work(operator.neg, [1], client))
 
 
-def test_a_scheduler_that_is_lost():
+def test_a_scheduler_that_is_lost(monkeypatch):
     def pieces(client):
         yield 1
         client.close()
@@ -116,6 +116,17 @@ def test_a_scheduler_that_is_lost():
     with cluster_of(1) as client:
         with pytest.raises(OSError, match="was lost; start it and this again"):
             list(in_order(operator.neg, pieces(client), client))
+    # Of pieces that have been sent, each is told.
+    futures = [Future(), Future()]
+    for future in futures:
+        future.cancel()
+        future.set_running_or_notify_cancel()
+    monkeypatch.setattr(_Cluster, "submit", lambda *_: futures.pop())
+    with cluster_of(1) as client:
+        found = dict(as_done(operator.neg, [1, 2], client))
+    assert {str(error).split(";")[0] for error in found.values()} == {
+        "the scheduler was lost"
+    }
 
 
 def test_work_that_is_not_done():

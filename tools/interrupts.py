@@ -86,7 +86,7 @@ def tables(folder):
     found = {}
     for path in sorted(Path(folder).rglob("*")):
         name = path.relative_to(folder)
-        # Neither what a killed run has left.
+        # Hidden folders hold kept matches, or what a killed run has left.
         if path.suffix not in TABLES or any(part[0] == "." for part in name.parts):
             continue
         content = path.read_bytes()

@@ -344,7 +344,10 @@ def read_sources(
     if source is not None:
         return {source: read_components(path, source=source, **options)}
     found, names = {}, source_names(open_table(path)[0])
-    for name in (None,) if names is None else dict.fromkeys(names.tolist()):
+    if names is None or len(names) == 0:
+        # A table without rows is refused as any other.
+        names = np.array([None])
+    for name in dict.fromkeys(names.tolist()):
         try:
             found[name or path.stem] = read_components(path, source=name, **options)
         except ValueError as error:

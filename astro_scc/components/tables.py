@@ -13,6 +13,7 @@ from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import Table
 from astropy.time import Time
+from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.fits import open_fits
@@ -364,7 +365,9 @@ def _open_aips(path):
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
     with suppress(ValueError):
-        table.meta["position"] = SkyCoord(*celestial_wcs(header).wcs.crval, unit=u.deg)
+        wcs = celestial_wcs(header)
+        frame = wcs_to_celestial_frame(wcs)
+        table.meta["position"] = SkyCoord(*wcs.wcs.crval, unit="deg", frame=frame).icrs
     return table, get(header, "DATE-OBS", kind=str) or ""
 
 

@@ -22,6 +22,7 @@ from astro_scc.images.fits import (
     CORRECT_BEAM,
     CUBE_CREATOR,
     find_files,
+    is_visibilities,
     looks_like_mask,
     open_fits,
     read_plane,
@@ -128,6 +129,10 @@ def kind_of(path):
         with path.open("rb") as file, open_fits(file) as hdus:
             if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
                 return "cube"
+            image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
+            listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
+            if listed and not image and not is_visibilities(hdus):
+                return "components"
     return "images"
 
 

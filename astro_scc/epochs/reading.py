@@ -144,6 +144,11 @@ def epochs_of(ndcube, times=None):
             "epochs of the NDCube were averaged, of which ndcube keeps the first date "
             "only; rebin its celestial axes alone"
         )
+    shapes = [np.shape(ndcube.mask)] if ndcube.mask is not None else []
+    if ndcube.uncertainty is not None:
+        shapes.append(np.shape(ndcube.uncertainty.array))
+    if any(shape != ndcube.data.shape for shape in shapes):
+        raise ValueError("mask and uncertainty of an NDCube must have its data's shape")
     # Array axes are in the reverse order of WCS axes.
     before = (slice(None),) * (int(np.sum(kept[others[0] :])) - 1)
     return [ndcube[(*before, i)] for i in range(ndcube.data.shape[len(before)])]

@@ -183,7 +183,7 @@ def read_object(path, *, creator, lazy=False):
                 text = hdus["META"].data.tobytes().decode()
                 return _Loader(text, hdus, lazy).get_single_data()
         except Exception as error:
-            what = f"is no complete {creator} file: {first_line(error)}"
+            what = f"cannot be read as {creator}: {first_line(error)}"
             raise OSError(f"{path}: {what}") from None
 
 

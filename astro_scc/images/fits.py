@@ -351,6 +351,8 @@ def uncertainty_noise(uncertainty, unit, mask):
     the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
     """
     kind, sigma = type(uncertainty).__name__, uncertainty
+    if uncertainty.array is None:
+        raise ValueError("its uncertainty has no values; remove it")
     try:
         with np.errstate(divide="ignore", invalid="ignore"):
             if not isinstance(uncertainty, StdDevUncertainty):
@@ -358,10 +360,12 @@ def uncertainty_noise(uncertainty, unit, mask):
         factor = 1.0 if sigma.unit is None else sigma.unit.to(unit)
     except TypeError:
         names = ", ".join(UNCERTAINTIES)
-        raise ValueError(f"its uncertainty is a {kind}; give it as {names}") from None
+        raise ValueError(
+            f"its uncertainty is of type {kind}; give it as {names}"
+        ) from None
     except u.UnitConversionError:
         raise ValueError(
-            f"its uncertainty is a {kind} in {uncertainty.unit}, which does not fit "
+            f"its {kind} is in {uncertainty.unit}, which does not fit "
             f"images in {unit.to_string() or 'no unit'}; correct or remove it"
         ) from None
     if np.any(np.asarray(uncertainty.array) < 0):

@@ -431,7 +431,7 @@ def given_times(times, n):
         times = [None] * n if times is None else [times]
     times = [t if t is None else as_times(t, 1)[0] for t in times]
     if len(times) != n:
-        raise ValueError(f"{n} images or lists need {n} times, got {len(times)}")
+        raise ValueError(f"{len(times)} dates for {n} images; give one for each")
     return times
 
 

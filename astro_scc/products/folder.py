@@ -77,9 +77,9 @@ def product_folder(
     if exists:
         place = target, ".partial-"
     try:
-        # What a killed run has left is no product.
+        # Neither what a killed run has left nor kept matches are products.
         names = [path.name for path in target.iterdir()] if exists else []
-        kept = any(not name.startswith(".partial-") for name in names)
+        kept = any(not name.startswith((".partial-", ".astro_scc-")) for name in names)
         if kept and not overwrite:
             what = "exists and is not empty; choose another folder, or --overwrite"
             raise OSError(f"{path}: {what}")

@@ -413,8 +413,8 @@ def write_overview(table, features, parts, folder, *, published):
         Path of the page.
     """
     folder, files = Path(folder), {}
-    found = speeds.population(features) if len(features) else {"moving": np.array([])}
-    if found["moving"].any():
+    found = speeds.population(features) if len(features) else {}
+    if found and found["moving"].any():
         plot = partial(speeds.plot_population, features)
         files = style.figure_files({"population": plot})
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures of images with their SSPs, in offsets, and a figure of their dates."""
 
+from copy import copy
+
 import astropy.units as u
 import numpy as np
 
@@ -68,7 +70,10 @@ class View:
         self.unit = offset_unit(np.ptp(limits, axis=1).max(), unit)
         self.factor = u.mas.to(self.unit)
         self.limits = limits * self.factor
-        self.norm = norm or plotting_norm(cube, image, epochs)
+        if not (norm is None or hasattr(norm, "autoscale_None")):
+            raise TypeError(f"norm must be one of matplotlib.colors, got {norm!r}")
+        # Limits that it lacks are those of this image.
+        self.norm = copy(norm) if norm else plotting_norm(cube, image, epochs)
         self.norm.autoscale_None(image.compressed())
         *words, self.to_the_left = axis_words(cube)
         self.labels = axis_labels("Offset", words, self.unit)

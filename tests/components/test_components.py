@@ -10,7 +10,9 @@ from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc import EpochCube
+from astro_scc.components.lists import read_sources
 from astro_scc.epochs import Beam, ComponentList, inspect_epochs, read_components
+from astro_scc.epochs.inspection import kind_of
 from astro_scc.exceptions import EpochWarning
 
 BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
@@ -370,6 +372,15 @@ def test_aips_table(tmp_path):
     for name, values in expected.items():
         assert_allclose(getattr(components, name).value, values)
     assert components.meta["position"].ra.deg == 77
+    galactic = {"CTYPE1": "GLON-SIN", "CTYPE2": "GLAT-SIN"}
+    other = read_components(aips(tmp_path / "g.fits", header=galactic))
+    assert other.meta["position"].galactic.l.deg == pytest.approx(77)
+    # Where there is no image, components are restored.
+    with fits.open(tmp_path / "g.fits") as hdus:
+        assert kind_of(tmp_path / "g.fits") == "images"
+        hdus[0].data = None
+        hdus.writeto(tmp_path / "list.fits")
+    assert kind_of(tmp_path / "list.fits") == "components"
     assert components.times[0].isot.startswith("2009-01-07")
     drop = ("MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
     undated = {"DATE-OBS": None, "CTYPE1": None, "OBJECT": "3C 273"}
@@ -380,6 +391,18 @@ def test_aips_table(tmp_path):
     with pytest.warns(EpochWarning, match="files are of 0506\\+056, 3C 273"):
         both = read_components([tmp_path / "a.fits", path], dates=[None, "2010-01-07"])
     assert "object" not in both.meta
+
+
+def test_a_table_of_sources_without_rows(tmp_path):
+    names = ("source", "date", "flux", "east", "north", "size")
+    empty = QTable(names=names, dtype=["U8", "U10", *[float] * 4])
+    empty.write(tmp_path / "t.ecsv")
+    words = "t.ecsv: no components in the file"
+    with (
+        pytest.warns(EpochWarning, match=f"{words}; the source t is left out"),
+        pytest.raises(ValueError, match=words),
+    ):
+        read_sources(tmp_path / "t.ecsv")
 
 
 # Lists that are given where images are expected ---------------------------------

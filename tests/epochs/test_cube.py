@@ -281,7 +281,7 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
     wide = Beam(1 * u.arcsec, 1 * u.arcsec)
     for options, words in (
         ({}, r"0.fits: no date of observation .*times="),
-        ({"times": "2001-01-01"}, "2 images or lists need 2 times, got 1"),
+        ({"times": "2001-01-01"}, "1 dates for 2 images; give one for each"),
         ({"times": times, "beams": wide}, "0.fits: the beam that is given, .* larger"),
         ({"frame": "sky"}, "frame = 'sky' must be one of offset, abs"),
     ):

@@ -286,7 +286,8 @@ def test_ndcubes_of_others_keep_noise_and_beam(ndcube):
          "were averaged, .* rebin its celestial axes alone"),
         (of_others, {}, "image 0: no date of observation"),
         (lambda n: of_others(n, uncertainty=UnknownUncertainty(DATA)),
-         {"times": DATES}, "image 0: its uncertainty is a Unknown"),
+         {"times": DATES}, "image 0: its uncertainty is of type Unknown"),
+        (lambda n: of_others(n, mask=DATA[0] > 1), {}, "mask and uncertainty of an ND"),
         (lambda n: n.NDCube(DATA, wcs=WCS(naxis=3)), {}, "have two celestial axes"),
         (lambda n: make_cube().to_ndcube()[:, 3], {}, "have two celestial axes"),
     ],
@@ -379,11 +380,12 @@ def of_arrays(data=DATA, times=DATES, **fields):
     [
         *((of(image(0, uncertainty=own)), f"image 0: its uncertainty .*{words}")
           for own, words in [
-            (UnknownUncertainty(np.ones(SHAPE)), "is a UnknownUncertainty; give it as"),
+            (UnknownUncertainty(np.ones(SHAPE)), "is of type UnknownUnc.*; give it as"),
+            (StdDevUncertainty(None), "has no values; remove it"),
             (StdDevUncertainty(np.full(SHAPE, -1.0)), "has negative values; correct"),
             (VarianceUncertainty(-np.eye(*SHAPE)), "has negative values; correct"),
             (InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; remove it")]),
-        (of(unfit()), "image 0: .* StdDevUncertainty in K, which"),
+        (of(unfit()), "image 0: .* StdDevUncertainty is in K, which"),
         (of(NDData(PLANE, wcs=celestial())), "image 0: no date of observation"),
         (of(NDData(PLANE, meta=DATED)), "image 0: it has no WCS"),
         (of(NDData(np.ones((2, 8, 9)), wcs=celestial())), r"0: has shape \(2, 8, 9\)"),

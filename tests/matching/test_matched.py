@@ -221,7 +221,7 @@ def test_a_cache_is_used_when_only_the_stack_changes(cube, made, counted, tmp_pa
     assert len(counted) == len(cube)
     # What cannot be read is made again.
     file.write_text("nothing")
-    with pytest.warns(MeasurementWarning, match="is no complete astro_scc matches"):
+    with pytest.warns(MeasurementWarning, match="cannot be read as astro_scc matches"):
         same(made, SCC.match(cube, cache=path))
     assert len(counted) == 2 * len(cube)
 

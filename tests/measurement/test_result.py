@@ -252,7 +252,7 @@ class Axes:
 def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
     other = tmp_path / "other.fits"
     sky_result.cube.write(other)
-    refused(other, "other.fits: is no complete astro_scc result.*not written as one")
+    refused(other, "other.fits: cannot be read as astro_scc result.*not written as one")
     sky_result.matched.write(other, overwrite=True)
     refused(other, "not written as one")
     whole = path.read_bytes()

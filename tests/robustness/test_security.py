@@ -52,8 +52,11 @@ BAD = "!!python/object/apply:os.mkdir [{path}]"
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (f"unit: {BAD}", r"bad.fits: is no complete astro_scc Epoch"),
-        ("unit: !!python/name:os.system", r"bad.fits: is no complete astro_scc Epoch"),
+        (f"unit: {BAD}", r"bad.fits: cannot be read as astro_scc Epoch"),
+        (
+            "unit: !!python/name:os.system",
+            r"bad.fits: cannot be read as astro_scc Epoch",
+        ),
         ("'!class': os.PathLike", r"bad.fits: .* its \w+ is of another version"),
         ("'!class': astro_scc.cli.main", r"bad.fits: .* its \w+ is of another version"),
         ("'!class': astro_scc.images.fits.Path", r"its \w+ is of another version"),

@@ -127,6 +127,8 @@ def test_brightness_has_limits_unit_and_ticks_that_fit():
         assert drawn.norm.vmin < drawn.norm.vmax
     ax = small_cube().plot(0, norm=LogNorm(vmin=0.5), colorbar=False).axes[0]
     assert (ax.images[0].norm.vmin, ax.images[0].norm.vmax) == (0.5, 100)
+    with pytest.raises(TypeError, match="norm must be one of matplotlib.colors, got"):
+        small_cube().plot(0, norm="log")
     assert not ax.child_axes
     assert ticks_of(AsinhNorm(0.004, vmin=-1e-3, vmax=3)) == [0, 0.01, 0.1, 1]
     assert ticks_of(AsinhNorm(0.4, vmin=-1, vmax=3)) is None
