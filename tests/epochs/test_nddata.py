@@ -287,7 +287,7 @@ def test_ndcubes_of_others_keep_noise_and_beam(ndcube):
         (of_others, {}, "image 0: no date of observation"),
         (lambda n: of_others(n, uncertainty=UnknownUncertainty(DATA)),
          {"times": DATES}, "image 0: its uncertainty is of type Unknown"),
-        (lambda n: of_others(n, mask=DATA[0] > 1), {}, "mask and uncertainty of an ND"),
+        (lambda n: of_others(n, mask=DATA[0] > 1), {}, "mask and uncertainty of an"),
         (lambda n: n.NDCube(DATA, wcs=WCS(naxis=3)), {}, "have two celestial axes"),
         (lambda n: make_cube().to_ndcube()[:, 3], {}, "have two celestial axes"),
     ],
