@@ -1,0 +1,144 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Where the flow is seen, and the wavelet planes of all epochs along it."""
+
+import astropy.units as u
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from astro_scc.decomposition.wavelet import (
+    MAD_TO_SIGMA,
+    plane_noise,
+    scale_size,
+    wavelet_planes,
+)
+from astro_scc.spectrum.planes import flow_planes
+
+#: Faintest flow, in noises of an epoch: the mean of the brightest quarter of the epochs.
+THRESHOLD = 5.0
+#: Distance from the core from which the flow is looked at, in beams.
+CORE = 1.2
+#: Largest scale that is used if none is given, in beams, and how many.
+LARGEST, N_SCALES = 0.55, 3
+#: Margin around the grid, in sizes of the largest scale.
+MARGIN = 10
+
+
+def default_scales(beam_px):
+    """Return the scales of the velocity spectrum for a beam in pixels."""
+    last = max(0, int(np.floor(np.log2(LARGEST * beam_px) + 1e-9)))
+    return tuple(range(max(0, last - N_SCALES + 1), last + 1))
+
+
+def seen_flow(cube, beam, *, core):
+    """
+    Return the pixels in which the flow is seen.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    beam : float
+        In mas.
+    core : bool
+        Whether the core at the reference pixel is left out.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (ny, nx)
+    """
+    n, rms = len(cube), float(np.median(cube.noise_rms().value))
+    few = max(2, n // 4)
+    images = np.where(cube.mask, -np.inf, cube.data)
+    top = np.partition(images, n - few, axis=0)[n - few :].mean(axis=0)
+    seen = top > THRESHOLD * rms
+    if core:
+        east, north = (offset.to_value(u.mas) for offset in cube.offsets())
+        seen &= np.hypot(east, north) > CORE * beam
+    return seen
+
+
+def has_core(cube, beam):
+    """Return whether the brightest point of the mean image is the reference pixel."""
+    if cube.beams is None:
+        return False
+    image = np.nan_to_num(np.asarray(cube.mean_image().data, dtype=float), nan=-np.inf)
+    y, x = np.unravel_index(image.argmax(), image.shape)
+    place = [v.to_value(u.mas) for v in cube.pixel_to_offset(x, y)]
+    return bool(np.hypot(*place) < beam)
+
+
+def sample_planes(cube, grid, scales, seen, *, kernel="b1", normalise="local", order=3):
+    """
+    Decompose all epochs and return what changes, on a grid along the flow.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    grid : `~astro_scc.grid.lines.FlowGrid`
+    scales : sequence of float
+        Numbers of the wavelet scales.
+    seen : `~numpy.ndarray` of bool, shape (ny, nx)
+    kernel, normalise
+        Of the wavelets, and see ``flow_planes``.
+    order : int, optional
+        Of the splines between pixels.
+
+    Returns
+    -------
+    `~astro_scc.spectrum.planes.FlowPlanes`
+    """
+    ny, nx = cube.shape[1:]
+    inside = (grid.x > -0.5) & (grid.y > -0.5)
+    inside &= (grid.x < nx - 0.5) & (grid.y < ny - 0.5)
+    margin = int(MARGIN * max(scale_size(scale) for scale in scales)) + 2
+    box = tuple(
+        slice(max(0, int(v[inside].min()) - margin), int(v[inside].max()) + margin + 1)
+        for v in (grid.y, grid.x)
+    )
+    where = np.array([grid.y - box[0].start, grid.x - box[1].start])
+    where = np.where(inside, where, -1e6)
+    n, shape = len(cube), (len(scales), len(cube), *grid.x.shape)
+    planes = np.empty(shape, np.float32)
+    valid = np.empty((n, *grid.x.shape), dtype=bool)
+    sky, noise = ~seen[box], np.empty((n, len(scales)))
+    for k in range(n):
+        missing = cube.mask[k][box]
+        own = missing if missing.any() else None
+        image = np.where(missing, 0.0, cube.data[k][box])
+        found = wavelet_planes(image, scales, kernel=kernel, mask=own)
+        noise[k] = [
+            _noise(plane, scale, sky & ~missing, own)
+            for plane, scale in zip(found, scales, strict=True)
+        ]
+        for j, plane in enumerate(found):
+            planes[j, k] = map_coordinates(plane, where, order=order, mode="constant")
+        valid[k] = inside if own is None else inside & (
+            map_coordinates(missing.astype(float), where, order=1, cval=1.0) < 0.5
+        )
+    mask = map_coordinates(seen[box].astype(float), where, order=1) > 0.5
+    side = cube.pixel_scale.to_value(u.mas) / grid.beam / (grid.along[1] - grid.along[0])
+    return flow_planes(
+        planes,
+        valid,
+        mask,
+        np.sqrt((noise**2).mean(axis=0)),
+        along=grid.along,
+        across=grid.across,
+        years=cube.years.to_value(u.yr),
+        scales=scales,
+        sizes=[side * scale_size(scale) for scale in scales],
+        weight=None if np.ptp(grid.weight) == 0 else grid.weight,
+        normalise=normalise,
+    )
+
+
+def sample_mask(mask, grid):
+    """Return the weight of a grid's points inside a region, shape (n_along, n_across)."""
+    where = np.array([grid.y, grid.x])
+    return map_coordinates(np.asarray(mask, float), where, order=1, mode="constant")
+
+
+def _noise(plane, scale, sky, mask):
+    """Return the noise of a plane where no flow is seen, or as it is found in it."""
+    if sky.mean() < 0.1:
+        return plane_noise(plane, scale, mask=mask)
+    return MAD_TO_SIGMA * float(np.median(np.abs(plane[sky])))

@@ -1,0 +1,157 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The displacement-interval diagram: correlation of all pairs of epochs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Largest displacement in beams: patterns that keep their shape over three beams have
+#: lost four fifths of their correlation there.
+REACH = 5.0
+#: Points of the diagram in a beam, at most.
+POINTS = 6.0
+#: Displacements at which fewer pairs of places than this share are inside the mask are
+#: left out, and sums are divided by at least the other share.
+LEAST_OVERLAP, LEAST_NORM = 0.05, 0.15
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagram:
+    """
+    Correlation of every epoch with every other at displacements along the flow.
+
+    Attributes
+    ----------
+    sums : `~numpy.ndarray`, shape (n_epochs, n_epochs, n_d)
+        ``sum_x q_a(x - d/2) q_b(x + d/2)``, the mean over scales, over the number of
+        places x; symmetric: ``sums[a, b, d] = sums[b, a, -d]``.
+    overlap : `~numpy.ndarray`, shape (n_d,)
+        Share of places for which both ends are inside the mask.
+    displacement : `~numpy.ndarray`, shape (n_d,)
+        In beams, evenly spaced and symmetric about zero.
+    years : `~numpy.ndarray`, shape (n_epochs,)
+    """
+
+    sums: np.ndarray
+    overlap: np.ndarray
+    displacement: np.ndarray
+    years: np.ndarray
+
+    @property
+    def means(self) -> np.ndarray:
+        """The sums over the number of pairs of places, shape of ``sums``."""
+        known = self.overlap > LEAST_OVERLAP
+        norm = np.where(known, 1 / np.maximum(self.overlap, LEAST_NORM), 0.0)
+        return self.sums * norm.astype(np.float32)
+
+    @property
+    def zero(self) -> int:
+        """Index of the displacement zero."""
+        return len(self.displacement) // 2
+
+
+def lags(flow):
+    """Return the displacements of a diagram in points of the grid, from zero."""
+    step = max(1, int(1 / (POINTS * flow.step)))
+    most = min(int(np.ceil(REACH / flow.step)), len(flow.along) - 2)
+    return np.arange(0, max(most, step) + 1, step)
+
+
+def ends(lag, n):
+    """Return the slices of the earlier and later ends of displacements by a lag."""
+    return (slice(0, n - lag), slice(lag, n)) if lag >= 0 else ends(-lag, n)[::-1]
+
+
+def middles(weight, lag):
+    """Return the weight of places at the middles of displacements by a lag >= 0."""
+    low = weight[lag // 2 :][: len(weight) - lag]
+    high = weight[(lag + 1) // 2 :][: len(weight) - lag]
+    return (low + high) / 2
+
+
+def correlate(flow, *, region=None, across=0):
+    """
+    Correlate all pairs of epochs at all displacements along the flow.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.spectrum.planes.FlowPlanes`
+    region : `~numpy.ndarray`, shape (n_along, n_across), optional
+        Weight of places.  A displacement belongs to the place of its middle, so that
+        the ends of a region do not favour one speed.
+    across : int, optional
+        Displacement across the flow, in points of the grid.
+
+    Returns
+    -------
+    `Diagram`
+    """
+    n, mask = len(flow.years), flow.mask.astype(np.float32)
+    weight = mask if region is None else np.asarray(region, np.float32)
+    total = max((mask * weight).sum(), 1.0)
+    steps, half = lags(flow), len(lags(flow)) - 1
+    sums = np.zeros((n, n, 2 * half + 1), np.float32)
+    overlap = np.zeros(2 * half + 1)
+    left, right = ends(across, mask.shape[1])
+    for k, lag in enumerate(steps):
+        here, there = ends(lag, len(mask))
+        at = middles(weight, lag)[:, left]
+        overlap[half + k] = (mask[here, left] * mask[there, right] * at).sum() / total
+        if overlap[half + k] <= LEAST_OVERLAP / 2:
+            continue
+        found = np.zeros((n, n), np.float32)
+        for plane in flow.values:
+            first = plane[:, here, left] if region is None else plane[:, here, left] * at
+            found += first.reshape(n, -1) @ plane[:, there, right].reshape(n, -1).T
+        sums[:, :, half + k] = found / (total * len(flow.values))
+    if across == 0:
+        sums[:, :, :half] = sums[:, :, :half:-1].transpose(1, 0, 2)
+        overlap[:half] = overlap[:half:-1]
+    return Diagram(sums, overlap, _displacements(steps, flow.step), flow.years)
+
+
+def _displacements(steps, step):
+    return np.concatenate([-steps[:0:-1], steps]) * step
+
+
+def influence(flow, diagram, function, *, region=None):
+    """
+    Return what each place of each epoch adds to a linear function of the diagram.
+
+    .. math:: I_a(x) = q_a(x) \\sum_b \\sum_d h_{ab}(d)\\, q_b(x + d)
+
+    Parameters
+    ----------
+    flow, region
+        As in `correlate`.
+    diagram : `Diagram`
+    function : `~numpy.ndarray`, shape (n_epochs, n_epochs, n_d)
+        The function h of the ``means``, symmetric as the diagram is.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs, n_along)
+        Summed across the flow; half of each product is counted at either end.
+    """
+    n, mask = len(flow.years), flow.mask
+    weight = mask if region is None else region
+    weight = np.asarray(weight, np.float32)
+    total = max((mask * weight).sum(), 1.0) * len(flow.values)
+    known = diagram.overlap > LEAST_OVERLAP
+    norm = np.where(known, 1 / np.maximum(diagram.overlap, LEAST_NORM), 0.0) / total
+    half, found = diagram.zero, np.zeros((n, len(mask)))
+    for k, lag in enumerate(lags(flow)):
+        if norm[half + k] == 0:
+            continue
+        here, there = ends(lag, len(mask))
+        at = middles(weight, lag)
+        h = np.asarray(function[:, :, half + k] * norm[half + k], np.float32)
+        # The negative displacements are the same products.
+        both = 1 if k else 0.5
+        for plane in flow.values:
+            first = plane[:, here] if region is None else plane[:, here] * at
+            other = (h @ plane[:, there].reshape(n, -1)).reshape(first.shape)
+            found[:, here] += both * (first * other).sum(axis=2)
+            back = (h.T @ first.reshape(n, -1)).reshape(first.shape)
+            found[:, there] += both * (plane[:, there] * back).sum(axis=2)
+    return found

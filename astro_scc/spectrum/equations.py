@@ -1,0 +1,222 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The velocity spectrum: the diagram, deconvolved by the images' own correlation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from astro_scc.spectrum.diagram import LEAST_OVERLAP
+from astro_scc.spectrum.permutations import FASTEST, LENGTH, SLOWEST, autocorrelation
+
+#: Ratio of neighbouring speeds, and of the intervals of neighbouring bins.
+RATIO, INTERVALS = 1.12, 1.04
+#: Speeds of the spectrum go so much beyond the fastest one that is tested.
+BEYOND = 1.5
+#: Memories of what stands still and varies, in whole times.
+STANDING = (1 / 30, 1 / 8, 1 / 2)
+#: Part of the mean diagonal that keeps the equations apart.
+RIDGE = 1e-4
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Equations:
+    """
+    Least squares of the diagram for the share of the emission at each speed.
+
+    Attributes
+    ----------
+    speed, width : `~numpy.ndarray`, shape (n_v,)
+        Speeds in beams/yr, and the width of the bin of each.
+    design : `~numpy.ndarray`, shape (n_columns, n_bins, n_d)
+        Expected diagram of each speed, and of what stands still and varies, in bins of
+        the interval, times the root of the number of pairs.
+    data : `~numpy.ndarray`, shape (n_bins, n_d)
+    gram : `~numpy.ndarray`, shape (n_columns, n_columns)
+    right : `~numpy.ndarray`, shape (n_columns,)
+    bins : `~numpy.ndarray` of int, shape (n_epochs, n_epochs)
+        Bin of each pair; -1 for pairs that are not used.
+    number, interval : `~numpy.ndarray`, shape (n_bins,)
+        Pairs of each bin, and their mean interval in years.
+    power : float
+        The images' correlation with themselves, at no displacement.
+    """
+
+    speed: np.ndarray
+    width: np.ndarray
+    design: np.ndarray
+    data: np.ndarray
+    gram: np.ndarray
+    right: np.ndarray
+    bins: np.ndarray
+    number: np.ndarray
+    interval: np.ndarray
+    power: float
+
+    @property
+    def square(self) -> float:
+        """Sum of the squares of the data."""
+        return float((self.data**2).sum())
+
+    def solve(self, columns, right=None):
+        """
+        Return non-negative amplitudes of combinations of columns, and the misfit.
+
+        Parameters
+        ----------
+        columns : `~numpy.ndarray`, shape (k, n_columns)
+        right : `~numpy.ndarray`, shape (n_columns,), optional
+
+        Returns
+        -------
+        amplitudes : `~numpy.ndarray`, shape (k,)
+        misfit : float
+            Sum of the squared residuals.
+        """
+        gram = columns @ self.gram @ columns.T
+        right = columns @ (self.right if right is None else right)
+        ridge = 1e-9 * np.trace(gram) * np.eye(len(gram))
+        if not np.trace(gram) > 0:
+            return np.zeros(len(columns)), self.square
+        factor = np.linalg.cholesky(gram + ridge)
+        found, _ = nnls(factor.T, np.linalg.solve(factor, right))
+        return found, self.square - 2 * found @ right + found @ gram @ found
+
+
+def spectrum_speeds(years, fastest=None):
+    """Return the speeds of the spectrum, with both signs and zero, in beams/yr."""
+    top = fastest
+    if top is None:
+        gaps = np.diff(years)
+        top = FASTEST / np.quantile(gaps[gaps > 0], 0.25)
+    top *= BEYOND
+    low = min(SLOWEST / np.ptp(years), top / 2)
+    n = int(np.ceil(np.log(top / low) / np.log(RATIO)))
+    speed = low * (top / low) ** (np.arange(n + 1) / n)
+    return np.concatenate([-speed[::-1], [0.0], speed])
+
+
+def widths_of(speed):
+    """Return the widths of the bins of speeds."""
+    edges = (speed[1:] + speed[:-1]) / 2
+    edges = np.concatenate([[2 * speed[0] - edges[0]], edges, [2 * speed[-1] - edges[-1]]])
+    return np.diff(edges)
+
+
+def interval_bins(years):
+    """
+    Return pairs of epochs in bins of their interval, of equal relative width.
+
+    Returns
+    -------
+    bins : `~numpy.ndarray` of int, shape (n_epochs, n_epochs)
+        Bins of both signs; -1 for pairs of one date.
+    number, interval : `~numpy.ndarray`, shape (n_bins,)
+    """
+    tau = years - years[:, None]
+    use = tau != 0
+    key = np.floor(np.log(np.abs(tau[use]) / np.abs(tau[use]).min()) / np.log(INTERVALS))
+    key = 2 * key.astype(int) + (tau[use] > 0)
+    _, index = np.unique(key, return_inverse=True)
+    bins = np.full(tau.shape, -1)
+    bins[use] = index
+    number = np.bincount(index)
+    return bins, number, np.bincount(index, tau[use]) / number
+
+
+def set_up(diagram, *, fastest=None, own=None):
+    """
+    Set up the equations of a diagram.
+
+    .. math:: E[D_{ab}(d)] = J \\Big[\\sum_v A(v)\\, R(d - v \\tau_{ab})
+              e^{-|v\\tau_{ab}|/l} \\Big] J + \\text{standing patterns},
+
+    with the interval tau between the epochs, the images' own correlation R, the length
+    l of three beams, and the projection ``J = 1 - 1/n`` on what is not constant, in
+    both epochs, as the planes have no mean over the epochs.
+
+    Parameters
+    ----------
+    diagram : `~astro_scc.spectrum.diagram.Diagram`
+    fastest : float, optional
+        Largest speed, in beams/yr.
+    own : `~numpy.ndarray`, shape (n_d,), optional
+        The images' own correlation, by default that of the diagram.
+
+    Returns
+    -------
+    `Equations`
+    """
+    years, x, n = diagram.years, diagram.displacement, len(diagram.years)
+    bins, number, interval = interval_bins(years)
+    speed = spectrum_speeds(years, fastest)
+    own = autocorrelation(diagram) if own is None else own
+    # The last row is the interval zero, of each epoch with itself.
+    tau = np.append(interval, 0.0)
+    moved = speed[:, None] * tau
+    shape = np.interp(x - moved[..., None], x, own, left=0, right=0)
+    shape *= np.exp(-np.abs(moved) / LENGTH)[..., None]
+    span = np.ptp(years)
+    memory = np.exp(-np.abs(tau) / (span * np.array(STANDING)[:, None]))
+    shape = np.concatenate([shape, memory[..., None] * own])
+    index = np.where(bins < 0, len(number), bins)
+    of_first = np.zeros((n, len(tau)))
+    np.add.at(of_first, (np.repeat(np.arange(n), n), index.ravel()), 1 / n)
+    of_second = np.zeros((n, len(tau)))
+    np.add.at(of_second, (np.tile(np.arange(n), n), index.ravel()), 1 / n)
+    pairs = np.nonzero(bins >= 0)
+    first, second = (_shares(bins[pairs], k, (len(number), n)) for k in pairs)
+    mean = of_first.mean(axis=0)
+    centre = np.eye(len(number), len(tau)) + mean
+    centre -= first @ of_first + second @ of_second
+    design = np.einsum("bt,vtd->vbd", centre, shape, optimize=True)
+    share = number / number.sum()
+    design -= np.einsum("b,vbd->vd", share, design)[:, None]
+    design *= np.sqrt(number)[:, None]
+    design *= (diagram.overlap > LEAST_OVERLAP)
+    data = binned(diagram.means, bins, number)
+    flat = design.reshape(len(design), -1)
+    epochs = np.arange(n)
+    power = diagram.means[epochs, epochs, diagram.zero].mean()
+    return Equations(
+        speed, widths_of(speed), design, data, flat @ flat.T, flat @ data.ravel(),
+        bins, number, interval, float(power),
+    )  # fmt: skip
+
+
+def _shares(bins, epochs, shape):
+    """Return the share of each epoch among the pairs of each bin."""
+    found = np.zeros(shape)
+    np.add.at(found, (bins, epochs), 1)
+    return found / found.sum(axis=1, keepdims=True)
+
+
+def binned(values, bins, number):
+    """Return values of pairs summed over bins, less the mean of all pairs."""
+    use = bins >= 0
+    sums = np.zeros((len(number), values.shape[2]))
+    np.add.at(sums, bins[use], values[use].astype(float))
+    sums -= (number / number.sum())[:, None] * sums.sum(axis=0)
+    return sums / np.sqrt(number)[:, None]
+
+
+def deconvolve(equations):
+    """
+    Return the velocity spectrum: the share of the variance that moves at each speed.
+
+    Parameters
+    ----------
+    equations : `Equations`
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_v,)
+        Amplitudes of non-negative least squares, in the unit of the diagram.
+    """
+    n = len(equations.gram)
+    scale = np.trace(equations.gram) / n
+    if not scale > 0:
+        return np.zeros(len(equations.speed))
+    factor = np.linalg.cholesky(equations.gram + RIDGE * scale * np.eye(n))
+    found, _ = nnls(factor.T, np.linalg.solve(factor, equations.right))
+    return found[: len(equations.speed)]

@@ -1,0 +1,179 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Errors of speeds, from what each pattern and each epoch adds to them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from astro_scc.spectrum.diagram import influence
+from astro_scc.spectrum.gaussians import FLOOR, columns_of, standing_columns
+
+#: Length of a cluster: patterns that leave within so many beams are not independent.
+CLUSTER = 2.5
+#: Probability up to one standard deviation of a normal distribution.
+ONE_SIGMA = 0.8413447460685429
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedErrors:
+    """
+    Errors of the parameters of a fit of streams.
+
+    Attributes
+    ----------
+    mean, amplitude : `~numpy.ndarray`, shape (k,)
+        Standard errors of mean speeds and amplitudes.
+    number : `~numpy.ndarray`, shape (k,)
+        Effective number of clusters of each stream.
+    clusters : list of `~numpy.ndarray`
+        For each stream, what the clusters add to its mean speed, by their number from
+        the first in time, for two divisions: shape (2, n_clusters).
+    epochs : `~numpy.ndarray`, shape (k, n_epochs)
+        What each epoch adds to each mean speed.
+    """
+
+    mean: np.ndarray
+    amplitude: np.ndarray
+    number: np.ndarray
+    clusters: list
+    epochs: np.ndarray
+
+
+def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
+    """
+    Return the errors of a fit of streams.
+
+    A parameter is a linear function of the diagram near its best value.  What each
+    place and epoch adds to it is summed over clusters that move along with the stream,
+    2.5 beams of ejection each, and their scatter gives the error, with Student's factor
+    for their number; to it are added the deletion of epochs and the scatter of
+    features of unequal weight.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.spectrum.planes.FlowPlanes`
+    diagram : `~astro_scc.spectrum.diagram.Diagram`
+    equations : `~astro_scc.spectrum.equations.Equations`
+    fit : `~astro_scc.spectrum.gaussians.StreamFit`
+    region : `~numpy.ndarray`, optional
+        As for the diagram.
+    travel : float, optional
+        Speed at which clusters move, by default that of each stream.
+
+    Returns
+    -------
+    `SpeedErrors`
+    """
+    k = len(fit.mean)
+    own, of_mean, of_sd = columns_of(equations, fit.mean, fit.sd)
+    on = [i for i in range(len(fit.standing)) if fit.standing[i] > 0]
+    standing = standing_columns(equations)[on]
+    free = [i for i in range(k) if fit.sd[i] > 1.1 * FLOOR * abs(fit.mean[i])]
+    rows = [own, fit.amplitude[:, None] * of_mean, standing]
+    rows.append(fit.amplitude[free, None] * of_sd[free])
+    rows = np.concatenate(rows)
+    square = rows @ equations.gram @ rows.T
+    square += 1e-8 * np.diag(np.maximum(np.diag(square), np.finfo(float).tiny))
+    weights = np.linalg.solve(square, rows)
+    all_rows = np.concatenate([own, standing_columns(equations)])
+    model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows
+    model = np.tensordot(model, equations.design, 1)
+    found = {"mean": [], "amplitude": [], "number": [], "clusters": [], "epochs": []}
+    for i in range(k):
+        speed = fit.mean[i] if travel is None else travel
+        of_speed = function_of(equations, weights[k + i])
+        of_share = function_of(equations, weights[i])
+        pieces = [
+            influence(flow, diagram, f, region=region) for f in (of_speed, of_share)
+        ]
+        sums, parts = clusters_of(flow, pieces, speed)
+        number = np.mean([_effective(part) for part in parts])
+        factor = stdtrit(max(number - 1, 1.0), ONE_SIGMA)
+        residual = diagram.means - unbinned(equations, model)
+        epochs = [_of_epochs(f, residual) for f in (of_speed, of_share)]
+        errors = []
+        for values, deleted in zip((sums, parts), epochs, strict=True):
+            clusters = np.mean([_variance(v) for v in values])
+            errors.append(np.sqrt(factor**2 * clusters + (deleted**2).sum()))
+        unequal = max(fit.sd[i] ** 2 - (FLOOR * fit.mean[i]) ** 2, 0) / max(number, 1)
+        found["mean"].append(np.sqrt(errors[0] ** 2 + unequal))
+        found["amplitude"].append(errors[1])
+        found["number"].append(number)
+        found["clusters"].append([factor * v for v in sums])
+        found["epochs"].append(epochs[0])
+    arrays = {name: np.array(found[name]) for name in ("mean", "amplitude", "number")}
+    epochs = np.reshape(found["epochs"], (k, -1))
+    return SpeedErrors(**arrays, clusters=found["clusters"], epochs=epochs)
+
+
+def function_of(equations, weights):
+    """Return the function of the pairs that moves a parameter, (n, n, n_d)."""
+    values = np.tensordot(weights, equations.design, 1)
+    values /= np.sqrt(equations.number)[:, None]
+    values -= equations.number @ values / equations.number.sum()
+    return _spread(equations, values)
+
+
+def unbinned(equations, model):
+    """Return a model of the binned data for each pair, (n, n, n_d)."""
+    return _spread(equations, model / np.sqrt(equations.number)[:, None])
+
+
+def _spread(equations, values):
+    bins = equations.bins
+    found = np.zeros((*bins.shape, values.shape[1]), np.float32)
+    found[bins >= 0] = values[bins[bins >= 0]]
+    return found
+
+
+def clusters_of(flow, pieces, speed):
+    """
+    Return sums of influences over clusters that move along at a speed.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.spectrum.planes.FlowPlanes`
+    pieces : sequence of `~numpy.ndarray`, shape (n_epochs, n_along)
+    speed : float
+        In beams/yr.
+
+    Returns
+    -------
+    list of list of `~numpy.ndarray`
+        For each influence, two divisions into clusters, half a length apart, from one
+        beginning for all flows of the same epochs.
+    """
+    start = flow.along[None] - speed * (flow.years - flow.years.mean())[:, None]
+    longest = abs(speed) * np.ptp(flow.years) / CLUSTER + 1
+    found = [[] for _ in pieces]
+    for offset in (0.0, 0.5):
+        number = np.floor(start / CLUSTER + offset + np.ceil(longest)).astype(int)
+        number -= min(number.min(), 0)
+        for sums, piece in zip(found, pieces, strict=True):
+            sums.append(np.bincount(number.ravel(), piece.ravel()))
+    return found
+
+
+def _variance(sums):
+    """Return the variance of a sum over independent clusters."""
+    used = sums[sums != 0]
+    m = len(used)
+    if m < 2:
+        return float((used**2).sum())
+    return float(((used - used.mean()) ** 2).sum() * m / (m - 1))
+
+
+def _effective(parts):
+    """Return the effective number of clusters from their shares of an amplitude."""
+    parts = np.maximum(parts, 0)
+    square = (parts**2).sum()
+    return parts.sum() ** 2 / square if square > 0 else 1.0
+
+
+def _of_epochs(function, residual):
+    """Return what all pairs with an epoch add, beyond the model."""
+    n = len(function)
+    each = (function * residual).sum(axis=2)
+    each = each.sum(axis=0) + each.sum(axis=1)
+    return (each - each.mean()) * np.sqrt((n - 1) / n / 2) * n / max(n - 2, 1)

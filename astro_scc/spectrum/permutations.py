@@ -1,0 +1,325 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Whether anything moves along the flow: permutations of innovations."""
+
+from dataclasses import dataclass
+from itertools import permutations
+from math import factorial
+
+import numpy as np
+
+from astro_scc.spectrum.diagram import LEAST_NORM, LEAST_OVERLAP
+
+#: Length in beams over which features keep their shape.
+LENGTH = 3.0
+#: Displacement in beams beyond which images are not alike.
+ALIKE = 2.2
+#: Slowest and fastest speed: beams in the whole time, and beams in the shorter quarter
+#: of the intervals.
+SLOWEST, FASTEST = 0.5, 2.0
+#: Steps of the speeds that are tested: beams at the end of the way.
+SPACING = 0.35
+#: Part of the mean scatter of displacements that is added to that of each.
+RIDGE = 1.0
+#: Weight of speeds towards the core, against the flow, relative to those away from it.
+INWARD = 0.1
+#: A second stream is searched beyond this factor from the speed of the first: with 1.3,
+#: one in twenty features of one stream is.
+BEYOND = 2.0
+#: Displacements up to this one, in beams, are compared, and this share of the mean is
+#: added to standard deviations.
+TESTED, FLOOR = 4.0, 0.1
+#: Memories, in median intervals and in the whole time, and white shares, that are tried.
+SHORTEST, LONGEST, N_MEMORIES = 0.3, 2.0, 24
+WHITE = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionTest:
+    """
+    The permutation test for motion along one or several directions.
+
+    Attributes
+    ----------
+    speed : `~numpy.ndarray`, shape (n_v,)
+        Speeds that were tested, in beams/yr; negative ones are towards the origin.
+    z : `~numpy.ndarray`, shape (n_directions, n_v)
+        The part of the diagram that is odd under reversal of time, at each speed, in
+        standard deviations of the permutations.
+    p_local, p_speed : `~numpy.ndarray`, shape (n_directions, n_v)
+        Share of permutations with as large a z at this speed, and at any speed.
+    p_global : float
+        Share of permutations with as large a mean of ``exp(z^2 / 2)`` over all speeds.
+    p_smallest : float
+        Smallest p-value that permutations and epochs allow.
+    memory, white : float
+        Time over which the images are correlated, in years, and the share of their
+        variance without memory, in the direction of the largest z.
+    """
+
+    speed: np.ndarray
+    z: np.ndarray
+    p_local: np.ndarray
+    p_speed: np.ndarray
+    p_global: float
+    p_smallest: float
+    memory: float
+    white: float
+    gram: np.ndarray
+    scores: np.ndarray
+
+    @property
+    def best(self) -> tuple[int, int]:
+        """The direction and the speed of the largest z."""
+        return tuple(int(k) for k in np.unravel_index(self.z.argmax(), self.z.shape))
+
+    def beside(self, speed, least):
+        """
+        Test for a second stream, with the projection on the first taken out.
+
+        Parameters
+        ----------
+        speed : float
+            Speed of the first stream, in beams/yr.
+        least : float
+            Smallest difference of the speeds, in beams/yr.
+
+        Returns
+        -------
+        speed, p_value : float
+            Of the second stream; NaN and 1 if no other speed was tested.
+        """
+        v, scores = self.speed, self.scores
+        near = (v * speed > 0) & (v / speed > 1 / BEYOND) & (v / speed < BEYOND)
+        near |= np.abs(v - speed) < least
+        if near.all() or not near.any():
+            return np.nan, 1.0
+        gram = self.gram[np.ix_(near, ~near)]
+        inside = self.gram[np.ix_(near, near)]
+        take = np.linalg.solve(inside + 0.01 * np.eye(near.sum()), gram)
+        left = np.sqrt(np.maximum(1 - (take * gram).sum(axis=0), 0.05))
+        z = standardised((scores[:, ~near] - scores[:, near] @ take) / left)
+        k = int(z[0].argmax())
+        return float(v[~near][k]), share_of_larger(z.max(axis=1))
+
+
+def memory_of(years, zero):
+    """
+    Return the correlation of the epochs over time, by restricted maximum likelihood.
+
+    The correlation of a place with itself is modelled by
+    ``C(tau) = (1 - g) exp(-tau / T) + g [tau = 0]``.  Its likelihood is that of the
+    differences between epochs, as the mean is not known.
+
+    Parameters
+    ----------
+    years : `~numpy.ndarray`, shape (n,)
+    zero : `~numpy.ndarray`, shape (n, n)
+        The diagram at zero displacement.
+
+    Returns
+    -------
+    T, g : float
+    factor : `~numpy.ndarray`, shape (n - 1, n - 1)
+        Cholesky factor of the covariance of the differences.
+    """
+    n, tau = len(years), np.abs(years[:, None] - years)
+    gaps = np.diff(years)
+    median = np.median(gaps[gaps > 0])
+    differ = differences(n)
+    data, best = differ @ zero @ differ.T, (np.inf,)
+    times = np.geomspace(SHORTEST * median, LONGEST * np.ptp(years), N_MEMORIES)
+    for time in (0.0, *times):
+        decay = np.exp(-tau / time) if time else np.eye(n)
+        for white in WHITE if time else (0.0,):
+            covariance = (1 - white) * decay + white * np.eye(n)
+            factor = _factor(differ @ covariance @ differ.T)
+            left = np.linalg.solve(factor, np.linalg.solve(factor, data).T)
+            log = 2 * np.log(np.diag(factor)).sum()
+            log += (n - 1) * np.log(max(np.trace(left), np.finfo(float).tiny))
+            if log < best[0] - 1e-9:
+                best = log, time, white, factor
+    return best[1:]
+
+
+def _factor(covariance):
+    """Return the Cholesky factor; two epochs of one date are not quite the same."""
+    jitter = 1e-9 * np.trace(covariance) / len(covariance)
+    return np.linalg.cholesky(covariance + jitter * np.eye(len(covariance)))
+
+
+def differences(n):
+    """Return the matrix of the differences of all epochs from the first, (n - 1, n)."""
+    return np.eye(n)[1:] - np.eye(n)[:1]
+
+
+def tested_speeds(years, fastest=None):
+    """
+    Return the speeds that are tested, in beams/yr.
+
+    From half a beam in the whole time to two beams in the shorter quarter of the
+    intervals, or to ``fastest`` if that is given.
+    """
+    span, top = np.ptp(years), fastest
+    if top is None:
+        gaps = np.diff(years)
+        top = FASTEST / np.quantile(gaps[gaps > 0], 0.25)
+    speeds = [SLOWEST / span, (SLOWEST + 1) / 2 / span, 1 / span]
+    while speeds[-1] < top:
+        speeds.append(speeds[-1] + SPACING * max(1 / span, speeds[-1] / LENGTH))
+    if fastest is not None:
+        speeds = [speed for speed in speeds if speed < fastest] + [fastest]
+    return np.array(speeds)
+
+
+def orders_of(n, n_trials, rng):
+    """Return the observed order of n innovations first, and permutations of it."""
+    if factorial(n) <= n_trials + 1:
+        return np.array(list(permutations(range(n))))
+    drawn = [rng.permutation(n) for _ in range(n_trials)]
+    return np.array([np.arange(n), *drawn])
+
+
+def autocorrelation(diagram):
+    """Return the images' own correlation at each displacement, zero beyond 2.2 beams."""
+    epochs = np.arange(len(diagram.years))
+    own = diagram.means[epochs, epochs].mean(axis=0).astype(float)
+    own = (own + own[::-1]) / 2
+    peak = own[diagram.zero]
+    if not peak > 0:
+        return np.zeros_like(own)
+    return np.where(np.abs(diagram.displacement) <= ALIKE, own / peak, 0.0)
+
+
+def test_motion(diagrams, *, fastest=None, n_trials=1000, inward=INWARD, rng):
+    """
+    Test whether anything moves along the flow.
+
+    If nothing moves, each epoch differs from its best linear prediction from all
+    earlier epochs by an innovation, and the order of the innovations does not matter;
+    that of the epochs does, as their fluxes have a memory.  Let B be the matrix of the
+    innovations, each divided by its norm, and ``U = B (D - D') B'`` the part of the
+    diagram that is odd under reversal of time.  For each speed v,
+
+    .. math:: z(v) = \\frac{\\langle F_v, U \\rangle}{\\sigma},\\quad
+       F_v = B [R(d - v\\tau) - R(d + v\\tau)] e^{-|v\\tau|/l} B' \\, S^{-1},
+
+    where R is the images' own correlation, l three beams, S the scatter of U over the
+    displacements, and the standard deviation is that of the permutations.
+
+    Parameters
+    ----------
+    diagrams : sequence of `~astro_scc.spectrum.diagram.Diagram`
+        One per direction, of the same epochs.
+    fastest : float, optional
+        Largest speed in beams/yr.
+    n_trials : int, optional
+        All permutations are taken if they are not more.
+    inward : float, optional
+        Weight of speeds towards the origin; 1 if no direction is preferred, 0 for
+        outward speeds alone.
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    `MotionTest`
+    """
+    years = diagrams[0].years
+    speed, tau = tested_speeds(years, fastest), years - years[:, None]
+    orders = orders_of(len(years) - 1, n_trials, rng)
+    found, memories, grams = [], [], []
+    for diagram in diagrams:
+        scores, gram, *memory = _scores(diagram, speed, tau, orders)
+        found.append(scores)
+        memories.append(memory)
+        grams.append(gram)
+    z = np.array([standardised(scores) for scores in found])
+    both = np.concatenate([z, -z], axis=2)
+    weight = np.repeat([1.0, inward], len(speed))
+    excess = np.exp(np.clip(both, 0, 30) ** 2 / 2)
+    evidence = np.log((excess * weight).mean(axis=(0, 2)))
+    both = both[:, :, np.repeat([True, inward > 0], len(speed))]
+    signs = (1, -1) if inward > 0 else (1,)
+    largest = both.max(axis=(0, 2))
+    k = int(np.unravel_index(both[:, 0].argmax(), both[:, 0].shape)[0])
+    scores = np.concatenate([s * found[k] for s in signs], axis=1)
+    gram = np.kron(np.outer(signs, signs), grams[k])
+    return MotionTest(
+        speed=np.concatenate([s * speed for s in signs]),
+        z=both[:, 0],
+        p_local=(both >= both[:, :1]).mean(axis=1),
+        p_speed=(largest[None, :, None] >= both[:, :1]).mean(axis=1),
+        p_global=share_of_larger(evidence),
+        p_smallest=1 / len(orders),
+        memory=memories[k][0],
+        white=memories[k][1],
+        gram=gram,
+        scores=scores,
+    )
+
+
+def standardised(scores):
+    """Return scores in standard deviations of those of the permutations."""
+    scatter = np.sqrt((scores[1:] ** 2).mean(axis=0))
+    scatter = scatter + FLOOR * scatter.mean()
+    return scores / np.where(scatter > 0, scatter, 1.0)
+
+
+def share_of_larger(values):
+    """Return the share of the orders whose value is as large as the first one's."""
+    return float((values >= values[0]).mean())
+
+
+def _scores(diagram, speed, tau, orders):
+    """Return the sums over the filter of each speed, (n_orders, n_v), and their gram."""
+    n, zero = len(diagram.years), diagram.zero
+    x = diagram.displacement[zero:]
+    overlap = np.maximum(diagram.overlap[zero:], LEAST_NORM)
+    use = (x > 0) & (x <= TESTED) & (diagram.overlap[zero:] > LEAST_OVERLAP)
+    sums = np.asarray(diagram.sums, dtype=float)
+    time, white, factor = memory_of(diagram.years, sums[:, :, zero])
+    to_innovations = np.linalg.solve(factor, differences(n))
+    own = autocorrelation(diagram)[zero:]
+    odd = sums[:, :, zero:][:, :, use]
+    odd = _sandwich(to_innovations, odd - odd.transpose(1, 0, 2))
+    power = np.einsum(
+        "ia,ab,ib->i", to_innovations, sums[:, :, zero], to_innovations
+    )
+    size = np.sqrt(np.maximum(power, np.finfo(float).tiny))
+    size /= np.sqrt(max((size**2).mean(), np.finfo(float).tiny))
+    odd = odd / (size[:, None] * size)[..., None]
+    first, second = np.triu_indices(n - 1, 1)
+    y = x[use]
+    scatter = odd[first, second].T @ odd[first, second] / len(first)
+    ridge = RIDGE * np.trace(scatter) / max(len(y), 1)
+    if not ridge > 0:
+        ridge = 1.0
+    whiten = np.linalg.inv(np.linalg.cholesky(scatter + ridge * np.eye(len(y))))
+    filters = np.empty((len(speed), len(first), len(y)), np.float32)
+    for k, v in enumerate(speed):
+        moved = (v * tau)[..., None]
+        expected = np.interp(np.abs(y - moved), x, own, right=0)
+        expected -= np.interp(np.abs(y + moved), x, own, right=0)
+        expected *= np.exp(-np.abs(moved) / LENGTH) * overlap[use]
+        filters[k] = _sandwich(to_innovations, expected)[first, second] @ whiten.T
+    filters = filters.reshape(len(speed), -1)
+    norm = np.sqrt((filters.astype(float) ** 2).sum(axis=1))
+    filters /= np.where(norm > 0, norm, 1)[:, None].astype(np.float32)
+    odd = np.asarray(odd @ whiten.T, np.float32)
+    flat = odd.reshape((n - 1) ** 2, -1)
+    scores = np.empty((len(orders), len(speed)))
+    # In pieces, as all permutations of a long series are large.
+    piece = max(1, int(2e7 / max(filters.shape[1], 1)))
+    for low in range(0, len(orders), piece):
+        some = orders[low : low + piece]
+        rows = some[:, first] * (n - 1) + some[:, second]
+        scores[low : low + piece] = flat[rows].reshape(len(some), -1) @ filters.T
+    return scores, (filters @ filters.T).astype(float), time, white
+
+
+def _sandwich(matrix, values):
+    """Return ``B D(d) B'`` for every displacement d."""
+    n, m = matrix.shape[1], len(matrix)
+    matrix = np.asarray(matrix, np.float32)
+    half = matrix @ np.asarray(values, np.float32).reshape(n, -1)
+    half = half.reshape(m, n, -1).swapaxes(0, 1).reshape(n, -1)
+    return (matrix @ half).reshape(m, m, -1).swapaxes(0, 1)

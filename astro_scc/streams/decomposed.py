@@ -1,0 +1,177 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The flow of a cube: its wavelet planes along its directions, and parts of it."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.epochs import EpochCube
+from astro_scc.grid.lines import FlowGrid, flow_grids
+from astro_scc.grid.sampling import (
+    default_scales,
+    has_core,
+    sample_mask,
+    sample_planes,
+    seen_flow,
+)
+from astro_scc.kinematics import ExpansionFrame, SkyFrame
+from astro_scc.spectrum.diagram import Diagram, correlate
+from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.units import PM_UNIT
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DecomposedFlow:
+    """
+    What changes in the images of a cube, along one direction or several.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    frame : frame of `astro_scc.kinematics`
+        Axes of the velocities.
+    grids : tuple of `~astro_scc.grid.lines.FlowGrid`
+        One, or one for each direction if none is known.
+    planes : tuple of `~astro_scc.spectrum.planes.FlowPlanes`
+    regions : tuple of `~numpy.ndarray` or None
+        Weights of the points of each grid.
+    beam : float
+        The unit of length, in mas: the mean beam or, without beams, the size of the
+        structures.
+    fastest : float or None
+        The largest speed, if one was given, in beams/yr.
+    """
+
+    cube: EpochCube
+    frame: Any
+    grids: tuple[FlowGrid, ...]
+    planes: tuple[FlowPlanes, ...]
+    regions: tuple[np.ndarray | None, ...]
+    beam: float
+    fastest: float | None = None
+
+    @property
+    def years(self) -> np.ndarray:
+        """Dates of the epochs, in years from the first one of the cube."""
+        return self.planes[0].years
+
+    @property
+    def directed(self) -> bool:
+        """Whether the direction of the flow is known."""
+        return not isinstance(self.frame, SkyFrame)
+
+    @property
+    def outward(self) -> bool:
+        """Whether positive speeds lead away from a core."""
+        return self.grids[0].outward
+
+    def diagram(self, k: int, planes: FlowPlanes | None = None) -> Diagram:
+        """Return the displacement-interval diagram along direction k."""
+        planes = self.planes[k] if planes is None else planes
+        return correlate(planes, region=self.regions[k])
+
+    def part(self, *, epochs=None, scales=None, places=None):
+        """
+        Return a part of the flow.
+
+        Parameters
+        ----------
+        epochs : slice, optional
+        scales : sequence of float, optional
+        places : sequence of `~numpy.ndarray`, optional
+            Weights of the points of each grid, by which those of the regions are
+            multiplied.
+
+        Returns
+        -------
+        `DecomposedFlow`
+        """
+        planes, regions = self.planes, self.regions
+        if scales is not None:
+            planes = tuple(p.of_scales(scales) for p in planes)
+        if epochs is not None:
+            planes = tuple(p.of_epochs(epochs) for p in planes)
+        if places is not None:
+            regions = tuple(
+                own if region is None else region * own
+                for region, own in zip(regions, places, strict=True)
+            )
+        return replace(self, planes=planes, regions=regions)
+
+    def between(self, low, high):
+        """Return the part between two distances along the flow, in mas."""
+        places = []
+        for grid in self.grids:
+            r = distances(grid)
+            places.append(((r >= low / self.beam) & (r < high / self.beam)) * 1.0)
+        return self.part(places=places)
+
+
+def distances(grid):
+    """Return the distance of each point from the origin along the flow, in beams."""
+    along = np.abs(grid.along)[:, None] * np.ones(len(grid.across))
+    return along
+
+
+def decompose_flow(
+    cube, frame, *, scales=None, beam, region=None, max_speed=None, kernel="b1",
+    normalise="local",
+):  # fmt: skip
+    """
+    Return the flow of a cube: wavelet planes along its direction.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    frame : frame of `astro_scc.kinematics`
+    scales : sequence of float, optional
+        Numbers of the wavelet scales, by default the three up to half of the beam.
+    beam : float
+        In mas.
+    region : `~numpy.ndarray` of bool, shape (ny, nx), optional
+    max_speed : `~astropy.units.Quantity`, optional
+    kernel : {"b1", "b3"}
+    normalise : {"local", "along"}
+        See ``flow_planes``.
+
+    Returns
+    -------
+    `DecomposedFlow`
+
+    Raises
+    ------
+    ValueError
+        If no flow is seen, or two epochs are of one date.
+    """
+    core = has_core(cube, beam)
+    seen = seen_flow(cube, beam, core=core)
+    if region is not None and not (seen & region).any():
+        seen = region
+    if not seen.any():
+        away = " a beam or more from the core" if core else ""
+        raise ValueError(
+            f"nothing in the images is brighter than five times their noise{away}: "
+            "there is no flow to be measured"
+        )
+    if scales is None:
+        scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
+    grids = flow_grids(cube, frame, seen, beam, core=core)
+    if isinstance(frame, ExpansionFrame):
+        core = False
+    order = 3 if len(grids) == 1 else 1
+    planes = tuple(
+        sample_planes(
+            cube, g, tuple(scales), seen, kernel=kernel, normalise=normalise, order=order
+        )
+        for g in grids
+    )
+    regions = tuple(
+        None if region is None else sample_mask(region, g).astype(np.float32)
+        for g in grids
+    )
+    fastest = None
+    if max_speed is not None:
+        fastest = max_speed.to_value(PM_UNIT) / beam
+    return DecomposedFlow(cube, frame, tuple(grids), planes, regions, beam, fastest)

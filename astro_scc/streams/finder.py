@@ -1,0 +1,405 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""From the velocity spectrum and the features to streams on the sky."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.grid.lines import FlowGrid
+from astro_scc.spectrum.diagram import Diagram, correlate
+from astro_scc.spectrum.equations import Equations, deconvolve, set_up
+from astro_scc.spectrum.errors import SpeedErrors, fit_errors
+from astro_scc.spectrum.gaussians import (
+    StreamFit,
+    one_stream,
+    two_are_better,
+    two_streams,
+)
+from astro_scc.spectrum.permutations import MotionTest, test_motion
+from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.streams.decomposed import DecomposedFlow
+from astro_scc.streams.spread import mean_speed
+from astro_scc.streams.transverse import transverse_speed
+
+#: With a secure feature that moves, this p_global is enough.
+WITH_FEATURES = 0.1
+#: Error of the speed of a spectrum beyond that of its patterns, relative to it.
+MODEL_ERROR = 0.25
+#: Fewest epochs: the innovations of fewer have too few orders.
+FEWEST_EPOCHS = 6
+#: Smallest speed of a stream in errors: 95% of a normal distribution, one-sided.
+REST_ERRORS = 1.645
+#: Largest motion of a standing feature, in beams, and its fewest epochs.
+STANDING, STANDING_EPOCHS = 0.5, 5
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """
+    A stream: a velocity of the flow.
+
+    Attributes
+    ----------
+    kind : {"moving", "not confirmed", "stationary", "not significant"}
+    reason : str
+        Why it is not moving, or what it rests on, or ''.
+    velocity : `~numpy.ndarray`, shape (2,)
+        On the axes of the frame, in mas/yr.
+    covariance, alignment : `~numpy.ndarray`, shape (2, 2)
+        Of the velocity; the second is the part by errors of the alignment.
+    source : {"features", "spectrum", ""}
+        What the speed is measured from.
+    share : float
+        Share of the variance that moves.
+    dispersion, dispersion_err : float
+        In mas/yr.
+    p_local, p_global, p_distinct : float
+    spectrum, features : (float, float)
+        Speed with its error from the velocity spectrum, and from the features.
+    members : `~numpy.ndarray` of int
+        Its features.
+    slowest, fastest : float
+        Speeds of its slowest and fastest feature.
+    angle : float
+        Direction from the first axis of the frame, in radians.
+    """
+
+    kind: str
+    reason: str
+    velocity: np.ndarray
+    covariance: np.ndarray
+    alignment: np.ndarray
+    source: str = ""
+    share: float = np.nan
+    dispersion: float = np.nan
+    dispersion_err: float = np.nan
+    p_local: float = np.nan
+    p_global: float = np.nan
+    p_distinct: float = np.nan
+    spectrum: tuple[float, float] = (np.nan, np.nan)
+    features: tuple[float, float] = (np.nan, np.nan)
+    members: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    slowest: float = np.nan
+    fastest: float = np.nan
+    angle: float = 0.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StreamSearch:
+    """
+    The streams of a flow, with the spectrum and the test that they follow from.
+
+    Attributes
+    ----------
+    streams : tuple of `Stream`
+        The slowest that moves first; then what stands still.
+    test : `~astro_scc.spectrum.permutations.MotionTest`
+    direction : int
+        Number of the direction along which the spectrum is.
+    grid : `~astro_scc.grid.lines.FlowGrid`
+    planes : `~astro_scc.spectrum.planes.FlowPlanes`
+        Those of the spectrum, with square roots of all values.
+    diagram : `~astro_scc.spectrum.diagram.Diagram`
+    equations : `~astro_scc.spectrum.equations.Equations`
+    spectrum : `~numpy.ndarray`, shape (n_v,)
+        Share of the variance at each speed of the equations.
+    fit : `~astro_scc.spectrum.gaussians.StreamFit` or None
+    errors : `~astro_scc.spectrum.errors.SpeedErrors` or None
+    beam : float
+        In mas.
+    slowest, fastest, unambiguous : float
+        Speeds that were searched, and the largest one that the dates do not alias, in
+        mas/yr.
+    """
+
+    streams: tuple[Stream, ...]
+    test: MotionTest
+    direction: int
+    grid: FlowGrid
+    planes: FlowPlanes
+    diagram: Diagram
+    equations: Equations
+    spectrum: np.ndarray
+    fit: StreamFit | None
+    errors: SpeedErrors | None
+    beam: float
+    slowest: float
+    fastest: float
+    unambiguous: float
+
+
+@dataclass(frozen=True, eq=False)
+class MovingFeatures:
+    """Secure features that move, along a direction: speeds, errors, epochs, numbers."""
+
+    along: np.ndarray
+    along_err: np.ndarray
+    across: np.ndarray
+    across_err: np.ndarray
+    weight: np.ndarray
+    number: np.ndarray
+
+    def select(self, use):
+        """Return some of the features."""
+        return MovingFeatures(*(v[use] for v in vars(self).values()))
+
+
+def moving_features(features, frame, angle, use=None):
+    """Return the secure features that move, with speeds in mas/yr."""
+    chosen = np.flatnonzero(features.secure if use is None else features.secure & use)
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn, rows = np.array([[cos, sin], [-sin, cos]]), []
+    for k in chosen:
+        motion = features.motions[k]
+        if motion.speed < SIGNIFICANT * motion.speed_err:
+            continue
+        local = turn @ np.asarray(frame.matrix(*motion.place))
+        if not np.isfinite(local).all():
+            continue
+        along, across = local @ motion.velocity
+        errors = np.hypot(*(local * motion.velocity_err).T)
+        n = len(features.tracks[k].detection)
+        rows.append((along, errors[0], across, errors[1], n, k))
+    columns = np.array(rows, dtype=float).reshape(-1, 6).T
+    return MovingFeatures(*columns[:5], columns[5].astype(int))
+
+
+def find_streams(
+    flow: DecomposedFlow, features, *, misaligned, alpha=0.01, n_trials=1000,
+    outward=False, inside=None, rng,
+) -> StreamSearch:  # fmt: skip
+    """
+    Find the streams of a flow.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    features : `~astro_scc.features.Features`
+    misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
+        Standard error of the alignment of each epoch, in mas.
+    alpha : float, optional
+        Largest ``p_global`` of a stream that moves.
+    n_trials : int, optional
+    outward : bool, optional
+        Search only speeds away from the core.
+    inside : `~numpy.ndarray` of bool, shape (n_features,), optional
+        The features of a part of the flow.
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    `StreamSearch`
+    """
+    diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
+    prefer = flow.directed and flow.outward
+    inward = 0.0 if outward and flow.directed else (0.1 if prefer else 1.0)
+    test = test_motion(
+        diagrams, fastest=flow.fastest, n_trials=n_trials, inward=inward, rng=rng
+    )
+    direction, best = test.best
+    grid, years = flow.grids[direction], flow.years
+    planes = flow.planes[direction].square_root()
+    region, beam = flow.regions[direction], flow.beam
+    diagram = correlate(planes, region=region)
+    equations = set_up(diagram, fastest=flow.fastest)
+    least = 1 / np.ptp(years)
+    sign = np.sign(test.speed[best])
+    angle = _angle_of(flow.frame, grid)
+    moving = moving_features(features, flow.frame, angle, inside)
+    moving = moving.select(moving.along * sign > 0)
+    one = one_stream(equations, least, sign)
+    gaps = np.diff(years)
+    search = {
+        "test": test, "direction": direction, "grid": grid, "planes": planes,
+        "diagram": diagram, "equations": equations,
+        "spectrum": deconvolve(equations), "beam": beam,
+        "slowest": beam * np.abs(test.speed).min(),
+        "fastest": beam * np.abs(test.speed).max(),
+        "unambiguous": beam / np.median(gaps[gaps > 0]),
+    }  # fmt: skip
+    fit, p_distinct = one, 1.0
+    passes = test.p_global <= alpha or (
+        test.p_global <= WITH_FEATURES and len(moving.along) > 0
+    )
+    if passes and one is not None:
+        _, p_distinct = test.beside(test.speed[best], least / 2)
+        two = two_streams(equations, one, least) if p_distinct <= alpha else None
+        if two is not None and two_are_better(equations, one, two):
+            fit = two
+    errors = None
+    if fit is not None:
+        errors = fit_errors(planes, diagram, equations, fit, region=region)
+    of = flow, test, planes, equations, fit, errors, moving
+    streams = _streams(*of, region, angle, sign, passes, p_distinct, misaligned)
+    streams += _standing(features, flow, streams, inside)
+    return StreamSearch(streams=tuple(streams), fit=fit, errors=errors, **search)
+
+
+def _angle_of(frame, grid):
+    """Return the direction of a grid from the first axis of the frame, in radians."""
+    if not frame.uniform or not np.isfinite(grid.angle):
+        return 0.0
+    first, second = np.asarray(frame.matrix(0.0, 0.0)) @ grid.axes[0]
+    return float(np.arctan2(second, first))
+
+
+def _streams(
+    flow, test, planes, equations, fit, errors, moving, region, angle, sign, passes,
+    p_distinct, misaligned,
+):  # fmt: skip
+    """Return the streams that move, or the strongest speed, not significant."""
+    direction, best = test.best
+    beam, turn = flow.beam, _turn(angle)
+    number = 1 if fit is None else len(fit.mean)
+    groups = [moving] if number == 1 else _divided(moving, np.abs(fit.mean) * beam)
+    found = []
+    for k in range(number):
+        own = groups[k]
+        if fit is None:
+            speed, error, share = test.speed[best] * beam, np.nan, np.nan
+            dispersion = dispersion_err = np.nan
+        else:
+            speed, error = fit.mean[k] * beam, errors.mean[k] * beam
+            dispersion, share = fit.sd[k] * beam, fit.share[k]
+            dispersion_err = dispersion / np.sqrt(2 * max(errors.number[k], 1))
+            if number == 1:
+                speed, error = _harmonic(equations, errors.number[0], sign, speed, beam)
+        across, across_err = transverse_speed(
+            planes, flow.grids[direction], equations, speed / beam, region=region
+        )
+        velocity = np.array([speed, across * beam])
+        covariance = np.diag([error**2, (across_err * beam) ** 2])
+        source, of_features = "spectrum", (np.nan, np.nan)
+        slowest = fastest = np.nan
+        if len(own.along):
+            mean = mean_speed(np.abs(own.along), own.along_err, own.weight)
+            of_features = mean.mean, mean.error
+            slowest, fastest = np.abs(own.along).min(), np.abs(own.along).max()
+            if len(own.along) > 1 or not mean.error > error:
+                source = "features"
+                side = mean_across(own, mean)
+                velocity = np.array([sign * mean.mean, side[0]])
+                covariance = np.diag([mean.error**2, side[1] ** 2])
+                if len(own.along) > 2:
+                    dispersion, dispersion_err = mean.dispersion, mean.dispersion_err
+        alignment = _alignment(flow.years, misaligned)
+        total = turn.T @ covariance @ turn + alignment
+        kind, reason = "not significant", ""
+        if passes:
+            kind = "moving"
+            if not abs(velocity[0]) > REST_ERRORS * np.sqrt(total[0, 0]):
+                kind, reason = "not confirmed", "its speed is within its error of rest"
+        v = int(np.abs(test.speed - velocity[0] / beam).argmin())
+        found.append(
+            Stream(
+                kind=kind,
+                reason=reason,
+                velocity=turn.T @ velocity,
+                covariance=total,
+                alignment=alignment,
+                source=source,
+                share=share,
+                dispersion=dispersion,
+                dispersion_err=dispersion_err,
+                p_local=float(test.p_local[direction, v]),
+                p_global=test.p_global,
+                p_distinct=test.p_global if k == 0 else p_distinct,
+                spectrum=(abs(speed), error),
+                features=of_features,
+                members=own.number,
+                slowest=slowest,
+                fastest=fastest,
+                angle=angle if sign > 0 else angle + np.pi,
+            )
+        )
+    return found
+
+
+def _turn(angle):
+    """Return the matrix that turns axes of the frame into those along the flow."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def mean_across(moving, mean):
+    """Return the mean speed of features across the flow, and its error."""
+    share = moving.weight / moving.weight.sum()
+    across = share @ moving.across
+    variance = share @ (moving.across - across) ** 2 * (share**2).sum()
+    error = np.sqrt(variance + (share**2) @ moving.across_err**2)
+    n = len(share)
+    # A few features may agree by chance: directions scatter by ten degrees or more.
+    prior = (0.15 * mean.mean) ** 2 * 2 / (n + 1) / n
+    return across, np.sqrt(error**2 + prior)
+
+
+def _divided(moving, speeds):
+    """Return the features of each of two streams: the nearer one by ratio."""
+    limit = np.sqrt(np.prod(speeds))
+    slow = np.abs(moving.along) < limit
+    return [moving.select(slow), moving.select(~slow)]
+
+
+def _harmonic(equations, number, sign, speed, beam):
+    """
+    Return the mean speed of a spectrum and its error, in mas/yr.
+
+    What is the same at v and -v is noise.  The mean is harmonic, as a fast pattern
+    covers more of the way in a time.
+    """
+    v, spectrum = equations.speed, deconvolve(equations)
+    half = len(v) // 2
+    share = sign * (spectrum[half + 1 :] - spectrum[:half][::-1])
+    forward = v[half + 1 :]
+    span = equations.interval.max()
+    share = np.where(forward >= 1 / span, np.maximum(share, 0), 0)
+    if not share.sum() > 0:
+        mean = abs(speed)
+        return speed, MODEL_ERROR * mean
+    share = share / share.sum()
+    mean = 1 / (share @ (1 / forward))
+    width = mean**2 * np.sqrt(share @ (1 / forward - 1 / mean) ** 2)
+    error = np.hypot(width / np.sqrt(max(number, 1)), MODEL_ERROR * mean)
+    return sign * mean * beam, error * beam
+
+
+def _alignment(years, misaligned):
+    """Return the covariance of a speed by errors of the alignment, on both axes."""
+    off = years - years.mean()
+    response = off / (off @ off)
+    return np.diag(response**2 @ misaligned[: len(years)] ** 2)
+
+
+def _standing(features, flow, streams, inside):
+    """Return the stream of the features that stand still, if there are any."""
+    n = len(features.tracks)
+    if n == 0:
+        return []
+    moved, use = features.moved, np.ones(n, bool) if inside is None else inside
+    own, rows = [], []
+    for k in np.flatnonzero(use):
+        motion, track = features.motions[k], features.tracks[k]
+        still = motion.speed < SIGNIFICANT * motion.speed_err and moved[k] < STANDING
+        if not still or len(track) < STANDING_EPOCHS or features.p_false[k] > 0.5:
+            continue
+        local = np.asarray(flow.frame.matrix(*motion.place))
+        if np.isfinite(local).all():
+            own.append(k)
+            rows.append((*(local @ motion.velocity), motion.speed_err, len(track)))
+    if not own:
+        return []
+    first, second, error, weight = np.array(rows, float).T
+    share = weight / weight.sum()
+    velocity = np.array([share @ first, share @ second])
+    scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
+    variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
+    speeds = np.hypot(first, second)
+    return [
+        Stream(
+            kind="stationary", reason="", velocity=velocity,
+            covariance=np.eye(2) * variance, alignment=np.zeros((2, 2)),
+            source="features", dispersion=np.nan, members=np.array(own),
+            features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
+            slowest=speeds.min(), fastest=speeds.max(),
+        )
+    ]  # fmt: skip
