@@ -48,6 +48,7 @@ from astro_scc.writing import versions
 
 if TYPE_CHECKING:
     from distributed import Client
+    from matplotlib.figure import Figure
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
@@ -97,6 +98,11 @@ class PaperMeasurement:
         return self.stack.z_score
 
     @property
+    def level(self) -> float:
+        """The z-score that significant components exceed."""
+        return float(np.quantile(self.stack.trial_z, 1 - self.meta["alpha"]))
+
+    @property
     def components(self) -> QTable:
         """
         The components as a table, the largest z-score first.
@@ -142,6 +148,24 @@ class PaperMeasurement:
         wcs.wcs.crval = [0.0, 0.0]
         wcs.wcs.cdelt = self.grid.step
         return NDData(getattr(self.stack, which), wcs=wcs, meta={"axes": names})
+
+    def plot(self, **options: Any) -> Figure:
+        """
+        Draw the velocity map over the z-score along the jet, as the paper's Fig. 2.
+
+        Parameters
+        ----------
+        **options
+            ``figure`` to draw on; ``unit`` of the axes; ``beta_per_pm``, the apparent
+            speed in units of c of 1 mas/yr, for a second axis.
+
+        Returns
+        -------
+        `matplotlib.figure.Figure`
+        """
+        from astro_scc.visualization import plot_result
+
+        return plot_result(self, "paper", level=self.level, **options)
 
 
 def component_row(component, number, frame, angle):
@@ -275,6 +299,7 @@ def measure_as_in_paper(
     meta = {
         "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),
         "n_ssp": stack.n_ssp, "n_pairs": len(pairs),
+        "alpha": settings.alpha,
     }  # fmt: skip
     return PaperMeasurement(cube, frame, flow_direction(matched, frame), stack, meta)
 
