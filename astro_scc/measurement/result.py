@@ -526,6 +526,23 @@ def velocity_hdus(result, *, text=None):
         on the axes of the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as
         text.
     """
+    maps = map_hdus(result, text=text)
+    return fits.HDUList([*maps, *_diagram_hdus(result), _features_hdu(result)])
+
+
+def map_hdus(result, *, text=None):
+    """
+    Return the velocity map and its significance, the first two of `velocity_hdus`.
+
+    Parameters
+    ----------
+    result : `SCCResult` or `~astro_scc.paper_method.PaperMeasurement`
+    text : str, optional
+
+    Returns
+    -------
+    list of FITS extensions
+    """
     hdus = []
     for which, kind in (("coefficient", fits.PrimaryHDU), ("z_score", fits.ImageHDU)):
         image = result.velocity_map(which)
@@ -557,7 +574,7 @@ def velocity_hdus(result, *, text=None):
         primary.add_history(ascii_line(line))
     for line in (text or "").splitlines():
         primary.add_comment(ascii_line(line) or " ")
-    return fits.HDUList([*hdus, *_diagram_hdus(result), _features_hdu(result)])
+    return hdus
 
 
 def _features_hdu(result):

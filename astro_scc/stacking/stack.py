@@ -4,23 +4,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_interp_spline
 
-from astro_scc.correlation.zncc import find_peaks
 from astro_scc.decomposition.segmentation import quadratic_peak
-from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
+from astro_scc.paper.peaks import VelocityPeak, find_velocity_peaks
+from astro_scc.paper.stack import VelocityGrid, gaussian_sum
+from astro_scc.paper.trials import DatePairs
+from astro_scc.stacking.velocities import VelocitySamples
 
-#: Matches that are summed at once, to limit memory.
-BLOCK = 16384
 #: Gaussians are neglected beyond this many standard deviations.
 REACH_SIGMA = 5.0
-#: Fraction of a maximum that a grid point must reach to enter its fit.
-LEVEL = 0.5
 #: Largest distance of the maximum of a velocity at rest, and of any, in boxes.
 NEAR = 0.1, 0.5
 #: Factorials of larger numbers of epochs are replaced by that of this one.
@@ -45,32 +41,6 @@ FEW_INTERVALS = 8
 BLOCK_BYTES, MAP_BYTES, WORK_BYTES = 2**26, 2**28, 2**24
 #: Largest number of points of an axis of the maps.
 MAX_SIZE = 1001
-
-
-def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
-    """
-    Return the weighted sum of axis-parallel Gaussians of unit height on a grid.
-
-    A Gaussian is the product of its profiles, so the sum over K Gaussians
-    is one matrix product, (ny x K) (K x nx).
-
-    Parameters
-    ----------
-    x, y, sx, sy, weight : `~numpy.ndarray`, shape (k,)
-        Centres, standard deviations, and weights.
-    grid_x, grid_y : `~numpy.ndarray`, shapes (nx,) and (ny,)
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (ny, nx)
-    """
-    total = np.zeros((len(grid_y), len(grid_x)))
-    for start in range(0, len(x), BLOCK):
-        k = slice(start, start + BLOCK)
-        profile_x = np.exp(-0.5 * ((grid_x - x[k, None]) / sx[k, None]) ** 2)
-        profile_y = np.exp(-0.5 * ((grid_y - y[k, None]) / sy[k, None]) ** 2)
-        total += (profile_y * weight[k, None]).T @ profile_x
-    return total
 
 
 def sample_velocities(samples, pairs, order=None):
@@ -175,139 +145,6 @@ def stack(
     near &= np.abs(v2) < grid.v_max[1] + REACH_SIGMA * s2
     total = gaussian_sum(*(a[near] for a in (v1, v2, s1, s2, weight)), grid.v1, grid.v2)
     return total / number_of_ssps(samples, pairs, order)
-
-
-@dataclass(frozen=True)
-class VelocityPeak:
-    """
-    A maximum of a stack.
-
-    Attributes
-    ----------
-    v1, v2 : float
-        Velocity along the two axes of the grid, from the Gaussian fit or, if no
-        Gaussian with a maximum in the box fits, from the local quadratic.
-    coefficient : float
-        Stacked correlation coefficient at the maximum.
-    row, column : int
-        Grid point of the maximum.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking.stack import find_velocity_peaks
-    >>> from astro_scc.stacking.velocities import VelocityGrid
-    >>> grid = VelocityGrid.covering(4.0, 0.25)
-    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
-    >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
-    >>> round(peak.v1, 1), round(peak.coefficient, 2)
-    (1.1, 1.0)
-    """
-
-    v1: float
-    v2: float
-    coefficient: float
-    row: int
-    column: int
-
-
-def fit_gaussian(values, x, y):
-    """
-    Fit a two-dimensional Gaussian by linear least squares of its logarithm.
-
-    ``ln f = a + b x + c y + d x^2 + e x y + g y^2`` is fitted with weights f^2,
-    so that the residuals are those of f itself to first order (Guo 2011, IEEE
-    Signal Process. Mag. 28, 134).
-
-    Parameters
-    ----------
-    values : array_like, shape (ny, nx)
-        Only positive values enter the fit.
-    x, y : array_like, shapes (nx,) and (ny,)
-
-    Returns
-    -------
-    (float, float) or None
-        Its centre (x, y); None if the surface has no maximum.
-    """
-    values = np.asarray(values, dtype=float)
-    gx, gy = np.meshgrid(x, y)
-    good = values > 1e-6 * values.max(initial=0.0)
-    if good.sum() < 6:
-        return None
-    f, gx, gy = values[good] / values.max(), gx[good], gy[good]
-    # Coordinates are centred and scaled, or the normal equations lose digits.
-    x0, y0 = gx.mean(), gy.mean()
-    scale = max(np.ptp(gx), np.ptp(gy))
-    px, py = (gx - x0) / scale, (gy - y0) / scale
-    design = np.stack([np.ones_like(px), px, py, px * px, px * py, py * py], axis=1)
-    solution, _, rank, _ = np.linalg.lstsq(design * f[:, None], f * np.log(f))
-    if rank < 6:
-        return None
-    _, b, c, d, e, g = solution
-    curvature = -np.array([[2 * d, e], [e, 2 * g]])
-    if not (curvature[0, 0] > 0 and np.linalg.det(curvature) > 0):
-        return None
-    centre = np.linalg.inv(curvature) @ np.array([b, c])
-    return float(x0 + scale * centre[0]), float(y0 + scale * centre[1])
-
-
-def find_velocity_peaks(
-    scc: np.ndarray, grid: VelocityGrid, box: tuple[float, float]
-) -> list[VelocityPeak]:
-    """
-    Find the maxima of a stack and fit a Gaussian to a box around each.
-
-    Only grid points in the box that reach half of the maximum and are nearer
-    to it than to any other maximum enter the fit: neighbouring maxima would
-    attract the fit, and the level of unrelated matches beneath the maximum
-    would widen it.
-
-    Parameters
-    ----------
-    scc : `~numpy.ndarray`, shape ``grid.shape``
-    grid : `VelocityGrid`
-    box : tuple of float
-        Sides of the box along the two axes; in the paper, the beam divided by
-        the interval.
-
-    Returns
-    -------
-    list of `VelocityPeak`
-        In the order of decreasing coefficient.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking.stack import find_velocity_peaks
-    >>> from astro_scc.stacking.velocities import VelocityGrid
-    >>> grid = VelocityGrid.covering(4.0, 0.25)
-    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
-    >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]
-    [1.1]
-    """
-    _, y, x, _ = find_peaks(scc[None], np.finfo(float).tiny)
-    # Simple rounding may miss the grid point of a maximum.
-    ends = np.stack([np.floor([y, x]), np.ceil([y, x])], axis=-1).astype(int)
-    points = [max(product(*both), key=scc.__getitem__) for both in ends.swapaxes(0, 1)]
-    (step1, step2), found = grid.step, []
-    for (row, column), py, px in zip(points, y, x, strict=True):
-        v1, v2 = float(grid.v1[0] + px * step1), float(grid.v2[0] + py * step2)
-        near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
-        near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
-        part = rows, columns = np.ix_(near2, near1)
-        # Grid points that are nearer to this maximum than to any other.
-        apart = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in points]
-        own = (rows - row) ** 2 + (columns - column) ** 2 <= np.min(apart, axis=0)
-        use = own & (scc[part] >= LEVEL * scc[row, column])
-        values = np.where(use, scc[part], 0.0)
-        fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
-        if fit is not None:
-            away1, away2 = np.abs(np.subtract(fit, (v1, v2)))
-            if away1 <= max(box[0] / 2, step1) and away2 <= max(box[1] / 2, step2):
-                v1, v2 = fit
-        found.append(VelocityPeak(v1, v2, float(scc[row, column]), row, column))
-    return sorted(found, key=lambda c: -c.coefficient)
 
 
 def velocity_peak_near(scc, grid, box, v1, v2):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Velocity samples, pairs of dates, and the grid of velocities."""
+"""Velocity samples."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-#: Most velocities along an axis of the grid; the spacing grows if there would be more.
-MOST_VELOCITIES = 601
+from astro_scc.paper.stack import VelocityGrid
+from astro_scc.paper.trials import DatePairs, baseline_pairs, consecutive_pairs
+
+__all__ = [
+    "DatePairs",
+    "VelocityGrid",
+    "VelocitySamples",
+    "baseline_pairs",
+    "consecutive_pairs",
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,183 +197,3 @@ class VelocitySamples:
 
 #: Columns of `VelocitySamples` that have a value for each sample.
 COLUMNS = tuple(f.name for f in fields(VelocitySamples))[:10]
-
-
-@dataclass(frozen=True, eq=False)
-class DatePairs:
-    """
-    Pairs of dates that a stack compares, the earlier date first.
-
-    Attributes
-    ----------
-    first, second : `~numpy.ndarray` of int, shape (n_pairs,)
-        Indices of the dates.
-    interval : `~numpy.ndarray`, shape (n_pairs,)
-        Time between them in years, positive.
-    weight : `~numpy.ndarray`, shape (n_pairs,)
-        Weight of the pair in the stack.
-    n_dates : int
-
-    Examples
-    --------
-    >>> from astro_scc.stacking.velocities import consecutive_pairs
-    >>> pairs = consecutive_pairs([2000.0, 2000.5, 2002.0])
-    >>> len(pairs), pairs.interval.tolist()
-    (2, [0.5, 1.5])
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    interval: np.ndarray
-    weight: np.ndarray
-    n_dates: int
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-    def images(self, order: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return the ordered pairs of images for an order of the images over the dates.
-
-        Parameters
-        ----------
-        order : array_like of int, shape (..., n_dates), optional
-            Image at each date; by default the observed order.
-
-        Returns
-        -------
-        reference, target : `~numpy.ndarray` of int, shape (..., n_pairs)
-        """
-        order = np.arange(self.n_dates) if order is None else np.asarray(order)
-        return order[..., self.first], order[..., self.second]
-
-
-def consecutive_pairs(years: ArrayLike) -> DatePairs:
-    """
-    Return the pairs of each date and the next one, as in the paper.
-
-    Epochs of the same date have no interval between them and make no pair.
-
-    Parameters
-    ----------
-    years : array_like, shape (n_dates,)
-        Dates in years, ascending.
-
-    Returns
-    -------
-    `DatePairs`
-
-    Examples
-    --------
-    >>> from astro_scc.stacking.velocities import consecutive_pairs
-    >>> consecutive_pairs([0.0, 0.5, 1.5]).interval
-    array([0.5, 1. ])
-    """
-    gaps = np.diff(np.asarray(years, dtype=float))
-    first = np.flatnonzero(gaps > 0)
-    return DatePairs(first, first + 1, gaps[first], np.ones(len(first)), len(years))
-
-
-def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePairs:
-    """
-    Return all pairs of dates whose separation lies in a range.
-
-    The weights are inverse variances: a displacement error sigma gives a
-    velocity error sigma / interval, so pairs are weighted by the square of
-    their interval, normalised to a mean of one.
-
-    Parameters
-    ----------
-    years : array_like, shape (n_dates,)
-        Dates in years, ascending.
-    shortest, longest : float
-        Range of separations in years, both included.
-
-    Returns
-    -------
-    `DatePairs`
-
-    Examples
-    --------
-    >>> from astro_scc.stacking.velocities import baseline_pairs
-    >>> pairs = baseline_pairs([0.0, 0.5, 1.5], 0.8, 1.2)
-    >>> pairs.first, pairs.second
-    (array([1]), array([2]))
-    """
-    years = np.asarray(years, dtype=float)
-    separation = years[None, :] - years[:, None]
-    # Rounded limits must not lose a pair.  The slack is a third of a day, or 1% of
-    # the longest separation if dates are minutes apart.
-    slack = min(1e-3, 0.01 * longest)
-    inside = (separation >= shortest - slack) & (separation <= longest + slack)
-    first, second = np.nonzero(inside & (separation > 0))
-    interval = separation[first, second]
-    weight = interval**2 / np.mean(interval**2) if len(interval) else interval
-    return DatePairs(first, second, interval, weight, len(years))
-
-
-@dataclass(frozen=True, eq=False)
-class VelocityGrid:
-    """
-    A regular grid of velocities along two axes, symmetric about zero.
-
-    Attributes
-    ----------
-    v1, v2 : `~numpy.ndarray`, shapes (n1,) and (n2,)
-        Velocities along the first and second axis.  Maps on the grid have
-        shape (n2, n1).
-
-    Examples
-    --------
-    >>> from astro_scc.stacking.velocities import VelocityGrid
-    >>> grid = VelocityGrid.covering(2.0, 0.5)
-    >>> grid.shape, grid.v1.tolist()[:3]
-    ((9, 9), [-2.0, -1.5, -1.0])
-    """
-
-    v1: np.ndarray
-    v2: np.ndarray
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Shape of a map, (n2, n1)."""
-        return len(self.v2), len(self.v1)
-
-    @property
-    def step(self) -> tuple[float, float]:
-        """Spacing of the velocities along both axes."""
-        return self.v1[1] - self.v1[0], self.v2[1] - self.v2[0]
-
-    @property
-    def v_max(self) -> tuple[float, float]:
-        """Largest velocity along both axes."""
-        return self.v1[-1], self.v2[-1]
-
-    @classmethod
-    def covering(cls, v_max: ArrayLike, step: ArrayLike) -> VelocityGrid:
-        """
-        Return the grid that reaches a velocity in every direction.
-
-        Parameters
-        ----------
-        v_max : float or array_like, shape (2,)
-            Largest velocity, above 0; two numbers are for the two axes.
-        step : float or array_like, shape (2,)
-            Largest spacing, above 0.
-
-        Returns
-        -------
-        `VelocityGrid`
-
-        Examples
-        --------
-        >>> from astro_scc.stacking.velocities import VelocityGrid
-        >>> VelocityGrid.covering(2.0, 0.3).v1.round(2)
-        array([-2.  , -1.71, -1.43, -1.14, -0.86, -0.57, -0.29, 0.  ,
-               0.29, 0.57, 0.86, 1.14, 1.43, 1.71, 2.  ])
-        """
-        v_max, step = np.broadcast_to(v_max, 2), np.broadcast_to(step, 2)
-        half = np.ceil(v_max / step - 1e-9).astype(int)
-        half = np.clip(half, 1, MOST_VELOCITIES // 2)
-        axes = zip(v_max, half, strict=True)
-        return cls(*(v * (np.arange(-n, n + 1) / n) for v, n in axes))

@@ -196,13 +196,16 @@ def _draw_jet(scene, corner):
     )  # fmt: skip
 
 
-def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_pm=None):
+def plot_significance(
+    result, *, ax=None, components=None, unit=None, beta_per_pm=None, level=None,
+):  # fmt: skip
     """
     Draw the z-score along the jet, at zero speed across it.
 
     The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin
     line is the largest z-score at any speed across the jet; components off the axis
-    have open symbols.  On axes east and north, the map is interpolated along
+    have open symbols; a dashed line is at ``level``, the z-score of significant
+    components.  On axes east and north, the map is interpolated along
     ``result.position_angle``.
     """
     scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
@@ -212,6 +215,13 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     ax.axhline(0, color=GREY, linewidth=0.6)
     ax.plot(speed, highest, color=GREY, lw=0.8, label="highest, any transverse speed")
     ax.plot(speed, axis, color=style.BLUE, lw=1.6, label="at zero transverse speed")
+    if level is not None:
+        ax.axhline(level, color=GREY, lw=0.8, ls="--", gid="level")
+        ax.annotate(
+            "significant", (1.0, level), xycoords=ax.get_yaxis_transform(),
+            xytext=(-3, 2), textcoords="offset points", ha="right", va="bottom",
+            fontsize="small", color=GREY,
+        )  # fmt: skip
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(unit, max(result.grid.step))
     for row, kind, strong, numbers in scene.streams(*names):
@@ -231,6 +241,7 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
         )  # fmt: skip
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), *scene.components["z_score"], 1.0)
+    top = max(top, level or 0.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
     label = scene.labels[0]
     if scene.on_sky:
@@ -243,12 +254,14 @@ def plot_significance(result, *, ax=None, components=None, unit=None, beta_per_p
     return scene.figure
 
 
-def plot_map_and_significance(result, *, figure=None, beta_per_pm=None, **shared):
+def plot_map_and_significance(
+    result, *, figure=None, beta_per_pm=None, level=None, **shared
+):
     """Draw the velocity map over the z-score along the jet, as the paper's Fig. 2."""
     figure = style.new_figure((style.WIDTH, 8.0)) if figure is None else figure
     upper, lower = figure.subplots(2, 1, height_ratios=(2.0, 1.0))
     plot_velocity_map(result, ax=upper, beta_per_pm=beta_per_pm, **shared)
-    plot_significance(result, ax=lower, **shared)
+    plot_significance(result, ax=lower, level=level, **shared)
     return figure
 
 

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Maxima of surfaces, their fits, and errors from shifted positions."""
+"""The maximum near a velocity, and errors from shifted positions."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 from astro_scc.stacking.stack import (
     VelocityPeak,
     find_velocity_peaks,
-    fit_gaussian,
     jitter_positions,
     velocity_peak_near,
 )
@@ -31,100 +29,6 @@ def gaussian(grid, x, y, sx, sy, angle=0.0, height=1.0):
     c, s = np.cos(angle), np.sin(angle)
     p, q = c * u + s * v, -s * u + c * v
     return height * np.exp(-0.5 * ((p / sx) ** 2 + (q / sy) ** 2))
-
-
-near, width = st.floats(-0.5, 0.5), st.floats(0.8, 2.0)
-
-
-@given(near, near, width, width, st.floats(0, np.pi), st.floats(1e-6, 1e6))
-def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
-    grid = VelocityGrid.covering(2.0, 0.25)
-    surface = gaussian(grid, x, y, sx, sy, angle, height)
-    found = fit_gaussian(surface, grid.v1, grid.v2)
-    np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
-
-
-def test_fit_follows_the_high_values_under_noise():
-    """Weights f^2: errors of the logarithm of low values do not count."""
-    rng = np.random.default_rng(0)
-    x = y = np.linspace(-3, 3, 25)
-    errors = []
-    for _ in range(100):
-        centre = rng.uniform(-0.3, 0.3, 2)
-        f = np.exp(-0.5 * ((x - centre[0]) ** 2 + (y[:, None] - centre[1]) ** 2))
-        f = np.clip(f + rng.normal(scale=0.02, size=f.shape), 0, None)
-        errors.append(fit_gaussian(f, x, y)[:2] - centre)
-    assert np.abs(errors).max() < 0.1
-    assert np.std(errors) < 0.02
-
-
-@pytest.mark.parametrize(
-    "surface",
-    [
-        np.zeros((5, 5)),
-        -np.ones((5, 5)),
-        np.ones((5, 5)),
-        np.add.outer(np.arange(5.0), np.arange(5.0)),  # a slope
-        np.exp(0.1 * np.add.outer(np.arange(-2, 3) ** 2, -np.arange(-2.0, 3))),
-        np.exp(0.1 * np.multiply.outer(np.arange(-2, 3.0), np.arange(-2, 3))),  # saddle
-        np.eye(5),  # too few values
-        np.exp(-0.1 * np.arange(-2, 3) ** 2) * (np.arange(5) == 2)[:, None],  # a line
-    ],
-)
-def test_no_maximum_no_fit(surface):
-    axis = np.arange(-2.0, 3)
-    assert fit_gaussian(surface, axis, axis) is None
-
-
-@pytest.mark.parametrize("box", [(4.0, 4.0), (6.0, 6.0), (10.0, 10.0)])
-@pytest.mark.parametrize("second", [1.0, 0.6])
-@pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
-def test_overlapping_gaussians_are_kept_apart(separation, second, box):
-    """Four widths and more apart; the box holds the neighbour too."""
-    scc = gaussian(GRID, -0.4, 0.3, 1.2, 1.0)
-    scc += gaussian(GRID, separation - 0.4, -0.2, 1.2, 1.0, height=second)
-    found = sorted((c.v1, c.v2) for c in find_velocity_peaks(scc, GRID, box))
-    np.testing.assert_allclose(
-        found, [(-0.4, 0.3), (separation - 0.4, -0.2)], atol=0.05
-    )
-
-
-def test_sorted_by_falling_coefficient():
-    heights = {-6.0: 0.2, 0.0: 0.5, 6.0: 0.3}
-    scc = sum(gaussian(GRID, x, 0.0, 0.8, 0.8, height=h) for x, h in heights.items())
-    found = find_velocity_peaks(scc, GRID, BOX)
-    assert [round(c.v1) for c in found] == [0, 6, -6]
-    np.testing.assert_allclose([c.coefficient for c in found], [0.5, 0.3, 0.2])
-    for c in found:
-        assert max(abs(GRID.v1[c.column] - c.v1), abs(GRID.v2[c.row])) < 0.2
-        assert c.coefficient == scc[c.row, c.column]
-
-
-@pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])
-def test_a_maximum_on_the_border_is_none(place):
-    assert find_velocity_peaks(gaussian(GRID, *place, 1.0, 1.0), GRID, BOX) == []
-
-
-def test_too_narrow_for_a_fit_the_quadratic_serves():
-    """A kernel below the grid's spacing: fewer than six points reach half."""
-    scc = gaussian(GRID, 0.1, 0.0, 0.25, 0.2)
-    (c,) = find_velocity_peaks(scc, GRID, BOX)
-    assert abs(c.v1 - 0.1) < 0.25
-    assert abs(c.v2) < 0.2
-
-
-@pytest.mark.parametrize("aside", [(0.9, 0), (-0.9, 0), (0, 1.4), (0, -1.4)])
-@pytest.mark.parametrize("times", [1.0, 1.2])
-def test_a_fit_outside_the_box_is_none(aside, times, monkeypatch):
-    module = sys.modules[find_velocity_peaks.__module__]
-    grid = VelocityGrid.covering(4.0, 0.25)
-    place = times * np.array(aside)
-    fit = tuple(place)
-    monkeypatch.setattr(module, "fit_gaussian", lambda *args: fit)
-    scc = gaussian(grid, 0, 0, 1, 1)
-    (found,) = find_velocity_peaks(scc, grid, (1.8, 2.8))
-    expected = place if times == 1 else (0, 0)
-    np.testing.assert_allclose((found.v1, found.v2), expected, atol=1e-6)
 
 
 TWO = gaussian(GRID, -3.0, 1.0, 0.6, 0.6)

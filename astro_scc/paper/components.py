@@ -1,0 +1,327 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The paper's measurement: stack, significance, and velocity components."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from astro_scc.paper.peaks import (
+    VelocityPeak,
+    find_velocity_peaks,
+    jitter_positions,
+    normal_probability,
+)
+from astro_scc.paper.stack import Displacements, Stacker, VelocityGrid
+from astro_scc.paper.trials import DatePairs, image_pairs
+
+#: Spacing of the velocity grid in units of the narrowest kernel; and grid points on
+#: either side of zero where there are no matches.
+GRID_STEP, GRID_POINTS = 0.5, 20
+#: Standard deviations of stacks are at least this fraction of the largest one: where
+#: hardly a trial has a match, a small coefficient is no discovery.
+STD_FLOOR = 0.3
+#: Components that a larger share of the trials exceeds are left out, but for the first.
+MOST_NOISE = 0.5
+#: A match belongs to a component within this many of its standard errors.
+MEMBER_SIGMA = 2.0
+
+
+@dataclass(frozen=True)
+class PaperComponent:
+    """
+    A maximum of a stack: a velocity component of the paper.
+
+    Attributes
+    ----------
+    v1, v2 : float
+        Velocity along the two axes, of a Gaussian fitted in a box of a beam.
+    v1_err, v2_err, correlation : float
+        Standard deviations of the maximum over trials with shifted SSPs, and their
+        correlation; NaN if fewer than three trials have it.
+    coefficient : float
+        Stacked correlation coefficient.
+    z_score : float
+        Height above the mean of the trials, in their standard deviations.
+    p_global : float
+        Probability that permuted epochs have as large a z-score at any velocity.
+    significant : bool
+        Whether ``p_global`` is at most ``alpha``.
+    offset1, offset2 : float
+        Mean of the maximum over the trials with shifted SSPs, from the velocity: a
+        small part of the error where the error is valid.
+    p_normal : float
+        Probability that a normal distribution of these trials looks less normal.
+    found : float
+        Share of these trials in which the maximum is found again.
+    n_ssp, n_pairs : int
+        SSPs with a match within two standard errors, and their pairs of dates.
+    """
+
+    v1: float
+    v2: float
+    v1_err: float
+    v2_err: float
+    correlation: float
+    coefficient: float
+    z_score: float
+    p_global: float
+    significant: bool
+    offset1: float
+    offset2: float
+    p_normal: float
+    found: float
+    n_ssp: int
+    n_pairs: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PaperStack:
+    """
+    The stacked cross-correlation of a series, and its velocity components.
+
+    Attributes
+    ----------
+    grid : `VelocityGrid`
+    pairs : `DatePairs`
+    coefficient : `~numpy.ndarray`, shape ``grid.shape``
+        The stack, of Eq. 6 of the paper.
+    mean, std : `~numpy.ndarray`, shape ``grid.shape``
+        Mean and standard deviation of the stacks of permuted epochs.
+    z_score : `~numpy.ndarray`, shape ``grid.shape``
+        ``(coefficient - mean) / std``, zero where no trial has a correlation.
+    trial_z : `~numpy.ndarray`, shape (n_trials,)
+        The largest z-score of each trial among all the others and the observed order.
+    components : tuple of `PaperComponent`
+        The largest z-score first.
+    n_ssp : int
+        Number of SSPs, the denominator of the stack where weights are one.
+    """
+
+    grid: VelocityGrid
+    pairs: DatePairs
+    coefficient: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    z_score: np.ndarray
+    trial_z: np.ndarray
+    components: tuple[PaperComponent, ...]
+    n_ssp: int
+
+    def __repr__(self):
+        n = len(self.components)
+        return f"<PaperStack: {n} components of {self.n_ssp} SSPs>"
+
+
+def stack_patterns(
+    displacements: Displacements, pairs: DatePairs, orders: ArrayLike, *,
+    fwhm: ArrayLike, max_speed: ArrayLike, rng: np.random.Generator,
+    alpha: float = 0.01, shift_beams: float = 0.0, correlated: ArrayLike | None = None,
+    progress: Callable[[int], Any] | None = None,
+) -> PaperStack:  # fmt: skip
+    """
+    Measure velocity components by stacked cross-correlation, as in the paper.
+
+    Parameters
+    ----------
+    displacements : `Displacements`
+        Of the matches of all ordered pairs of images that the orders compare.
+    pairs : `DatePairs`
+        Pairs of dates, see `consecutive_pairs` and `baseline_pairs`.
+    orders : array_like of int, shape (n_trials, n_dates)
+        Orders of the images over the dates, see `draw_orders`.
+    fwhm : float or array_like, shape (2,)
+        Full width at half maximum of the beam along both axes.
+    max_speed : float or array_like, shape (2,)
+        Largest speed along both axes, in the unit of the displacements per year.
+    rng : `~numpy.random.Generator`
+        For the errors, which have as many trials as there are orders.
+    alpha : float, optional
+        Largest ``p_global`` of a significant component.
+    shift_beams : float, optional
+        Shift of the images of a trial, in beams, along each axis and in each direction
+        in turn.  A fifth is the paper's correction for small displacements, at which
+        permuted epochs of standing structure correlate as well.
+    correlated : array_like of int, shape (n, 2), optional
+        Ordered pairs of images that were correlated; if given, it is checked that none
+        is missing.
+    progress : callable, optional
+        Called with 1 for each order that was stacked.
+
+    Returns
+    -------
+    `PaperStack`
+
+    Raises
+    ------
+    ValueError
+        If an argument is not as described.
+
+    Examples
+    --------
+    From a cube of images, step by step; `astro_scc.paper_method.measure_as_in_paper`
+    does the same in one call:
+
+    >>> import numpy as np
+    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.decomposition import Decomposer, SSPs
+    >>> from astro_scc.paper import (
+    ...     Displacements, consecutive_pairs, draw_orders, image_pairs, stack_patterns)
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube, rng = simulate_two_fluid(n_epochs=6, rng=1).cube, np.random.default_rng(1)
+    >>> epochs = [Decomposer(scales=[2, 3])(image) for image in cube.data]
+    >>> ssps = SSPs.of_epochs(epochs)
+    >>> pairs = consecutive_pairs(np.arange(len(cube)))
+    >>> orders = draw_orders(pairs, 50, rng)
+    >>> matches = Correlator()(epochs, image_pairs(pairs, orders), (10, 35))
+    >>> two = np.full(len(matches), 2.0)
+    >>> displacements = Displacements(
+    ...     d1=matches.dx, d2=matches.dy, s1=two, s2=two, weight=matches.coefficient,
+    ...     reference=ssps.epoch[matches.ssp], target=matches.target, ssp=matches.ssp,
+    ...     target_ssp=-np.ones(len(matches), dtype=int),
+    ...     n_ssps=np.bincount(ssps.epoch, minlength=len(cube)))
+    >>> found = stack_patterns(
+    ...     displacements, pairs, orders, fwhm=10.0, max_speed=30.0, rng=rng,
+    ...     correlated=matches.pairs)
+    >>> [round(component.v1) for component in found.components[:1]]
+    [5]
+    """
+    orders = np.asarray(orders)
+    fwhm, max_speed = _checked(displacements, pairs, orders, fwhm, max_speed)
+    if correlated is not None:
+        _require_pairs(pairs, orders, np.asarray(correlated))
+    stacker = Stacker(displacements, pairs)
+    grid = _grid(displacements, pairs, max_speed)
+    first, second = shift_beams * fwhm
+    shifts = (first, 0.0), (-first, 0.0), (0.0, second), (0.0, -second)
+    # Single precision halves the time; ties of equal orders stay ties.
+    stacks = np.empty((len(orders) + 1, *grid.shape), dtype=np.float32)
+    stacks[0] = stacker.stack(grid, kind=np.float32)
+    for k, order in enumerate(orders):
+        stacks[k + 1] = stacker.stack(
+            grid, order=order, shift=shifts[k % 4], kind=np.float32
+        )
+        if progress is not None:
+            progress(1)
+    mean, std, z_score, trial_z = _significance(stacks)
+    box = tuple(fwhm / np.average(pairs.interval, weights=pairs.weight))
+    coefficient = stacker.stack(grid)
+    peaks = find_velocity_peaks(coefficient, grid, box)
+    peaks = sorted(peaks, key=lambda c: -z_score[c.row, c.column])
+    noise = np.quantile(trial_z, 1 - MOST_NOISE)
+    strong = [c for c in peaks[1:] if z_score[c.row, c.column] > noise]
+    components = tuple(
+        _component(stacker, c, box, z_score[c.row, c.column], trial_z, alpha, rng)
+        for c in peaks[:1] + strong
+    )
+    reference, _ = pairs.images()
+    number = int(displacements.n_ssps[np.unique(reference)].sum())
+    return PaperStack(
+        grid, pairs, coefficient, mean, std, z_score, trial_z, components, number
+    )
+
+
+def _checked(displacements, pairs, orders, fwhm, max_speed):
+    """Return beam and largest speed on both axes; refuse what does not fit together."""
+    n = pairs.n_dates
+    if len(pairs) == 0:
+        raise ValueError("no two dates make a pair: give other dates or a baseline")
+    if len(displacements.n_ssps) != n:
+        raise ValueError(
+            f"displacements are of {len(displacements.n_ssps)} epochs, pairs of {n}"
+        )
+    shape_fits = orders.ndim == 2 and orders.shape[1] == n and len(orders) >= 2
+    if not (shape_fits and np.array_equal(np.sort(orders), [range(n)] * len(orders))):
+        raise ValueError(f"orders must be two or more permutations of {n} epochs")
+    checked = []
+    for name, value in (("fwhm", fwhm), ("max_speed", max_speed)):
+        if np.shape(value) not in ((), (1,), (2,)) or not np.all(
+            (np.asarray(value) > 0) & np.isfinite(value)
+        ):
+            raise ValueError(f"{name} must be one or two numbers above 0, got {value}")
+        checked.append(np.broadcast_to(np.asarray(value, dtype=float), 2))
+    return checked
+
+
+def _require_pairs(pairs, orders, correlated):
+    """Refuse orders that need pairs of images that were not correlated."""
+    wanted = image_pairs(pairs, orders) @ [pairs.n_dates, 1]
+    missing = np.setdiff1d(wanted, correlated @ [pairs.n_dates, 1])
+    if len(missing):
+        raise ValueError(
+            f"{len(missing)} of {len(wanted)} ordered pairs of images that the orders "
+            "compare were not correlated: correlate those of image_pairs"
+        )
+
+
+def _grid(displacements, pairs, max_speed):
+    rate = GRID_STEP / pairs.interval.max()
+    step = max_speed / GRID_POINTS
+    if len(displacements):
+        narrowest = np.array([displacements.s1.min(), displacements.s2.min()])
+        step = np.minimum(step, rate * narrowest)
+    return VelocityGrid.covering(max_speed, step)
+
+
+def _significance(stacks):
+    """
+    Return mean, standard deviation and z-score of the first of many stacks.
+
+    Each stack is compared with all others, so that under permutations the first is one
+    of equals.  The largest z-score of each of the others is returned, too.
+    """
+    n = len(stacks)
+    total, squares = np.zeros(stacks.shape[1:]), np.zeros(stacks.shape[1:])
+    for stack in stacks:
+        stack = stack.astype(float)
+        total += stack
+        squares += stack**2
+    variance = np.maximum(squares / n - (total / n) ** 2, 0.0)
+    floor = STD_FLOOR * np.sqrt(variance.max() * n / (n - 1))
+    highest = np.zeros(n)
+    for k in range(n - 1, -1, -1):
+        stack = stacks[k].astype(float)
+        mean = (total - stack) / (n - 1)
+        variance = (squares - stack**2) / (n - 1) - mean**2
+        variance *= (n - 1) / max(n - 2, 1)
+        std = np.sqrt(np.maximum(variance, floor**2))
+        z_score = np.divide(stack - mean, std, out=np.zeros_like(std), where=std > 0)
+        highest[k] = z_score.max()
+    return mean, std, z_score, highest[1:]
+
+
+def _component(stacker, peak: VelocityPeak, box, z_score, trial_z, alpha, rng):
+    """Return a maximum with its significance, errors, and matches."""
+    n_trials = len(trial_z)
+    # Equal orders give equal z-scores within rounding.
+    larger = np.count_nonzero(trial_z >= z_score * (1 - 1e-6))
+    p_global = (1 + larger) / (n_trials + 1)
+    away = jitter_positions(stacker, peak, box, n_trials, rng)
+    covariance, offset = np.full((2, 2), np.nan), np.full(2, np.nan)
+    if len(away) >= 3:
+        covariance, offset = np.cov(away.T), away.mean(axis=0)
+    error = np.sqrt(np.diag(covariance))
+    index, pair, (v1, v2, s1, s2, _) = stacker.velocities()
+    distance = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2)
+    member = distance <= MEMBER_SIGMA
+    return PaperComponent(
+        v1=peak.v1,
+        v2=peak.v2,
+        v1_err=float(error[0]),
+        v2_err=float(error[1]),
+        correlation=float(covariance[0, 1] / np.prod(error)),
+        coefficient=peak.coefficient,
+        z_score=float(z_score),
+        p_global=float(p_global),
+        significant=bool(p_global <= alpha),
+        offset1=float(offset[0]),
+        offset2=float(offset[1]),
+        p_normal=normal_probability(away),
+        found=len(away) / n_trials,
+        n_ssp=len(np.unique(stacker.displacements.ssp[index[member]])),
+        n_pairs=len(np.unique(pair[member])),
+    )

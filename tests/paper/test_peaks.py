@@ -1,0 +1,263 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Maxima of surfaces, their fits, and errors from shifted positions."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from astro_scc.paper import Displacements, VelocityGrid, consecutive_pairs
+from astro_scc.paper.peaks import (
+    VelocityPeak,
+    find_velocity_peaks,
+    fit_gaussian,
+    jitter_positions,
+    normal_probability,
+)
+from astro_scc.paper.stack import Stacker
+
+GRID = VelocityGrid.covering((10.0, 8.0), (0.5, 0.4))
+BOX = (6.0, 6.0)
+
+
+def gaussian(grid, x, y, sx, sy, angle=0.0, height=1.0):
+    u, v = grid.v1 - x, grid.v2[:, None] - y
+    c, s = np.cos(angle), np.sin(angle)
+    p, q = c * u + s * v, -s * u + c * v
+    return height * np.exp(-0.5 * ((p / sx) ** 2 + (q / sy) ** 2))
+
+
+near, width = st.floats(-0.5, 0.5), st.floats(0.8, 2.0)
+
+
+@given(near, near, width, width, st.floats(0, np.pi), st.floats(1e-6, 1e6))
+def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
+    grid = VelocityGrid.covering(2.0, 0.25)
+    surface = gaussian(grid, x, y, sx, sy, angle, height)
+    found = fit_gaussian(surface, grid.v1, grid.v2)
+    np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
+
+
+def test_fit_follows_the_high_values_under_noise():
+    """Weights f^2: errors of the logarithm of low values do not count."""
+    rng = np.random.default_rng(0)
+    x = y = np.linspace(-3, 3, 25)
+    errors = []
+    for _ in range(100):
+        centre = rng.uniform(-0.3, 0.3, 2)
+        f = np.exp(-0.5 * ((x - centre[0]) ** 2 + (y[:, None] - centre[1]) ** 2))
+        f = np.clip(f + rng.normal(scale=0.02, size=f.shape), 0, None)
+        errors.append(fit_gaussian(f, x, y)[:2] - centre)
+    assert np.abs(errors).max() < 0.1
+    assert np.std(errors) < 0.02
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        np.zeros((5, 5)),
+        -np.ones((5, 5)),
+        np.ones((5, 5)),
+        np.add.outer(np.arange(5.0), np.arange(5.0)),  # a slope
+        np.exp(0.1 * np.add.outer(np.arange(-2, 3) ** 2, -np.arange(-2.0, 3))),
+        np.exp(0.1 * np.multiply.outer(np.arange(-2, 3.0), np.arange(-2, 3))),  # saddle
+        np.eye(5),  # too few values
+        np.exp(-0.1 * np.arange(-2, 3) ** 2) * (np.arange(5) == 2)[:, None],  # a line
+    ],
+)
+def test_no_maximum_no_fit(surface):
+    axis = np.arange(-2.0, 3)
+    assert fit_gaussian(surface, axis, axis) is None
+
+
+@pytest.mark.parametrize("box", [(4.0, 4.0), (6.0, 6.0), (10.0, 10.0)])
+@pytest.mark.parametrize("second", [1.0, 0.6])
+@pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
+def test_overlapping_gaussians_are_kept_apart(separation, second, box):
+    """Four widths and more apart; the box holds the neighbour too."""
+    scc = gaussian(GRID, -0.4, 0.3, 1.2, 1.0)
+    scc += gaussian(GRID, separation - 0.4, -0.2, 1.2, 1.0, height=second)
+    found = sorted((c.v1, c.v2) for c in find_velocity_peaks(scc, GRID, box))
+    np.testing.assert_allclose(
+        found, [(-0.4, 0.3), (separation - 0.4, -0.2)], atol=0.05
+    )
+
+
+def test_sorted_by_falling_coefficient():
+    heights = {-6.0: 0.2, 0.0: 0.5, 6.0: 0.3}
+    scc = sum(gaussian(GRID, x, 0.0, 0.8, 0.8, height=h) for x, h in heights.items())
+    found = find_velocity_peaks(scc, GRID, BOX)
+    assert [round(c.v1) for c in found] == [0, 6, -6]
+    np.testing.assert_allclose([c.coefficient for c in found], [0.5, 0.3, 0.2])
+    for c in found:
+        assert max(abs(GRID.v1[c.column] - c.v1), abs(GRID.v2[c.row])) < 0.2
+        assert c.coefficient == scc[c.row, c.column]
+
+
+@pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])
+def test_a_maximum_on_the_border_is_none(place):
+    assert find_velocity_peaks(gaussian(GRID, *place, 1.0, 1.0), GRID, BOX) == []
+
+
+def test_too_narrow_for_a_fit_the_quadratic_serves():
+    """A kernel below the grid's spacing: fewer than six points reach half."""
+    scc = gaussian(GRID, 0.1, 0.0, 0.25, 0.2)
+    (c,) = find_velocity_peaks(scc, GRID, BOX)
+    assert abs(c.v1 - 0.1) < 0.25
+    assert abs(c.v2) < 0.2
+
+
+@pytest.mark.parametrize("aside", [(0.9, 0), (-0.9, 0), (0, 1.4), (0, -1.4)])
+@pytest.mark.parametrize("times", [1.0, 1.2])
+def test_a_fit_outside_the_box_is_none(aside, times, monkeypatch):
+    module = sys.modules[find_velocity_peaks.__module__]
+    grid = VelocityGrid.covering(4.0, 0.25)
+    place = times * np.array(aside)
+    fit = tuple(place)
+    monkeypatch.setattr(module, "fit_gaussian", lambda *args: fit)
+    scc = gaussian(grid, 0, 0, 1, 1)
+    (found,) = find_velocity_peaks(scc, grid, (1.8, 2.8))
+    expected = place if times == 1 else (0, 0)
+    np.testing.assert_allclose((found.v1, found.v2), expected, atol=1e-6)
+
+
+# -- errors from shifted positions ------------------------------------------------
+
+
+PAIRS = consecutive_pairs([0.0, 0.5])
+HALF_YEAR = 0.5
+
+
+def clump(n, *, velocity=(1.0, -0.5), interval=0.5, s=(0.2, 0.2), shared=False):
+    """Matches of two epochs with one displacement, each of an SSP of its own."""
+    one = np.ones(n)
+    return Displacements(
+        d1=velocity[0] * interval * one,
+        d2=velocity[1] * interval * one,
+        s1=s[0] * one,
+        s2=s[1] * one,
+        weight=one,
+        reference=np.zeros(n, dtype=int),
+        target=np.ones(n, dtype=int),
+        ssp=np.zeros(n, dtype=int) if shared else np.arange(n),
+        target_ssp=np.full(n, -1),
+        n_ssps=np.array([n, n]),
+    )
+
+
+def errors(found):
+    """Standard errors along both axes."""
+    return np.std(found, axis=0)
+
+
+def component(v1=1.0, v2=-0.5):
+    return VelocityPeak(v1, v2, 1.0, 0, 0)
+
+
+def jitter(d, n_trials=1000, *, pairs=PAIRS, at=None, box=(3.0, 3.0), seed=0):
+    rng = np.random.default_rng(seed)
+    return jitter_positions(Stacker(d, pairs), at or component(), box, n_trials, rng)
+
+
+def expected_error(s, n, shared=0.0):
+    """
+    Standard deviation of the maximum of n Gaussians of width s at random places.
+
+    A share of the variance s^2 of the places is common to all.  The maximum
+    of f = sum g(x_i, y_i) lies at -f'/f'' to first order; with the variance q
+    of the rest in units of s^2, E[f'^2] = n q / (1 + 2 q)^2 and
+    E[f''] = -n / (1 + q)^2.
+    """
+    q = 1 - shared
+    own = q * (1 + q) ** 4 / (1 + 2 * q) ** 2 / n
+    return s * np.sqrt(shared + own)
+
+
+@pytest.mark.parametrize("n", [60, 240])
+def test_independent_ssps(n):
+    """The fitted maximum is surer than the maximum itself, less sure than the mean."""
+    found = jitter(clump(n))
+    largest = expected_error(0.2 / HALF_YEAR, n)
+    assert largest == pytest.approx(4 / 3 * 0.4 / np.sqrt(n))
+    assert np.all((errors(found) < largest) & (errors(found) > 0.75 * largest))
+    assert abs(np.corrcoef(found.T)[0, 1]) < 0.15
+    assert np.abs(found.mean(axis=0)).max() < 0.15 * largest
+    assert normal_probability(found) > 0.01
+
+
+def test_one_ssp_that_all_matches_share():
+    """Its shift moves all of them: its half of the variance does not average out."""
+    found = jitter(clump(60, shared=True))
+    expected = expected_error(0.4, 60, shared=0.5)
+    assert expected > 0.4 / np.sqrt(2)
+    np.testing.assert_allclose(errors(found), expected, rtol=0.08)
+
+
+def chains(n, n_epochs):
+    """SSPs that are matched from epoch to epoch, all at one velocity."""
+    feature, epoch = np.mgrid[:n, : n_epochs - 1].reshape(2, -1)
+    return replace(
+        clump(feature.size), reference=epoch, target=epoch + 1,
+        ssp=epoch * n + feature, target_ssp=(epoch + 1) * n + feature,
+        n_ssps=np.full(n_epochs, n),
+    )  # fmt: skip
+
+
+def test_shifts_of_chains_cancel():
+    """What an SSP adds to the one displacement it takes from the next."""
+    d = chains(20, 9)
+    pairs = consecutive_pairs(HALF_YEAR * np.arange(9))
+    chained = jitter(d, pairs=pairs)
+    apart = jitter(replace(d, target_ssp=np.full(len(d), -1)), pairs=pairs)
+    assert errors(apart)[0] == pytest.approx(expected_error(0.4, 160), rel=0.12)
+    assert errors(chained)[0] < 0.75 * errors(apart)[0]
+
+
+def test_a_maximum_farther_than_half_a_box_is_not_the_same_one():
+    """A box of half-width s holds the maximum of one match of width s to 68%."""
+    found = jitter(clump(1, s=(0.2, 0.02)), box=(0.8, 3.0))
+    assert len(found) == pytest.approx(683, abs=60)
+    # The standard deviation of a normal distribution that is cut off there.
+    assert errors(found)[0] == pytest.approx(0.208, rel=0.1)
+    assert len(jitter(clump(10), 10, at=component(9.0, 9.0))) == 0
+    none = {name: column[:0] for name, column in vars(clump(1)).items()}
+    none = Displacements(**none | {"n_ssps": np.ones(2, dtype=int)})
+    assert jitter(none, 10).shape == (0, 2)
+
+
+def test_the_nearest_of_two_maxima_is_found_again():
+    """Not the higher one, which is in the box, too."""
+    low, high = clump(40), clump(80, velocity=(3.2, -0.5))
+    both = {
+        name: np.concatenate([column, getattr(high, name)])
+        for name, column in vars(low).items()
+    }
+    both["ssp"] = np.arange(120)
+    both["n_ssps"] = np.array([120, 120])
+    found = jitter(Displacements(**both), 200, box=(5.0, 3.0))
+    assert len(found) == 200
+    assert np.abs(found).max() < 0.5
+
+
+@pytest.mark.parametrize("n", [100, 1000])
+def test_normal_values_look_normal_and_others_do_not(n):
+    rng = np.random.default_rng(3)
+    turn = np.array([[2.0, 0.0], [1.5, 0.3]])
+    p = [normal_probability(rng.normal(size=(n, 2)) @ turn) for _ in range(400)]
+    assert 0.02 < np.mean(np.array(p) < 0.05) < 0.08
+    assert normal_probability(rng.exponential(size=(n, 2))) < 1e-3
+    assert normal_probability(rng.uniform(size=(1000, 2)) @ turn) < 1e-3
+    # Neither shift nor scale changes it.
+    values = rng.normal(size=(n, 2))
+    p = normal_probability(values)
+    assert normal_probability(5 + 1e-3 * values) == pytest.approx(p)
+
+
+def test_too_few_values_or_a_line_have_no_distribution():
+    values = np.random.default_rng(4).normal(size=(9, 2))
+    assert np.isfinite(normal_probability(values))
+    assert np.isnan(normal_probability(values[:7]))
+    assert np.isnan(normal_probability(np.zeros((50, 2))))

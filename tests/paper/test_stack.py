@@ -1,0 +1,305 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The stack against the paper's sums, its significance, and its components."""
+
+from dataclasses import replace
+from math import exp
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from astro_scc.paper import (
+    Displacements,
+    VelocityGrid,
+    baseline_pairs,
+    components,
+    consecutive_pairs,
+    draw_orders,
+    image_pairs,
+    stack_patterns,
+)
+from astro_scc.paper import stack as module
+from astro_scc.paper.stack import Stacker
+
+COARSE = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
+EVEN = np.arange(12.0) / 2
+
+
+def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s=(0.2, 0.6)):
+    """Matches between random epochs, of SSPs that exist, some landing on none."""
+    n_ssps = rng.integers(1, 9, n_epochs)
+    first = np.cumsum(n_ssps) - n_ssps
+    reference = rng.integers(n_epochs, size=n)
+    target = (reference + rng.integers(1, n_epochs, size=n)) % n_epochs
+    landed = first[target] + rng.integers(n_ssps[target])
+    return Displacements(
+        d1=rng.uniform(-reach, reach, n),
+        d2=rng.uniform(-reach, reach, n),
+        s1=rng.uniform(*s, n),
+        s2=rng.uniform(*s, n),
+        weight=rng.uniform(0.5, 1.0, n),
+        reference=reference,
+        target=target,
+        ssp=first[reference] + rng.integers(n_ssps[reference]),
+        target_ssp=np.where(rng.random(n) < 0.2, -1, landed),
+        n_ssps=n_ssps,
+    )
+
+
+def flows(rng, speeds, years=EVEN, *, n=4, length=40.0, noise=0.1):
+    """All matches within 3.5 of features that move, new ones coming in."""
+    time = years - years[0]
+    places, epochs = [], []
+    for speed in speeds:
+        start = rng.uniform(-abs(speed) * time[-1], length, n * 3)
+        for epoch, t in enumerate(time):
+            x = start + speed * t
+            x = x[(x > 0) & (x < length)]
+            y = rng.normal(scale=0.3, size=len(x))
+            places.append(np.stack([x, y], axis=1) + rng.normal(0, noise, (len(x), 2)))
+            epochs.append(np.full(len(x), epoch))
+    place, epoch = np.concatenate(places), np.concatenate(epochs)
+    away = place - place[:, None]
+    near = (np.abs(away) < 3.5).all(axis=2) & (epoch[:, None] != epoch)
+    i, j = np.nonzero(near)
+    s = np.full(len(i), 0.2)
+    return Displacements(
+        *away[i, j].T, s, s, np.full(len(i), 0.9), epoch[i], epoch[j], i, j,
+        np.bincount(epoch, minlength=len(years)),
+    )  # fmt: skip
+
+
+def measure(d, pairs, n_trials=60, *, seed=0, **options):
+    rng = np.random.default_rng(seed)
+    orders = draw_orders(pairs, n_trials, rng)
+    options = {"fwhm": 1.0, "max_speed": 5.0, "rng": rng} | options
+    return stack_patterns(d, pairs, orders, **options)
+
+
+def literal(d, pairs, grid, order, shift=(0.0, 0.0)):
+    """Sum over pairs of dates, SSPs and peaks, over the number of SSPs."""
+    owner = np.repeat(np.arange(len(d.n_ssps)), d.n_ssps)
+    total, number = np.zeros(grid.shape), 0.0
+    for a, b, interval, weight in zip(
+        pairs.first, pairs.second, pairs.interval, pairs.weight, strict=True
+    ):
+        reference, target = order[a], order[b]
+        for ssp in np.flatnonzero(owner == reference):
+            number += weight
+            for p in np.flatnonzero((d.ssp == ssp) & (d.target == target)):
+                assert d.reference[p] == reference
+                d1, d2 = d.d1[p] + shift[0], d.d2[p] + shift[1]
+                for row, v2 in enumerate(grid.v2):
+                    for column, v1 in enumerate(grid.v1):
+                        u1 = (v1 - d1 / interval) / (d.s1[p] / interval)
+                        u2 = (v2 - d2 / interval) / (d.s2[p] / interval)
+                        g = exp(-0.5 * (u1 * u1 + u2 * u2))
+                        total[row, column] += weight * d.weight[p] * g
+    return total / number
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
+def test_is_the_papers_equation(seed, every_pair, shuffled):
+    rng = np.random.default_rng(seed)
+    d = random_displacements(rng, n_epochs=4, n=25)
+    years = np.cumsum(rng.uniform(0.3, 1.5, 4))
+    pairs = baseline_pairs(years, 0.0, 9.0) if every_pair else consecutive_pairs(years)
+    order = rng.permutation(4) if shuffled else np.arange(4)
+    shift = tuple(rng.uniform(-0.5, 0.5, 2))
+    stacker = Stacker(d, pairs)
+    found = stacker.stack(COARSE, order=order if shuffled else None, shift=shift)
+    # Gaussians further than five sigma from the grid are left out.
+    expected = literal(d, pairs, COARSE, order, shift)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    found = stacker.stack(COARSE, order=order, shift=shift, kind=np.float32)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_without_matches_or_ssps_it_is_zero():
+    pairs = consecutive_pairs([0.0, 0.4, 1.0, 1.1])
+    d = random_displacements(np.random.default_rng(4), n=0)
+    for own in (d, replace(d, n_ssps=np.zeros(4, dtype=int))):
+        found = measure(own, pairs, 5)
+        np.testing.assert_array_equal(found.coefficient, 0.0)
+        np.testing.assert_array_equal(found.z_score, 0.0)
+        assert found.components == ()
+    assert (found.n_ssp, repr(found)) == (0, "<PaperStack: 0 components of 0 SSPs>")
+
+
+def test_blocks_of_matches_give_the_same_sum(monkeypatch):
+    d = random_displacements(np.random.default_rng(6))
+    stacker = Stacker(d, consecutive_pairs(0.5 * np.arange(4)))
+    whole = stacker.stack(COARSE)
+    monkeypatch.setattr(module, "BLOCK", 7)
+    np.testing.assert_allclose(stacker.stack(COARSE), whole)
+
+
+# -- significance -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.2])
+def test_z_scores_are_among_all_other_stacks(shift):
+    """Each trial against the others and the observed order; shifts in turn."""
+    rng = np.random.default_rng(7)
+    d, years = random_displacements(rng, 5, 300), np.array([0.0, 0.4, 1.2, 1.5, 2.6])
+    pairs, done = consecutive_pairs(years), []
+    orders = draw_orders(pairs, 12, rng)
+    found = stack_patterns(
+        d, pairs, orders, fwhm=(1.0, 2.0), max_speed=(4.0, 3.0), rng=rng,
+        shift_beams=shift, progress=done.append,
+    )  # fmt: skip
+    assert sum(done) == 12
+    stacker, grid = Stacker(d, pairs), found.grid
+    assert grid.v_max == pytest.approx((4.0, 3.0))
+    assert max(np.divide(grid.step, (d.s1.min(), d.s2.min()))) <= 0.5 / 1.1 + 1e-9
+    moves = [(shift, 0), (-shift, 0), (0, 2 * shift), (0, -2 * shift)]
+    stacks = [stacker.stack(grid)]
+    for k, order in enumerate(orders):
+        stacks.append(stacker.stack(grid, order=order, shift=moves[k % 4]))
+    stacks = np.array(stacks)
+    floor = components.STD_FLOOR * stacks.std(axis=0, ddof=1).max()
+    for k, stack in enumerate(stacks):
+        others = np.delete(stacks, k, axis=0)
+        std = others.std(axis=0, ddof=1)
+        z = (stack - others.mean(axis=0)) / np.maximum(std, floor)
+        if k:
+            assert found.trial_z[k - 1] == pytest.approx(z.max(), rel=1e-3)
+        else:
+            assert (std < floor).any()
+            np.testing.assert_allclose(found.z_score, z, atol=2e-3)
+            np.testing.assert_allclose(found.mean, others.mean(axis=0), atol=1e-6)
+            assert np.all(found.std >= floor * 0.999)
+    for c in found.components:
+        larger = np.count_nonzero(found.trial_z >= c.z_score)
+        assert c.p_global == (1 + larger) / 13
+
+
+def test_p_global_is_uniform_where_epochs_are_unrelated():
+    """Also of few epochs, whose orders repeat, and where groups are exchanged."""
+    p = []
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(3, 9))
+        d = random_displacements(rng, n, 40 * n)
+        pairs = consecutive_pairs(np.cumsum(rng.uniform(0.5, 1.0, n)))
+        most = 5000 if seed % 2 else 10
+        orders = draw_orders(pairs, 19, rng, most_pairs=most)
+        found = stack_patterns(d, pairs, orders, fwhm=1.0, max_speed=4.0, rng=rng)
+        p.append((1 + np.sum(found.trial_z >= found.z_score.max() * (1 - 1e-6))) / 20)
+        # A component is at most as significant as the map is anywhere.
+        assert min(c.p_global for c in found.components) >= p[-1]
+    for level in (0.05, 0.1, 0.25, 0.5):
+        share = np.mean(np.array(p) <= level + 1e-9)
+        assert share <= level + 3 * np.sqrt(level / 120)
+    assert np.mean(np.array(p) <= 0.5) > 0.3
+
+
+# -- components -------------------------------------------------------------------
+
+
+def test_two_flows_are_two_significant_components():
+    d = flows(np.random.default_rng(1), (1.0, 4.0))
+    found = measure(d, consecutive_pairs(EVEN), 200)
+    own = [c for c in found.components if c.significant]
+    assert len(own) == 2
+    assert sorted(c.v1 for c in own) == pytest.approx([1.0, 4.0], abs=0.15)
+    for c in own:
+        assert abs(c.v2) < 3 * c.v2_err
+        assert 0.01 < c.v1_err < 0.3
+        assert abs(c.offset1) < 0.5 * c.v1_err
+        assert (c.found, c.p_global) == (1.0, 1 / 201)
+        assert c.n_pairs == 11
+        assert 10 < c.n_ssp <= d.n_ssps[:-1].sum()
+        assert abs(c.correlation) < 0.5
+        column = np.abs(found.grid.v1 - c.v1).argmin()
+        row = np.abs(found.grid.v2 - c.v2).argmin()
+        assert found.coefficient[row, column] == pytest.approx(c.coefficient, rel=0.05)
+    assert found.n_ssp == d.n_ssps[:-1].sum()
+    z = [c.z_score for c in found.components]
+    assert z == sorted(z, reverse=True)
+    # The others are at least as high as half of the trials, but the first one.
+    assert all(c.p_global <= 0.51 for c in found.components[1:])
+
+
+def test_scrambled_epochs_have_one_row_that_is_not_significant():
+    d = flows(np.random.default_rng(2), (1.0, 4.0))
+    # Neither a flow nor its reversal is left.
+    order = np.array([3, 8, 0, 6, 11, 1, 4, 9, 7, 2, 10, 5])
+    place = np.argsort(order)
+    d = replace(
+        d, reference=place[d.reference], target=place[d.target], n_ssps=d.n_ssps[order]
+    )
+    found = measure(d, consecutive_pairs(EVEN), 200)
+    assert not found.components[0].significant
+
+
+def test_turned_axes_and_other_units_change_nothing_else():
+    d = flows(np.random.default_rng(3), (1.0, 4.0))
+    pairs = consecutive_pairs(EVEN)
+    found = measure(d, pairs)
+    turned = measure(replace(d, d1=-d.d2, d2=d.d1, s1=d.s2, s2=d.s1), pairs)
+    hundred = {name: 100 * getattr(d, name) for name in ("d1", "d2", "s1", "s2")}
+    large = measure(replace(d, **hundred), pairs, fwhm=100.0, max_speed=500.0)
+    fast = consecutive_pairs(EVEN / 10)
+    fast = measure(d, fast, max_speed=50.0)
+    # Pairs of dates of any weights in common.
+    heavy = measure(d, replace(pairs, weight=7 * pairs.weight))
+    first = found.components[0]
+    for other, (v1, v2) in (
+        (turned, (-first.v2, first.v1)),
+        (large, (100 * first.v1, 100 * first.v2)),
+        (fast, (10 * first.v1, 10 * first.v2)),
+        (heavy, (first.v1, first.v2)),
+    ):
+        c = other.components[0]
+        assert (c.v1, c.v2) == pytest.approx((v1, v2), abs=2e-3 * abs(v1 + v2))
+        assert c.z_score == pytest.approx(first.z_score, rel=1e-3)
+        assert c.coefficient == pytest.approx(first.coefficient, rel=1e-6)
+        assert c.p_global == first.p_global
+
+
+def test_pairs_that_an_order_misses_are_refused():
+    d = flows(np.random.default_rng(5), (1.0,))
+    pairs, rng = consecutive_pairs(EVEN), np.random.default_rng(0)
+    orders = draw_orders(pairs, 20, rng)
+    correlated = image_pairs(pairs, orders)
+    options = {"fwhm": 1.0, "max_speed": 5.0, "rng": rng}
+    stack_patterns(d, pairs, orders, correlated=correlated, **options)
+    with pytest.raises(ValueError, match="^2 of .* ordered pairs .* not correlated"):
+        stack_patterns(d, pairs, orders, correlated=correlated[2:], **options)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pairs": consecutive_pairs([1.0, 1.0])}, "no two dates make a pair"),
+        ({"pairs": consecutive_pairs([0.0, 1.0])}, "are of 4 epochs, pairs of 2"),
+        ({"orders": [[0, 1, 2, 3]]}, "orders must be two or more permutations of 4"),
+        ({"orders": [[0, 1, 2]] * 2}, "orders must be"),
+        ({"orders": [[0, 1, 2, 2]] * 2}, "orders must be"),
+        ({"fwhm": 0.0}, "fwhm must be one or two numbers above 0, got 0.0"),
+        ({"fwhm": (1.0, 1.0, 1.0)}, "fwhm must be"),
+        ({"max_speed": (1.0, np.inf)}, "max_speed must be"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, words):
+    own = {"pairs": consecutive_pairs(np.arange(4.0)), "orders": [[3, 2, 1, 0]] * 2}
+    own |= {"fwhm": 1.0, "max_speed": 2.0, "rng": np.random.default_rng(0)} | change
+    d = random_displacements(np.random.default_rng(0))
+    with pytest.raises(ValueError, match=words):
+        stack_patterns(d, own.pop("pairs"), own.pop("orders"), **own)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"d1": np.zeros(3)}, "columns of one length, got .*'d1': 3, 'd2': 60"),
+        ({"s2": np.zeros(60)}, "s2 must be above 0"),
+        ({"target": np.full(60, 4)}, "target names epochs outside 0 to 3"),
+    ],
+)
+def test_wrong_columns_are_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        replace(random_displacements(np.random.default_rng(0)), **change)

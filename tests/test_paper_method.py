@@ -1,0 +1,154 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The paper's method from images to its table, figure and maps."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.wcs import WCS
+
+from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.measurement.result import map_hdus
+from astro_scc.paper_method import measure_as_in_paper
+from astro_scc.simulation import simulate_two_fluid
+from astro_scc.units import PM_UNIT
+
+WEST = {"position_angle": 270 * u.deg, "scales": [1, 2, 3], "alpha": 0.01}
+
+
+def settings(**change):
+    return StackedCrossCorrelation(**WEST | change)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return simulate_two_fluid(rng=2001, dense=True).cube
+
+
+@pytest.fixture(scope="module")
+def region(cube):
+    region = np.zeros(cube.shape[1:], dtype=bool)
+    region[:, 60:161] = True
+    return region
+
+
+@pytest.fixture(scope="module")
+def found(cube, region):
+    return measure_as_in_paper(cube, settings(), region=region, n_trials=200, rng=1)
+
+
+def test_both_streams_are_significant(cube, found):
+    """The map reaches four beams in an interval, as the paper's does."""
+    table = found.components
+    step = (cube.pixel_scale / np.diff(cube.years).mean()).to(PM_UNIT)
+    assert found.grid.v_max == pytest.approx(2 * [40 * step.value], rel=1e-3)
+    moving = table[table["kind"] == "moving"]
+    assert len(moving) == 2
+    along = np.sort((moving["pm_parallel"] / step).value)
+    assert along == pytest.approx([5.0, 20.0], abs=1.2)
+    assert np.all(abs(moving["pm_transverse"]) < 4 * moving["pm_transverse_err"])
+    assert np.all(moving["pm_err"] < 1.0 * step)
+    assert np.all(moving["p_global"] <= 0.01)
+    assert np.all(moving["z_score"] >= found.level)
+    assert np.all(moving["found"] > 0.95)
+    # Towards the west.
+    assert np.all(moving["pm_ra_cosdec"] < 0)
+    assert table.meta["method"] == "paper"
+    assert (table.meta["n_trials"], table.meta["seed"]) == (200, 1)
+    assert (table.meta["n_pairs"], table.meta["n_ssp"]) == (9, found.stack.n_ssp)
+    assert repr(found).startswith("<PaperMeasurement: 10 epochs, ")
+
+
+def test_axes_of_the_sky_and_workers_give_the_same(cube, region, found):
+    own = settings(position_angle="any")
+    sky = measure_as_in_paper(
+        cube, own, region=region, n_trials=200, rng=1, n_workers=2
+    )
+    assert sky.frame.axis_names == ("east", "north")
+    for name in ("pm_ra_cosdec", "pm_dec", "z_score", "coefficient"):
+        first = u.Quantity(sky.components[name][0]).value
+        expected = u.Quantity(found.components[name][0]).value
+        assert first == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_maps_are_those_of_the_stack(found, tmp_path):
+    path = tmp_path / "scc.fits"
+    fits.HDUList(map_hdus(found, text="a = 1")).writeto(path)
+    with fits.open(path) as hdus:
+        assert [hdu.name for hdu in hdus] == ["COEFFICIENT", "ZSCORE"]
+        assert hdus[0].header["NTRIALS"] == 200
+        np.testing.assert_array_equal(hdus[0].data, found.stack.coefficient)
+        np.testing.assert_array_equal(hdus[1].data, found.z_score)
+        wcs = WCS(hdus[1].header)
+        x, y = 7, 11
+        world = [float(v) for v in wcs.wcs_pix2world(x, y, 0)]
+        assert list(wcs.wcs.cunit) == [PM_UNIT] * 2
+        assert world == pytest.approx([found.grid.v1[x], found.grid.v2[y]])
+    with pytest.raises(ValueError, match="unknown map 'mean': use 'coefficient'"):
+        found.velocity_map("mean")
+
+
+def test_the_figure_shows_the_level_of_the_trials(found):
+    upper, lower, *_ = found.plot(unit="mas/yr").axes
+    assert len(upper.images) == 1
+    lines = {line.get_label(): line for line in lower.lines}
+    (level,) = (line for line in lower.lines if line.get_gid() == "level")
+    assert level.get_ydata()[0] == found.level
+    number = np.sum(np.array(found.stack.trial_z) > found.level)
+    assert number == 2
+    np.testing.assert_allclose(
+        lines["at zero transverse speed"].get_ydata(),
+        found.z_score[len(found.grid.v2) // 2],
+    )
+
+
+def test_a_baseline_compares_epochs_that_are_farther_apart(cube, region):
+    """Twice the interval, and the same speed; with the paper's correction."""
+    days = u.Quantity([55, 65], u.day)
+    own = {"baseline": days, "max_speed": 12 * PM_UNIT}
+    shifted = settings(**own, small_displacement_correction=True)
+    found = measure_as_in_paper(cube, shifted, region=region, n_trials=40, rng=1)
+    assert found.meta["n_pairs"] == 8
+    assert found.components["pm_parallel"][0].value == pytest.approx(6.1, abs=1.0)
+    assert len(found.stack.trial_z) == 40
+    own = settings(**own)
+    plain = measure_as_in_paper(cube, own, region=region, n_trials=40, rng=1)
+    np.testing.assert_array_equal(found.stack.coefficient, plain.stack.coefficient)
+    assert np.abs(found.z_score - plain.z_score).max() > 0.1
+
+
+def test_what_stands_still_is_stationary(jet_cube):
+    """The core; radial axes have no direction on the sky."""
+    own = settings(position_angle="radial", max_speed=12 * u.mas / u.yr)
+    found = measure_as_in_paper(jet_cube, own, n_trials=20, rng=1)
+    assert np.isnan(found.components["pm_ra_cosdec"]).all()
+    assert found.grid.v_max == pytest.approx((12.0, 12.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"max_speed": 1e4 * PM_UNIT}, "max_speed moves .* give a smaller one"),
+        ({"max_speed": 1e-4 * PM_UNIT}, "max_speed moves .* give a larger one"),
+        ({"baseline": [5, 6] * u.yr}, "no two epochs are 5 to 6 yr apart"),
+    ],
+)
+def test_settings_that_do_not_fit_the_images_are_refused(jet_cube, change, words):
+    with pytest.raises(ValueError, match=words):
+        measure_as_in_paper(jet_cube, settings(**change), n_trials=2)
+
+
+def test_regions_and_images_without_patterns_are_refused(jet_cube):
+    nothing = np.zeros(jet_cube.shape[1:], dtype=bool)
+    nothing[0, 0] = True
+    with pytest.raises(ValueError, match="^region: no significant pattern"):
+        measure_as_in_paper(jet_cube, settings(), region=nothing, n_trials=2)
+    noise = np.random.default_rng(0).normal(size=(3, 64, 64))
+    empty = EpochCube.from_arrays(
+        noise, ["2000-01-01", "2000-02-01", "2000-03-01"], pixel_scale=0.1 * u.mas
+    )
+    own = settings(detection=9.0)
+    with pytest.raises(ValueError, match="no significant pattern .SSP. in any epoch"):
+        measure_as_in_paper(empty, own, n_trials=2)
+    with pytest.raises(ValueError, match="n_trials"):
+        measure_as_in_paper(jet_cube, settings(), n_trials=1)
