@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
@@ -18,16 +19,20 @@ from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
-from astro_scc.matching import MatchedEpochs, SearchPlan
-from astro_scc.matching.matched import allow_for_structure, match_epochs
-from astro_scc.matching.plan import flow_direction, scale_numbers
-from astro_scc.measurement import SCCResult
-from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.search import (
-    prepared_search,
-    sensitivity_rows,
-    with_choices,
+from astro_scc.matching import DecomposedEpochs, MatchedEpochs, SearchPlan
+from astro_scc.matching.matched import (
+    allow_for_structure,
+    find_patterns,
+    match_epochs,
 )
+from astro_scc.matching.plan import flow_beam, flow_direction, scale_numbers
+from astro_scc.measurement import SCCResult
+from astro_scc.measurement.axes import (
+    alignment_errors,
+    matched_displacements,
+    velocity_frame,
+)
+from astro_scc.measurement.parts import parts_of
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
 from astro_scc.settings import (
@@ -37,9 +42,10 @@ from astro_scc.settings import (
     in_unit,
     require,
 )
-from astro_scc.stacking import stack as paper
-from astro_scc.stacking.velocities import VelocityGrid, VelocitySamples, baseline_pairs
-from astro_scc.streams.diagram import DEFAULT
+from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
+from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
+from astro_scc.streams.parts import part_rows
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
@@ -47,17 +53,6 @@ if TYPE_CHECKING:
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
-#: Shift of the paper's correction for small displacements, in beams.
-SMALL_SHIFT = 0.2
-#: Spacing of the velocity grid in units of the narrowest kernel.
-GRID_STEP = 0.5
-#: Extent of the map, in units of the largest speed found.
-MAP_SPEEDS = 3.0
-#: Most permutations for the paper's z-score and trials for its error: they are standard
-#: deviations, known to 5% from 200.
-PAPER_TRIALS = 200
-#: Fewest pairs of dates of a map.
-FEWEST_PAIRS = 3
 #: Names of the settings of a measurement.
 OWN = tuple(field.name for field in fields(MeasurementSettings))
 
@@ -196,14 +191,65 @@ class StackedCrossCorrelation(MeasurementSettings):
         scales = scale_numbers(cube, self.scales)
         return allow_for_structure(cube, self._decomposer(scales))
 
+    def decompose(
+        self, cube: EpochCube, *, region: Any = None,
+        n_workers: int | str | Client = 1, progress_bar: bool = False,
+    ) -> DecomposedEpochs:  # fmt: skip
+        """
+        Decompose the epochs into wavelets and significant structural patterns (SSPs).
+
+        Parameters
+        ----------
+        cube : `~astro_scc.epochs.EpochCube`
+        region : optional
+            Anything that ``cube.region_mask`` takes.
+        n_workers : int, str or `dask.distributed.Client`, optional
+            Number of processes, or a Dask scheduler, given by its address or a
+            client.  The results do not depend on it.
+        progress_bar : bool, optional
+            Show the progress on standard error.
+
+        Returns
+        -------
+        `~astro_scc.matching.DecomposedEpochs`
+
+        Raises
+        ------
+        TypeError
+            If ``cube`` is no cube.
+        ValueError
+            If the beams of the epochs differ, unless ``common_beam`` is False.
+
+        Warns
+        -----
+        `~astro_scc.exceptions.MeasurementWarning`
+            If no SSP lies in the region, structure fills the images, or the alignment
+            of the epochs scatters by 0.2 beams or more.
+        """
+        self._check(cube)
+        decomposer = self.decomposer(cube)
+        how = {"n_workers": n_workers, "progress_bar": progress_bar}
+        return find_patterns(cube, decomposer, region=region, **how)
+
+    def _check(self, cube):
+        """Refuse what is no cube and beams that differ, warn of misalignment."""
+        if not hasattr(cube, "beams"):
+            raise TypeError(
+                f"cube must be an EpochCube, got {type(cube).__name__}: read files by "
+                "EpochCube.read"
+            )
+        if self.common_beam is not False:
+            require_common_beam(cube)
+        warn_of_misalignment(cube)
+
     def match(
         self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
         cache: Path | str | None = None, progress_bar: bool = False,
     ) -> MatchedEpochs:  # fmt: skip
         """
-        Decompose the epochs and correlate their SSPs.
+        Decompose the epochs and correlate each SSP with all other epochs.
 
-        This step takes longest; all later steps only stack the same matches.
+        Expansions of shells are measured from these matches; other flows need none.
 
         Parameters
         ----------
@@ -239,14 +285,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             region, structure fills the images, or the alignment of the epochs
             scatters by 0.2 beams or more.
         """
-        if not hasattr(cube, "beams"):
-            raise TypeError(
-                f"cube must be an EpochCube, got {type(cube).__name__}: read files by "
-                "EpochCube.read"
-            )
-        if self.common_beam is not False:
-            require_common_beam(cube)
-        warn_of_misalignment(cube)
+        self._check(cube)
         plan = self.plan(cube)
         decomposer = allow_for_structure(cube, self._decomposer(plan.scales))
         correlator = Correlator(self.kappa, self.target, self.min_overlap)
@@ -254,26 +293,52 @@ class StackedCrossCorrelation(MeasurementSettings):
         work = cube, decomposer, correlator, plan.reach(cube)
         return match_epochs(*work, region=region, **how)
 
-    def stack(
-        self, matched: MatchedEpochs, *, n_trials: int = 1000,
+    def flow(
+        self, decomposed: DecomposedEpochs, *, scales: Any = None,
+        normalise: str = "local",
+    ) -> DecomposedFlow:  # fmt: skip
+        """
+        Return what changes in the images, along the flow.
+
+        Parameters
+        ----------
+        decomposed : `~astro_scc.matching.DecomposedEpochs`
+        scales : sequence of float, optional
+            Numbers of the wavelet scales, by default those of the settings, or the
+            three up to half of the beam.
+        normalise : {"local", "along"}
+            Whether the variance of each place is one, or that of each distance.
+
+        Returns
+        -------
+        `~astro_scc.streams.decomposed.DecomposedFlow`
+        """
+        cube = decomposed.cube
+        if scales is None and self.scales is not None:
+            scales = scale_numbers(cube, self.scales)
+        return decompose_flow(
+            cube, velocity_frame(cube, self.position_angle), scales=scales,
+            beam=flow_beam(cube), region=decomposed.region, max_speed=self.max_speed,
+            kernel=self.wavelet, normalise=normalise,
+        )  # fmt: skip
+
+    def measure(
+        self, decomposed: DecomposedEpochs, *, n_trials: int = 1000,
         rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
         progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
-        Stack matches and measure the velocity components.
+        Measure the streams of decomposed epochs.
 
         Parameters
         ----------
-        matched : `~astro_scc.matching.MatchedEpochs`
+        decomposed : `~astro_scc.matching.DecomposedEpochs`
         n_trials : int, optional
-            Number of permutations of the epochs.  The paper's z-score and error take
-            at most 200, which give a standard deviation to 5%.  Without a baseline, if
-            the first stream moves, its stack is of the pairs of dates in which it moves
-            0.2 to 1 beam.
+            Number of permutations of the innovations of the epochs.
         rng : None, int or `~numpy.random.Generator`, optional
             Seed of the trials.
         n_workers : int, str or `dask.distributed.Client`, optional
-            See `match`; they search parts of the data.
+            See `decompose`; they find the features.
         progress_bar : bool, optional
 
         Returns
@@ -283,7 +348,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         Raises
         ------
         ValueError
-            If ``n_trials`` is below 2.
+            If ``n_trials`` is below 2, there are two epochs or fewer, or no flow is
+            seen.
 
         Warns
         -----
@@ -293,31 +359,26 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         n_trials = require("n_trials", n_trials)
         rng, seed = seeded(rng)
-        paper_rng, search_rng, error_rng, choice_rng = random_generator(rng).spawn(4)
-        cube, plan = matched.cube, self.plan(matched.cube)
-        samples, frame = matched_displacements(matched, self)
-        angle = flow_direction(matched, frame)
+        generator, cube = random_generator(rng), decomposed.cube
+        features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
+        intervals = _intervals(cube, self.baseline)
         # The matrix products are small: threads would wait for one another.
-        with threadpool_limits(1):
-            with progress(None, "Searching", show=progress_bar):
-                of = matched, self, plan, samples, frame
-                found = prepared_search(*of, n_trials=n_trials, rng=search_rng)()
-                choices = sensitivity_rows(found, *of, choice_rng, n_workers)
-            search, velocities = found
-            if choices:
-                velocities = with_choices(velocities[0], choices), *velocities[1:]
-            smallest = search.permutations.smallest_p
-            _warn_of_limits(smallest, len(cube), n_trials, self.alpha)
-            of = samples, plan, search.streams, velocities, min(n_trials, PAPER_TRIALS)
-            rngs = paper_rng, error_rng
-            stacked = self._stack_as_in_paper(*of, *rngs, progress_bar)
+        with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
+            flow = self.flow(decomposed)
+            search = find_streams(
+                flow, features,
+                misaligned=alignment_errors(cube, self.alignment_error),
+                alpha=self.alpha, n_trials=n_trials, outward=self.outward,
+                intervals=intervals, rng=generator,
+            )  # fmt: skip
+            choices = parts_of(flow, search)
+        _warn_of_limits(search.test.p_smallest, len(cube), n_trials, self.alpha)
+        angle = flow_direction(decomposed, flow.frame)
         return SCCResult(
-            matched=matched,
-            frame=frame,
-            position_angle=angle,
-            displacements=samples,
+            decomposed=decomposed,
+            flow=flow,
             search=search,
-            velocities=velocities,
+            position_angle=angle,
             choices=choices,
             meta={
                 "settings": self.to_dict(),
@@ -327,53 +388,7 @@ class StackedCrossCorrelation(MeasurementSettings):
                 "jet_position_angle": angle,
                 "misalignment_beams": cube.misalignment,
             },
-            **stacked,
         )
-
-    def _stack_as_in_paper(
-        self, samples, plan, streams, velocities, n_trials, rng, error_rng, progress_bar
-    ):  # fmt: skip
-        """Return the paper's stack, its z-score, and its peaks with their errors."""
-        pairs, fwhm, limit = plan.pairs, plan.fwhm, plan.max_speed
-        if self.baseline is None and streams and streams[0].kind == "moving":
-            # The pairs of dates in which the first stream moves 0.2 to 1 beam.
-            years = fwhm / np.hypot(*velocities[0].value)
-            limits = DEFAULT.nearest * years, DEFAULT.farthest * years
-            some = baseline_pairs(samples.years, *limits)
-            pairs = some if len(some) >= FEWEST_PAIRS else pairs
-        fastest = max((np.hypot(*v.value) for v in velocities), default=0.0)
-        if limit is None:
-            limit = plan.radius * fwhm / np.median(pairs.interval)
-            limit = min(limit, MAP_SPEEDS * fastest) if fastest > 0 else limit
-        limit = max(limit, 1.2 * fastest)
-        rate, errors = 1 / pairs.interval.max(), (samples.s1, samples.s2)
-        steps = [GRID_STEP * rate * s.min() if len(s) else limit / 20 for s in errors]
-        grid = VelocityGrid.covering(limit, steps)
-        shift = None
-        if self.small_displacement_correction:
-            shift = (SMALL_SHIFT * fwhm,) * 2
-        coefficient = paper.stack(samples, pairs, grid)
-        with progress(n_trials, "Permuting", show=progress_bar) as done:
-            of = coefficient, samples, pairs, grid, n_trials
-            how = {"rng": rng, "shift": shift, "progress": done}
-            z_score = paper.permuted_z_score(*of, **how)
-        box = (fwhm / np.average(pairs.interval, weights=pairs.weight),) * 2
-        peaks = tuple(
-            paper.velocity_peak_near(coefficient, grid, box, *v.value)
-            for v in velocities
-        )
-        errors = tuple(
-            paper.jitter_positions(samples, pairs, peak, box, n_trials, rng=own)
-            for peak, own in zip(peaks, error_rng.spawn(len(peaks)), strict=True)
-        )
-        return {
-            "pairs": pairs,
-            "grid": grid,
-            "coefficient": coefficient,
-            "z_score": z_score,
-            "maxima": peaks,
-            "jitters": errors,
-        }
 
     def displacements(self, matched: MatchedEpochs) -> tuple[VelocitySamples, Any]:
         """
@@ -394,7 +409,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
         rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
-        cache: Path | str | None = None, progress_bar: bool = False,
+        progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
         Measure the velocity components of a cube.
@@ -404,11 +419,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         cube : `~astro_scc.epochs.EpochCube`
         region : optional
             A region of `regions`, the path of a region file or a boolean
-            image.  Only SSPs whose centroid lies inside are correlated.
+            image.  Only what moves inside is measured.
         n_trials, rng
-            See `stack`.
-        n_workers, cache
-            See `match`.
+            See `measure`.
+        n_workers : int, str or `dask.distributed.Client`, optional
+            See `decompose`.
         progress_bar : bool, optional
 
         Returns
@@ -421,13 +436,12 @@ class StackedCrossCorrelation(MeasurementSettings):
             If no two epochs make a pair, the beams differ, no epoch has an SSP,
             or a setting does not fit the images.
         """
-        # Refused before the matching, which takes long.
+        # Refused before the decomposition.
         n_trials = require("n_trials", n_trials)
         shown = {"n_workers": n_workers, "progress_bar": progress_bar}
-        matched = self.match(cube, region=region, cache=cache, **shown)
-        require_ssps(matched.ssps, matched.scales)
-        matched.follow(**shown)
-        return self.stack(matched, n_trials=n_trials, rng=rng, **shown)
+        decomposed = self.decompose(cube, region=region, **shown)
+        require_ssps(decomposed.ssps, decomposed.scales)
+        return self.measure(decomposed, n_trials=n_trials, rng=rng, **shown)
 
     def to_dict(self) -> dict[str, Any]:
         """
@@ -484,17 +498,44 @@ def seeded(rng):
     return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
+def _intervals(cube, baseline):
+    """Return the shortest and the longest interval that is used, in years."""
+    years = cube.years.to_value(u.yr)
+    if len(years) < 3:
+        raise ValueError(
+            f"velocities need three epochs or more, {FEWEST_EPOCHS} to show that "
+            f"anything moves; the cube has {len(years)}: give images of other dates (a "
+            "file that is given twice counts once)"
+        )
+    if not np.ptp(years) > 0:
+        raise ValueError(
+            f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
+            "velocities need different dates"
+        )
+    if baseline is None:
+        return 0.0, np.inf
+    low, high = baseline.to_value(u.yr)
+    every = np.abs(years - years[:, None])
+    if not np.any((every > 0) & (every >= low) & (every <= high)):
+        least, most = np.diff(years).min(), np.ptp(years)
+        raise ValueError(
+            f"no two epochs are {low:g} to {high:g} yr apart: their separations go "
+            f"from {least:.3g} to {most:.3g} yr; choose another baseline"
+        )
+    return float(low), float(high)
+
+
 def _warn_of_limits(smallest, n_epochs, n_trials, level):
     """Warn if no p-value can be as small as the level."""
     if smallest <= level:
         return
-    what, least = f"{n_trials} trials", f"{smallest:.2g}"
+    what = f"{n_trials} trials"
     more = f"give n_trials of {int(np.ceil(1 / level))} or more"
-    if 1 / paper.number_of_permutations(n_epochs) > level:
-        what, least = f"{n_epochs} epochs", f"{least} (2/N!)"
-        more = "measure more epochs"
+    if n_epochs < FEWEST_EPOCHS:
+        what = f"{n_epochs} epochs"
+        more = f"measure {FEWEST_EPOCHS} epochs or more"
     warn(
-        f"{what} allow no p_global below {least}, so nothing that moves can reach "
-        f"level {level:g}: {more}",
+        f"{what} allow no p_global below {smallest:.2g}, so nothing that moves can "
+        f"reach level {level:g}: {more}",
         MeasurementWarning,
     )

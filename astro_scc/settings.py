@@ -86,7 +86,7 @@ class MeasurementSettings:
     segmentation: float = _setting(*POSITIVE, default=3.0)
     noise: str = _setting(q.check_choice, *q.NOISES, default="plane")
     alpha: float = _setting(
-        q.check_number, 0, 1, "must be between 0 and 1", default=0.05
+        q.check_number, 0, 1, "must be between 0 and 1", default=0.01
     )
     outward: bool = _setting(q.check_boolean, default=False)
     alignment_error: u.Quantity | Sequence[str] | None = _setting(

@@ -225,14 +225,14 @@ def _inside(detections, cube, region):
     return inside
 
 
-def feature_table(features, component=0):
+def feature_table(features, stream=0):
     """
     Return the features of a cube as a table.
 
     Parameters
     ----------
     features : `~astro_scc.features.Features`
-    component : int or array_like of int, shape (n,), optional
+    stream : int or array_like of int, shape (n,), optional
         Stream that each belongs to, 0 for none.
 
     Returns
@@ -251,7 +251,7 @@ def feature_table(features, component=0):
     flux = np.array([np.median(d.flux[k]) for k in own], float) * flux_unit(cube)
     table = build_table(
         "features", rows, date=date, flux=flux, feature=features.number,
-        component=np.full(len(features), component), motion=features.moved * u.one,
+        stream=np.full(len(features), stream), motion=features.moved * u.one,
         first=_dates(cube, [d.epoch[k[0]] for k in own]),
         last=_dates(cube, [d.epoch[k[-1]] for k in own]),
         p_false=features.p_false, secure=features.secure,

@@ -42,10 +42,10 @@ BEYOND_CHANCE = 6.0
 PAIRS = 3
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class MatchedEpochs:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class DecomposedEpochs:
     """
-    Decomposed and correlated epochs: all that a stack needs except the dates.
+    Decomposed epochs: their SSPs, and the features that are followed through them.
 
     Attributes
     ----------
@@ -56,26 +56,16 @@ class MatchedEpochs:
         Of all epochs.
     select : `~numpy.ndarray` of bool, shape (n_ssps,)
         The SSPs of the region.
-    matches : `~astro_scc.correlation.Matches`
-    correlator : `~astro_scc.correlation.Correlator`
-    reach : tuple of int
-        Largest displacement along (y, x), in pixels.
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
         The pixels of the region; None for all.
 
     Examples
     --------
-    >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> matched = scc.match(cube)
-    >>> int(matched.select.sum()) == len(matched.ssps)
-    True
-    >>> matched.write("matches.fits")
-    >>> again = type(matched).read("matches.fits", cube)
-    >>> len(again.matches) == len(matched.matches)
+    >>> decomposed = StackedCrossCorrelation(scales=[2]).decompose(cube)
+    >>> int(decomposed.select.sum()) == len(decomposed.ssps)
     True
     """
 
@@ -83,15 +73,11 @@ class MatchedEpochs:
     decomposer: Decomposer
     ssps: SSPs
     select: np.ndarray
-    matches: Matches
-    correlator: Correlator
-    reach: tuple[int, int]
     region: np.ndarray | None = None
 
     def __repr__(self):
         n, n_ssps = len(self.cube), np.count_nonzero(self.select)
-        matches = len(self.matches)
-        return f"<MatchedEpochs: {n} epochs, {n_ssps} SSPs, {matches} matches>"
+        return f"<{type(self).__name__}: {n} epochs, {n_ssps} SSPs>"
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -131,9 +117,9 @@ class MatchedEpochs:
             vars(self)["features"] = find_features(self.cube, **how)
         return vars(self)["features"]
 
-    def part(self, select: np.ndarray) -> MatchedEpochs:
+    def part(self, select: np.ndarray) -> DecomposedEpochs:
         """
-        Return the matches of some SSPs.
+        Return the same epochs with another selection of SSPs.
 
         Parameters
         ----------
@@ -141,12 +127,50 @@ class MatchedEpochs:
 
         Returns
         -------
-        `MatchedEpochs`
+        `DecomposedEpochs`
+            Of the same class.
         """
         found = replace(self, select=select)
         # The same features, which are found only once.
         vars(found)["features"] = self.features
         return found
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class MatchedEpochs(DecomposedEpochs):
+    """
+    Decomposed and correlated epochs: all that a stack needs except the dates.
+
+    Attributes
+    ----------
+    cube, decomposer, ssps, select, region
+        See `DecomposedEpochs`.
+    matches : `~astro_scc.correlation.Matches`
+    correlator : `~astro_scc.correlation.Correlator`
+    reach : tuple of int
+        Largest displacement along (y, x), in pixels.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
+    >>> matched = scc.match(cube)
+    >>> int(matched.select.sum()) == len(matched.ssps)
+    True
+    >>> matched.write("matches.fits")
+    >>> again = type(matched).read("matches.fits", cube)
+    >>> len(again.matches) == len(matched.matches)
+    True
+    """
+
+    matches: Matches
+    correlator: Correlator
+    reach: tuple[int, int]
+
+    def __repr__(self):
+        return f"{super().__repr__()[:-1]}, {len(self.matches)} matches>"
 
     def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """
@@ -264,11 +288,50 @@ def match_epochs(
                 work = decompositions, all_pairs(len(cube)), reach
                 matches = correlator(*work, **how)
         # Stacks need no planes, which are larger than everything else.
-        how = {"correlator": correlator, "reach": reach, "region": inside}
-        found = MatchedEpochs(cube, decomposer, ssps, select, matches, **how)
+        found = MatchedEpochs(
+            cube=cube, decomposer=decomposer, ssps=ssps, select=select, matches=matches,
+            correlator=correlator, reach=reach, region=inside,
+        )  # fmt: skip
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             found.write(path, overwrite=True)
+    _warn_of_empty(found, region)
+    return found
+
+
+def find_patterns(
+    cube, decomposer, *, region=None, n_workers=1, progress_bar=False
+):
+    """
+    Decompose epochs into SSPs.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    region, n_workers, progress_bar
+        See `~astro_scc.StackedCrossCorrelation.decompose`.
+
+    Returns
+    -------
+    `DecomposedEpochs`
+    """
+    inside = None if region is None else cube.region_mask(region)
+    with workers_of(n_workers) as workers:
+        found = decompose_epochs(
+            cube, decomposer, n_workers=workers, progress_bar=progress_bar
+        )
+    ssps = SSPs.of_epochs(found)
+    select = centroids_inside(ssps, cube, inside)
+    made = DecomposedEpochs(
+        cube=cube, decomposer=decomposer, ssps=ssps, select=select, region=inside
+    )
+    _warn_of_empty(made, region)
+    return made
+
+
+def _warn_of_empty(found, region):
+    """Warn if no SSP has its centroid in the region."""
     if region is not None and len(found.ssps) and not found.select.any():
         name = region if isinstance(region, str | os.PathLike) else "the region"
         warn(
@@ -277,7 +340,6 @@ def match_epochs(
             "make it larger",
             MeasurementWarning,
         )
-    return found
 
 
 # -- files -------------------------------------------------------------------------

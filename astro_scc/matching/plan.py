@@ -392,6 +392,24 @@ def mean_fwhm(cube, scale):
     return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
 
 
+def flow_beam(cube):
+    """
+    Return the length in which the flow is measured, in mas.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    float
+        The mean beam or, without beams, the size of the structures.
+    """
+    if cube.beams is None:
+        return structure_size(cube) * cube.pixel_scale.to_value(u.mas)
+    return mean_width(cube)
+
+
 def choose_scales(cube):
     """
     Return the scales that suit the resolution of the images.

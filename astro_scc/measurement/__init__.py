@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Measurement: the search for streams on the sky, the result and its tables."""
+"""Measurement: the result and its tables."""
 
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import component_table as component_table
+from astro_scc.measurement.tables import stream_table as stream_table
 from astro_scc.measurement.tables import false_discovery_rate
 
 __all__ = ["SCCResult", "false_discovery_rate"]

@@ -129,7 +129,8 @@ def matched_displacements(matched, settings):
         Gives the two axes at the position of each SSP.
     """
     cube, ssps, select = matched.cube, matched.ssps, matched.select
-    frame, fraction = _frame(cube, settings.position_angle), settings.min_error_beams
+    frame = velocity_frame(cube, settings.position_angle)
+    fraction = settings.min_error_beams
     east, north = positions.ssp_offsets(ssps, cube)
     axes = np.asarray(frame.matrix(east, north))
     # A radial frame has no axes at its origin.
@@ -167,7 +168,7 @@ def matched_displacements(matched, settings):
     return samples, frame
 
 
-def _frame(cube, position_angle):
+def velocity_frame(cube, position_angle):
     """Return the velocity axes for a setting."""
     match position_angle:
         case u.Quantity():

@@ -14,7 +14,6 @@ import numpy as np
 from astropy.io import fits
 from astropy.nddata import NDData
 from astropy.table import QTable
-from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.columns import build_table, cell, describe, round_to_errors
@@ -22,15 +21,12 @@ from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
-from astro_scc.images.positions import axis_words, name_by_frame, ssp_offsets
-from astro_scc.matching.matched import MatchedEpochs
+from astro_scc.images.positions import axis_words, name_by_frame
+from astro_scc.matching.matched import DecomposedEpochs
 from astro_scc.measurement import tables
-from astro_scc.measurement.axes import projection_of
-from astro_scc.stacking.stack import VelocityPeak, sample_velocities
-from astro_scc.stacking.velocities import DatePairs, VelocityGrid, VelocitySamples
-from astro_scc.streams.diagram import DEFAULT, INTERVAL_STEP
-from astro_scc.streams.dispersion import StreamVelocity
-from astro_scc.streams.search import Search
+from astro_scc.spectrum.maps import VelocityMap
+from astro_scc.streams.decomposed import DecomposedFlow
+from astro_scc.streams.finder import StreamSearch
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 
@@ -39,12 +35,13 @@ if TYPE_CHECKING:
 
 #: What the files of results are, in their headers and in messages.
 RESULT = "astro_scc result"
+#: Relative width of the bins of the interval.
+INTERVAL_STEP = 0.12
 #: What the header of the diagram says about it.
 DIAGRAM = (
-    "Matches per pattern (SSP) and beam of displacement beyond those of",
-    "permuted epochs, weighted by their correlation coefficients, and smoothed",
-    "by a Gaussian with a standard deviation of {blur:g} BEAM.  What moves at a",
-    "constant speed is at displacement = speed * interval.",
+    "Correlation coefficient of the changes of the images at two dates, at a",
+    "displacement along the flow, less its mean over all pairs of dates.  What",
+    "moves at a constant speed is at displacement = speed * interval.",
     "INTV-LOG: interval = CRVAL1 * exp(CDELT1 * (pixel - CRPIX1) / CRVAL1).",
     "NaN: no two dates have this interval.  The table INTERVALS has the mean",
     "interval and the number of pairs of dates of each column.",
@@ -54,29 +51,17 @@ DIAGRAM = (
 @dataclass(frozen=True, eq=False, repr=False)
 class SCCResult(tables.Components):
     """
-    The stacked cross-correlation of a cube and its velocity components.
+    The streams of a cube, with the velocity spectrum that they follow from.
 
     Attributes
     ----------
-    matched : `~astro_scc.matching.MatchedEpochs`
-    frame : frame of `astro_scc.kinematics`
-        The two velocity axes.
+    decomposed : `~astro_scc.matching.DecomposedEpochs`
+    flow : ``DecomposedFlow``
+        What changes in the images, along the flow.
+    search : ``StreamSearch``
+        The streams, the velocity spectrum and the test for motion.
     position_angle : `~astropy.units.Quantity`
         Direction of the jet, to which ``pm_parallel`` refers.
-    pairs : ``DatePairs``
-    displacements : ``VelocitySamples``
-    grid : ``VelocityGrid``
-        In mas/yr.
-    coefficient, z_score : `~numpy.ndarray`, shape ``grid.shape``
-        The stack and its significance.
-    search : ``Search``
-        The streams, and the displacement-interval diagram that shows them.
-    velocities : tuple of ``StreamVelocity``
-        Velocities of the streams, with their errors.
-    maxima : tuple of ``VelocityPeak``
-        The peak of the stack that is nearest to each velocity.
-    jitters : tuple of `~numpy.ndarray`, shape (2, 2)
-        Covariances of these maxima in the velocity-jitter test, the paper's error.
     choices : list of dict
         Rows of `sensitivity`, as plain numbers.
     meta : dict
@@ -87,27 +72,17 @@ class SCCResult(tables.Components):
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(cube, n_trials=20, rng=1)
-    >>> result.coefficient.shape == result.grid.shape
-    True
-    >>> len(result.components) == len(result.search.streams)
+    >>> cube = simulate_two_fluid(rng=1).cube
+    >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    >>> result = scc(cube, n_trials=200, rng=1)
+    >>> len(result.streams) == len(result.search.streams)
     True
     """
 
-    matched: MatchedEpochs
-    frame: Any
+    decomposed: DecomposedEpochs
+    flow: DecomposedFlow
+    search: StreamSearch
     position_angle: u.Quantity
-    pairs: DatePairs
-    displacements: VelocitySamples
-    grid: VelocityGrid
-    coefficient: np.ndarray
-    z_score: np.ndarray
-    search: Search
-    velocities: tuple[StreamVelocity, ...]
-    maxima: tuple[VelocityPeak, ...]
-    jitters: tuple[np.ndarray, ...]
     choices: list = field(default_factory=list)
     meta: dict = field(default_factory=dict)
 
@@ -123,7 +98,7 @@ class SCCResult(tables.Components):
         Returns
         -------
         `SCCResult`
-            The same to the bit, with its epochs, matches and permutations.
+            The same to the bit, with its epochs and permutations.
 
         Raises
         ------
@@ -171,47 +146,48 @@ class SCCResult(tables.Components):
     @property
     def cube(self) -> EpochCube:
         """The epochs that were measured."""
-        return self.matched.cube
+        return self.decomposed.cube
+
+    @property
+    def frame(self) -> Any:
+        """The two velocity axes, a frame of `astro_scc.kinematics`."""
+        return self.flow.frame
+
+    @property
+    def grid(self) -> VelocityMap:
+        """The velocities of the velocity map, in mas/yr."""
+        return self.search.velocities
+
+    @property
+    def coefficient(self) -> np.ndarray:
+        """The velocity map: mean correlation along the ray of each velocity."""
+        return self.search.velocities.coefficient
+
+    @property
+    def z_score(self) -> np.ndarray:
+        """The velocity map in standard deviations of permuted epochs."""
+        return self.search.velocities.z_score
 
     @cached_property
     def ssps(self) -> QTable:
         """The SSPs of all epochs as a `~astropy.table.QTable`."""
-        return tables.ssp_table(self.matched)
+        return tables.ssp_table(self.decomposed)
 
     @property
     def tracked_features(self) -> Features:
-        """The features that are followed in the images of ``matched``."""
-        return self.matched.features
+        """The features that are followed in the images of ``decomposed``."""
+        return self.decomposed.features
 
     @cached_property
     def features(self) -> QTable:
         """
         The features, a `~astropy.table.QTable` with a row for each.
 
-        Its ``component`` is that of `components` of which it is a member, or 0.
-        Standing features, and those beside chains of matches, belong to the one whose
-        velocity they have within two standard errors, the dispersion included.
+        Its ``stream`` is that of `streams` of which it is a member, or 0.  Secure
+        features that move belong to the stream of the nearest speed, features that
+        stand still to the stationary one.
         """
-        own = tables.components_of(self, self.tracked_features)
-        table = feature_table(self.tracked_features, own)
-        table.meta["core"] = self.core
-        return table
-
-    @cached_property
-    def core(self) -> list[int]:
-        """The rows of `components` that are the core, the reference of positions."""
-        if self.cube.beams is None:
-            return []
-        near = max(beam.major for beam in self.cube.beams).to_value(u.mas) / 2
-        distance = np.hypot(*ssp_offsets(self.matched.ssps, self.cube))
-        found = []
-        for number, stream in enumerate(self.search.streams, start=1):
-            if stream.kind == "stationary":
-                # Each SSP of the core is at the origin.
-                ssps = self.displacements.ssp[self._matches_of(number)]
-                if len(ssps) and distance[ssps].max() <= near:
-                    found.append(number)
-        return found
+        return feature_table(self.tracked_features, tables.stream_of_features(self))
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -223,14 +199,13 @@ class SCCResult(tables.Components):
         """
         The main speed from parts of the data, a `~astropy.table.QTable`.
 
-        The first row is the speed of the first component, along itself.  The others
-        have its speed from short and from long intervals, from the first and the
-        second half of the epochs, from the inner and the outer half of its features,
-        and from fine and coarse scales.  Each part is searched again, from the matches
-        on, and NaN where nothing is found.  Where two parts, or a part and the whole,
-        differ by more than two errors, ``significant`` says so, and the error of the
-        component holds half of the difference.  Without significant motion the table
-        is empty, and the ``note`` in its meta says so.
+        The first row is the speed of the stream with the largest share, from the
+        velocity spectrum.  The others have its speed from short and from long
+        intervals, from the first and the second half of the epochs, from the inner and
+        the outer half of what is seen, and from fine and coarse scales; NaN where
+        nothing is found.  Where two parts, or a part and the whole, differ by more than
+        two errors, ``significant`` says so.  Without significant motion the table is
+        empty, and the ``note`` in its meta says so.
         """
         table = build_table("sensitivity", self.choices)
         if not self.choices:
@@ -246,7 +221,7 @@ class SCCResult(tables.Components):
             for row in table[table["significant"] & found]
         ]
         if parts:
-            lines.append("differs with the data: " + ", ".join(parts))
+            lines.append("parts of the data have other speeds: " + ", ".join(parts))
         # The first row is the whole.
         missing, n = np.sum(~found), len(table[1:])
         if 2 * missing > n:
@@ -254,28 +229,39 @@ class SCCResult(tables.Components):
         return "; ".join(lines)
 
     @cached_property
-    def components(self) -> QTable:
+    def streams(self) -> QTable:
         """
-        The velocity components, a `~astropy.table.QTable`.
+        The streams, a `~astropy.table.QTable`.
 
-        There is one row per stream: first those that move, the ones with more
-        features first, then what stands still.  If nothing moves significantly,
-        the first row is the strongest speed that was tested, "not significant",
-        and its ``caution`` says why.  The meta holds the settings, the seed, the
-        versions, the ``slowest_searched`` and ``fastest_searched`` speed along the
-        streams, and the numbers of the rows that are the ``core``.
+        There is one row per stream: first those that move, the slowest first, then what
+        stands still.  If nothing moves significantly, the first row is the strongest
+        speed that was tested, "not significant", and its ``caution`` says why.  The
+        meta holds the settings, the seed, the versions, and the ``slowest`` and
+        ``fastest`` speed that were searched along the flow, and the largest one that
+        the dates do not alias, ``unambiguous``.
         """
-        numbers = range(1, len(self.maxima) + 1)
-        rows = [tables.component_row(self, number) for number in numbers]
+        rows = [tables.stream_row(self, k) for k in range(len(self.search.streams))]
         meta, unit = self.meta | self.cube.facts, self.cube.speed_unit
-        if rows:
-            speed = np.abs(self.search.permutations.speed)
-            speed = speed[speed > 0] * projection_of(self).beam(self.search.angle)[0]
-            meta["slowest_searched"] = (speed.min() * PM_UNIT).to(unit)
-            meta["fastest_searched"] = (speed.max() * PM_UNIT).to(unit)
-            meta["core"] = self.core
-        table = tables.component_table(rows, meta=meta, unit=unit)
+        for name in ("slowest", "fastest", "unambiguous"):
+            meta[name] = (getattr(self.search, name) * PM_UNIT).to(unit)
+        table = tables.stream_table(rows, meta=meta, unit=unit)
         return name_by_frame(table, self.cube)
+
+    @property
+    def components(self) -> QTable:
+        """Another name of `streams`."""
+        return self.streams
+
+    @cached_property
+    def spectrum(self) -> QTable:
+        """
+        The velocity spectrum, a `~astropy.table.QTable`.
+
+        A row for each speed along the flow: ``share``, that of the variance of the
+        images that moves with it; ``z``, and ``p_global``, the share of permutations
+        with as large a z at any speed, see ``test_motion``.
+        """
+        return tables.spectrum_table(self)
 
     def velocity_map(self, which: str = "coefficient") -> NDData:
         """
@@ -310,7 +296,7 @@ class SCCResult(tables.Components):
 
     def diagram(self) -> NDData:
         """
-        Return the displacement-interval diagram along the direction of the streams.
+        Return the displacement-interval diagram along the direction of the flow.
 
         What moves at a constant speed lies on a ray from the origin; what
         stands still lies at zero displacement.
@@ -318,149 +304,83 @@ class SCCResult(tables.Components):
         Returns
         -------
         `~astropy.nddata.NDData`
-            Matches per pattern and beam of displacement beyond those of permuted
-            epochs, weighted by their coefficients, shape (n_displacements,
-            n_intervals); NaN at intervals that no two dates have.  The axes of the WCS
-            are the interval, logarithmic like its bins (FITS ``-LOG``), and the
-            displacement in mas.  The meta holds the mean ``interval`` and the
-            ``n_pairs`` of each bin, the ``beam`` along the displacement, the
-            ``direction`` of the displacement on the axes of the frame, and its
-            ``position_angle``, or None if that differs from place to place.
+            Correlation coefficients of the changes of the images at two dates, less
+            their mean over all pairs, shape (n_displacements, n_intervals); NaN at
+            intervals that no two dates have.  The axes of the WCS are the interval,
+            logarithmic like its bins (FITS ``-LOG``), and the displacement in mas.  The
+            meta holds the mean ``interval`` and the ``n_pairs`` of each bin, the
+            ``beam``, the ``direction`` of the displacement on the axes of the frame,
+            and its ``position_angle``, or None if that differs from place to place.
         """
-        diagram, angle = self.search.diagram, self.search.angle
-        beam = projection_of(self).beam(angle)[0]
+        search = self.search
+        diagram, angle = search.diagram, search.angle
         direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-        # Both patterns of a match look for each other, and each match is a Gaussian
-        # whose peak is one.
-        n_patterns = 2 * max(self.ssps["in_region"].sum(), 1) / len(self.cube)
-        area = np.sqrt(2 * np.pi) * DEFAULT.blur
-        excess = (diagram.excess / diagram.n_pairs[:, None]).T / (n_patterns * area)
+        epochs, years = np.arange(len(diagram.years)), diagram.years
+        top = float(diagram.sums[epochs, epochs, diagram.zero].mean()) or 1.0
+        values = diagram.means / top
+        first, second = np.triu_indices(len(years), 1)
+        tau = years[second] - years[first]
+        first, second, tau = (a[tau > 0] for a in (first, second, tau))
+        apart = ~np.eye(len(years), dtype=bool)
+        excess = values[first, second] - values[apart].mean(axis=0)
+        known = diagram.overlap > 0
+        excess[:, ~known] = np.nan
         if self.frame.uniform:
             sky = np.linalg.solve(self.frame.matrix(0.0, 0.0), direction)
             position_angle = np.degrees(np.arctan2(*sky)) * u.deg
             if np.cos(position_angle - self.position_angle) < 0:
                 # Displacements down the jet are positive.
-                direction, excess = -direction, excess[::-1]
+                direction, excess = -direction, excess[:, ::-1]
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
-        # The first bin begins at the shortest interval that was used.
-        baseline, years = self.meta["settings"]["baseline"], self.cube.years
-        first, second = np.triu_indices(len(years), 1)
-        every = (years[second] - years[first]).to_value(u.yr)
-        least = 0.0 if baseline is None else baseline[0].to_value(u.yr)
-        shortest = every[(every > 0) & (every >= least)].min()
-        step = INTERVAL_STEP
-        bins = np.floor(np.log(diagram.interval / shortest) / step + 1e-9).astype(int)
-        n_bins = bins[-1] + 1
-        data = np.full((len(excess), n_bins), np.nan)
-        interval, n_pairs = np.full(n_bins, np.nan), np.zeros(n_bins, int)
-        data[:, bins], interval[bins] = excess, diagram.interval
-        n_pairs[bins] = diagram.n_pairs
+        step, shortest = INTERVAL_STEP, tau.min()
+        bins = np.floor(np.log(tau / shortest) / step + 1e-9).astype(int)
+        n_bins = bins.max() + 1
+        n_pairs = np.bincount(bins, minlength=n_bins)
+        data = np.zeros((n_bins, excess.shape[1]))
+        np.add.at(data, bins, excess)
+        interval = np.bincount(bins, tau, minlength=n_bins)
+        with np.errstate(invalid="ignore"):
+            data, interval = data / n_pairs[:, None], interval / n_pairs
         middle = shortest * np.exp(step / 2)
+        spacing = np.diff(diagram.displacement).mean() * search.beam
         wcs = WCS(naxis=2)
         wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
-        wcs.wcs.crpix = [1.0, (len(data) + 1) / 2]
+        wcs.wcs.crpix = [1.0, (data.shape[1] + 1) / 2]
         wcs.wcs.crval = [middle, 0.0]
-        wcs.wcs.cdelt = [step * middle, beam * np.diff(diagram.displacement).mean()]
+        wcs.wcs.cdelt = [step * middle, spacing]
         meta = {
             "axes": ("interval", "displacement"),
             "interval": interval * u.yr,
             "n_pairs": n_pairs,
-            "beam": beam * u.mas,
+            "beam": search.beam * u.mas,
             "direction": direction,
             "position_angle": position_angle,
         }
-        return NDData(data, unit=1 / u.beam, wcs=wcs, meta=meta)
+        return NDData(data.T, unit=u.one, wcs=wcs, meta=meta)
 
-    def members(self, number: int) -> QTable:
-        """
-        Return the matches that belong to a component.
-
-        Parameters
-        ----------
-        number : int
-            Number of the component, from 1.
-
-        Returns
-        -------
-        `~astropy.table.QTable`
-            The matches between two SSPs of the same feature of the stream.  If no
-            feature was followed, they are the matches between dates of the map
-            that agree with the velocity within two standard errors on both axes.
-            A row has the ``match``, its index in ``displacements``; the ``ssp`` and
-            the ``target_ssp`` (-1 if the match lies on none) with their epochs and
-            dates; the ``interval``; the position of the SSP, an offset from the
-            reference pixel; and the displacement along both axes of the frame
-            with its errors.
-
-        Raises
-        ------
-        ValueError
-            If there is no such component.
-        """
-        if not 1 <= number <= len(self.maxima):
-            raise ValueError(f"no stream {number}: there are {len(self.maxima)}")
-        d, cube, match = self.displacements, self.cube, self._matches_of(number)
-        ssp, start, end = d.ssp[match], d.reference[match], d.target[match]
-        columns = {
-            "match": match,
-            "ssp": ssp,
-            "target_ssp": d.target_ssp[match],
-            "scale": d.scale[ssp],
-            "epoch": start,
-            "target_epoch": end,
-            "date": Time(cube.times[start], format="isot"),
-            "target_date": Time(cube.times[end], format="isot"),
-            "interval": (cube.years[end] - cube.years[start]).to(u.yr),
-        }
-        columns["east"], columns["north"] = d.position[ssp].T * u.mas
-        about, axes = {}, ((d.d1, d.s1), (d.d2, d.s2))
-        for axis, (values, errors) in zip(self.frame.axis_names, axes, strict=True):
-            name = f"displacement_{axis}"
-            columns[name] = values[match] * u.mas
-            columns[f"{name}_err"] = errors[match] * u.mas
-            about[name] = f"displacement of the match, {axis}"
-            about[f"{name}_err"] = f"standard error of {name}"
-        table = QTable(columns | {"weight": d.weight[match]}, descriptions=about)
-        describe(describe(table, "ssps"), "members")
-        return name_by_frame(round_to_errors(table), cube)
-
-    def _matches_of(self, number):
-        """Return the indices of the matches of a component."""
-        d, features = self.displacements, self.search.streams[number - 1].features
-        if features:
-            label = np.full(len(d.epoch), -1)
-            for k, feature in enumerate(features):
-                label[feature.ssp] = k
-            there = np.where(d.target_ssp >= 0, label[d.target_ssp], -1)
-            return np.flatnonzero((there >= 0) & (label[d.ssp] == there))
-        index, *v, s1, s2, _ = sample_velocities(d, self.pairs)
-        apart = np.abs(np.transpose(v) - self.velocities[number - 1].value)
-        sigma = np.stack([s1, s2], axis=1)
-        return index[np.all(apart <= tables.MEMBER_SIGMA * sigma, axis=1)]
-
-    def plot(self, kind: str = "velocity_map", **options: Any) -> Figure:
+    def plot(self, kind: str = "spectrum", **options: Any) -> Figure:
         """
         Draw a figure of the measurement.
 
         Parameters
         ----------
         kind : str
-            ``"velocity_map"``, the paper's stack with the components;
-            ``"significance"``, its z-score along the jet; ``"paper"``, both as in
-            Fig. 2 of Mertens & Lobanov (2016); ``"diagram"``, the displacement-interval
-            diagram with the rays of the streams; ``"members"``, the matches of each
-            component; ``"speeds"``, ``"tracks"`` and ``"separation"`` of the features;
+            ``"spectrum"``, the velocity spectrum with its significance;
+            ``"distance"``, speeds against distance from the core; ``"velocity_map"``,
+            the correlation along all velocities with the streams; ``"significance"``,
+            its z-score along the jet; ``"paper"``, both as in Fig. 2 of Mertens &
+            Lobanov (2016); ``"diagram"``, the displacement-interval diagram with the
+            rays of the streams; ``"speeds"``, ``"tracks"`` and ``"separation"`` of the features;
             ``"epochs"``, the images with their SSPs; ``"sensitivity"``, the speed
             with other choices of the data.
         **options
-            ``ax``, the axes to draw on, or for "paper", "members", "tracks" and
+            ``ax``, the axes to draw on, or for "paper", "tracks" and
             "epochs" ``figure``; ``unit`` of the axes, but for "speeds" and
             "sensitivity".  Of figures with components: their table
             ``components``; of figures with speeds: ``beta_per_pm``, the apparent speed
             in units of c of 1 mas/yr, for a second axis.  Also ``which``, the map
-            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "members" and
-            "epochs"; ``profile`` of "speeds", see `astro_scc.flow.feature_profile`;
+            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "epochs"; ``profile`` of "speeds", see `astro_scc.flow.feature_profile`;
             ``published`` features of "tracks" and "separation"; and what
             `EpochCube.plot <astro_scc.epochs.EpochCube.plot>` takes for "epochs".
 
@@ -595,12 +515,11 @@ def _diagram_hdus(result):
     along = result.frame.axis_names[0]
     along = "DISPPA" if along == "east" else along
     header = _header(image, ("between two dates", f"of patterns, along {along}"))
-    header["BUNIT"] = image.unit.to_string("fits")
     header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
     if (angle := image.meta["position_angle"]) is not None:
         header["DISPPA"] = angle.value, "[deg] position angle of the displacement"
     for line in DIAGRAM:
-        header.add_comment(line.format(blur=DEFAULT.blur))
+        header.add_comment(line)
     columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
     table = fits.table_to_hdu(columns, name="INTERVALS")
     return fits.ImageHDU(image.data, header, name="DIAGRAM"), table

@@ -15,33 +15,30 @@ from astro_scc.columns import build_table, cells, describe, round_to_errors, wit
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
-from astro_scc.measurement.axes import turned
-from astro_scc.stacking.stack import number_of_permutations
-from astro_scc.units import PM_UNIT, in_speed_unit
+from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
 
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
-#: A match or feature within this many of its standard errors belongs to a component.
+#: A member of a stream moves within this many standard errors of its speed.
 MEMBER_SIGMA = 2.0
-#: What is at rest is slower than this many standard errors.
-REST_SIGMA = 3.0
-#: Fewer features do not show whether a stream has more than one speed.
-FEW = 3
+#: Parts of the limits of the search that are near them, errors by which two speeds
+#: differ, and how much faster than a beam in the median interval may be an alias.
+NEAR, DISAGREE, AMBIGUOUS = 0.8, 2.5, 1.0
 #: Offsets of SSPs.
 SKY = "east", "north"
 #: Columns of a table in a paper, in their order.
 PAPER = (
-    "source redshift feature component r_min r_max kind scale n_epochs first last "
+    "source redshift feature stream r_min r_max kind scale n_epochs first last "
     "separation position_angle pm beta_app v_app pm_pa acc_parallel "
-    "acc_perpendicular published published_pm dispersion t_ej p_false p_global p_fdr "
-    "n_features n_pairs secure"
+    "acc_perpendicular published published_pm share dispersion t_ej p_false p_global "
+    "p_fdr n_features secure"
 ).split()
 
 
-def component_table(
+def stream_table(
     rows: Sequence[dict[str, Any]], *, meta: dict[str, Any] | None = None,
     unit: u.UnitBase = PM_UNIT,
 ) -> QTable:  # fmt: skip
@@ -64,12 +61,12 @@ def component_table(
 
     Examples
     --------
-    >>> from astro_scc.measurement.tables import component_table
-    >>> empty = component_table([])
+    >>> from astro_scc.measurement.tables import stream_table
+    >>> empty = stream_table([])
     >>> len(empty), empty["pm"].unit
     (0, Unit("mas / yr"))
     """
-    table = in_speed_unit(build_table("components", rows), unit)
+    table = in_speed_unit(build_table("streams", rows), unit)
     table.meta.update(meta or {})
     return round_to_errors(table)
 
@@ -116,9 +113,7 @@ def printed(table):
     """
     Return velocity components, or features, as they are printed.
 
-    The core is not among the components, as it is the reference; what has no feature
-    has no speed, and a limit that one of the features exceeds is none.  Features that
-    stand still like the core are of no stream.
+    A limit that one of the features exceeds is none.
 
     Parameters
     ----------
@@ -132,18 +127,14 @@ def printed(table):
 
     Examples
     --------
-    >>> from astro_scc.measurement.tables import component_table
+    >>> from astro_scc.measurement.tables import stream_table
     >>> from astro_scc.measurement.tables import printed
-    >>> len(printed(component_table([])))
+    >>> len(printed(stream_table([])))
     0
     """
-    core = np.isin(table["component"], table.meta.get("core", ()))
-    if "n_features" not in table.colnames:
-        shown = table.copy()
-        shown["component"][core] = 0
-        return shown
-    shown = table[~(core & (table["kind"] == "stationary"))]
-    shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
+    shown = table.copy()
+    if "pm_limit" in shown.colnames:
+        shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
     return shown
 
 
@@ -183,60 +174,134 @@ def paper_table(table, *, sign="±"):
     return paper
 
 
-def component_row(result, number):
-    """Return the columns of one component as plain numbers."""
-    peak, stream = result.maxima[number - 1], result.search.streams[number - 1]
-    velocity, jitter = result.velocities[number - 1], result.jitters[number - 1]
-    member, permutations = result.members(number), result.search.permutations
-    epochs = np.sort([member["epoch"], member["target_epoch"]], axis=0)
-    p, n = stream.p_global, len(permutations.permuted)
-    # What has no feature has no speed.
-    value, own = velocity.value, [velocity.covariance, jitter, velocity.alignment]
-    if not stream.features:
-        value, own = np.full(2, np.nan), [np.full((2, 2), np.nan)] * 3
-    # All orders of a few epochs leave nothing to chance.
-    chance = n + 1 < number_of_permutations(len(result.cube))
-    p_err = chance * np.sqrt(p * (1 - p) / n)
-    row, by_jitter, by_alignment = (
-        velocity_columns(value, covariance, result.frame, result.position_angle)
-        for covariance in own
+def stream_row(result, k):
+    """Return the columns of stream k, counted from 0, as plain numbers."""
+    search, stream = result.search, result.search.streams[k]
+    test, alpha = search.test, result.meta["settings"]["alpha"]
+    row, by_alignment = (
+        velocity_columns(stream.velocity, covariance, result.frame, _direction(result))
+        for covariance in (stream.covariance, stream.alignment)
     )
-    still, alpha = stream.kind != "moving", result.meta["settings"]["alpha"]
-    cautions = [stream.reason, result.sensitivity_line if number == 1 else ""]
-    if not still and row["pm_parallel"] < -abs(row["pm_transverse"]):
-        cautions.insert(0, "moves towards the core")
-    if not still and len(stream.features) < FEW:
-        some, was = ("a single feature", "was"), ("two features", "were")
-        some, was = some if len(stream.features) == 1 else was
-        if not any(f.followed for f in stream.features):
-            some += f", which {was} matched but not followed from image to image"
-        cautions.append(f"rests on {some}")
-    if p > permutations.smallest_p and abs(p - alpha) <= 2 * p_err:
-        text = f"p_global may be above or below {alpha:g} by chance: take more trials"
-        cautions.append(text)
+    p, n = stream.p_global, result.meta["n_trials"]
+    # All orders of a few epochs leave nothing to chance.
+    chance = test.p_smallest <= 1 / n
+    p_err = np.sqrt(p * (1 - p) / n) if chance else 0.0
+    moves = stream.kind == "moving"
     return row | {
-        "component": number,
+        "stream": k + 1,
         "kind": stream.kind,
-        "dispersion": velocity.dispersion,
-        "dispersion_err": velocity.dispersion_error,
-        "pm_limit": row["pm"] + LIMIT * row["pm_err"] if still else np.nan,
-        "pm_err_jitter": by_jitter["pm_err"],
+        "share": stream.share,
+        "dispersion": stream.dispersion,
+        "dispersion_err": stream.dispersion_err,
+        "pm_limit": np.nan if moves else row["pm"] + LIMIT * row["pm_err"],
         "pm_err_alignment": by_alignment["pm_err"],
-        "coefficient": peak.coefficient,
-        "z_score": float(result.z_score[peak.row, peak.column]),
+        "pm_from": stream.source,
         "p_local": stream.p_local,
         "p_global": p,
         "p_global_err": p_err,
         "p_distinct": stream.p_distinct,
-        "p_smallest": permutations.smallest_p,
-        "n_ssp": len(np.unique(member["ssp"])),
-        "n_pairs": len(np.unique(epochs, axis=1).T),
-        "n_features": len(stream.features),
-        "pm_min": velocity.slowest,
-        "pm_max": velocity.fastest,
+        "p_smallest": test.p_smallest,
+        "n_features": len(stream.members),
+        "pm_min": stream.slowest,
+        "pm_max": stream.fastest,
+        **with_errors(pm_features=stream.features, pm_spectrum=stream.spectrum),
         # ECSV reads empty text as a missing value.
-        "caution": "; ".join(filter(None, cautions)) or "-",
+        "caution": "; ".join(filter(None, _cautions(result, k, row, p_err, alpha)))
+        or "-",
     }
+
+
+def _direction(result):
+    """Return the direction to which motion along the jet refers."""
+    return result.position_angle
+
+
+def _cautions(result, k, row, p_err, alpha):
+    """Yield what the row of a stream depends on, or why it does not move."""
+    search, stream = result.search, result.search.streams[k]
+    unit = result.cube.speed_unit
+    yield stream.reason
+
+    def shown(speed):
+        return f"{(speed * PM_UNIT).to_value(unit):.3g} {unit_name(unit)}"
+
+    if stream.kind == "not significant":
+        more = f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
+        if search.test.p_smallest > alpha:
+            more += ", which so few epochs or trials cannot reach"
+        yield more
+        yield f"speeds of {shown(search.slowest)} to {shown(search.fastest)} were "\
+            "searched: slower motion needs a longer time, faster shorter intervals"
+    if stream.kind != "moving":
+        return
+    if row["pm_parallel"] < -abs(row["pm_transverse"]):
+        yield "moves towards the core"
+    if stream.p_global > alpha:
+        yield f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}: the motion "\
+            "rests on its secure features too"
+    elif abs(stream.p_global - alpha) <= 2 * p_err and (
+        stream.p_global > search.test.p_smallest
+    ):
+        yield f"p_global may be above or below {alpha:g} by chance: take more trials"
+    if len(stream.members) == 0:
+        yield "no secure feature moves at this speed: it is that of the spectrum alone"
+    speed = float(np.hypot(*stream.velocity))
+    if speed > AMBIGUOUS * search.unambiguous:
+        yield f"faster than {shown(search.unambiguous)}, a beam in the median interval, "\
+            "patterns could be mistaken for one another"
+    if speed > NEAR * search.fastest:
+        yield f"near the fastest speed that is searched, {shown(search.fastest)}"
+    if speed < search.slowest / NEAR:
+        yield f"near the slowest speed that is searched, {shown(search.slowest)}"
+    off = _disagreement(stream)
+    if off > DISAGREE:
+        yield f"spectrum and features differ by {off:.1f} errors"
+    if k == _main(search):
+        yield result.sensitivity_line
+
+
+def _main(search):
+    """Return the stream with the largest share of those that move."""
+    shares = [s.share if s.kind == "moving" else -1.0 for s in search.streams]
+    return int(np.argmax(shares))
+
+
+def _disagreement(stream):
+    """Return by how many errors the spectrum and the features differ, or 0."""
+    (a, e), (b, f) = stream.spectrum, stream.features
+    off = abs(a - b) / np.hypot(e, f) if e > 0 and f > 0 else 0.0
+    return float(np.nan_to_num(off))
+
+
+def stream_of_features(result):
+    """Return the number of the stream of each feature, 0 for none."""
+    found = np.zeros(len(result.tracked_features), dtype=int)
+    for number, stream in enumerate(result.search.streams, start=1):
+        if stream.kind in ("moving", "stationary"):
+            found[stream.members] = number
+    return found
+
+
+def spectrum_table(result):
+    """Return the velocity spectrum as a table, see `SCCResult.spectrum`."""
+    search, test = result.search, result.search.test
+    total = search.spectrum.sum()
+    share = search.spectrum / total if total > 0 else search.spectrum
+    direction, _ = test.best
+    order = np.argsort(test.speed)
+    tested = test.speed[order] * search.beam
+
+    def at(values):
+        own = np.interp(search.speed, tested, values[direction][order])
+        outside = (search.speed < tested[0]) | (search.speed > tested[-1])
+        return np.where(outside | (search.speed == 0), np.nan, own)
+
+    table = build_table(
+        "spectrum", pm_parallel=search.speed * PM_UNIT, share=share, z=at(test.z),
+        p_global=at(test.p_speed),
+    )  # fmt: skip
+    table.meta.update(result.meta | result.cube.facts)
+    return in_speed_unit(table, result.cube.speed_unit)
 
 
 def velocity_columns(velocity, covariance, frame, position_angle):
@@ -274,13 +339,13 @@ def velocity_columns(velocity, covariance, frame, position_angle):
     return with_errors(**dict(zip(names, values, strict=True)), pm_pa=pa)
 
 
-def ssp_table(matched):
+def ssp_table(decomposed):
     """
     Return the catalogue of SSPs with sky positions and errors.
 
     Parameters
     ----------
-    matched : `~astro_scc.matching.MatchedEpochs`
+    decomposed : `~astro_scc.matching.DecomposedEpochs`
 
     Returns
     -------
@@ -291,7 +356,7 @@ def ssp_table(matched):
         without right ascension, `~astro_scc.epochs.name_by_frame` gives the column
         names.
     """
-    ssps, cube = matched.ssps, matched.cube
+    ssps, cube = decomposed.ssps, decomposed.cube
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
@@ -307,7 +372,7 @@ def ssp_table(matched):
         "coefficient_sum": ssps.flux * cube.unit,
         "snr": ssps.snr,
         "n_pixels": ssps.n_pixels,
-        "in_region": matched.select,
+        "in_region": decomposed.select,
     }
     for end, centroid in (("", False), ("_centroid", True)):
         offsets = positions.ssp_offsets(ssps, cube, centroid=centroid)
@@ -315,52 +380,6 @@ def ssp_table(matched):
     columns |= {f"{n}_err": e * u.mas for n, e in zip(SKY, error.T, strict=True)}
     table = build_table("ssps", **columns)
     return positions.name_by_frame(round_to_errors(table), cube)
-
-
-def components_of(result, features):
-    """
-    Return the velocity component to which each feature belongs.
-
-    Features whose speeds make a component are its own.  Of others, those suit that may
-    be among the standing patterns of a stationary component, or the chains of matches
-    of one of which not all features were followed.  They belong to the component whose
-    velocity is nearest in units of the errors, if it is within two both along and
-    across its direction.  The errors are those of the feature and of the component,
-    and the component's dispersion: directions scatter as speeds do.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-    features : `~astro_scc.features.Features`
-
-    Returns
-    -------
-    `~numpy.ndarray` of int, shape (n_features,)
-        Numbers of components, 0 for none: where the frame has no axes only own
-        features have one, and only of components that are significant.  Stationary
-        ones take features slower than three standard errors alone.
-    """
-    streams, velocities = result.search.streams, result.velocities
-    velocity, of_axes = frame_velocities(result.frame, features)
-    slow = [m.speed < REST_SIGMA * m.speed_err for m in features.motions]
-    away = np.full((len(streams) + 1, len(features)), np.inf)
-    away[0] = MEMBER_SIGMA
-    pairs = zip(streams, velocities, strict=False)
-    first = {track.detection[0]: k for k, track in enumerate(features.tracks)}
-    members = np.zeros(len(features), dtype=int)
-    for k, (stream, own) in enumerate(pairs, start=1):
-        of_tracks = [first[f.detection[0]] for f in stream.features if f.followed]
-        if stream.kind == "moving":
-            members[of_tracks] = k
-        turn = turned(stream.angle)
-        covariance = turn @ (of_axes + np.nan_to_num(own.covariance)) @ turn.T
-        variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
-        variance += np.nan_to_num(own.dispersion) ** 2
-        off = np.abs((velocity - own.value) @ turn.T) / np.sqrt(variance)
-        chains = len(of_tracks) < len(stream.features)
-        suits = {"moving": chains, "stationary": slow}.get(stream.kind, False)
-        away[k] = np.where(suits, np.nan_to_num(off.max(axis=1), nan=np.inf), np.inf)
-    return np.where(members, members, away.argmin(axis=0))
 
 
 def frame_velocities(frame, features):

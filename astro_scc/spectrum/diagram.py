@@ -5,9 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Largest displacement in beams: patterns that keep their shape over three beams have
-#: lost four fifths of their correlation there.
-REACH = 5.0
 #: Points of the diagram in a beam, at most.
 POINTS = 6.0
 #: Displacements at which fewer pairs of places than this share are inside the mask are
@@ -53,7 +50,7 @@ class Diagram:
 def lags(flow):
     """Return the displacements of a diagram in points of the grid, from zero."""
     step = max(1, int(1 / (POINTS * flow.step)))
-    most = min(int(np.ceil(REACH / flow.step)), len(flow.along) - 2)
+    most = min(int(np.ceil(flow.reach / flow.step)), len(flow.along) - 2)
     return np.arange(0, max(most, step) + 1, step)
 
 
@@ -108,6 +105,38 @@ def correlate(flow, *, region=None, across=0):
         sums[:, :, :half] = sums[:, :, :half:-1].transpose(1, 0, 2)
         overlap[:half] = overlap[:half:-1]
     return Diagram(sums, overlap, _displacements(steps, flow.step), flow.years)
+
+
+def correlate_aside(flow, lags_across, *, region=None):
+    """
+    Return diagrams at displacements across the flow, for both signs of these.
+
+    Parameters
+    ----------
+    flow, region
+        As in `correlate`.
+    lags_across : sequence of int
+        From 1, in points of the grid.
+
+    Returns
+    -------
+    list of `Diagram`
+        From the most negative displacement to the most positive one.
+    """
+    middle = correlate(flow, region=region)
+    low, high, zero = [], [], middle.zero
+    for lag in lags_across:
+        pair = [correlate(flow, region=region, across=k) for k in (lag, -lag)]
+        filled = []
+        for one, other in (pair, pair[::-1]):
+            # Negative displacements are those to the other side, seen from there.
+            back = other.sums[:, :, :zero:-1].transpose(1, 0, 2)
+            sums = np.concatenate([back, one.sums[:, :, zero:]], axis=2)
+            overlap = np.concatenate([other.overlap[:zero:-1], one.overlap[zero:]])
+            filled.append(Diagram(sums, overlap, one.displacement, one.years))
+        high.append(filled[0])
+        low.append(filled[1])
+    return [*low[::-1], middle, *high]
 
 
 def _displacements(steps, step):

@@ -7,7 +7,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from astro_scc.spectrum.diagram import LEAST_OVERLAP
-from astro_scc.spectrum.permutations import FASTEST, LENGTH, SLOWEST, autocorrelation
+from astro_scc.spectrum.permutations import (
+    EVERY,
+    LENGTH,
+    SLOWEST,
+    autocorrelation,
+    fastest_speed,
+    within,
+)
 
 #: Ratio of neighbouring speeds, and of the intervals of neighbouring bins.
 RATIO, INTERVALS = 1.12, 1.04
@@ -38,6 +45,8 @@ class Equations:
         Bin of each pair; -1 for pairs that are not used.
     number, interval : `~numpy.ndarray`, shape (n_bins,)
         Pairs of each bin, and their mean interval in years.
+    share : `~numpy.ndarray`, shape (n_bins,)
+        Share of each bin in the pairs that are used.
     power : float
         The images' correlation with themselves, at no displacement.
     """
@@ -51,6 +60,7 @@ class Equations:
     bins: np.ndarray
     number: np.ndarray
     interval: np.ndarray
+    share: np.ndarray
     power: float
 
     @property
@@ -83,14 +93,11 @@ class Equations:
         return found, self.square - 2 * found @ right + found @ gram @ found
 
 
-def spectrum_speeds(years, fastest=None):
+def spectrum_speeds(years, fastest=None, intervals=EVERY):
     """Return the speeds of the spectrum, with both signs and zero, in beams/yr."""
-    top = fastest
-    if top is None:
-        gaps = np.diff(years)
-        top = FASTEST / np.quantile(gaps[gaps > 0], 0.25)
+    top = fastest_speed(years, intervals) if fastest is None else fastest
     top *= BEYOND
-    low = min(SLOWEST / np.ptp(years), top / 2)
+    low = min(SLOWEST / min(np.ptp(years), intervals[1]), top / 2)
     n = int(np.ceil(np.log(top / low) / np.log(RATIO)))
     speed = low * (top / low) ** (np.arange(n + 1) / n)
     return np.concatenate([-speed[::-1], [0.0], speed])
@@ -124,7 +131,7 @@ def interval_bins(years):
     return bins, number, np.bincount(index, tau[use]) / number
 
 
-def set_up(diagram, *, fastest=None, own=None):
+def set_up(diagram, *, fastest=None, own=None, intervals=EVERY):
     """
     Set up the equations of a diagram.
 
@@ -142,6 +149,8 @@ def set_up(diagram, *, fastest=None, own=None):
         Largest speed, in beams/yr.
     own : `~numpy.ndarray`, shape (n_d,), optional
         The images' own correlation, by default that of the diagram.
+    intervals : (float, float), optional
+        Shortest and longest interval that is used, in years.
 
     Returns
     -------
@@ -149,7 +158,8 @@ def set_up(diagram, *, fastest=None, own=None):
     """
     years, x, n = diagram.years, diagram.displacement, len(diagram.years)
     bins, number, interval = interval_bins(years)
-    speed = spectrum_speeds(years, fastest)
+    used = within(np.abs(interval), intervals)
+    speed = spectrum_speeds(years, fastest, intervals)
     own = autocorrelation(diagram) if own is None else own
     # The last row is the interval zero, of each epoch with itself.
     tau = np.append(interval, 0.0)
@@ -170,17 +180,19 @@ def set_up(diagram, *, fastest=None, own=None):
     centre = np.eye(len(number), len(tau)) + mean
     centre -= first @ of_first + second @ of_second
     design = np.einsum("bt,vtd->vbd", centre, shape, optimize=True)
-    share = number / number.sum()
+    share = np.where(used, number, 0) / max(number[used].sum(), 1)
     design -= np.einsum("b,vbd->vd", share, design)[:, None]
     design *= np.sqrt(number)[:, None]
-    design *= (diagram.overlap > LEAST_OVERLAP)
-    data = binned(diagram.means, bins, number)
+    design *= diagram.overlap > LEAST_OVERLAP
+    design[:, ~used] = 0
+    data = binned(diagram.means, bins, number, share)
+    data[~used] = 0
     flat = design.reshape(len(design), -1)
     epochs = np.arange(n)
     power = diagram.means[epochs, epochs, diagram.zero].mean()
     return Equations(
         speed, widths_of(speed), design, data, flat @ flat.T, flat @ data.ravel(),
-        bins, number, interval, float(power),
+        bins, number, interval, share, float(power),
     )  # fmt: skip
 
 
@@ -191,12 +203,12 @@ def _shares(bins, epochs, shape):
     return found / found.sum(axis=1, keepdims=True)
 
 
-def binned(values, bins, number):
-    """Return values of pairs summed over bins, less the mean of all pairs."""
+def binned(values, bins, number, share):
+    """Return values of pairs summed over bins, less the mean of pairs that are used."""
     use = bins >= 0
     sums = np.zeros((len(number), values.shape[2]))
     np.add.at(sums, bins[use], values[use].astype(float))
-    sums -= (number / number.sum())[:, None] * sums.sum(axis=0)
+    sums -= number[:, None] * (share / number @ sums)
     return sums / np.sqrt(number)[:, None]
 
 

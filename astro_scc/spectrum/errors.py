@@ -111,7 +111,8 @@ def function_of(equations, weights):
     """Return the function of the pairs that moves a parameter, (n, n, n_d)."""
     values = np.tensordot(weights, equations.design, 1)
     values /= np.sqrt(equations.number)[:, None]
-    values -= equations.number @ values / equations.number.sum()
+    values -= equations.share @ values
+    values[equations.share == 0] = 0
     return _spread(equations, values)
 
 

@@ -16,6 +16,8 @@ ALIKE = 2.2
 #: Slowest and fastest speed: beams in the whole time, and beams in the shorter quarter
 #: of the intervals.
 SLOWEST, FASTEST = 0.5, 2.0
+#: All intervals between dates, in years.
+EVERY = 0.0, np.inf
 #: Steps of the speeds that are tested: beams at the end of the way.
 SPACING = 0.35
 #: Part of the mean scatter of displacements that is added to that of each.
@@ -25,9 +27,9 @@ INWARD = 0.1
 #: A second stream is searched beyond this factor from the speed of the first: with 1.3,
 #: one in twenty features of one stream is.
 BEYOND = 2.0
-#: Displacements up to this one, in beams, are compared, and this share of the mean is
-#: added to standard deviations.
-TESTED, FLOOR = 4.0, 0.1
+#: The test compares displacements up to this share of the largest; this share of the
+#: mean is added to standard deviations.
+TESTED, FLOOR = 0.8, 0.1
 #: Memories, in median intervals and in the whole time, and white shares, that are tried.
 SHORTEST, LONGEST, N_MEMORIES = 0.3, 2.0, 24
 WHITE = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
@@ -152,22 +154,37 @@ def differences(n):
     return np.eye(n)[1:] - np.eye(n)[:1]
 
 
-def tested_speeds(years, fastest=None):
+def within(interval, limits):
+    """Return which intervals lie in a range; rounded limits lose none."""
+    low, high = limits
+    return (interval >= low * (1 - 1e-3)) & (interval <= high * (1 + 1e-3))
+
+
+def fastest_speed(years, intervals=EVERY):
+    """Return the speed of two beams in the shorter quarter of the intervals."""
+    gaps = np.diff(years)
+    gaps = gaps[(gaps > 0) & within(gaps, intervals)]
+    if len(gaps) == 0:
+        every = np.abs(years - years[:, None])
+        every = every[(every > 0) & within(every, intervals)]
+        gaps = every[:0] if len(every) == 0 else np.array([every.min()])
+    return FASTEST / np.quantile(gaps, 0.25) if len(gaps) else FASTEST / np.ptp(years)
+
+
+def tested_speeds(years, fastest=None, intervals=EVERY):
     """
     Return the speeds that are tested, in beams/yr.
 
     From half a beam in the whole time to two beams in the shorter quarter of the
     intervals, or to ``fastest`` if that is given.
     """
-    span, top = np.ptp(years), fastest
-    if top is None:
-        gaps = np.diff(years)
-        top = FASTEST / np.quantile(gaps[gaps > 0], 0.25)
+    span = min(np.ptp(years), intervals[1])
+    top = fastest_speed(years, intervals) if fastest is None else fastest
     speeds = [SLOWEST / span, (SLOWEST + 1) / 2 / span, 1 / span]
     while speeds[-1] < top:
         speeds.append(speeds[-1] + SPACING * max(1 / span, speeds[-1] / LENGTH))
     if fastest is not None:
-        speeds = [speed for speed in speeds if speed < fastest] + [fastest]
+        speeds = [*(speed for speed in speeds if speed < fastest), fastest]
     return np.array(speeds)
 
 
@@ -190,7 +207,9 @@ def autocorrelation(diagram):
     return np.where(np.abs(diagram.displacement) <= ALIKE, own / peak, 0.0)
 
 
-def test_motion(diagrams, *, fastest=None, n_trials=1000, inward=INWARD, rng):
+def test_motion(
+    diagrams, *, fastest=None, intervals=EVERY, n_trials=1000, inward=INWARD, rng
+):
     """
     Test whether anything moves along the flow.
 
@@ -212,6 +231,8 @@ def test_motion(diagrams, *, fastest=None, n_trials=1000, inward=INWARD, rng):
         One per direction, of the same epochs.
     fastest : float, optional
         Largest speed in beams/yr.
+    intervals : (float, float), optional
+        Shortest and longest interval that is expected to show motion, in years.
     n_trials : int, optional
         All permutations are taken if they are not more.
     inward : float, optional
@@ -224,11 +245,12 @@ def test_motion(diagrams, *, fastest=None, n_trials=1000, inward=INWARD, rng):
     `MotionTest`
     """
     years = diagrams[0].years
-    speed, tau = tested_speeds(years, fastest), years - years[:, None]
+    speed = tested_speeds(years, fastest, intervals)
+    tau = years - years[:, None]
     orders = orders_of(len(years) - 1, n_trials, rng)
     found, memories, grams = [], [], []
     for diagram in diagrams:
-        scores, gram, *memory = _scores(diagram, speed, tau, orders)
+        scores, gram, *memory = _scores(diagram, speed, tau, orders, intervals)
         found.append(scores)
         memories.append(memory)
         grams.append(gram)
@@ -269,12 +291,12 @@ def share_of_larger(values):
     return float((values >= values[0]).mean())
 
 
-def _scores(diagram, speed, tau, orders):
+def _scores(diagram, speed, tau, orders, intervals):
     """Return the sums over the filter of each speed, (n_orders, n_v), and their gram."""
     n, zero = len(diagram.years), diagram.zero
     x = diagram.displacement[zero:]
     overlap = np.maximum(diagram.overlap[zero:], LEAST_NORM)
-    use = (x > 0) & (x <= TESTED) & (diagram.overlap[zero:] > LEAST_OVERLAP)
+    use = (x > 0) & (x <= TESTED * x[-1]) & (diagram.overlap[zero:] > LEAST_OVERLAP)
     sums = np.asarray(diagram.sums, dtype=float)
     time, white, factor = memory_of(diagram.years, sums[:, :, zero])
     to_innovations = np.linalg.solve(factor, differences(n))
@@ -295,11 +317,12 @@ def _scores(diagram, speed, tau, orders):
         ridge = 1.0
     whiten = np.linalg.inv(np.linalg.cholesky(scatter + ridge * np.eye(len(y))))
     filters = np.empty((len(speed), len(first), len(y)), np.float32)
+    asked = within(np.abs(tau), intervals)[..., None]
     for k, v in enumerate(speed):
         moved = (v * tau)[..., None]
         expected = np.interp(np.abs(y - moved), x, own, right=0)
         expected -= np.interp(np.abs(y + moved), x, own, right=0)
-        expected *= np.exp(-np.abs(moved) / LENGTH) * overlap[use]
+        expected *= np.exp(-np.abs(moved) / LENGTH) * overlap[use] * asked
         filters[k] = _sandwich(to_innovations, expected)[first, second] @ whiten.T
     filters = filters.reshape(len(speed), -1)
     norm = np.sqrt((filters.astype(float) ** 2).sum(axis=1))

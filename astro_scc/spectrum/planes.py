@@ -14,6 +14,9 @@ NOISES = 4.0
 #: Width of the window in which the variance over time is averaged, in sizes of the
 #: scale.
 WINDOW = 4.0
+#: Largest displacement of a diagram in beams: patterns that keep their shape over three
+#: beams have lost four fifths of their correlation there.
+REACH = 5.0
 TINY = np.finfo(float).tiny
 
 
@@ -35,6 +38,8 @@ class FlowPlanes:
         Dates in increasing order.
     scales : tuple of float
         Numbers of the scales.
+    reach : float
+        Largest displacement at which epochs are compared, in beams.
     """
 
     values: np.ndarray
@@ -43,6 +48,7 @@ class FlowPlanes:
     across: np.ndarray
     years: np.ndarray
     scales: tuple[float, ...]
+    reach: float = REACH
 
     @property
     def step(self) -> float:
@@ -74,7 +80,7 @@ class FlowPlanes:
 
 def flow_planes(
     planes, valid, mask, noise, *, along, across, years, scales, sizes, weight=None,
-    normalise="local",
+    normalise="local", reach=REACH,
 ):  # fmt: skip
     """
     Return the flow planes of wavelet planes that were resampled along the flow.
@@ -93,7 +99,7 @@ def flow_planes(
     mask : `~numpy.ndarray` of bool, shape (n_along, n_across)
     noise : `~numpy.ndarray`, shape (n_scales,)
         Standard deviation of the noise of each plane.
-    along, across, years, scales
+    along, across, years, scales, reach
         See `FlowPlanes`.
     sizes : sequence of float
         Size of the structures of each scale, in points of the grid.
@@ -127,4 +133,5 @@ def flow_planes(
         share = np.sqrt(variance / (variance + (NOISES * noise[k]) ** 2))
         q = np.clip(rest / np.sqrt(variance), -CLIP, CLIP) * share * inside
         values[k] = q if weight is None else q * np.sqrt(weight)
-    return FlowPlanes(values, mask, along, across, np.asarray(years), tuple(scales))
+    dates = np.asarray(years)
+    return FlowPlanes(values, mask, along, across, dates, tuple(scales), reach)

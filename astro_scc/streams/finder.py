@@ -2,13 +2,13 @@
 """From the velocity spectrum and the features to streams on the sky."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from astro_scc.features.motion import SIGNIFICANT
-from astro_scc.grid.lines import FlowGrid
-from astro_scc.spectrum.diagram import Diagram, correlate
-from astro_scc.spectrum.equations import Equations, deconvolve, set_up
+from astro_scc.spectrum.diagram import Diagram, correlate_aside
+from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import SpeedErrors, fit_errors
 from astro_scc.spectrum.gaussians import (
     StreamFit,
@@ -16,8 +16,8 @@ from astro_scc.spectrum.gaussians import (
     two_are_better,
     two_streams,
 )
-from astro_scc.spectrum.permutations import MotionTest, test_motion
-from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.spectrum.maps import VelocityMap, velocity_map
+from astro_scc.spectrum.permutations import EVERY, MotionTest, test_motion
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.spread import mean_speed
 from astro_scc.streams.transverse import transverse_speed
@@ -30,6 +30,8 @@ MODEL_ERROR = 0.25
 FEWEST_EPOCHS = 6
 #: Smallest speed of a stream in errors: 95% of a normal distribution, one-sided.
 REST_ERRORS = 1.645
+#: Displacement across the flow at which diagrams are compared, in beams.
+ASIDE = 0.4
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
 
@@ -95,15 +97,15 @@ class StreamSearch:
     streams : tuple of `Stream`
         The slowest that moves first; then what stands still.
     test : `~astro_scc.spectrum.permutations.MotionTest`
-    direction : int
-        Number of the direction along which the spectrum is.
-    grid : `~astro_scc.grid.lines.FlowGrid`
-    planes : `~astro_scc.spectrum.planes.FlowPlanes`
-        Those of the spectrum, with square roots of all values.
+    angle : float
+        Direction of the spectrum from the first axis of the frame, in radians.
     diagram : `~astro_scc.spectrum.diagram.Diagram`
-    equations : `~astro_scc.spectrum.equations.Equations`
-    spectrum : `~numpy.ndarray`, shape (n_v,)
-        Share of the variance at each speed of the equations.
+        Along this direction.
+    speed, spectrum : `~numpy.ndarray`, shape (n_v,)
+        Velocity spectrum: speeds in mas/yr, and the share of the variance that moves
+        with each.
+    velocities : `~astro_scc.spectrum.maps.VelocityMap`
+        In mas/yr on the axes of the frame.
     fit : `~astro_scc.spectrum.gaussians.StreamFit` or None
     errors : `~astro_scc.spectrum.errors.SpeedErrors` or None
     beam : float
@@ -115,12 +117,11 @@ class StreamSearch:
 
     streams: tuple[Stream, ...]
     test: MotionTest
-    direction: int
-    grid: FlowGrid
-    planes: FlowPlanes
+    angle: float
     diagram: Diagram
-    equations: Equations
+    speed: np.ndarray
     spectrum: np.ndarray
+    velocities: VelocityMap
     fit: StreamFit | None
     errors: SpeedErrors | None
     beam: float
@@ -159,6 +160,8 @@ def moving_features(features, frame, angle, use=None):
             continue
         along, across = local @ motion.velocity
         errors = np.hypot(*(local * motion.velocity_err).T)
+        if abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
+            continue
         n = len(features.tracks[k].detection)
         rows.append((along, errors[0], across, errors[1], n, k))
     columns = np.array(rows, dtype=float).reshape(-1, 6).T
@@ -167,7 +170,7 @@ def moving_features(features, frame, angle, use=None):
 
 def find_streams(
     flow: DecomposedFlow, features, *, misaligned, alpha=0.01, n_trials=1000,
-    outward=False, inside=None, rng,
+    outward=False, inside=None, intervals=EVERY, rng,
 ) -> StreamSearch:  # fmt: skip
     """
     Find the streams of a flow.
@@ -185,6 +188,8 @@ def find_streams(
         Search only speeds away from the core.
     inside : `~numpy.ndarray` of bool, shape (n_features,), optional
         The features of a part of the flow.
+    intervals : (float, float), optional
+        Shortest and longest interval that is used, in years.
     rng : `~numpy.random.Generator`
 
     Returns
@@ -192,17 +197,22 @@ def find_streams(
     `StreamSearch`
     """
     diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
+    map_rng = rng.spawn(1)[0]
     prefer = flow.directed and flow.outward
     inward = 0.0 if outward and flow.directed else (0.1 if prefer else 1.0)
     test = test_motion(
-        diagrams, fastest=flow.fastest, n_trials=n_trials, inward=inward, rng=rng
+        diagrams, fastest=flow.fastest, intervals=intervals, n_trials=n_trials,
+        inward=inward, rng=rng,
     )
     direction, best = test.best
     grid, years = flow.grids[direction], flow.years
     planes = flow.planes[direction].square_root()
     region, beam = flow.regions[direction], flow.beam
-    diagram = correlate(planes, region=region)
-    equations = set_up(diagram, fastest=flow.fastest)
+    lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
+    lags = [k * lag for k in (1, 2, 3) if 2 * k * lag < n_across]
+    sheet = correlate_aside(planes, lags, region=region)
+    diagram = sheet[len(lags)]
+    equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
     least = 1 / np.ptp(years)
     sign = np.sign(test.speed[best])
     angle = _angle_of(flow.frame, grid)
@@ -211,9 +221,9 @@ def find_streams(
     one = one_stream(equations, least, sign)
     gaps = np.diff(years)
     search = {
-        "test": test, "direction": direction, "grid": grid, "planes": planes,
-        "diagram": diagram, "equations": equations,
-        "spectrum": deconvolve(equations), "beam": beam,
+        "test": test, "angle": angle, "diagram": diagram,
+        "speed": equations.speed * beam, "spectrum": deconvolve(equations),
+        "beam": beam,
         "slowest": beam * np.abs(test.speed).min(),
         "fastest": beam * np.abs(test.speed).max(),
         "unambiguous": beam / np.median(gaps[gaps > 0]),
@@ -230,10 +240,21 @@ def find_streams(
     errors = None
     if fit is not None:
         errors = fit_errors(planes, diagram, equations, fit, region=region)
-    of = flow, test, planes, equations, fit, errors, moving
-    streams = _streams(*of, region, angle, sign, passes, p_distinct, misaligned)
+    across = partial(transverse_speed, sheet, lag * planes.step)
+    streams = _streams(
+        flow, test, equations, fit, errors, moving, across, angle, sign, passes,
+        p_distinct, misaligned,
+    )  # fmt: skip
     streams += _standing(features, flow, streams, inside)
-    return StreamSearch(streams=tuple(streams), fit=fit, errors=errors, **search)
+    fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
+    top = min(3 * fastest or np.inf, search["fastest"])
+    aside = lag * planes.step * np.arange(-len(lags), len(lags) + 1)
+    velocities = velocity_map(
+        sheet, aside, top / beam, angle=angle, beam=beam, rng=map_rng
+    )
+    return StreamSearch(
+        streams=tuple(streams), velocities=velocities, fit=fit, errors=errors, **search
+    )
 
 
 def _angle_of(frame, grid):
@@ -245,7 +266,7 @@ def _angle_of(frame, grid):
 
 
 def _streams(
-    flow, test, planes, equations, fit, errors, moving, region, angle, sign, passes,
+    flow, test, equations, fit, errors, moving, across_of, angle, sign, passes,
     p_distinct, misaligned,
 ):  # fmt: skip
     """Return the streams that move, or the strongest speed, not significant."""
@@ -265,9 +286,7 @@ def _streams(
             dispersion_err = dispersion / np.sqrt(2 * max(errors.number[k], 1))
             if number == 1:
                 speed, error = _harmonic(equations, errors.number[0], sign, speed, beam)
-        across, across_err = transverse_speed(
-            planes, flow.grids[direction], equations, speed / beam, region=region
-        )
+        across, across_err = across_of(speed / beam)
         velocity = np.array([speed, across * beam])
         covariance = np.diag([error**2, (across_err * beam) ** 2])
         source, of_features = "spectrum", (np.nan, np.nan)

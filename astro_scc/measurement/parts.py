@@ -1,0 +1,87 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The parts of the data from which the main speed is measured again."""
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.streams.decomposed import distances
+from astro_scc.streams.parts import FEWEST_EPOCHS, part_rows
+from astro_scc.units import offset_unit
+
+
+def parts_of(flow, search):
+    """
+    Measure the main speed from parts of the data.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    search : `~astro_scc.streams.finder.StreamSearch`
+
+    Returns
+    -------
+    list of dict
+        See ``part_rows``; empty if nothing moves.
+    """
+    streams = search.streams
+    moving = [k for k, s in enumerate(streams) if s.kind == "moving"]
+    if not moving or search.fit is None:
+        return []
+    main = max(moving, key=lambda k: streams[k].share)
+    parts = [*_by_interval(flow), *_by_date(flow), *_by_place(flow), *_by_scale(flow)]
+    return part_rows(flow, search, main, parts)
+
+
+def _by_interval(flow):
+    years = flow.years
+    every = (years - years[:, None])[np.triu_indices(len(years), 1)]
+    limit = float(np.median(np.abs(every)))
+    unit = flow.cube.speed_unit.bases[1]
+    shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
+    return [
+        (f"intervals up to {shown}", {"intervals": (0.0, limit)}),
+        (f"intervals from {shown}", {"intervals": (limit, np.inf)}),
+    ]
+
+
+def _by_date(flow):
+    middle = len(flow.years) // 2
+    if middle < FEWEST_EPOCHS:
+        return []
+    date = flow.cube.times[middle].strftime("%Y-%m-%d")
+    return [
+        (f"epochs before {date}", {"epochs": slice(middle)}),
+        (f"epochs from {date} on", {"epochs": slice(middle, None)}),
+    ]
+
+
+def _by_place(flow):
+    """Return the inner and the outer half of what is seen."""
+    seen = [
+        distances(grid)[planes.mask if region is None else planes.mask & (region > 0.5)]
+        for grid, planes, region in zip(
+            flow.grids, flow.planes, flow.regions, strict=True
+        )
+    ]
+    if len(seen) > 1 or len(seen[0]) == 0:
+        return []
+    border = float(np.median(seen[0]))
+    unit = offset_unit(border * flow.beam)
+    text = f"{(border * flow.beam * u.mas).to_value(unit):.3g} {unit}"
+    inner = [(distances(grid) < border) * 1.0 for grid in flow.grids]
+    return [
+        (f"inner half, up to {text}", {"places": inner}),
+        (f"outer half, from {text}", {"places": [1 - own for own in inner]}),
+    ]
+
+
+def _by_scale(flow):
+    scales = flow.planes[0].scales
+    if len(scales) < 2:
+        return []
+    return [
+        (f"{name} scales ({', '.join(f'{s:g}' for s in own)})", {"scales": tuple(own)})
+        for name, own in zip(
+            ("fine", "coarse"), np.array_split(scales, 2), strict=True
+        )
+    ]
