@@ -304,6 +304,13 @@ def simulate_resolved_jet(
     >>> jet = simulate_resolved_jet(n_epochs=3, rng=1)
     >>> len(jet.cube), sorted(set(jet.truth["group"].tolist()))
     (3, ['core', 'fast', 'slow'])
+
+    Nothing moves in a movie of the same layers without speeds:
+
+    >>> from dataclasses import replace
+    >>> from astro_scc.simulation import m87_layers
+    >>> still = [replace(layer, speed=0 * layer.speed) for layer in m87_layers()]
+    >>> jet = simulate_resolved_jet(layers=still, n_epochs=3, rng=1)
     """
     layers = m87_layers() if layers is None else layers
     if isinstance(layers, Layer) or len(layers) == 0:
