@@ -101,9 +101,14 @@ def p_text(p):
 def write_table(name, header, rows):
     """Print a table and write it to ``results``, for the documentation."""
     RESULTS.mkdir(exist_ok=True)
-    rows = [[str(item) for item in row] for row in rows]
     with open(RESULTS / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *rows])
+    print_table(header, rows)
+
+
+def print_table(header, rows):
+    """Print a table."""
+    rows = [[str(item) for item in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
     for row in (header, ["-" * w for w in widths], *rows):
         line = "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True))

@@ -71,7 +71,7 @@ class JetSimulation:
 
     Parameters
     ----------
-    streams : sequence of `Stream` or `Flow`
+    streams : sequence of `Stream`, `Flow` or `Layer`
     name : str, optional
         Object name.
     n_epochs : int, optional
@@ -637,14 +637,24 @@ def simulate_jet(
         flux_variation=flux_variation, memory=memory, alignment_error=alignment_error,
         ripple=ripple, bowl=bowl,
     )  # fmt: skip
-    # The jet is centred in the image.
-    beam_length, angle = jet.beam_length, u.Quantity(position_angle).to_value(u.rad)
-    tip = length * beam_length * np.array([-np.sin(angle), np.cos(angle)])
+    ahead = length * jet.beam_length
+    return centred(jet, ahead, margin=8 * jet.beam_length, shape=shape).run(rng=rng)
+
+
+def centred(jet, ahead, behind=0.0, *, margin, shape=None):
+    """
+    Return a simulation whose jet is centred in the image.
+
+    ``ahead`` and ``behind`` are the lengths of jet and counter-jet, and ``margin`` the
+    width around them, in pixels; an image of another ``shape`` has other margins.
+    """
+    angle = u.Quantity(jet.position_angle).to_value(u.rad)
+    direction = np.array([-np.sin(angle), np.cos(angle)])
+    tip = (ahead + behind) * direction
     if shape is None:
-        shape = np.round(np.abs(tip) + 16 * beam_length).astype(int).tolist()[::-1]
-    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
-    extent = x0, x0 + length * beam_length
-    return replace(jet, shape=tuple(shape), extent=extent, axis=y0).run(rng=rng)
+        shape = np.round(np.abs(tip) + 2 * margin).astype(int).tolist()[::-1]
+    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2 + behind * direction)
+    return replace(jet, shape=tuple(shape), extent=(x0, x0 + ahead), axis=y0)
 
 
 def _run(name, rng, options, *streams):

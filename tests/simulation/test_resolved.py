@@ -1,0 +1,193 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Simulated jets that are resolved across."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+from astro_scc.epochs import Beam
+from astro_scc.simulation import (
+    Layer,
+    m87_layers,
+    simulate_resolved_jet,
+    write_simulation,
+)
+
+ANGLE = 288 * u.deg
+DISTANCE, SPEED = [0.5, 2.0, 6.0], [1.0, 8.0, 10.0]
+TABLE = {
+    "distance": DISTANCE * u.mas,
+    "speed": SPEED * u.mas / u.yr,
+    "half_width": [0.2, 0.4, 0.6] * u.mas,
+    "brightness": [20, 10, 5] * u.mJy / u.beam,
+}
+STILL = {"speed": [0, 0, 0] * u.mas / u.yr, "life": np.inf * u.yr}
+BARE = {"core": 0.0, "flux_variation": 0.0, "noise": 0.0}
+
+
+def layer(**changes):
+    return Layer("layer", **TABLE | changes)
+
+
+def along_and_across(truth):
+    """Distances along and across the axis in mas."""
+    east, north = truth["east"].to_value(u.mas), truth["north"].to_value(u.mas)
+    sine, cosine = np.sin(ANGLE).value, np.cos(ANGLE).value
+    return east * sine + north * cosine, east * cosine - north * sine
+
+
+def lone_clump(**changes):
+    """A jet whose one clump is visible at all epochs."""
+    for seed in range(50):
+        own = layer(n_clumps=1, life=0.6 * u.yr, **changes)
+        settings = {"layers": [own], "n_epochs": 6, "interval": 10 * u.day, **BARE}
+        jet = simulate_resolved_jet(**settings, rng=seed)
+        if len(jet.truth) == 6 and jet.truth["visible"].all():
+            return jet
+    raise AssertionError("no seed has one clump")
+
+
+def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
+    jet = lone_clump()
+    r, across = along_and_across(jet.truth)
+    years = (jet.cube.times - jet.cube.times[0]).to_value(u.yr)
+    way = solve_ivp(lambda t, r: np.interp(r, DISTANCE, SPEED), years[[0, -1]], r[:1],
+                    t_eval=years, rtol=1e-8)  # fmt: skip
+    assert np.ptp(r) > 0.5
+    assert_allclose(r, way.y[0], atol=1e-3)
+    # It keeps its place in the jet, which widens.
+    assert_allclose(across / np.interp(r, DISTANCE, [0.2, 0.4, 0.6]), across[0] / (
+        np.interp(r[0], DISTANCE, [0.2, 0.4, 0.6])))  # fmt: skip
+    y, x = np.indices(jet.cube.shape[1:])
+    for image, row in zip(jet.cube.data, jet.truth, strict=True):
+        assert np.sum(x * image) / image.sum() == pytest.approx(row["x"].value)
+        assert np.sum(y * image) / image.sum() == pytest.approx(row["y"].value)
+
+
+def test_clumps_live_at_all_dates_and_fade():
+    own = layer(n_clumps=60, life=0.2 * u.yr, flux_scatter=0.0)
+    jet = simulate_resolved_jet(layers=[own], n_epochs=20, **BARE, rng=1)
+    number = np.bincount(jet.truth["epoch"][jet.truth["visible"]])
+    assert number.mean() == pytest.approx(60, rel=0.2)
+    assert number[:5].mean() == pytest.approx(number[-5:].mean(), rel=0.3)
+    dates = jet.truth["date"].decimalyear
+    spans = [
+        np.ptp(dates[jet.truth["feature"] == k]) for k in set(jet.truth["feature"])
+    ]
+    assert max(spans) < 0.2
+    assert jet.truth.meta["streams"][0]["n_seen"] > 100
+
+
+def test_limbs_and_counter_jet_are_where_they_were_asked_for():
+    limbs = layer(across=(-1, 1), scatter=0.0, counter_jet=0.5, flux_scatter=0.0,
+                  size=(0.2, 0.2) * u.mas, brightness=[9, 9, 9] * u.mJy / u.beam,
+                  **STILL)  # fmt: skip
+    jet = simulate_resolved_jet(layers=[limbs], n_epochs=2, **BARE, rng=1)
+    r, across = along_and_across(jet.truth)
+    counter = np.asarray(jet.truth["group"]) == "layer counter-jet"
+    assert 50 < counter.sum() / 2 < 150
+    assert (r[counter] < -0.5).all()
+    assert (r[~counter] > 0.5).all()
+    width = np.interp(np.abs(r), DISTANCE, TABLE["half_width"].value)
+    assert_allclose(np.abs(across), width)
+    assert 0.3 < np.mean(across > 0) < 0.7
+    flux = [jet.truth["flux"][part].value.max() for part in (counter, ~counter)]
+    assert flux[0] / flux[1] == pytest.approx(0.5)
+    inside = (jet.truth["x"].value > 5) & (jet.truth["y"].value > 5)
+    ny, nx = jet.cube.shape[1:]
+    inside &= (jet.truth["x"].value < nx - 6) & (jet.truth["y"].value < ny - 6)
+    assert inside.all()
+
+
+def test_a_still_point_has_the_peak_and_the_beam_that_were_asked_for():
+    beam = Beam(0.5 * u.mas, 0.3 * u.mas, 30 * u.deg)
+    point = layer(size=(0, 0) * u.mas, n_clumps=1, flux_scatter=0.0, **STILL,
+                  brightness=[10, 10, 10] * u.mJy / u.beam)  # fmt: skip
+    settings = {"layers": [point], "n_epochs": 2, "beam": beam, **BARE}
+    # One clump, away from the end of the jet, where all fade.
+    found = (simulate_resolved_jet(**settings, rng=seed) for seed in range(20))
+    jet = next(
+        j for j in found if len(j.truth) == 2 and j.truth["flux"][0].value > 0.0099
+    )
+    image = jet.cube.data[0]
+    assert image.max() == pytest.approx(0.01, rel=0.05)
+    y, x = np.indices(image.shape)
+    mean = [np.sum(v * image) / image.sum() for v in (x, y)]
+    moments = np.cov([x.ravel() - mean[0], y.ravel() - mean[1]], aweights=image.ravel(),
+                     bias=True) * 0.06**2  # fmt: skip
+    # East is left, north is up.
+    wanted = beam.covariance.to_value(u.mas**2) * [[1, -1], [-1, 1]]
+    assert_allclose(moments, wanted, rtol=0.02)
+    assert_allclose(jet.cube.data[1], image)
+
+
+def test_noise_is_as_asked():
+    empty = {"layers": [layer(n_clumps=0)], "n_epochs": 6, "core": 0.0}
+    noise = [0.001] * 3 + [0.003] * 3
+    cube = simulate_resolved_jet(**empty, noise=noise, rng=1).cube
+    assert_allclose(np.std(cube.data, axis=(1, 2)), noise, rtol=0.15)
+
+
+def test_fluxes_of_still_clumps_have_a_memory():
+    still = layer(n_clumps=300, **STILL)
+    settings = {
+        "n_epochs": 8,
+        "noise": 0.0,
+        "core": 0.0,
+        "flux_variation": 0.5,
+        "rng": 1,
+    }
+    for memory, kept in ((42 * u.day, np.exp(-0.5)), (0 * u.yr, 0.0)):
+        jet = simulate_resolved_jet(layers=[still], memory=memory, **settings)
+        assert np.all(jet.truth["pm_east"] == 0)
+        log = np.log(jet.truth["flux"].value).reshape(-1, 8)
+        log -= log.mean()
+        change = np.mean(np.diff(log, axis=1) ** 2) / (2 * 0.5**2)
+        assert 1 - change == pytest.approx(kept, abs=0.1)
+
+
+def test_layers_of_m87():
+    slow, fast = m87_layers(length=20 * u.mas, counter_jet=0.1)
+    assert_allclose(slow.speed.to_value(u.mas / u.yr) * 0.264, 0.3)
+    at = np.interp([0.5, 2, 20], fast.distance.value, fast.speed.value) * 0.264
+    assert_allclose(at, [0.3, 2.3, 2.7], rtol=0.01)
+    assert (slow.counter_jet, slow.across) == (0.1, (-1, 1))
+    with pytest.raises(ValueError, match=r"length must be above 0.5 mas, got 0.2 mas"):
+        m87_layers(length=0.2 * u.mas)
+
+
+def test_written(tmp_path):
+    jet = simulate_resolved_jet(n_epochs=2, rng=1)
+    table = write_simulation(jet, tmp_path / "jet")[-1]
+    truth = QTable.read(table)
+    assert_allclose(truth["x"].value, jet.truth["x"].value)
+    assert truth.meta["streams"][0]["name"] == "slow"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scatter": -1}, "layer 'layer': scatter must be zero or positive, got -1"),
+        ({"speed": [-1, -1, -1] * u.mas / u.yr}, "speed must be zero or positive"),
+        ({"speed": [0, 1, 1] * u.mas / u.yr}, "speed must be positive, or zero every"),
+        ({"speed": [1, 1] * u.mas / u.yr}, "half_width, brightness must have one len"),
+        ({"distance": [1, 1, 2] * u.mas}, "distance must increase, got"),
+        ({"size": (2, 1) * u.mas}, "size must be two limits, got"),
+        ({"across": ()}, "across needs one place or more"),
+        ({"life": np.inf * u.yr}, "life must be positive, and finite for a layer that"),
+        ({"life": 0 * u.yr}, "life must be positive"),
+        ({"distance": [1, 2, 3] * u.s}, "not convertible"),
+    ],
+)
+def test_what_a_layer_refuses(changes, message):
+    with pytest.raises(ValueError, match=message):
+        layer(**changes)
+
+
+@pytest.mark.parametrize("layers", [[], layer()])
+def test_layers_are_a_sequence(layers):
+    with pytest.raises(ValueError, match="layers: give a sequence of Layer, at least"):
+        simulate_resolved_jet(layers=layers)
