@@ -14,13 +14,13 @@ from astropy.table import QTable
 
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
-from astro_scc.matching import MatchedEpochs
+from astro_scc.matching import DecomposedEpochs, MatchedEpochs
+from astro_scc.matching.matched import centroids_inside
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
 from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
-from astro_scc.streams.dispersion import jackknife_covariance
 from astro_scc.units import PM_UNIT
 
 __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
@@ -356,18 +356,18 @@ def expansion_speed(
 
 
 def measure_expansion(
-    scc: StackedCrossCorrelation, matched: MatchedEpochs, centre: u.Quantity,
+    scc: StackedCrossCorrelation, decomposed: DecomposedEpochs, centre: u.Quantity,
     radius: u.Quantity, *, sectors: int = 1, n_trials: int = 1000,
     rng: np.random.Generator | int | None = None,
 ) -> QTable:  # fmt: skip
     """
-    Stack a shell in rates of expansion from, and rotation about, a centre.
+    Measure rates of expansion from, and rotation about, a centre.
 
     Parameters
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; ``max_speed`` is the speed at the radius.
-    matched : `~astro_scc.matching.MatchedEpochs`
+    decomposed : `~astro_scc.matching.DecomposedEpochs`
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) from the reference pixel, see `fit_shell`.
     radius : `~astropy.units.Quantity`
@@ -406,9 +406,9 @@ def measure_expansion(
     >>> scc = StackedCrossCorrelation(
     ...     scales=[1], max_speed=150 * u.mas / u.yr, min_error_beams=0.1, detection=7,
     ...     segmentation=5)
-    >>> matched = scc.match(shell.cube)
+    >>> decomposed = scc.decompose(shell.cube)
     >>> table = measure_expansion(
-    ...     scc, matched, shell.centre, shell.radius, n_trials=119, rng=1)
+    ...     scc, decomposed, shell.centre, shell.radius, n_trials=119, rng=1)
     >>> table["rate"].round(2)[0]
     <Quantity 0.11 % / yr>
     """
@@ -416,16 +416,20 @@ def measure_expansion(
     edges = np.linspace(0, 360, sectors + 1)
     frame = ExpansionFrame(centre, radius)
     stacker = replace(scc, position_angle=frame)
-    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
-    x0, y0 = frame.centre.value
+    cube, (x0, y0) = decomposed.cube, frame.centre.value
+    east, north = (offset.to_value(u.mas) for offset in cube.offsets())
     azimuth = np.degrees(np.arctan2(east - x0, north - y0))
+    everywhere = np.ones(azimuth.shape, dtype=bool)
+    whole = everywhere if decomposed.region is None else decomposed.region
     tables = {}
     rngs = random_generator(rng).spawn(sectors)
     for (low, high), own in zip(pairwise(edges), rngs, strict=True):
-        part = matched.part(matched.select & ((azimuth - low) % 360 < high - low))
-        if part.select.any():
-            stacked = stacker.stack(part, n_trials=n_trials, rng=own)
-            tables[low, high] = stacked.components
+        sector = whole & ((azimuth - low) % 360 < high - low)
+        select = decomposed.select & centroids_inside(decomposed.ssps, cube, sector)
+        if select.any():
+            part = replace(decomposed, select=select, region=sector)
+            found = stacker.measure(part, n_trials=n_trials, rng=own)
+            tables[low, high] = found.streams
     if not tables:
         raise ValueError("no SSP lies in any sector: there is nothing to stack")
     rows = []
@@ -439,3 +443,16 @@ def measure_expansion(
                 columns[name + end] = frame.rate(table[of + end])
         rows.append(QTable(columns | {name: table[name] for name in KEPT}))
     return stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})
+
+
+def jackknife_covariance(estimates):
+    """
+    Return the jackknife covariance of estimates that each leave out a part of the data.
+
+    It is infinite for fewer than four parts.
+    """
+    n = len(estimates)
+    if n < 4:
+        return np.full((np.shape(estimates)[-1],) * 2, np.inf)
+    apart = np.asarray(estimates) - np.mean(estimates, axis=0)
+    return (n - 1) / n * apart.T @ apart

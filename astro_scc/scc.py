@@ -371,12 +371,11 @@ class StackedCrossCorrelation(MeasurementSettings):
                 alpha=self.alpha, n_trials=n_trials, outward=self.outward,
                 intervals=intervals, rng=generator,
             )  # fmt: skip
-            choices = parts_of(flow, search)
+            choices = parts_of(search)
         _warn_of_limits(search.test.p_smallest, len(cube), n_trials, self.alpha)
         angle = flow_direction(decomposed, flow.frame)
         return SCCResult(
             decomposed=decomposed,
-            flow=flow,
             search=search,
             position_angle=angle,
             choices=choices,

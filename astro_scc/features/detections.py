@@ -15,7 +15,6 @@ from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.images import positions
 from astro_scc.parallel import in_order
 from astro_scc.progress import progress
-from astro_scc.streams.chains import line_through
 
 #: Distance from the origin within which the core lies if the epochs are not aligned,
 #: and its scatter if they are, in beams.
@@ -105,7 +104,9 @@ class Detections:
         velocity, variance : `~numpy.ndarray`, shape (2,)
             In mas/yr, and the formal variance.
         """
-        velocity, *_, response = line_through(self.time[own], self.place[own])
+        time = self.time[own] - self.time[own].mean()
+        response = time / (time @ time)
+        velocity = response @ self.place[own]
         return velocity, response**2 @ self.place_error[own] ** 2
 
     @property

@@ -11,7 +11,7 @@ from astro_scc.decomposition.wavelet import (
     scale_size,
     wavelet_planes,
 )
-from astro_scc.spectrum.planes import flow_planes
+from astro_scc.spectrum.planes import REACH, flow_planes
 
 #: Faintest flow, in noises of an epoch: the mean of the brightest quarter of the epochs.
 THRESHOLD = 5.0
@@ -66,7 +66,9 @@ def has_core(cube, beam):
     return bool(np.hypot(*place) < beam)
 
 
-def sample_planes(cube, grid, scales, seen, *, kernel="b1", normalise="local", order=3):
+def sample_planes(
+    cube, grid, scales, seen, *, kernel="b1", normalise="local", order=3, reach=REACH
+):
     """
     Decompose all epochs and return what changes, on a grid along the flow.
 
@@ -81,6 +83,8 @@ def sample_planes(cube, grid, scales, seen, *, kernel="b1", normalise="local", o
         Of the wavelets, and see ``flow_planes``.
     order : int, optional
         Of the splines between pixels.
+    reach : float, optional
+        Largest displacement of diagrams, in beams.
 
     Returns
     -------
@@ -128,6 +132,7 @@ def sample_planes(cube, grid, scales, seen, *, kernel="b1", normalise="local", o
         sizes=[side * scale_size(scale) for scale in scales],
         weight=None if np.ptp(grid.weight) == 0 else grid.weight,
         normalise=normalise,
+        reach=reach,
     )
 
 

@@ -21,7 +21,7 @@ from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.frames import mean_width
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.stacking import velocities
-from astro_scc.streams.diagram import DEFAULT, Rays
+from astro_scc.spectrum.permutations import fastest_speed
 from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
@@ -35,8 +35,9 @@ LARGEST_SCALE = 12
 LEAST_MOTION = 0.01
 #: Largest displacement in the shortest interval, in diagonals of the image.
 MOST_MOTION = 10
-#: Smoothing lengths by which the search goes beyond the largest displacement.
-MARGIN = 3.0
+#: Displacement to which patterns are matched, and the margin around that of the largest
+#: speed, in beams.
+RADIUS, MARGIN = 1.5, 0.36
 #: Beams by which matches go beyond the largest speed: stacks in speed and
 #: acceleration have kernels of 0.8 beam.
 BEYOND = 1.0
@@ -190,8 +191,7 @@ class SearchPlan:
         if self.max_speed is not None:
             return self.max_speed * PM_UNIT
         years = cube.years.to_value(u.yr)
-        rays = Rays.of(years, self.radius, DEFAULT, intervals=self.intervals)
-        return float(rays.speed.max()) * self.fwhm * PM_UNIT
+        return fastest_speed(years, self.intervals) * self.fwhm * PM_UNIT
 
 
 def scale_numbers(cube, scales):
@@ -297,16 +297,16 @@ def search_radius(cube, max_speed, fwhm):
     gaps = np.diff(cube.years.to_value(u.yr))
     gaps = gaps[gaps > 0]
     if len(gaps) == 0:
-        return DEFAULT.radius
+        return RADIUS
     short, far = np.quantile(gaps, 0.25), 0.0
     if max_speed is not None:
         far = max_speed * short / fwhm
     elif len(cube) <= FEW_EPOCHS:
         far = FAR_BEAMS * short / np.median(gaps)
-    return max(DEFAULT.radius, far + MARGIN * DEFAULT.smoothing)
+    return max(RADIUS, far + MARGIN)
 
 
-def flow_direction(matched, frame=None):
+def flow_direction(decomposed, frame=None):
     """
     Return the direction of the jet.
 
@@ -315,7 +315,7 @@ def flow_direction(matched, frame=None):
 
     Parameters
     ----------
-    matched : `~astro_scc.matching.MatchedEpochs`
+    decomposed : `~astro_scc.matching.DecomposedEpochs`
     frame : frame of `astro_scc.kinematics`, optional
 
     Returns
@@ -325,9 +325,9 @@ def flow_direction(matched, frame=None):
     """
     if isinstance(frame, PositionAngleFrame):
         return frame.pa
-    use = matched.select
-    east, north = ssp_offsets(matched.ssps, matched.cube)
-    weight = matched.ssps.flux[use]
+    use = decomposed.select
+    east, north = ssp_offsets(decomposed.ssps, decomposed.cube)
+    weight = decomposed.ssps.flux[use]
     if weight.sum() <= 0:
         return 0.0 * u.deg
     mean = [np.average(offset[use], weights=weight) for offset in (east, north)]

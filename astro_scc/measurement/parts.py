@@ -9,13 +9,12 @@ from astro_scc.streams.parts import FEWEST_EPOCHS, part_rows
 from astro_scc.units import offset_unit
 
 
-def parts_of(flow, search):
+def parts_of(search):
     """
     Measure the main speed from parts of the data.
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
     search : `~astro_scc.streams.finder.StreamSearch`
 
     Returns
@@ -23,13 +22,13 @@ def parts_of(flow, search):
     list of dict
         See ``part_rows``; empty if nothing moves.
     """
-    streams = search.streams
+    flow, streams = search.flow, search.streams
     moving = [k for k, s in enumerate(streams) if s.kind == "moving"]
     if not moving or search.fit is None:
         return []
     main = max(moving, key=lambda k: streams[k].share)
     parts = [*_by_interval(flow), *_by_date(flow), *_by_place(flow), *_by_scale(flow)]
-    return part_rows(flow, search, main, parts)
+    return part_rows(search, main, parts)
 
 
 def _by_interval(flow):

@@ -56,8 +56,6 @@ class SCCResult(tables.Components):
     Attributes
     ----------
     decomposed : `~astro_scc.matching.DecomposedEpochs`
-    flow : ``DecomposedFlow``
-        What changes in the images, along the flow.
     search : ``StreamSearch``
         The streams, the velocity spectrum and the test for motion.
     position_angle : `~astropy.units.Quantity`
@@ -80,7 +78,6 @@ class SCCResult(tables.Components):
     """
 
     decomposed: DecomposedEpochs
-    flow: DecomposedFlow
     search: StreamSearch
     position_angle: u.Quantity
     choices: list = field(default_factory=list)
@@ -147,6 +144,11 @@ class SCCResult(tables.Components):
     def cube(self) -> EpochCube:
         """The epochs that were measured."""
         return self.decomposed.cube
+
+    @property
+    def flow(self) -> DecomposedFlow:
+        """What changes in the images, along the flow."""
+        return self.search.flow
 
     @property
     def frame(self) -> Any:

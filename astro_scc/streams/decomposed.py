@@ -16,10 +16,13 @@ from astro_scc.grid.sampling import (
     sample_planes,
     seen_flow,
 )
-from astro_scc.kinematics import ExpansionFrame, SkyFrame
+from astro_scc.kinematics import PositionAngleFrame, SkyFrame
 from astro_scc.spectrum.diagram import Diagram, correlate
-from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.spectrum.planes import REACH, FlowPlanes
 from astro_scc.units import PM_UNIT
+
+#: Beams by which diagrams go beyond the largest speed in the shorter intervals.
+MARGIN = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +45,10 @@ class DecomposedFlow:
         structures.
     fastest : float or None
         The largest speed, if one was given, in beams/yr.
+    inside : `~numpy.ndarray` of bool, shape (ny, nx), or None
+        Pixels of the region.
+    kernel, normalise : str
+        See `decompose_flow`.
     """
 
     cube: EpochCube
@@ -51,6 +58,9 @@ class DecomposedFlow:
     regions: tuple[np.ndarray | None, ...]
     beam: float
     fastest: float | None = None
+    inside: np.ndarray | None = None
+    kernel: str = "b1"
+    normalise: str = "local"
 
     @property
     def years(self) -> np.ndarray:
@@ -66,6 +76,27 @@ class DecomposedFlow:
     def outward(self) -> bool:
         """Whether positive speeds lead away from a core."""
         return self.grids[0].outward
+
+    def along(self, angle: float):
+        """
+        Return the same flow along one direction.
+
+        Parameters
+        ----------
+        angle : float
+            Position angle in radians.
+
+        Returns
+        -------
+        `DecomposedFlow`
+            With the same axes of velocities.
+        """
+        made = decompose_flow(
+            self.cube, PositionAngleFrame(angle * u.rad), scales=self.planes[0].scales,
+            beam=self.beam, region=self.inside, kernel=self.kernel,
+            normalise=self.normalise,
+        )  # fmt: skip
+        return replace(made, frame=self.frame, fastest=self.fastest)
 
     def diagram(self, k: int, planes: FlowPlanes | None = None) -> Diagram:
         """Return the displacement-interval diagram along direction k."""
@@ -109,10 +140,18 @@ class DecomposedFlow:
         return self.part(places=places)
 
 
+def _reach(cube, max_speed, beam):
+    """Return the largest displacement of the diagrams in beams."""
+    if max_speed is None:
+        return REACH
+    gaps = np.diff(cube.years.to_value(u.yr))
+    way = max_speed.to_value(PM_UNIT) / beam * np.quantile(gaps[gaps > 0], 0.25)
+    return max(REACH, float(way) + MARGIN)
+
+
 def distances(grid):
     """Return the distance of each point from the origin along the flow, in beams."""
-    along = np.abs(grid.along)[:, None] * np.ones(len(grid.across))
-    return along
+    return np.abs(grid.along)[:, None] * np.ones(len(grid.across))
 
 
 def decompose_flow(
@@ -158,13 +197,13 @@ def decompose_flow(
     if scales is None:
         scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
     grids = flow_grids(cube, frame, seen, beam, core=core)
-    if isinstance(frame, ExpansionFrame):
-        core = False
     order = 3 if len(grids) == 1 else 1
+    reach = _reach(cube, max_speed, beam)
     planes = tuple(
         sample_planes(
-            cube, g, tuple(scales), seen, kernel=kernel, normalise=normalise, order=order
-        )
+            cube, g, tuple(scales), seen, kernel=kernel, normalise=normalise,
+            order=order, reach=reach,
+        )  # fmt: skip
         for g in grids
     )
     regions = tuple(
@@ -174,4 +213,7 @@ def decompose_flow(
     fastest = None
     if max_speed is not None:
         fastest = max_speed.to_value(PM_UNIT) / beam
-    return DecomposedFlow(cube, frame, tuple(grids), planes, regions, beam, fastest)
+    return DecomposedFlow(
+        cube, frame, tuple(grids), planes, regions, beam, fastest, region, kernel,
+        normalise,
+    )  # fmt: skip

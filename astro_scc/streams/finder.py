@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """From the velocity spectrum and the features to streams on the sky."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -96,7 +96,10 @@ class StreamSearch:
     ----------
     streams : tuple of `Stream`
         The slowest that moves first; then what stands still.
+    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+        Along one direction.
     test : `~astro_scc.spectrum.permutations.MotionTest`
+        Along this direction; its ``p_global`` is that of all that were tested.
     angle : float
         Direction of the spectrum from the first axis of the frame, in radians.
     diagram : `~astro_scc.spectrum.diagram.Diagram`
@@ -116,6 +119,7 @@ class StreamSearch:
     """
 
     streams: tuple[Stream, ...]
+    flow: DecomposedFlow
     test: MotionTest
     angle: float
     diagram: Diagram
@@ -204,10 +208,21 @@ def find_streams(
         diagrams, fastest=flow.fastest, intervals=intervals, n_trials=n_trials,
         inward=inward, rng=rng,
     )
-    direction, best = test.best
-    grid, years = flow.grids[direction], flow.years
-    planes = flow.planes[direction].square_root()
-    region, beam = flow.regions[direction], flow.beam
+    found = test
+    if len(flow.planes) > 1:
+        # Along the direction of the largest z, outward.
+        direction, best = test.best
+        turn = 0.0 if test.speed[best] > 0 else np.pi
+        flow = flow.along(flow.grids[direction].angle + turn)
+        found = test_motion(
+            [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
+            n_trials=n_trials, inward=0.0, rng=rng,
+        )  # fmt: skip
+        found = replace(found, p_global=test.p_global, p_smallest=test.p_smallest)
+    test, best = found, found.best[1]
+    grid, years = flow.grids[0], flow.years
+    planes = flow.planes[0].square_root()
+    region, beam = flow.regions[0], flow.beam
     lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
     lags = [k * lag for k in (1, 2, 3) if 2 * k * lag < n_across]
     sheet = correlate_aside(planes, lags, region=region)
@@ -221,7 +236,7 @@ def find_streams(
     one = one_stream(equations, least, sign)
     gaps = np.diff(years)
     search = {
-        "test": test, "angle": angle, "diagram": diagram,
+        "flow": flow, "test": test, "angle": angle, "diagram": diagram,
         "speed": equations.speed * beam, "spectrum": deconvolve(equations),
         "beam": beam,
         "slowest": beam * np.abs(test.speed).min(),

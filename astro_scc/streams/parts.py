@@ -19,13 +19,12 @@ FEWEST_EPOCHS = 6
 DIFFERENT = 2.0
 
 
-def part_rows(flow, search, main, parts):
+def part_rows(search, main, parts):
     """
     Fit the streams again to parts of the data.
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
     search : `~astro_scc.streams.finder.StreamSearch`
     main : int
         Number of the stream that is compared, from 0.
@@ -39,12 +38,12 @@ def part_rows(flow, search, main, parts):
     """
     if search.fit is None:
         return []
-    direction = search.test.best[0]
+    flow = search.flow
     start = list(zip(search.fit.mean, search.fit.sd, strict=True))
 
     def speed_of(part, intervals):
-        planes = part.planes[direction].square_root()
-        region = part.regions[direction]
+        planes = part.planes[0].square_root()
+        region = part.regions[0]
         diagram = correlate(planes, region=region)
         equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
         fit = fit_streams(equations, start)
