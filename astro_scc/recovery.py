@@ -372,7 +372,7 @@ def completeness(
         # Features are injected even if the region has no SSP.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         bare = measure(cube, own_rng)
-    area = area_for_features(bare.matched, region)
+    area = area_for_features(bare.decomposed, region)
     own = np.reshape([*moving_components(bare).values()], (-1, 2))
     axis = velocity_along(bare.frame, position_angle)
     flow = {"position_angle": position_angle, "n_features": n_features}
@@ -557,7 +557,7 @@ def _nearest(velocities, velocity, tolerance):
 
 def _share_of_features(result, number, paths, fwhm):
     """Return the share of a component's SSPs that lie on injected features."""
-    ssps = result.matched.ssps
+    ssps = result.decomposed.ssps
     member = np.unique(result.members(number)["ssp"])
     if len(member) == 0:
         return 0.0

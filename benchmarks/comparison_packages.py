@@ -125,7 +125,7 @@ def stacked(cube):
 
 def members(result, numbers):
     """Return the displacements of components between consecutive epochs."""
-    cube, d, ssps = result.cube, result.displacements, result.matched.ssps
+    cube, d, ssps = result.cube, result.displacements, result.decomposed.ssps
     scale = cube.pixel_scale.to_value(u.mas)
     parts = []
     for number in numbers:

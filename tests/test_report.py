@@ -269,7 +269,7 @@ def test_a_core_is_known_by_its_beam(result, words_of):
     table = result.components.copy()
     assert table.meta["core"] == [2]
     plain = replace(result.cube, beams=None)
-    plain = replace(result, matched=replace(result.matched, cube=plain))
+    plain = replace(result, matched=replace(result.decomposed, cube=plain))
     assert plain.core == []
     table.meta["core"] = []
     assert "2 stationary" in words_of(result, table)

@@ -157,7 +157,7 @@ def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
 def read_results(result: SCCResult, cube: EpochCube) -> list[Path]:
     assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
     assert_type(result.velocity_map("z_score"), NDData)
-    result.matched.write("matches.fits")
+    result.decomposed.write("matches.fits")
     matched = MatchedEpochs.read("matches.fits", cube)
     inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
     regions = products.ssp_regions(inner.ssps, cube, 0, frame="epoch")

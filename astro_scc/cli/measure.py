@@ -66,7 +66,7 @@ def measure(args, reporter):
             all_figures=args.all_figures, compare=args.compare,
         )  # fmt: skip
         if args.ds9_regions:
-            write_epoch_regions(result.matched.ssps, epochs.cube, folder)
+            write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
     own = result.features, result.tracked_features
     features = with_published(*own, epochs.published)
     reporter.say(

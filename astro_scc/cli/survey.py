@@ -443,7 +443,7 @@ def _measure(source, output, part, report, said):
             continue
         status, message = "measured", ""
         if len(components) == 0:
-            searched = result.matched.select.any()
+            searched = result.decomposed.select.any()
             status, message = "empty", NO_MATCH if searched else NO_PATTERN
         outcomes.append(outcome(status, message, where.as_posix()))
     return outcomes

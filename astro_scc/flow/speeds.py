@@ -350,7 +350,7 @@ def compare_speeds(result: SCCResult, groups: Mapping[str, np.ndarray]) -> QTabl
             "'fit', 'radial' or 'ridge'"
         )
     _check_groups(groups)
-    matched, project = result.matched, projection_of(result)
+    matched, project = result.decomposed, projection_of(result)
     d = project(result.search.angle)
     beam = float(project.beam(result.search.angle)[0])
     streams = [s for s in result.search.streams if s.kind != "stationary"]
@@ -382,11 +382,11 @@ def compare_scales(result):
     `~astropy.table.QTable` or None
         As of `compare_speeds`; None with one scale, or without a direction.
     """
-    scales = result.matched.scales
+    scales = result.decomposed.scales
     if len(scales) < 2 or isinstance(result.frame, SkyFrame):
         return None
     groups = {"finest": scales[:1], "coarser": scales[1:]}
-    return compare_speeds(result, scale_groups(result.matched, groups))
+    return compare_speeds(result, scale_groups(result.decomposed, groups))
 
 
 def _groups_of(features, d, ssps, groups):

@@ -42,7 +42,7 @@ def ssp_regions(
     Parameters
     ----------
     ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs, for example ``result.matched.ssps``.
+        Of all epochs, for example ``result.decomposed.ssps``.
     cube : `~astro_scc.epochs.EpochCube`
     epoch : int
         Index of the epoch.
@@ -229,7 +229,7 @@ def write_epoch_regions(
     Parameters
     ----------
     ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs, for example ``result.matched.ssps``.
+        Of all epochs, for example ``result.decomposed.ssps``.
     cube : `~astro_scc.epochs.EpochCube`
     directory : path
         Its folder ``ssp_regions`` is made if needed; files of the same names

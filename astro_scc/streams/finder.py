@@ -32,6 +32,9 @@ FEWEST_EPOCHS = 6
 REST_ERRORS = 1.645
 #: Displacement across the flow at which diagrams are compared, in beams.
 ASIDE = 0.4
+#: Without a known direction, that of the flow is found in so many turns, of at most
+#: and at least so many radians.
+MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
 
@@ -212,8 +215,7 @@ def find_streams(
     if len(flow.planes) > 1:
         # Along the direction of the largest z, outward.
         direction, best = test.best
-        turn = 0.0 if test.speed[best] > 0 else np.pi
-        flow = flow.along(flow.grids[direction].angle + turn)
+        flow = _turned(flow, direction, test.speed[best], intervals)
         found = test_motion(
             [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
             n_trials=n_trials, inward=0.0, rng=rng,
@@ -223,10 +225,8 @@ def find_streams(
     grid, years = flow.grids[0], flow.years
     planes = flow.planes[0].square_root()
     region, beam = flow.regions[0], flow.beam
-    lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
-    lags = [k * lag for k in (1, 2, 3) if 2 * k * lag < n_across]
-    sheet = correlate_aside(planes, lags, region=region)
-    diagram = sheet[len(lags)]
+    sheet, aside = _sheet(planes, region, 3)
+    diagram = sheet[len(sheet) // 2]
     equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
     least = 1 / np.ptp(years)
     sign = np.sign(test.speed[best])
@@ -255,7 +255,7 @@ def find_streams(
     errors = None
     if fit is not None:
         errors = fit_errors(planes, diagram, equations, fit, region=region)
-    across = partial(transverse_speed, sheet, lag * planes.step)
+    across = partial(transverse_speed, sheet, aside)
     streams = _streams(
         flow, test, equations, fit, errors, moving, across, angle, sign, passes,
         p_distinct, misaligned,
@@ -263,13 +263,39 @@ def find_streams(
     streams += _standing(features, flow, streams, inside)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
     top = min(3 * fastest or np.inf, search["fastest"])
-    aside = lag * planes.step * np.arange(-len(lags), len(lags) + 1)
+    places = aside * (np.arange(len(sheet)) - len(sheet) // 2)
     velocities = velocity_map(
-        sheet, aside, top / beam, angle=angle, beam=beam, rng=map_rng
+        sheet, places, top / beam, angle=angle, beam=beam, rng=map_rng
     )
     return StreamSearch(
         streams=tuple(streams), velocities=velocities, fit=fit, errors=errors, **search
     )
+
+
+def _sheet(planes, region, number):
+    """Return diagrams at displacements across the flow, and their distance in beams."""
+    lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
+    lags = [k * lag for k in range(1, number + 1) if 2 * k * lag < n_across]
+    return correlate_aside(planes, lags, region=region), lag * planes.step
+
+
+def _turned(flow, direction, speed, intervals):
+    """Return the flow along its own direction, from the best of those tested."""
+    angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
+    for _ in range(MOST_TURNS):
+        found = flow.along(angle)
+        planes = found.planes[0].square_root()
+        sheet, aside = _sheet(planes, found.regions[0], 1)
+        across, error = transverse_speed(sheet, aside, abs(speed))
+        if not np.isfinite(error):
+            break
+        # Positive to larger position angles.
+        turn = np.arctan2(across, abs(speed))
+        turn = float(np.clip(turn, -MOST_TURN, MOST_TURN))
+        angle += turn
+        if abs(turn) < LEAST_TURN:
+            break
+    return flow.along(angle)
 
 
 def _angle_of(frame, grid):

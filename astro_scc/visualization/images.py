@@ -437,7 +437,7 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
         The SSPs of all epochs: a table (``result.ssps``) is drawn as
         circles, larger for larger scales and pale if the SSP is outside the
-        region that was measured; a catalogue (``result.matched.ssps``) is
+        region that was measured; a catalogue (``result.decomposed.ssps``) is
         drawn as outlines.
     ax : `matplotlib.axes.Axes`, optional
         Axes to draw on instead of a new figure.

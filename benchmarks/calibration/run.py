@@ -167,7 +167,7 @@ def measure_flow(kind, seed, n_trials):
         result = scc(cube, n_trials=n_trials, rng=seed)
     found = measure_acceleration(result)
     groups = {"fine": [1], "coarse": [2, 3, 4]}
-    (row,) = compare_speeds(result, scale_groups(result.matched, groups))
+    (row,) = compare_speeds(result, scale_groups(result.decomposed, groups))
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
     fine, coarse = ((row[f"{k}_speed"] / unit).value for k in ("first", "second"))

@@ -50,9 +50,9 @@ def test_a_bin_is_a_stack_of_its_ssps(scc, matched):
         own = (inside >= low) & (inside < high)
         assert own.any() == (result is not None)
         if result is not None:
-            np.testing.assert_array_equal(result.matched.select, own)
+            np.testing.assert_array_equal(result.decomposed.select, own)
             # Nothing is correlated again.
-            assert result.matched.matches is matched.matches
+            assert result.decomposed.matches is matched.matches
     table = profile.components
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
     assert set(component_table([]).colnames) < set(table.colnames)

@@ -198,7 +198,7 @@ def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):
     assert f": {speed} mas/yr moving, 8 epochs>" in repr(sky_result)
     # Text is escaped.
     cube = replace(sky_result.cube, meta={"object": "<script>alert(1)</script>"})
-    result = replace(sky_result, matched=replace(sky_result.matched, cube=cube))
+    result = replace(sky_result, matched=replace(sky_result.decomposed, cube=cube))
     assert "&lt;script&gt;" in result._repr_html_()
     labels = [f"<b>{k}</b>" for k in range(len(cube))]
     assert not read_page(replace(cube, labels=labels)._repr_html_()).all("b")
@@ -253,7 +253,7 @@ def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
     other = tmp_path / "other.fits"
     sky_result.cube.write(other)
     refused(other, "other.fits: cannot be read as astro_scc result.*not written as one")
-    sky_result.matched.write(other, overwrite=True)
+    sky_result.decomposed.write(other, overwrite=True)
     refused(other, "not written as one")
     whole = path.read_bytes()
     spot = len(whole) // 2

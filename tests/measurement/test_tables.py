@@ -97,7 +97,7 @@ def test_what_a_paper_table_cannot_know():
 
 
 def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
-    table, ssps, cube = sky_result.ssps, sky_result.matched.ssps, sky_result.cube
+    table, ssps, cube = sky_result.ssps, sky_result.decomposed.ssps, sky_result.cube
     assert len(table) == len(ssps) > 0
     x0, y0 = cube.reference_pixel
     # The beam is 1 mas wide and round (Fomalont 1999).
@@ -115,11 +115,11 @@ def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
     assert np.all(table["date"] == cube.times[table["epoch"]])
     np.testing.assert_array_equal(table["n_pixels"], np.diff(ssps.starts))
     select = np.arange(len(ssps)) % 3 == 0
-    some = ssp_table(replace(sky_result.matched, select=select))
+    some = ssp_table(replace(sky_result.decomposed, select=select))
     np.testing.assert_array_equal(some["in_region"], select)
     none = {"ssps": SSPs.empty(), "select": np.zeros(0, bool)}
     for of in (cube, replace(cube, beams=None)):
-        empty = ssp_table(replace(sky_result.matched, cube=of, **none))
+        empty = ssp_table(replace(sky_result.decomposed, cube=of, **none))
         assert len(empty) == 0
         same(empty, table[:0])
 

@@ -27,7 +27,7 @@ def result(sky_result):
     """As of a jet to the west, whose epochs have a history."""
     meta = {"object": "Größe", "history": ["simulated: here"]}
     cube = replace(sky_result.cube, meta=meta)
-    matched = replace(sky_result.matched, cube=cube)
+    matched = replace(sky_result.decomposed, cube=cube)
     vars(matched)["features"] = sky_result.tracked_features
     return replace(sky_result, matched=matched, position_angle=270 * u.deg)
 
