@@ -14,7 +14,7 @@ FLOOR = 0.1
 WIDEST = 0.6
 #: Two streams fit better than a broad one if they explain so much more, the smaller has
 #: such a share, and the means differ by such a factor and so many dispersions.
-GAIN, SHARE, FACTOR, APART = 0.12, 0.15, 1.7, 1.5
+GAIN, SHARE, FACTOR, APART = 0.05, 0.15, 1.7, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +159,9 @@ def one_stream(equations, least, sign=1):
     return min((fit_streams(equations, [s]) for s in starts), key=lambda f: f.misfit)
 
 
-def two_streams(equations, one, least):
+def two_streams(equations, one, least, tested=()):
     """
-    Return the best fit of two streams of one direction, or None without a second peak.
+    Return the best fit of two streams of one direction.
 
     Parameters
     ----------
@@ -169,10 +169,12 @@ def two_streams(equations, one, least):
     one : `StreamFit`
     least : float
         Slowest speed, in beams/yr.
+    tested : sequence of float, optional
+        Speeds of both by the permutation test, from which the fit starts too.
 
     Returns
     -------
-    `StreamFit` or None
+    `StreamFit`
     """
     first = one.mean[0]
     spectrum = deconvolve(equations)
@@ -181,15 +183,17 @@ def two_streams(equations, one, least):
     starts = [(a, b) for k, a in enumerate(speeds) for b in speeds[:k]]
     starts += [(first, v) for v in speeds if abs(v - first) > 0.3 * abs(first)]
     starts.append((0.6 * first, 1.3 * first))
+    if len(tested) == 2 and tested[0] * tested[1] > 0:
+        starts.append(tuple(tested))
     starts = [[(v, 0.12 * abs(v)) for v in pair] for pair in starts]
     return min((fit_streams(equations, s) for s in starts), key=lambda f: f.misfit)
 
 
-def two_are_better(equations, one, two):
+def two_are_better(equations, one, two, gain=GAIN):
     """Return whether two streams fit so much better than a broad one as to be two."""
     none = amplitudes_of(equations, np.empty(0), np.empty(0)).misfit
-    gain = (one.misfit - two.misfit) / max(none - two.misfit, np.finfo(float).tiny)
+    better = (one.misfit - two.misfit) / max(none - two.misfit, np.finfo(float).tiny)
     slow, fast = np.abs(two.mean)
     apart = (fast - slow) / np.hypot(*two.sd)
     clear = two.share.min() > SHARE and fast > FACTOR * slow
-    return bool(gain > GAIN and clear and apart > APART)
+    return bool(better > gain and clear and apart > APART)

@@ -11,6 +11,7 @@ from astro_scc.spectrum.diagram import Diagram, correlate_aside
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import SpeedErrors, fit_errors
 from astro_scc.spectrum.gaussians import (
+    GAIN,
     StreamFit,
     one_stream,
     two_are_better,
@@ -19,22 +20,31 @@ from astro_scc.spectrum.gaussians import (
 from astro_scc.spectrum.maps import VelocityMap, velocity_map
 from astro_scc.spectrum.permutations import EVERY, MotionTest, test_motion
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.spread import mean_speed
+from astro_scc.streams.spread import mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
 
 #: With a secure feature that moves, this p_global is enough.
 WITH_FEATURES = 0.1
+#: A single stream with a smaller relative error has the speed of its Gaussian, others
+#: the harmonic mean of the spectrum.
+WELL_KNOWN = 0.1
 #: Error of the speed of a spectrum beyond that of its patterns, relative to it.
 MODEL_ERROR = 0.25
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
-#: Smallest speed of a stream in errors: 95% of a normal distribution, one-sided.
-REST_ERRORS = 1.645
+#: Smallest speed of a stream in errors.
+REST_ERRORS = 1.0
 #: Displacement across the flow at which diagrams are compared, in beams.
 ASIDE = 0.4
 #: Without a known direction, that of the flow is found in so many turns, of at most
 #: and at least so many radians.
 MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
+#: Two streams are one broad one if as many features on both sides of their middle are
+#: less separate, unless the speeds differ by such a factor; if they are, two streams
+#: need explain less.
+FEWEST, SEPARATE, BROAD, LEAST_GAIN = 5, 0.9, 6.0, 0.03
+#: Features speak for a flow if they are this share of all detections.
+COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
 
@@ -244,21 +254,23 @@ def find_streams(
         "unambiguous": beam / np.median(gaps[gaps > 0]),
     }  # fmt: skip
     fit, p_distinct = one, 1.0
-    passes = test.p_global <= alpha or (
-        test.p_global <= WITH_FEATURES and len(moving.along) > 0
-    )
+    covered = moving.weight.sum() >= COVERAGE * len(features.detections)
+    with_features = len(moving.along) > 0 and covered
+    passes = test.p_global <= (WITH_FEATURES if with_features else alpha)
     if passes and one is not None:
-        _, p_distinct = test.beside(test.speed[best], least / 2)
-        two = two_streams(equations, one, least) if p_distinct <= alpha else None
-        if two is not None and two_are_better(equations, one, two):
+        second, p_distinct = test.beside(test.speed[best], least / 2)
+        two = None
+        if p_distinct <= alpha:
+            two = two_streams(equations, one, least, (test.speed[best], second))
+        if two is not None and _are_two(equations, one, two, moving, beam):
             fit = two
     errors = None
     if fit is not None:
         errors = fit_errors(planes, diagram, equations, fit, region=region)
     across = partial(transverse_speed, sheet, aside)
     streams = _streams(
-        flow, test, equations, fit, errors, moving, across, angle, sign, passes,
-        p_distinct, misaligned,
+        flow, test, equations, fit, errors, moving, covered, across, angle, sign,
+        passes, p_distinct, misaligned,
     )  # fmt: skip
     streams += _standing(features, flow, streams, inside)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
@@ -270,6 +282,18 @@ def find_streams(
     return StreamSearch(
         streams=tuple(streams), velocities=velocities, fit=fit, errors=errors, **search
     )
+
+
+def _are_two(equations, one, two, moving, beam):
+    """Return whether spectrum and features show two streams rather than a broad one."""
+    slow, fast = np.abs(two.mean) * beam
+    speed, middle = np.abs(moving.along), np.sqrt(slow * fast)
+    known = len(speed) >= FEWEST and (speed < middle).any() and (speed > middle).any()
+    apart = separation(speed) if known else np.nan
+    if known and apart < SEPARATE and fast < BROAD * slow:
+        return False
+    gain = LEAST_GAIN if known and apart >= SEPARATE else GAIN
+    return two_are_better(equations, one, two, gain)
 
 
 def _sheet(planes, region, number):
@@ -307,8 +331,8 @@ def _angle_of(frame, grid):
 
 
 def _streams(
-    flow, test, equations, fit, errors, moving, across_of, angle, sign, passes,
-    p_distinct, misaligned,
+    flow, test, equations, fit, errors, moving, covered, across_of, angle, sign,
+    passes, p_distinct, misaligned,
 ):  # fmt: skip
     """Return the streams that move, or the strongest speed, not significant."""
     direction, best = test.best
@@ -325,9 +349,12 @@ def _streams(
             speed, error = fit.mean[k] * beam, errors.mean[k] * beam
             dispersion, share = fit.sd[k] * beam, fit.share[k]
             dispersion_err = dispersion / np.sqrt(2 * max(errors.number[k], 1))
-            if number == 1:
+            if number == 1 and not error < WELL_KNOWN * abs(speed):
                 speed, error = _harmonic(equations, errors.number[0], sign, speed, beam)
         across, across_err = across_of(speed / beam)
+        if not np.isfinite(across_err):
+            # A flow that is not resolved across: the direction is that of the grid.
+            across_err = error / beam
         velocity = np.array([speed, across * beam])
         covariance = np.diag([error**2, (across_err * beam) ** 2])
         source, of_features = "spectrum", (np.nan, np.nan)
@@ -336,7 +363,9 @@ def _streams(
             mean = mean_speed(np.abs(own.along), own.along_err, own.weight)
             of_features = mean.mean, mean.error
             slowest, fastest = np.abs(own.along).min(), np.abs(own.along).max()
-            if len(own.along) > 1 or not mean.error > error:
+            # Of two streams the spectrum knows which is which.
+            own_error = error if number > 1 else np.inf
+            if (covered and mean.error < own_error) or not np.isfinite(error):
                 source = "features"
                 side = mean_across(own, mean)
                 velocity = np.array([sign * mean.mean, side[0]])
