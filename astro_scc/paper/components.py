@@ -86,8 +86,8 @@ class PaperStack:
 
     Attributes
     ----------
-    grid : `VelocityGrid`
-    pairs : `DatePairs`
+    grid : ``VelocityGrid``
+    pairs : ``DatePairs``
     coefficient : `~numpy.ndarray`, shape ``grid.shape``
         The stack, of Eq. 6 of the paper.
     mean, std : `~numpy.ndarray`, shape ``grid.shape``
@@ -96,7 +96,7 @@ class PaperStack:
         ``(coefficient - mean) / std``, zero where no trial has a correlation.
     trial_z : `~numpy.ndarray`, shape (n_trials,)
         The largest z-score of each trial among all the others and the observed order.
-    components : tuple of `PaperComponent`
+    components : tuple of ``PaperComponent``
         The largest z-score first.
     n_ssp : int
         Number of SSPs, the denominator of the stack where weights are one.
@@ -130,7 +130,7 @@ def stack_patterns(
     ----------
     displacements : `Displacements`
         Of the matches of all ordered pairs of images that the orders compare.
-    pairs : `DatePairs`
+    pairs : ``DatePairs``
         Pairs of dates, see `consecutive_pairs` and `baseline_pairs`.
     orders : array_like of int, shape (n_trials, n_dates)
         Orders of the images over the dates, see `draw_orders`.
@@ -154,7 +154,7 @@ def stack_patterns(
 
     Returns
     -------
-    `PaperStack`
+    ``PaperStack``
 
     Raises
     ------

@@ -38,7 +38,7 @@ class VelocityPeak:
     --------
     >>> import numpy as np
     >>> from astro_scc.paper.peaks import find_velocity_peaks
-    >>> from astro_scc.paper import VelocityGrid
+    >>> from astro_scc.paper.stack import VelocityGrid
     >>> grid = VelocityGrid.covering(4.0, 0.25)
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
@@ -122,7 +122,7 @@ def find_velocity_peaks(
     --------
     >>> import numpy as np
     >>> from astro_scc.paper.peaks import find_velocity_peaks
-    >>> from astro_scc.paper import VelocityGrid
+    >>> from astro_scc.paper.stack import VelocityGrid
     >>> grid = VelocityGrid.covering(4.0, 0.25)
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]

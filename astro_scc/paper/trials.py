@@ -75,7 +75,7 @@ def consecutive_pairs(years: ArrayLike) -> DatePairs:
 
     Returns
     -------
-    `DatePairs`
+    ``DatePairs``
 
     Examples
     --------
@@ -105,7 +105,7 @@ def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePai
 
     Returns
     -------
-    `DatePairs`
+    ``DatePairs``
 
     Examples
     --------
@@ -141,7 +141,7 @@ def draw_orders(
 
     Parameters
     ----------
-    pairs : `DatePairs`
+    pairs : ``DatePairs``
     n_trials : int
     rng : `~numpy.random.Generator`
     most_pairs : int, optional
@@ -178,7 +178,7 @@ def image_pairs(pairs: DatePairs, orders: ArrayLike) -> np.ndarray:
 
     Parameters
     ----------
-    pairs : `DatePairs`
+    pairs : ``DatePairs``
     orders : array_like of int, shape (n_trials, n_dates)
         See `draw_orders`; the observed order is added.
 
