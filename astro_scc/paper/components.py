@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.paper.peaks import (
-    VelocityPeak,
     find_velocity_peaks,
     jitter_positions,
     normal_probability,
@@ -294,7 +293,7 @@ def _significance(stacks):
     return mean, std, z_score, highest[1:]
 
 
-def _component(stacker, peak: VelocityPeak, box, z_score, trial_z, alpha, rng):
+def _component(stacker, peak, box, z_score, trial_z, alpha, rng):
     """Return a maximum with its significance, errors, and matches."""
     n_trials = len(trial_z)
     # Equal orders give equal z-scores within rounding.

@@ -152,7 +152,10 @@ def find_velocity_peaks(
     return sorted(found, key=lambda c: -c.coefficient)
 
 
-def jitter_positions(stacker: Stacker, peak: VelocityPeak, box, n_trials, rng):
+def jitter_positions(
+    stacker: Stacker, peak: VelocityPeak, box: tuple[float, float], n_trials: int,
+    rng: np.random.Generator,
+) -> np.ndarray:  # fmt: skip
     """
     Shift the SSPs by their position errors and find a maximum of the stack again.
 
