@@ -8,13 +8,9 @@ from astro_scc.paper.trials import (
     consecutive_pairs,
     draw_orders,
     image_pairs,
-)
+)  # fmt: skip
 
 __all__ = [
-    "Displacements",
-    "baseline_pairs",
-    "consecutive_pairs",
-    "draw_orders",
-    "image_pairs",
-    "stack_patterns",
-]
+    "Displacements", "baseline_pairs", "consecutive_pairs", "draw_orders",
+    "image_pairs", "stack_patterns",
+]  # fmt: skip

@@ -233,17 +233,14 @@ def normal_probability(values: np.ndarray) -> float:
     True
     """
     n = len(values)
-    if n < FEWEST_VALUES:
-        return np.nan
-    covariance = np.cov(values.T, bias=True)
+    covariance = np.cov(values.T, bias=True) if n >= FEWEST_VALUES else np.zeros((2, 2))
     if not np.linalg.det(covariance) > 0:
         return np.nan
     root = np.linalg.cholesky(covariance)
     unit = np.linalg.solve(root, (values - values.mean(axis=0)).T)
-    skewness, kurtosis = (unit**3).mean(axis=1), (unit**4).mean(axis=1)
-    skewness /= np.sqrt(6 * (n - 2) / ((n + 1) * (n + 3)))
+    skewness = (unit**3).mean(axis=1) / np.sqrt(6 * (n - 2) / ((n + 1) * (n + 3)))
     variance = 24 * n * (n - 2) * (n - 3) / ((n + 1) ** 2 * (n + 3) * (n + 5))
-    kurtosis = (kurtosis - 3 * (n - 1) / (n + 1)) / np.sqrt(variance)
+    kurtosis = (unit**4).mean(axis=1) - 3 * (n - 1) / (n + 1)
     # The tail of a chi-squared distribution of four degrees of freedom.
-    half = 0.5 * float((skewness**2 + kurtosis**2).sum())
+    half = 0.5 * float((skewness**2 + kurtosis**2 / variance).sum())
     return float(np.exp(-half) * (1 + half))

@@ -216,10 +216,8 @@ class Stacker:
         number = reference * self.pairs.n_dates + target
         begin, end = self._begin[number], self._begin[number + 1]
         pair = np.repeat(np.arange(len(number)), end - begin)
-        within = np.arange(len(pair)) - np.repeat(
-            np.cumsum(end - begin) - (end - begin), end - begin
-        )
-        index = self._index[begin[pair] + within]
+        ends = zip(begin.tolist(), end.tolist(), strict=True)
+        index = np.concatenate([self._index[a:b] for a, b in ends])
         rate = 1 / self.pairs.interval[pair]
         moved = [column[index] * rate for column in (d.d1, d.d2, d.s1, d.s2)]
         weight = d.weight[index] * self.pairs.weight[pair]

@@ -162,8 +162,7 @@ def draw_orders(
     >>> len(image_pairs(pairs, orders)) < 6000
     True
     """
-    n = pairs.n_dates
-    size = n
+    n = size = pairs.n_dates
     if n * (n - 1) > most_pairs:
         size = max(int(np.sqrt(most_pairs / len(pairs))), FEWEST_EXCHANGED)
     orders = np.tile(np.arange(n), (n_trials, 1))
