@@ -33,12 +33,12 @@ from astro_scc.measurement.axes import matched_displacements
 from astro_scc.measurement.tables import velocity_columns
 from astro_scc.paper import (
     Displacements,
-    PaperStack,
-    VelocityGrid,
     draw_orders,
     image_pairs,
     stack_patterns,
 )
+from astro_scc.paper.components import PaperStack
+from astro_scc.paper.stack import VelocityGrid
 from astro_scc.parallel import workers_of
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
@@ -49,6 +49,8 @@ from astro_scc.writing import versions
 if TYPE_CHECKING:
     from distributed import Client
     from matplotlib.figure import Figure
+
+__all__ = ["PaperMeasurement", "measure_as_in_paper"]
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
@@ -71,10 +73,20 @@ class PaperMeasurement:
         The two axes of velocities.
     position_angle : `~astropy.units.Quantity`
         Direction of the jet, north through east.
-    stack : `~astro_scc.paper.PaperStack`
+    stack : ``PaperStack``
         In mas/yr.
     meta : dict
-        Settings, seed, number of trials and versions.
+        Level of significance, seed, numbers of trials, SSPs and pairs, and versions.
+
+    Examples
+    --------
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.paper_method import measure_as_in_paper
+    >>> from astro_scc.simulation import simulate_static
+    >>> cube = simulate_static(n_epochs=4, rng=1).cube
+    >>> found = measure_as_in_paper(cube, StackedCrossCorrelation(), n_trials=9, rng=1)
+    >>> found.velocity_map("z_score").data.shape == found.grid.shape
+    True
     """
 
     cube: EpochCube
@@ -107,7 +119,7 @@ class PaperMeasurement:
         """
         The components as a table, the largest z-score first.
 
-        Its columns are those of `~astro_scc.paper.PaperComponent`, with velocities on
+        Its columns are those of ``PaperComponent``, with velocities on
         the sky and along the jet.
         """
         rows = [
@@ -174,7 +186,7 @@ def component_row(component, number, frame, angle):
 
     Parameters
     ----------
-    component : `~astro_scc.paper.PaperComponent`
+    component : ``PaperComponent``
     number : int
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.paper.peaks import (
-    VelocityPeak,
     find_velocity_peaks,
     jitter_positions,
     normal_probability,
@@ -86,8 +85,8 @@ class PaperStack:
 
     Attributes
     ----------
-    grid : `VelocityGrid`
-    pairs : `DatePairs`
+    grid : ``VelocityGrid``
+    pairs : ``DatePairs``
     coefficient : `~numpy.ndarray`, shape ``grid.shape``
         The stack, of Eq. 6 of the paper.
     mean, std : `~numpy.ndarray`, shape ``grid.shape``
@@ -96,7 +95,7 @@ class PaperStack:
         ``(coefficient - mean) / std``, zero where no trial has a correlation.
     trial_z : `~numpy.ndarray`, shape (n_trials,)
         The largest z-score of each trial among all the others and the observed order.
-    components : tuple of `PaperComponent`
+    components : tuple of ``PaperComponent``
         The largest z-score first.
     n_ssp : int
         Number of SSPs, the denominator of the stack where weights are one.
@@ -130,7 +129,7 @@ def stack_patterns(
     ----------
     displacements : `Displacements`
         Of the matches of all ordered pairs of images that the orders compare.
-    pairs : `DatePairs`
+    pairs : ``DatePairs``
         Pairs of dates, see `consecutive_pairs` and `baseline_pairs`.
     orders : array_like of int, shape (n_trials, n_dates)
         Orders of the images over the dates, see `draw_orders`.
@@ -154,7 +153,7 @@ def stack_patterns(
 
     Returns
     -------
-    `PaperStack`
+    ``PaperStack``
 
     Raises
     ------
@@ -196,30 +195,27 @@ def stack_patterns(
         _require_pairs(pairs, orders, np.asarray(correlated))
     stacker = Stacker(displacements, pairs)
     grid = _grid(displacements, pairs, max_speed)
-    first, second = shift_beams * fwhm
-    shifts = (first, 0.0), (-first, 0.0), (0.0, second), (0.0, -second)
+    shifts = shift_beams * fwhm * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     # Single precision halves the time; ties of equal orders stay ties.
     stacks = np.empty((len(orders) + 1, *grid.shape), dtype=np.float32)
     stacks[0] = stacker.stack(grid, kind=np.float32)
     for k, order in enumerate(orders):
-        stacks[k + 1] = stacker.stack(
-            grid, order=order, shift=shifts[k % 4], kind=np.float32
-        )
+        shifted = {"order": order, "shift": shifts[k % 4]}
+        stacks[k + 1] = stacker.stack(grid, kind=np.float32, **shifted)
         if progress is not None:
             progress(1)
     mean, std, z_score, trial_z = _significance(stacks)
     box = tuple(fwhm / np.average(pairs.interval, weights=pairs.weight))
     coefficient = stacker.stack(grid)
     peaks = find_velocity_peaks(coefficient, grid, box)
-    peaks = sorted(peaks, key=lambda c: -z_score[c.row, c.column])
+    peaks.sort(key=lambda c: -z_score[c.row, c.column])
     noise = np.quantile(trial_z, 1 - MOST_NOISE)
     strong = [c for c in peaks[1:] if z_score[c.row, c.column] > noise]
     components = tuple(
         _component(stacker, c, box, z_score[c.row, c.column], trial_z, alpha, rng)
         for c in peaks[:1] + strong
     )
-    reference, _ = pairs.images()
-    number = int(displacements.n_ssps[np.unique(reference)].sum())
+    number = int(displacements.n_ssps[np.unique(pairs.first)].sum())
     return PaperStack(
         grid, pairs, coefficient, mean, std, z_score, trial_z, components, number
     )
@@ -238,12 +234,12 @@ def _checked(displacements, pairs, orders, fwhm, max_speed):
     if not (shape_fits and np.array_equal(np.sort(orders), [range(n)] * len(orders))):
         raise ValueError(f"orders must be two or more permutations of {n} epochs")
     checked = []
-    for name, value in (("fwhm", fwhm), ("max_speed", max_speed)):
-        if np.shape(value) not in ((), (1,), (2,)) or not np.all(
-            (np.asarray(value) > 0) & np.isfinite(value)
-        ):
-            raise ValueError(f"{name} must be one or two numbers above 0, got {value}")
-        checked.append(np.broadcast_to(np.asarray(value, dtype=float), 2))
+    for name, given in (("fwhm", fwhm), ("max_speed", max_speed)):
+        value = np.asarray(given, dtype=float)
+        fits = value.shape in ((), (1,), (2,))
+        if not (fits and np.all((value > 0) & np.isfinite(value))):
+            raise ValueError(f"{name} must be one or two numbers above 0, got {given}")
+        checked.append(np.broadcast_to(value, 2))
     return checked
 
 
@@ -275,26 +271,22 @@ def _significance(stacks):
     of equals.  The largest z-score of each of the others is returned, too.
     """
     n = len(stacks)
-    total, squares = np.zeros(stacks.shape[1:]), np.zeros(stacks.shape[1:])
-    for stack in stacks:
-        stack = stack.astype(float)
-        total += stack
-        squares += stack**2
+    total = stacks.sum(axis=0, dtype=float)
+    squares = np.einsum("kij,kij->ij", stacks, stacks, dtype=float)
     variance = np.maximum(squares / n - (total / n) ** 2, 0.0)
     floor = STD_FLOOR * np.sqrt(variance.max() * n / (n - 1))
     highest = np.zeros(n)
     for k in range(n - 1, -1, -1):
         stack = stacks[k].astype(float)
         mean = (total - stack) / (n - 1)
-        variance = (squares - stack**2) / (n - 1) - mean**2
-        variance *= (n - 1) / max(n - 2, 1)
+        variance = (squares - stack**2 - (n - 1) * mean**2) / (n - 2)
         std = np.sqrt(np.maximum(variance, floor**2))
         z_score = np.divide(stack - mean, std, out=np.zeros_like(std), where=std > 0)
         highest[k] = z_score.max()
     return mean, std, z_score, highest[1:]
 
 
-def _component(stacker, peak: VelocityPeak, box, z_score, trial_z, alpha, rng):
+def _component(stacker, peak, box, z_score, trial_z, alpha, rng):
     """Return a maximum with its significance, errors, and matches."""
     n_trials = len(trial_z)
     # Equal orders give equal z-scores within rounding.
@@ -306,22 +298,11 @@ def _component(stacker, peak: VelocityPeak, box, z_score, trial_z, alpha, rng):
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     error = np.sqrt(np.diag(covariance))
     index, pair, (v1, v2, s1, s2, _) = stacker.velocities()
-    distance = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2)
-    member = distance <= MEMBER_SIGMA
+    member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= MEMBER_SIGMA
+    n_ssp = len(np.unique(stacker.displacements.ssp[index[member]]))
     return PaperComponent(
-        v1=peak.v1,
-        v2=peak.v2,
-        v1_err=float(error[0]),
-        v2_err=float(error[1]),
-        correlation=float(covariance[0, 1] / np.prod(error)),
-        coefficient=peak.coefficient,
-        z_score=float(z_score),
-        p_global=float(p_global),
-        significant=bool(p_global <= alpha),
-        offset1=float(offset[0]),
-        offset2=float(offset[1]),
-        p_normal=normal_probability(away),
-        found=len(away) / n_trials,
-        n_ssp=len(np.unique(stacker.displacements.ssp[index[member]])),
-        n_pairs=len(np.unique(pair[member])),
-    )
+        peak.v1, peak.v2, *error.tolist(), float(covariance[0, 1] / np.prod(error)),
+        peak.coefficient, float(z_score), p_global, p_global <= alpha,
+        *offset.tolist(), normal_probability(away), len(away) / n_trials,
+        n_ssp, len(np.unique(pair[member])),
+    )  # fmt: skip

@@ -38,7 +38,7 @@ class VelocityPeak:
     --------
     >>> import numpy as np
     >>> from astro_scc.paper.peaks import find_velocity_peaks
-    >>> from astro_scc.paper import VelocityGrid
+    >>> from astro_scc.paper.stack import VelocityGrid
     >>> grid = VelocityGrid.covering(4.0, 0.25)
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
@@ -122,7 +122,7 @@ def find_velocity_peaks(
     --------
     >>> import numpy as np
     >>> from astro_scc.paper.peaks import find_velocity_peaks
-    >>> from astro_scc.paper import VelocityGrid
+    >>> from astro_scc.paper.stack import VelocityGrid
     >>> grid = VelocityGrid.covering(4.0, 0.25)
     >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
     >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]
@@ -152,7 +152,10 @@ def find_velocity_peaks(
     return sorted(found, key=lambda c: -c.coefficient)
 
 
-def jitter_positions(stacker: Stacker, peak: VelocityPeak, box, n_trials, rng):
+def jitter_positions(
+    stacker: Stacker, peak: VelocityPeak, box: tuple[float, float], n_trials: int,
+    rng: np.random.Generator,
+) -> np.ndarray:  # fmt: skip
     """
     Shift the SSPs by their position errors and find a maximum of the stack again.
 
@@ -230,17 +233,14 @@ def normal_probability(values: np.ndarray) -> float:
     True
     """
     n = len(values)
-    if n < FEWEST_VALUES:
-        return np.nan
-    covariance = np.cov(values.T, bias=True)
+    covariance = np.cov(values.T, bias=True) if n >= FEWEST_VALUES else np.zeros((2, 2))
     if not np.linalg.det(covariance) > 0:
         return np.nan
     root = np.linalg.cholesky(covariance)
     unit = np.linalg.solve(root, (values - values.mean(axis=0)).T)
-    skewness, kurtosis = (unit**3).mean(axis=1), (unit**4).mean(axis=1)
-    skewness /= np.sqrt(6 * (n - 2) / ((n + 1) * (n + 3)))
+    skewness = (unit**3).mean(axis=1) / np.sqrt(6 * (n - 2) / ((n + 1) * (n + 3)))
     variance = 24 * n * (n - 2) * (n - 3) / ((n + 1) ** 2 * (n + 3) * (n + 5))
-    kurtosis = (kurtosis - 3 * (n - 1) / (n + 1)) / np.sqrt(variance)
+    kurtosis = (unit**4).mean(axis=1) - 3 * (n - 1) / (n + 1)
     # The tail of a chi-squared distribution of four degrees of freedom.
-    half = 0.5 * float((skewness**2 + kurtosis**2).sum())
+    half = 0.5 * float((skewness**2 + kurtosis**2 / variance).sum())
     return float(np.exp(-half) * (1 + half))

@@ -43,6 +43,18 @@ class Displacements:
     ValueError
         If the columns differ in length, an error is not above 0, or an epoch does not
         exist.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.paper import Displacements
+    >>> one, number = np.ones(2), np.array([0, 1])
+    >>> there_and_back = Displacements(
+    ...     d1=np.array([0.5, -0.5]), d2=0 * one, s1=0.2 * one, s2=0.2 * one,
+    ...     weight=0.9 * one, reference=number, target=number[::-1], ssp=number,
+    ...     target_ssp=number[::-1], n_ssps=np.array([1, 1]))
+    >>> len(there_and_back)
+    2
     """
 
     d1: np.ndarray
@@ -85,7 +97,7 @@ class VelocityGrid:
 
     Examples
     --------
-    >>> from astro_scc.paper import VelocityGrid
+    >>> from astro_scc.paper.stack import VelocityGrid
     >>> grid = VelocityGrid.covering(2.0, 0.5)
     >>> grid.shape, grid.v1.tolist()[:3]
     ((9, 9), [-2.0, -1.5, -1.0])
@@ -127,7 +139,7 @@ class VelocityGrid:
 
         Examples
         --------
-        >>> from astro_scc.paper import VelocityGrid
+        >>> from astro_scc.paper.stack import VelocityGrid
         >>> VelocityGrid.covering(2.0, 0.3).v1.round(2)
         array([-2.  , -1.71, -1.43, -1.14, -0.86, -0.57, -0.29, 0.  ,
                0.29, 0.57, 0.86, 1.14, 1.43, 1.71, 2.  ])
@@ -172,7 +184,7 @@ class Stacker:
     Parameters
     ----------
     displacements : `Displacements`
-    pairs : `~astro_scc.paper.DatePairs`
+    pairs : ``DatePairs``
     """
 
     def __init__(self, displacements: Displacements, pairs: DatePairs):
@@ -204,10 +216,8 @@ class Stacker:
         number = reference * self.pairs.n_dates + target
         begin, end = self._begin[number], self._begin[number + 1]
         pair = np.repeat(np.arange(len(number)), end - begin)
-        within = np.arange(len(pair)) - np.repeat(
-            np.cumsum(end - begin) - (end - begin), end - begin
-        )
-        index = self._index[begin[pair] + within]
+        ends = zip(begin.tolist(), end.tolist(), strict=True)
+        index = np.concatenate([self._index[a:b] for a, b in ends])
         rate = 1 / self.pairs.interval[pair]
         moved = [column[index] * rate for column in (d.d1, d.d2, d.s1, d.s2)]
         weight = d.weight[index] * self.pairs.weight[pair]

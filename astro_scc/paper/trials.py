@@ -75,7 +75,7 @@ def consecutive_pairs(years: ArrayLike) -> DatePairs:
 
     Returns
     -------
-    `DatePairs`
+    ``DatePairs``
 
     Examples
     --------
@@ -105,7 +105,7 @@ def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePai
 
     Returns
     -------
-    `DatePairs`
+    ``DatePairs``
 
     Examples
     --------
@@ -141,7 +141,7 @@ def draw_orders(
 
     Parameters
     ----------
-    pairs : `DatePairs`
+    pairs : ``DatePairs``
     n_trials : int
     rng : `~numpy.random.Generator`
     most_pairs : int, optional
@@ -162,8 +162,7 @@ def draw_orders(
     >>> len(image_pairs(pairs, orders)) < 6000
     True
     """
-    n = pairs.n_dates
-    size = n
+    n = size = pairs.n_dates
     if n * (n - 1) > most_pairs:
         size = max(int(np.sqrt(most_pairs / len(pairs))), FEWEST_EXCHANGED)
     orders = np.tile(np.arange(n), (n_trials, 1))
@@ -178,7 +177,7 @@ def image_pairs(pairs: DatePairs, orders: ArrayLike) -> np.ndarray:
 
     Parameters
     ----------
-    pairs : `DatePairs`
+    pairs : ``DatePairs``
     orders : array_like of int, shape (n_trials, n_dates)
         See `draw_orders`; the observed order is added.
 

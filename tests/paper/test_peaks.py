@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.paper import Displacements, VelocityGrid, consecutive_pairs
+from astro_scc.paper import Displacements, consecutive_pairs
 from astro_scc.paper.peaks import (
     VelocityPeak,
     find_velocity_peaks,
@@ -17,7 +17,7 @@ from astro_scc.paper.peaks import (
     jitter_positions,
     normal_probability,
 )
-from astro_scc.paper.stack import Stacker
+from astro_scc.paper.stack import Stacker, VelocityGrid
 
 GRID = VelocityGrid.covering((10.0, 8.0), (0.5, 0.4))
 BOX = (6.0, 6.0)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from astro_scc.paper import (
     Displacements,
-    VelocityGrid,
     baseline_pairs,
     components,
     consecutive_pairs,
@@ -20,7 +19,7 @@ from astro_scc.paper import (
     stack_patterns,
 )
 from astro_scc.paper import stack as module
-from astro_scc.paper.stack import Stacker
+from astro_scc.paper.stack import Stacker, VelocityGrid
 
 COARSE = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
 EVEN = np.arange(12.0) / 2

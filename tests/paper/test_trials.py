@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from scipy.stats import chisquare
 
 from astro_scc.paper import (
-    VelocityGrid,
     baseline_pairs,
     consecutive_pairs,
     draw_orders,
     image_pairs,
 )
+from astro_scc.paper.stack import VelocityGrid
 
 speed = st.floats(0.01, 100.0)
 
