@@ -115,11 +115,16 @@ def sample_planes(
         ]
         for j, plane in enumerate(found):
             planes[j, k] = map_coordinates(plane, where, order=order, mode="constant")
-        valid[k] = inside if own is None else inside & (
-            map_coordinates(missing.astype(float), where, order=1, cval=1.0) < 0.5
+        valid[k] = (
+            inside
+            if own is None
+            else inside
+            & (map_coordinates(missing.astype(float), where, order=1, cval=1.0) < 0.5)
         )
     mask = map_coordinates(seen[box].astype(float), where, order=1) > 0.5
-    side = cube.pixel_scale.to_value(u.mas) / grid.beam / (grid.along[1] - grid.along[0])
+    side = (
+        cube.pixel_scale.to_value(u.mas) / grid.beam / (grid.along[1] - grid.along[0])
+    )
     return flow_planes(
         planes,
         valid,

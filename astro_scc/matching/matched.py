@@ -135,6 +135,7 @@ class DecomposedEpochs:
         vars(found)["features"] = self.features
         return found
 
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MatchedEpochs(DecomposedEpochs):
     """
@@ -299,9 +300,7 @@ def match_epochs(
     return found
 
 
-def find_patterns(
-    cube, decomposer, *, region=None, n_workers=1, progress_bar=False
-):
+def find_patterns(cube, decomposer, *, region=None, n_workers=1, progress_bar=False):
     """
     Decompose epochs into SSPs.
 

@@ -80,7 +80,5 @@ def _by_scale(flow):
         return []
     return [
         (f"{name} scales ({', '.join(f'{s:g}' for s in own)})", {"scales": tuple(own)})
-        for name, own in zip(
-            ("fine", "coarse"), np.array_split(scales, 2), strict=True
-        )
+        for name, own in zip(("fine", "coarse"), np.array_split(scales, 2), strict=True)
     ]

@@ -230,15 +230,19 @@ def _cautions(result, k, row, p_err, alpha):
         if search.test.p_smallest > alpha:
             more += ", which so few epochs or trials cannot reach"
         yield more
-        yield f"speeds of {shown(search.slowest)} to {shown(search.fastest)} were "\
+        yield (
+            f"speeds of {shown(search.slowest)} to {shown(search.fastest)} were "
             "searched: slower motion needs a longer time, faster shorter intervals"
+        )
     if stream.kind != "moving":
         return
     if row["pm_parallel"] < -abs(row["pm_transverse"]):
         yield "moves towards the core"
     if stream.p_global > alpha:
-        yield f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}: the motion "\
+        yield (
+            f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}: the motion "
             "rests on its secure features too"
+        )
     elif abs(stream.p_global - alpha) <= 2 * p_err and (
         stream.p_global > search.test.p_smallest
     ):
@@ -247,8 +251,10 @@ def _cautions(result, k, row, p_err, alpha):
         yield "no secure feature moves at this speed: it is that of the spectrum alone"
     speed = float(np.hypot(*stream.velocity))
     if speed > AMBIGUOUS * search.unambiguous:
-        yield f"faster than {shown(search.unambiguous)}, a beam in the median interval, "\
+        yield (
+            f"faster than {shown(search.unambiguous)}, a beam in the median interval, "
             "patterns could be mistaken for one another"
+        )
     if speed > NEAR * search.fastest:
         yield f"near the fastest speed that is searched, {shown(search.fastest)}"
     if speed < search.slowest / NEAR:

@@ -98,7 +98,9 @@ def correlate(flow, *, region=None, across=0):
             continue
         found = np.zeros((n, n), np.float32)
         for plane in flow.values:
-            first = plane[:, here, left] if region is None else plane[:, here, left] * at
+            first = (
+                plane[:, here, left] if region is None else plane[:, here, left] * at
+            )
             found += first.reshape(n, -1) @ plane[:, there, right].reshape(n, -1).T
         sums[:, :, half + k] = found / (total * len(flow.values))
     if across == 0:

@@ -106,7 +106,9 @@ def spectrum_speeds(years, fastest=None, intervals=EVERY):
 def widths_of(speed):
     """Return the widths of the bins of speeds."""
     edges = (speed[1:] + speed[:-1]) / 2
-    edges = np.concatenate([[2 * speed[0] - edges[0]], edges, [2 * speed[-1] - edges[-1]]])
+    edges = np.concatenate(
+        [[2 * speed[0] - edges[0]], edges, [2 * speed[-1] - edges[-1]]]
+    )
     return np.diff(edges)
 
 
@@ -122,7 +124,9 @@ def interval_bins(years):
     """
     tau = years - years[:, None]
     use = tau != 0
-    key = np.floor(np.log(np.abs(tau[use]) / np.abs(tau[use]).min()) / np.log(INTERVALS))
+    key = np.floor(
+        np.log(np.abs(tau[use]) / np.abs(tau[use]).min()) / np.log(INTERVALS)
+    )
     key = 2 * key.astype(int) + (tau[use] > 0)
     _, index = np.unique(key, return_inverse=True)
     bins = np.full(tau.shape, -1)

@@ -303,9 +303,7 @@ def _scores(diagram, speed, tau, orders, intervals):
     own = autocorrelation(diagram)[zero:]
     odd = sums[:, :, zero:][:, :, use]
     odd = _sandwich(to_innovations, odd - odd.transpose(1, 0, 2))
-    power = np.einsum(
-        "ia,ab,ib->i", to_innovations, sums[:, :, zero], to_innovations
-    )
+    power = np.einsum("ia,ab,ib->i", to_innovations, sums[:, :, zero], to_innovations)
     size = np.sqrt(np.maximum(power, np.finfo(float).tiny))
     size /= np.sqrt(max((size**2).mean(), np.finfo(float).tiny))
     odd = odd / (size[:, None] * size)[..., None]

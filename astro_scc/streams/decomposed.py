@@ -201,8 +201,14 @@ def decompose_flow(
     reach = _reach(cube, max_speed, beam)
     planes = tuple(
         sample_planes(
-            cube, g, tuple(scales), seen, kernel=kernel, normalise=normalise,
-            order=order, reach=reach,
+            cube,
+            g,
+            tuple(scales),
+            seen,
+            kernel=kernel,
+            normalise=normalise,
+            order=order,
+            reach=reach,
         )  # fmt: skip
         for g in grids
     )

@@ -218,8 +218,12 @@ def find_streams(
     prefer = flow.directed and flow.outward
     inward = 0.0 if outward and flow.directed else (0.1 if prefer else 1.0)
     test = test_motion(
-        diagrams, fastest=flow.fastest, intervals=intervals, n_trials=n_trials,
-        inward=inward, rng=rng,
+        diagrams,
+        fastest=flow.fastest,
+        intervals=intervals,
+        n_trials=n_trials,
+        inward=inward,
+        rng=rng,
     )
     found = test
     if len(flow.planes) > 1:

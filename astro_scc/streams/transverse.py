@@ -50,7 +50,9 @@ def transverse_speed(sheet, aside, speed):
     variance = aside**2 / (2 * np.log(top / beside))
     moved = (speed * tau)[..., None]
     own = autocorrelation(on)
-    ray = np.interp(x - moved, x, own, left=0, right=0) * np.exp(-np.abs(moved) / LENGTH)
+    ray = np.interp(x - moved, x, own, left=0, right=0) * np.exp(
+        -np.abs(moved) / LENGTH
+    )
     ray *= on.overlap
     odd = (ray * (above.sums - below.sums)).sum(axis=2) * tau
     even = (ray * (on.sums - on.sums.mean(axis=(0, 1)))).sum(axis=2) * tau**2
