@@ -196,17 +196,18 @@ def component_row(component, number, frame, angle):
     -------
     dict
     """
-    own = component
-    covariance = np.diag([own.v1_err**2, own.v2_err**2])
-    covariance[0, 1] = covariance[1, 0] = own.correlation * own.v1_err * own.v2_err
-    velocity = np.array([own.v1, own.v2])
-    still = np.hypot(own.v1 / own.v1_err, own.v2 / own.v2_err) <= STILL_SIGMA
+    errors = np.array([component.v1_err, component.v2_err])
+    correlations = np.full((2, 2), component.correlation)
+    np.fill_diagonal(correlations, 1.0)
+    covariance = correlations * np.outer(errors, errors)
+    velocity = np.array([component.v1, component.v2])
+    still = np.hypot(*(velocity / errors)) <= STILL_SIGMA
     kind = "stationary" if still else "moving"
     return {
         "component": number,
-        "kind": kind if own.significant else "not significant",
+        "kind": kind if component.significant else "not significant",
         **velocity_columns(velocity, covariance, frame, angle),
-        **asdict(own),
+        **asdict(component),
     }
 
 
@@ -296,13 +297,14 @@ def measure_as_in_paper(
             )  # fmt: skip
     matched = MatchedEpochs(cube, decomposer, ssps, select, matches, correlator, reach)
     samples, frame = matched_displacements(matched, settings)
-    own = {field.name: getattr(samples, field.name) for field in fields(Displacements)}
+    names = (field.name for field in fields(Displacements))
+    displacements = Displacements(**{name: getattr(samples, name) for name in names})
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
     with progress(n_trials, "Permuting", show=progress_bar) as done:
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1, "blas"):
             stack = stack_patterns(
-                Displacements(**own), pairs, orders,
+                displacements, pairs, orders,
                 fwhm=resolved(axes).mean(axis=0), max_speed=speed, rng=generator,
                 alpha=settings.alpha, correlated=matches.pairs, progress=done,
                 shift_beams=SMALL_SHIFT * settings.small_displacement_correction,

@@ -8,8 +8,10 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement.result import map_hdus
-from astro_scc.paper_method import measure_as_in_paper
+from astro_scc.paper.components import PaperComponent
+from astro_scc.paper_method import component_row, measure_as_in_paper
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.units import PM_UNIT
 
@@ -117,12 +119,34 @@ def test_a_baseline_compares_epochs_that_are_farther_apart(cube, region):
     assert np.abs(found.z_score - plain.z_score).max() > 0.1
 
 
-def test_what_stands_still_is_stationary(jet_cube):
-    """The core; radial axes have no direction on the sky."""
-    own = settings(position_angle="radial", max_speed=12 * u.mas / u.yr)
+def test_radial_axes_have_no_direction_on_the_sky(jet_cube):
+    own = settings(position_angle="radial", max_speed=12 * PM_UNIT)
     found = measure_as_in_paper(jet_cube, own, n_trials=20, rng=1)
     assert np.isnan(found.components["pm_ra_cosdec"]).all()
+    assert np.isfinite(found.components["pm_parallel"]).all()
     assert found.grid.v_max == pytest.approx((12.0, 12.0))
+
+
+@pytest.mark.parametrize(
+    ("speed", "significant", "kind"),
+    [
+        (0.59, True, "stationary"),
+        (0.61, True, "moving"),
+        (0.61, False, "not significant"),
+    ],
+)
+def test_what_is_within_three_errors_of_rest_is_stationary(speed, significant, kind):
+    """Errors on both axes and their correlation give those on the sky."""
+    component = PaperComponent(
+        speed, 0.0, 0.2, 0.1, 0.5, 0.3, 6.0, 0.01, significant, 0.0, 0.0, 0.5, 1.0, 9, 3
+    )
+    frame = PositionAngleFrame(45 * u.deg)
+    row = component_row(component, 1, frame, frame.pa)
+    assert row["kind"] == kind
+    assert row["pm_parallel"] == pytest.approx(speed)
+    assert (row["pm_err"], row["pm_transverse_err"]) == pytest.approx((0.2, 0.1))
+    east = np.sqrt((0.2**2 + 0.1**2 + 2 * 0.5 * 0.2 * 0.1) / 2)
+    assert row["pm_ra_cosdec_err"] == pytest.approx(east)
 
 
 @pytest.mark.parametrize(

@@ -200,8 +200,8 @@ def stack_patterns(
     stacks = np.empty((len(orders) + 1, *grid.shape), dtype=np.float32)
     stacks[0] = stacker.stack(grid, kind=np.float32)
     for k, order in enumerate(orders):
-        shifted = {"order": order, "shift": shifts[k % 4]}
-        stacks[k + 1] = stacker.stack(grid, kind=np.float32, **shifted)
+        shift = shifts[k % 4]
+        stacks[k + 1] = stacker.stack(grid, order=order, shift=shift, kind=np.float32)
         if progress is not None:
             progress(1)
     mean, std, z_score, trial_z = _significance(stacks)
