@@ -20,7 +20,7 @@ from astro_scc.spectrum.gaussians import (
 from astro_scc.spectrum.maps import VelocityMap, velocity_map
 from astro_scc.spectrum.permutations import EVERY, MotionTest, test_motion
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.spread import mean_speed, separation
+from astro_scc.streams.spread import chance_of_separation, mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
 
 #: With a secure feature that moves, this p_global is enough.
@@ -39,10 +39,10 @@ ASIDE = 0.4
 #: Without a known direction, that of the flow is found in so many turns, of at most
 #: and at least so many radians.
 MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
-#: Two streams are one broad one if as many features on both sides of their middle are
-#: less separate, unless the speeds differ by such a factor; if they are, two streams
-#: need explain less.
-FEWEST, SEPARATE, BROAD, LEAST_GAIN = 5, 0.9, 6.0, 0.03
+#: Two streams are one broad one if as many features are less separate, unless the speeds
+#: differ by such a factor; if they are more separate, two streams need explain less.
+#: Features tell if such a share of them is on either side of the middle.
+FEWEST, SEPARATE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.9, 6.0, 0.03, 0.2
 #: Features speak for a flow if they are this share of all detections.
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
@@ -263,6 +263,10 @@ def find_streams(
     passes = test.p_global <= (WITH_FEATURES if with_features else alpha)
     if passes and one is not None:
         second, p_distinct = test.beside(test.speed[best], least / 2)
+        if len(moving.along) >= FEWEST:
+            chance = chance_of_separation(np.abs(moving.along), n_trials, map_rng)
+            # The smaller p of two tests.
+            p_distinct = min(1.0, 2 * min(p_distinct, chance))
         two = None
         if p_distinct <= alpha:
             two = two_streams(equations, one, least, (test.speed[best], second))
@@ -292,7 +296,7 @@ def _are_two(equations, one, two, moving, beam):
     """Return whether spectrum and features show two streams rather than a broad one."""
     slow, fast = np.abs(two.mean) * beam
     speed, middle = np.abs(moving.along), np.sqrt(slow * fast)
-    known = len(speed) >= FEWEST and (speed < middle).any() and (speed > middle).any()
+    known = len(speed) >= FEWEST and LEAST_SIDE <= (speed > middle).mean() <= 1 - LEAST_SIDE
     apart = separation(speed) if known else np.nan
     if known and apart < SEPARATE and fast < BROAD * slow:
         return False

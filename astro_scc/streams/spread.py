@@ -45,13 +45,41 @@ def separation(speed):
     -------
     float
     """
-    y = np.sort(np.log(np.asarray(speed, float)))
-    total, best = y.var(), 0.0
-    for k in range(1, len(y)):
-        share = k / len(y)
-        apart = y[k:].mean() - y[:k].mean()
-        best = max(best, share * (1 - share) * apart**2)
-    return float(best / total) if total > 0 else 0.0
+    return float(_separation(np.log(np.asarray(speed, float))[None])[0])
+
+
+def chance_of_separation(speed, n_trials, rng):
+    """
+    Return the probability that the speeds of one stream are as separate.
+
+    They are drawn from a uniform distribution: of all distributions without a gap, it
+    looks most like two.
+
+    Parameters
+    ----------
+    speed : array_like, shape (n,)
+        Positive.
+    n_trials : int
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    float
+    """
+    found = separation(speed)
+    trials = _separation(rng.uniform(size=(n_trials, len(speed))))
+    return float((1 + np.sum(trials >= found)) / (1 + n_trials))
+
+
+def _separation(y):
+    """Return the separation of each row of values."""
+    y = np.sort(y, axis=1)
+    n, low = y.shape[1], np.cumsum(y, axis=1)[:, :-1]
+    number = np.arange(1, n)
+    apart = (low[:, -1:] + y[:, -1:] - low) / (n - number) - low / number
+    between = (number * (n - number) / n**2 * apart**2).max(axis=1, initial=0.0)
+    total = y.var(axis=1)
+    return np.divide(between, total, out=np.zeros(len(y)), where=total > 0)
 
 
 def mean_speed(speed, error, weight):
