@@ -22,7 +22,7 @@ def _of_features(plot):
     """Return a function of a result that draws its features, coloured by stream."""
 
     def draw(result, **options):
-        own = {"component": result.features["component"], **options}
+        own = {"stream": result.features["stream"], **options}
         return plot(result.tracked_features, **own)
 
     return draw
@@ -34,7 +34,6 @@ FIGURES = {
     "significance": velocity.plot_significance,
     "paper": velocity.plot_map_and_significance,
     "diagram": velocity.plot_diagram,
-    "members": tracks.plot_members,
     "speeds": plot_feature_speeds,
     "tracks": _of_features(tracks.plot_tracks),
     "separation": _of_features(tracks.plot_separation),
