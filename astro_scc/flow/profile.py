@@ -22,7 +22,7 @@ from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.matching import MatchedEpochs, select_ssps
 from astro_scc.measurement import SCCResult, false_discovery_rate
-from astro_scc.measurement.tables import Components, component_table, stack_tables
+from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.quantities import random_generator
 from astro_scc.scc import StackedCrossCorrelation, seeded
@@ -284,7 +284,7 @@ class Profile(Components):
         the largest coefficient that is not significant.
         """
         tables = [
-            component_table([]) if r is None else r.components for r in self.results
+            stream_table([]) if r is None else r.components for r in self.results
         ]
         adjusted = false_discovery_rate(tables)
         placed = list(map(_in_bin, adjusted, self.bins))

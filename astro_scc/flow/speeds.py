@@ -18,9 +18,6 @@ from astro_scc.matching import MatchedEpochs, select_ssps
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import projection_of
 from astro_scc.quantities import with_error
-from astro_scc.streams.chains import SAME_FEATURE
-from astro_scc.streams.diagram import DEFAULT
-from astro_scc.streams.dispersion import feature_speeds, random_effects, scattered_fit
 from astro_scc.units import PM_UNIT, offset_unit
 
 #: Distance in beams below which the core shifts features.
