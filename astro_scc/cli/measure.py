@@ -3,7 +3,6 @@
 
 import math
 import shlex
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,17 +20,13 @@ from astro_scc.products import write_epoch_regions, write_products
 from astro_scc.products.folder import product_folder
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
-from astro_scc.report.page import PRODUCTS, flow_lines
+from astro_scc.report.page import PRODUCTS
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES
-from astro_scc.writing import make_folder, versions
+from astro_scc.writing import versions
 
-#: Folder, within the folder of the products, for what an interrupted run goes on from,
-#: and what is in it.
-WORK = ".astro_scc-work"
-SEED, MATCHES = "seed.txt", "matches.fits"
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (
     *PRODUCTS,
@@ -51,15 +46,11 @@ FIRST, LAST = 60, 160
 def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
-    output, overwrite = inputs.output_of(args, settings), args.overwrite
-    reporter.resumes = args.resume
-    work = working_folder(output, overwrite) if args.resume else None
-    with product_folder(output, overwrite=overwrite or work, stale=STALE) as folder:
-        if work and settings.seed is None:
-            settings = settings.changed(seed=kept_seed(work))
+    output = inputs.output_of(args, settings)
+    with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
-        result = _measured(epochs, reporter, cache=work and work / MATCHES)
-        components = write_measurement(
+        result = _measured(epochs, reporter)
+        streams = write_measurement(
             result, epochs.settings, folder, output=output, published=epochs.published,
             report=not args.no_report, warnings=reporter.warnings,
             left_out=epochs.left_out, chosen=epochs.chosen, pdf=args.pdf,
@@ -70,9 +61,8 @@ def measure(args, reporter):
     own = result.features, result.tracked_features
     features = with_published(*own, epochs.published)
     reporter.say(
-        *answer.component_lines(components, features),
+        *answer.stream_lines(streams, features),
         *answer.published_lines(features),
-        *flow_lines(result),
         *epochs.found,
         f"\nTables and maps: {output}"
         if args.no_report
@@ -80,8 +70,8 @@ def measure(args, reporter):
     )
 
 
-def _measured(epochs, reporter, *, cache=None):
-    """Return the measurement of epochs; ``cache`` is where matches are kept."""
+def _measured(epochs, reporter):
+    """Return the measurement of epochs."""
     settings = epochs.settings
     return StackedCrossCorrelation.from_settings(settings)(
         epochs.cube,
@@ -89,7 +79,6 @@ def _measured(epochs, reporter, *, cache=None):
         n_trials=settings.n_trials,
         rng=settings.seed,
         n_workers=epochs.n_workers,
-        cache=cache,
         progress_bar=reporter.progress,
     )
 
@@ -122,12 +111,12 @@ def write_measurement(
     Returns
     -------
     `~astropy.table.QTable`
-        The components.
+        The streams.
     """
     how = settings.in_c
-    components = result.components_in_c(**how) if how else result.components
+    streams = result.components_in_c(**how) if how else result.streams
     write_products(
-        result, components, folder, configuration=settings.to_dict(),
+        result, streams, folder, configuration=settings.to_dict(),
         text=settings.to_toml(versions=versions()), published=published,
         archives=archives,
     )  # fmt: skip
@@ -136,31 +125,10 @@ def write_measurement(
         if compare:
             rerun += f" --compare {shlex.quote(compare)}"
         write_report(
-            result, folder, components=components, rerun=rerun, published=published,
+            result, folder, streams=streams, rerun=rerun, published=published,
             explore=f"astro-scc explore {output}", **page,
         )  # fmt: skip
-    return components
-
-
-def working_folder(output, overwrite):
-    """Make and return the folder that --resume needs."""
-    work = output / WORK
-    if not (overwrite or work.is_dir()) and output.is_dir() and any(output.iterdir()):
-        raise OSError(
-            f"{output}: exists and is not of a run with --resume; choose another "
-            "folder, or --overwrite"
-        )
-    make_folder(work, output)
-    return work
-
-
-def kept_seed(work):
-    """Return the seed of a run that may be resumed, and draw it the first time."""
-    with suppress(OSError, ValueError):
-        return int((work / SEED).read_text(encoding="ascii"))
-    seed = inputs.draw_seed()
-    (work / SEED).write_text(f"{seed}\n", encoding="ascii")
-    return seed
+    return streams
 
 
 # -- in bins of distance -------------------------------------------------------------
@@ -242,13 +210,13 @@ def demo(args, reporter):
         # Where they will be when the folder is complete.
         paths = [str(output / path.relative_to(folder)) for path in (region, *files)]
         settings = epochs.settings.changed(region=paths[0], epochs=paths[1:])
-        components = write_measurement(
+        streams = write_measurement(
             result, settings, folder, output=output, warnings=reporter.warnings
         )
     reporter.say(
         *_truth_lines(jet),
         "\nMeasured:",
-        *answer.component_lines(components, result.features),
+        *answer.stream_lines(streams, result.features),
         f"\nReport: {output / 'report.html'}",
     )
 
@@ -277,7 +245,7 @@ def explore(args, reporter):
 
     folder = Path(args.folder)
     advice = "; name a folder that astro-scc measure has written"
-    names = ("components", "features")
+    names = ("streams", "features")
     tables = [inputs.read_table(folder / f"{name}.ecsv", advice) for name in names]
     try:
         hdus = fits.open(folder / "scc.fits")

@@ -32,7 +32,8 @@ from astro_scc.columns import round_to_errors, table_lines
 from astro_scc.images.grid import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
 from astro_scc.matching import select_ssps
-from astro_scc.measurement import component_table, false_discovery_rate
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement.tables import stream_table
 from astro_scc.products.folder import plain_meta
 from astro_scc.products.publication import (
     FOLDER,
@@ -214,7 +215,7 @@ def _write_catalogues(table, features, output):
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
     with _new_folder(output / FOLDER, output) as part:
-        write_publication({"components": measured, "features": features}, part.parent)
+        write_publication({"streams": measured, "features": features}, part.parent)
 
 
 @contextmanager
@@ -281,8 +282,8 @@ def catalogues(outcomes, every, output):
         The tables of features of all sources, with the columns of ``HEAD`` that
         identify them.
     """
-    empty, numbers = component_table([]), set(range(len(outcomes)))
-    found = _stacked(outcomes, output, "components.ecsv", empty.copy())
+    empty, numbers = stream_table([]), set(range(len(outcomes)))
+    found = _stacked(outcomes, output, "streams.ecsv", empty.copy())
     features = _stacked(outcomes, output, FEATURES, QTable())
     searched = {k for k in numbers if outcomes[k].folder}
     nothing = dict.fromkeys(searched - set(found["outcome"]), empty)

@@ -22,15 +22,16 @@ AGREE = 2
 #: Features that would have to be seen so many times as long are out of reach.
 MOST_SPANS = 10
 #: Columns of components, features and profiles.
-COMPONENTS = (
-    "component kind pm pm_pa beta_app v_app dispersion p_global n_features".split()
-)
-FEATURES = (
-    "feature component dates n_epochs separation pm pm_pa beta_app v_app p_false"
+STREAMS = (
+    "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features "
+    "pm_features pm_spectrum"
 ).split()
-PROFILE = "bin pm_parallel pm beta_app v_app p_global p_fdr n_ssp remark".split()
+FEATURES = (
+    "feature stream dates n_epochs separation pm pm_pa beta_app v_app p_false"
+).split()
+PROFILE = "bin pm_parallel pm beta_app v_app p_global p_fdr n_features remark".split()
 #: Formats of numbers whose errors are not shown.
-FORMATS = dict.fromkeys(("dispersion", "p_global", "p_fdr", "p_false"), ".2g")
+FORMATS = dict.fromkeys(("share", "dispersion", "p_global", "p_fdr", "p_false"), ".2g")
 FORMATS |= {"pm_pa": ".0f", "separation": ".3g"}
 #: Features seen over fewer days have the times of their epochs.
 SOME_DAYS = 3
@@ -57,9 +58,9 @@ def headline(components):
 
     Examples
     --------
-    >>> from astro_scc.measurement.tables import component_table
+    >>> from astro_scc.measurement.tables import stream_table
     >>> from astro_scc.report.answer import headline
-    >>> headline(component_table([]))
+    >>> headline(stream_table([]))
     'No motion found: no pattern has a match in another epoch.'
     """
     if len(components) == 0:
@@ -132,8 +133,8 @@ def notes(components, features):
     """
     lines, rows, said = [], printed(components), headline(components)
     for row in rows:
-        limit, number = row["pm_limit"], row["component"]
-        own = features[features["component"] == number]
+        limit, number = row["pm_limit"], row["stream"]
+        own = features[features["stream"] == number]
         if row["caution"] != "-" and row["caution"] not in said:
             lines.append(f"Stream {number} ({row['kind']}): {row['caution']}")
         if len(own) and own["pm"].max() <= limit:
@@ -144,8 +145,6 @@ def notes(components, features):
                 f"Stream {number}: {limit.value:.2g} {unit_name(limit.unit)} is the "
                 f"upper limit (95%) of the mean speed of its features{named}"
             )
-    hidden = np.setdiff1d(components["component"], rows["component"])
-    lines += [f"Row {n} of components.ecsv is the core, the reference" for n in hidden]
     return lines
 
 
@@ -187,7 +186,7 @@ def column_lines(table, names):
     return table_lines([dict(zip(heads, row, strict=True)) for row in rows])
 
 
-def component_lines(components, features):
+def stream_lines(components, features):
     """
     Return what was found in one sentence, and the components as a table.
 
@@ -205,7 +204,7 @@ def component_lines(components, features):
     followed = feature_lines(table_in_c_as(printed(features), components))
     lines, rows = [headline(components)], printed(components)
     if len(rows):
-        lines += ["", *column_lines(rows, COMPONENTS), *EXPLANATION]
+        lines += ["", *column_lines(rows, STREAMS), *EXPLANATION]
     elif len(components) == 0:
         lines.append(NOTHING)
     lines += notes(components, features)
@@ -289,8 +288,8 @@ def _followed(features):
     letters = 10 if days.max() > SOME_DAYS else 16
     ends = zip(shown["first"].isot, shown["last"].isot, strict=True)
     shown["dates"] = [" to ".join(date[:letters] for date in pair) for pair in ends]
-    if not np.any(shown["component"]):
-        shown.remove_column("component")
+    if not np.any(shown["stream"]):
+        shown.remove_column("stream")
     return shown
 
 

@@ -23,7 +23,6 @@ from astro_scc.products.folder import write_files
 from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
 from astro_scc.report import answer
-from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.units import in_speed_unit, offset_unit, unit_name
 from astro_scc.visualization import speeds, style
 from astro_scc.visualization.speeds import LARGE_ERROR, population
@@ -31,16 +30,16 @@ from astro_scc.writing import make_folder
 
 #: Columns of components that come first, in their order: what is quoted, the rest.
 QUOTED = (
-    "component kind pm beta_app v_app pm_pa dispersion p_global n_features n_ssp "
-    "n_pairs"
+    "stream kind share pm beta_app v_app pm_pa dispersion p_global n_features "
+    "pm_features pm_spectrum pm_from"
 ).split()
 OTHERS = (
-    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat coefficient "
-    "z_score pm_err_jitter pm_err_alignment p_local p_distinct p_smallest"
+    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat "
+    "pm_err_alignment p_local p_distinct p_smallest"
 ).split()
 #: Columns of features.
 FEATURES = (
-    "feature component n_epochs first last separation position_angle pm beta_app v_app "
+    "feature stream n_epochs first last separation position_angle pm beta_app v_app "
     "t_ej p_false"
 ).split()
 #: Largest number of features that are shown at once.
@@ -58,7 +57,7 @@ OF_SOURCE = (
 )  # fmt: skip
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
-    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
+    "streams.ecsv components.ecsv spectrum.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
     "ssps.ecsv scc.fits publication config.toml"
 ).split()
 #: Speeds above this fraction of the largest one searched are pointed out.
@@ -85,7 +84,7 @@ def component_tables(components):
     listed = {"caution", "pm_limit", *QUOTED, *OTHERS}
     listed |= {f"{name}_err" for name in listed}
     rest = (name for name in components.colnames if name not in listed)
-    others = "component", *OTHERS, *(k for k in rest if components[k].ndim == 1)
+    others = "stream", *OTHERS, *(k for k in rest if components[k].ndim == 1)
     return [list(headed(components, names).values()) for names in (QUOTED, others)]
 
 
@@ -239,7 +238,7 @@ def _small_profile(features, unit):
         return None
     error = features["pm_radial_err"].value
     features = features[error <= LARGE_ERROR * np.median(error)]
-    distance, component = features["separation"].to_value(u.mas), features["component"]
+    distance, component = features["separation"].to_value(u.mas), features["stream"]
     speed = features["pm_radial"].to_value(unit)
     low, high, far = speed.min(initial=0.0), speed.max(initial=0.0), distance.max()
 
