@@ -220,7 +220,8 @@ def find_streams(
             [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
             n_trials=n_trials, inward=0.0, rng=rng,
         )  # fmt: skip
-        found = replace(found, p_global=test.p_global, p_smallest=test.p_smallest)
+        of_all = {k: getattr(test, k) for k in ("p_global", "p_smallest", "level")}
+        found = replace(found, **of_all)
     test, best = found, found.best[1]
     grid, years = flow.grids[0], flow.years
     planes = flow.planes[0].square_root()

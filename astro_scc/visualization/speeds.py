@@ -29,7 +29,7 @@ BINS = 20
 
 
 def plot_feature_speeds(
-    result, *, profile=None, beta_per_pm=None, component=None, ax=None
+    result, *, profile=None, beta_per_pm=None, stream=None, ax=None
 ):
     """
     Draw the radial speed of each feature against its separation from the core.
@@ -38,13 +38,13 @@ def plot_feature_speeds(
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
-    component = table["component"] if component is None else component
+    stream = table["stream"] if stream is None else stream
     separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
     unit = offset_unit(separation.max(initial=1.0))
     speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
     largest = LARGE_ERROR * np.median(error) if len(error) else 0.0
     for k, place in enumerate(separation * u.mas.to(unit)):
-        look = feature_look(result.tracked_features, k, component)
+        look = feature_look(result.tracked_features, k, stream)
         look |= {"ms": 4, "lw": 0.8, "linestyle": "", "marker": "o"}
         ax.errorbar(place, speed[k], min(error[k], largest), **look)
     if profile is not None and len(profile):
