@@ -30,7 +30,7 @@ from astro_scc.matching.matched import (
 )
 from astro_scc.matching.plan import flow_direction, pairs_of_dates, scale_numbers
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.tables import velocity_columns
+from astro_scc.measurement.tables import Components, ssp_table, velocity_columns
 from astro_scc.paper import (
     Displacements,
     PaperStack,
@@ -60,13 +60,13 @@ STILL_SIGMA = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PaperMeasurement:
+class PaperMeasurement(Components):
     """
     The velocity components that the paper's method finds in a cube.
 
     Attributes
     ----------
-    cube : `~astro_scc.epochs.EpochCube`
+    matched : `~astro_scc.matching.MatchedEpochs`
     frame : frame of `astro_scc.kinematics`
         The two axes of velocities.
     position_angle : `~astropy.units.Quantity`
@@ -77,7 +77,7 @@ class PaperMeasurement:
         Settings, seed, number of trials and versions.
     """
 
-    cube: EpochCube
+    matched: MatchedEpochs
     frame: Any
     position_angle: u.Quantity
     stack: PaperStack
@@ -86,6 +86,16 @@ class PaperMeasurement:
     def __repr__(self):
         n = len(self.stack.components)
         return f"<PaperMeasurement: {len(self.cube)} epochs, {n} components>"
+
+    @property
+    def cube(self) -> EpochCube:
+        """The epochs that were measured."""
+        return self.matched.cube
+
+    @property
+    def ssps(self) -> QTable:
+        """The SSPs of all epochs as a `~astropy.table.QTable`."""
+        return ssp_table(self.matched)
 
     @property
     def grid(self) -> VelocityGrid:
@@ -117,6 +127,11 @@ class PaperMeasurement:
         table = in_speed_unit(build_table("paper", rows), self.cube.speed_unit)
         table.meta.update(self.meta | self.cube.facts)
         return name_by_frame(round_to_errors(table), self.cube)
+
+    @property
+    def streams(self) -> QTable:
+        """Another name of `components`."""
+        return self.components
 
     def velocity_map(self, which: str = "coefficient") -> NDData:
         """
@@ -190,10 +205,12 @@ def component_row(component, number, frame, angle):
     velocity = np.array([own.v1, own.v2])
     still = np.hypot(own.v1 / own.v1_err, own.v2 / own.v2_err) <= STILL_SIGMA
     kind = "stationary" if still else "moving"
+    columns = velocity_columns(velocity, covariance, frame, angle)
     return {
-        "component": number,
+        "stream": number,
         "kind": kind if own.significant else "not significant",
-        **velocity_columns(velocity, covariance, frame, angle),
+        **columns,
+        "pm_err_jitter": columns["pm_err"],
         **asdict(own),
     }
 
@@ -301,7 +318,7 @@ def measure_as_in_paper(
         "n_ssp": stack.n_ssp, "n_pairs": len(pairs),
         "alpha": settings.alpha,
     }  # fmt: skip
-    return PaperMeasurement(cube, frame, flow_direction(matched, frame), stack, meta)
+    return PaperMeasurement(matched, frame, flow_direction(matched, frame), stack, meta)
 
 
 def _reach(cube, speed, pairs, fwhm):

@@ -69,6 +69,7 @@ def _setting(check, *more, default=None):
 class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
+    method: str = _setting(q.check_choice, "spectrum", "paper", default="spectrum")
     scales: u.Quantity | Sequence[float | str] | None = _setting(q.check_scales)
     max_speed: u.Quantity | str | None = _setting(
         q.one_quantity, "an angle per time", "2 mas/yr"

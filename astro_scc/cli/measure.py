@@ -3,7 +3,7 @@
 
 import math
 import shlex
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from astropy.io import fits
@@ -12,19 +12,23 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
-from astro_scc.flow import measure_acceleration
-from astro_scc.flow.profile import bins_of, measure_profile, write_profile
-from astro_scc.flow.speeds import compare_scales
-from astro_scc.matching import select_ssps
+from astro_scc.flow import compare_scales, measure_profile
+from astro_scc.flow.profile import bins_of, write_profile
+from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.products import write_epoch_regions, write_products
-from astro_scc.products.folder import product_folder
+from astro_scc.products.folder import (
+    product_folder,
+    write_files,
+    write_paper_products,
+)
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
+from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.units import in_speed_unit
-from astro_scc.visualization import FIGURES
+from astro_scc.visualization import FIGURES, style
 from astro_scc.writing import versions
 
 #: Products of an earlier measurement that must not remain beside new ones.
@@ -49,6 +53,11 @@ def measure(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
+        if settings.method == "paper":
+            lines = _as_in_paper(epochs, folder, args, reporter)
+            reporter.say(*lines, *epochs.found, f"\nTables and maps: {output}")
+            return
+        require_epochs(epochs.cube)
         result = _measured(epochs, reporter)
         streams = write_measurement(
             result, epochs.settings, folder, output=output, published=epochs.published,
@@ -81,6 +90,31 @@ def _measured(epochs, reporter):
         n_workers=epochs.n_workers,
         progress_bar=reporter.progress,
     )
+
+
+def _as_in_paper(epochs, folder, args, reporter):
+    """Measure epochs by the paper's method, write the products; return lines on it."""
+    settings = epochs.settings
+    result = _measured(epochs, reporter)
+    how = settings.in_c
+    streams = result.components_in_c(**how) if how else result.streams
+    write_paper_products(
+        result, streams, folder, configuration=settings.to_dict(),
+        text=settings.to_toml(versions=versions()),
+    )  # fmt: skip
+    if not args.no_report:
+        plot = partial(result.plot, beta_per_pm=beta_per_pm(streams))
+        write_files(style.figure_files({"paper": plot}, pdf=args.pdf), folder)
+    return answer.paper_lines(streams, result.level)
+
+
+def require_epochs(cube):
+    """Refuse so few epochs that nothing could be shown to move."""
+    if len(cube) < FEWEST_EPOCHS:
+        raise ValueError(
+            f"too few epochs: {len(cube)} images, {FEWEST_EPOCHS} are needed to show "
+            "that anything moves; astro-scc track follows features in four or more"
+        )
 
 
 def write_measurement(
@@ -144,41 +178,43 @@ def profile(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PROFILE) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
-        components, lines = _profile(epochs, folder, reporter)
-        write_publication({"profile": components}, folder)
-    lines = [*answer.profile_lines(components), "", *lines, *epochs.found]
+        require_epochs(epochs.cube)
+        streams, lines = _profile(epochs, folder, reporter)
+        write_publication({"profile": streams}, folder)
+    lines = [*answer.profile_lines(streams), "", *lines, *epochs.found]
     reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
 
 
 def _profile(epochs, folder, reporter):
-    """Write the profile; return its components, and lines on all bins together."""
+    """Write the profile; return its streams, and lines on all bins together."""
     cube, settings = epochs.cube, epochs.settings
     scc = StackedCrossCorrelation.from_settings(settings)
-    shown = {"progress_bar": reporter.progress, "n_workers": epochs.n_workers}
-    matched = scc.match(cube, region=settings.region, **shown)
-    trials = {"n_trials": settings.n_trials, "rng": settings.seed}
-    trials["progress_bar"] = reporter.progress
-    ridge = scc.displacements(matched)[1] if scc.position_angle == "ridge" else None
-    found = measure_profile(
-        scc, matched, settings.bins, window=settings.window, ridge=ridge, **trials
+    shown = {"progress_bar": reporter.progress}
+    decomposed = scc.decompose(
+        cube, region=settings.region, n_workers=epochs.n_workers, **shown
     )
+    found = measure_profile(
+        scc, decomposed, settings.bins, window=settings.window,
+        scale_groups=settings.scale_groups, n_trials=settings.n_trials,
+        rng=settings.seed, **shown,
+    )  # fmt: skip
     how = settings.in_c
-    components = found.components_in_c(**how) if how else found.components
-    r_min, r_max = found.bins.min(), found.bins.max()
-    whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
-    acceleration = measure_acceleration(whole)
-    components.meta |= cube.facts
-    components.meta["acceleration"] = asdict(acceleration)
-    lines = [str(acceleration)]
-    if (of_scales := compare_scales(whole)) is not None:
-        in_speed_unit(of_scales, matched.cube.speed_unit)
+    streams = found.components_in_c(**how) if how else found.components
+    streams.meta |= cube.facts
+    several = len(found.groups) > 1
+    lines = [
+        f"scales {name}: {own}" if several else str(own)
+        for name, own in found.accelerations.items()
+    ]
+    if several:
+        of_scales = in_speed_unit(compare_scales(found), cube.speed_unit)
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += answer.scale_lines(of_scales)
     write_profile(
-        found, components, folder, configuration=settings.to_dict("profile"),
+        found, streams, folder, configuration=settings.to_dict("profile"),
         text=settings.to_toml("profile", versions=versions()),
     )  # fmt: skip
-    return components, lines
+    return streams, lines
 
 
 # -- the jet of the paper ------------------------------------------------------------

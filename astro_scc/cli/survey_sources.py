@@ -125,11 +125,13 @@ def finished_outcomes(source, output, report):
     with suppress(OSError, ValueError, KeyError, TypeError):
         state = json.loads(path.read_text(encoding="utf-8"))
         found = [Outcome(**outcome) for outcome in state["outcomes"]]
-        if state["key"] == source.key() and all(
-            outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
+        complete = all(
+            outcome.status == "empty" or Path(output, outcome.folder, name).is_file()
             for outcome in found
             for name in needed
-        ):
+        )
+        failed = any(outcome.status == "failed" for outcome in found)
+        if state["key"] == source.key() and complete and not failed:
             return found
     return None
 

@@ -14,12 +14,13 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
+from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import writing
 from astro_scc.columns import describe
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.measurement.result import SCCResult, velocity_hdus
+from astro_scc.measurement.result import SCCResult, map_hdus, velocity_hdus
 from astro_scc.products.publication import with_published, write_publication
 
 # Errors of the disk, which do not always name a file.
@@ -223,6 +224,35 @@ def write_products(
         printed = {name: tables[name] for name in PRINTED}
         paths += write_publication(printed, directory, {"ssps": result.ssps})
     return paths
+
+
+def write_paper_products(result, streams, directory, *, configuration=None, text=None):
+    """
+    Write tables and maps of a measurement by the paper's method.
+
+    Parameters
+    ----------
+    result : `~astro_scc.paper_method.PaperMeasurement`
+    streams : `~astropy.table.QTable`
+        Its ``streams``, with apparent speeds if there are any.
+    directory, configuration, text
+        See `write_products`.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        ``streams.ecsv``, ``components.ecsv``, the same, ``ssps.ecsv``, ``scc.fits``,
+        the folder ``publication`` and, with ``text``, ``config.toml``.
+    """
+    directory, meta = Path(directory), {**result.meta, **streams.meta}
+    tables = {"streams": streams, "components": streams, "ssps": result.ssps}
+    settings = {"configuration": configuration, "text": text}
+    tables, paths = write_tables(tables, directory, meta, **settings)
+    paths.append(directory / "scc.fits")
+    hdus = fits.HDUList(map_hdus(result, text=text))
+    hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
+    printed = {"streams": tables["streams"]}
+    return paths + write_publication(printed, directory, {"ssps": result.ssps})
 
 
 def write_tables(tables, folder, meta, *, configuration=None, text=None):

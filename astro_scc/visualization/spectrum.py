@@ -5,7 +5,6 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell
-from astro_scc.measurement.tables import frame_velocities
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.streams.decomposed import distances
 from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
@@ -26,7 +25,8 @@ class Speeds:
     unit : `~astropy.units.Unit`
     factor : float
         The unit in mas/yr.
-    feature, feature_err : `~numpy.ndarray`, shape (n_features,)
+    distance, feature, feature_err : `~numpy.ndarray`, shape (n_features,)
+        Distance of each feature from the core in mas, and its speed.
     stream, stream_err, dispersion : `~numpy.ndarray`, shape (n_streams,)
         The speed of what stands still is zero.
     """
@@ -36,9 +36,15 @@ class Speeds:
         self.unit = unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
-        velocity, covariance = frame_velocities(result.frame, result.tracked_features)
-        self.feature = self.factor * velocity @ along
-        self.feature_err = self.factor * np.sqrt(covariance @ along @ along)
+        motions = result.tracked_features.motions
+        place, velocity, error = (
+            np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
+            for name in ("place", "velocity", "velocity_err")
+        )
+        on_sky = along @ np.asarray(result.frame.matrix(*place.T))
+        self.distance = np.hypot(*place.T)
+        self.feature = self.factor * (on_sky * velocity).sum(axis=1)
+        self.feature_err = self.factor * np.hypot(*(on_sky * error).T)
         rows = [
             (s.velocity @ along, np.sqrt(along @ s.covariance @ along), s.dispersion)
             for s in search.streams
@@ -94,9 +100,8 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None):
     _draw_streams(upper, result, speeds, top, middle)
     _draw_ticks(upper, result, speeds, top)
     _draw_test(lower, search, speeds)
-    slowest, fastest, safe = (
-        getattr(search, k) * speeds.factor for k in ("slowest", "fastest", "unambiguous")
-    )
+    limits = search.slowest, search.fastest, search.unambiguous
+    slowest, fastest, safe = (limit * speeds.factor for limit in limits)
     low, high = speed[half + 1], speed[-1]
     for ax in (upper, lower):
         ax.set(xscale="log", xlim=(low, high))
@@ -171,7 +176,8 @@ def _draw_test(ax, search, speeds):
     ax.plot(speed, z, color=style.BLUE, lw=1.2)
     ax.axhline(0, color=style.GREY, lw=0.6)
     for sign in (1, -1):
-        ax.axhline(sign * test.level, color=style.VERMILION, lw=0.9, ls="--", gid="level")
+        look = {"color": style.VERMILION, "lw": 0.9, "ls": "--", "gid": "level"}
+        ax.axhline(sign * test.level, **look)
     ax.annotate(
         "99% of permutations", (0.0, test.level), xycoords=ax.get_yaxis_transform(),
         xytext=(4, 2), textcoords="offset points", va="bottom", fontsize="x-small",
@@ -224,14 +230,14 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None):
     Draw speeds along the flow against distance from the core.
 
     Grey is the velocity spectrum of each bin of distance, dark where most of what moves
-    there has this speed.  Points are features at the dates of their speeds, in the colours of their
-    streams; those that are not secure are open.  Lines are the streams.
+    there has this speed.  Points are features at the dates of their speeds, in the
+    colours of their streams; those that are not secure are open.  Lines are the
+    streams.
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
     speeds, features = Speeds(result, unit), result.tracked_features
     edges, speed, share = spectra_of_bins(result.flow)
-    place = np.array([m.place for m in features.motions]).reshape(-1, 2)
-    distance, secure = np.hypot(*place.T), features.secure
+    distance, secure = speeds.distance, features.secure
     far = max(edges[-1], distance[secure].max(initial=0.0))
     lengths = offset_unit(far)
     scale = u.mas.to(lengths)
@@ -242,10 +248,12 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None):
     numbers = result.features["stream"]
     for k in np.flatnonzero(np.isfinite(speeds.feature)):
         color = style.component_color(numbers[k]) if numbers[k] else style.SKY_BLUE
+        look = {"ms": 3, "mfc": "white", "alpha": 0.6, "zorder": 3}
+        if secure[k]:
+            look = {"ms": 4.5, "mfc": color, "zorder": 4}
         ax.errorbar(
             distance[k] * scale, speeds.feature[k], speeds.feature_err[k], fmt="o",
-            ms=4.5 if secure[k] else 3, lw=0.8, color=color, alpha=1 if secure[k] else 0.6,
-            mfc=color if secure[k] else "white", zorder=3 + secure[k],
+            lw=0.8, color=color, **look,
         )  # fmt: skip
     rows = zip(result.search.streams, result.streams, strict=True)
     for k, (stream, own) in enumerate(rows):

@@ -168,7 +168,7 @@ def _draw_components(scene):
         )  # fmt: skip
         inward = np.where(place > 0.93, -1, 1)
         ax.annotate(
-            str(number_of(row)), np.clip(place, 0, 1),
+            f"{row['stream']}", np.clip(place, 0, 1),
             xycoords="axes fraction", xytext=7 * inward, textcoords="offset points",
             ha="left" if inward[0] > 0 else "right",
             va="bottom" if inward[1] > 0 else "top", color="white",
@@ -235,7 +235,7 @@ def plot_significance(
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
         ax.annotate(
-            str(number_of(row)), (along, z), xytext=(0, 6),
+            f"{row['stream']}", (along, z), xytext=(0, 6),
             textcoords="offset points", ha="center", color=color,
             fontweight="bold" if strong else "normal", path_effects=style.outline(),
             clip_on=True,
@@ -295,11 +295,6 @@ def _along_jet(scene):
     return speed, rows[middle], np.fmax.reduce(rows)
 
 
-def number_of(row):
-    """Return the number of a stream, or of a component of the paper's method."""
-    return row["stream" if "stream" in row.colnames else "component"]
-
-
 def speed_text(row, kind):
     """Return the speed of a stream, its kind, or both as text."""
     form = None if np.isfinite(row["pm_err"]) else ".3g"
@@ -316,8 +311,8 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
 
     In red areas, the changes of the images are more alike than the mean of all pairs
     of epochs.  What moves at a constant speed lies on a ray from the origin; what
-    stands still lies at zero displacement.  Thin lines on both sides of a ray are one dispersion of the
-    speeds away.  Intervals are shown until the slowest moving stream leaves the
+    stands still lies at zero displacement.  Thin lines on both sides of a ray are one
+    dispersion of the speeds away.  Intervals are shown until the slowest moving stream leaves the
     diagram.  A second axis shows the displacement in beams.
     """
     image = result.diagram()
@@ -343,7 +338,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     for row, kind, slope in zip(scene.components, kinds, slopes, strict=True):
         if not np.isfinite(slope):
             continue
-        label = f"{number_of(row)}: {speed_text(row, kind)}"
+        label = f"{row['stream']}: {speed_text(row, kind)}"
         spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
         spread = 0.0 if kind == "stationary" else spread
         _draw_ray(ax, slope * factor, spread * factor, kind, label)
