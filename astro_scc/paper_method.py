@@ -299,7 +299,10 @@ def measure_as_in_paper(
                 decompositions, image_pairs(pairs, orders), reach, select=select,
                 n_workers=workers, progress=done,
             )  # fmt: skip
-    matched = MatchedEpochs(cube, decomposer, ssps, select, matches, correlator, reach)
+    matched = MatchedEpochs(
+        cube=cube, decomposer=decomposer, ssps=ssps, select=select, matches=matches,
+        correlator=correlator, reach=reach,
+    )  # fmt: skip
     samples, frame = matched_displacements(matched, settings)
     own = {field.name: getattr(samples, field.name) for field in fields(Displacements)}
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)

@@ -235,7 +235,7 @@ def label_all(figure, across, up):
 
 
 def add_speed_axis(ax, unit, beta_per_pm, side="top"):
-    """Return a new axis in units of c to one of proper motion, if their ratio is known."""
+    """Return an axis in units of c beside one of proper motion, if known, or None."""
     if beta_per_pm is None:
         return None
     factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)

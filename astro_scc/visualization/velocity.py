@@ -312,8 +312,8 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     In red areas, the changes of the images are more alike than the mean of all pairs
     of epochs.  What moves at a constant speed lies on a ray from the origin; what
     stands still lies at zero displacement.  Thin lines on both sides of a ray are one
-    dispersion of the speeds away.  Intervals are shown until the slowest moving stream leaves the
-    diagram.  A second axis shows the displacement in beams.
+    dispersion of the speeds away.  Intervals are shown until the slowest moving stream
+    leaves the diagram.  A second axis shows the displacement in beams.
     """
     image = result.diagram()
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
