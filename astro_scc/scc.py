@@ -364,7 +364,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        intervals = _intervals(cube, self.baseline)
+        intervals = used_intervals(cube, self.baseline)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
@@ -508,7 +508,7 @@ def seeded(rng):
     return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
-def _intervals(cube, baseline):
+def used_intervals(cube, baseline):
     """Return the shortest and the longest interval that is used, in years."""
     years = cube.years.to_value(u.yr)
     if len(years) < 3:
