@@ -23,7 +23,7 @@ from astro_scc.products.folder import (
 )
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
-from astro_scc.report.page import PRODUCTS
+from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
 from astro_scc.streams.finder import FEWEST_EPOCHS
@@ -38,8 +38,7 @@ STALE = (
     *("report.html", "ssp_regions", "explore.html"),
 )
 PROFILE = (
-    "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
-    "config.toml publication"
+    "profile.ecsv scales.ecsv profile.png position_angles.png config.toml publication"
 ).split()
 #: Seed and trials of the demo, and the columns of the jet that it measures, from 0
 #: (Mertens & Lobanov 2016, Sect. 2.4).
@@ -72,6 +71,7 @@ def measure(args, reporter):
     reporter.say(
         *answer.stream_lines(streams, features),
         *answer.published_lines(features),
+        *flow_lines(result),
         *epochs.found,
         f"\nTables and maps: {output}"
         if args.no_report
