@@ -48,6 +48,18 @@ class MeasurementWarning(AstroSccWarning):
     """
 
 
+class NoFlowError(ValueError):
+    """
+    Error that nothing in the images is bright enough to be measured.
+
+    Examples
+    --------
+    >>> from astro_scc.exceptions import NoFlowError
+    >>> issubclass(NoFlowError, ValueError)
+    True
+    """
+
+
 def warn(message, category=EpochWarning):
     """Warn the first caller outside this package."""
     here = os.path.dirname(__file__) + os.sep

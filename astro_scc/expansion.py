@@ -12,7 +12,6 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame
 from astro_scc.matching import DecomposedEpochs, MatchedEpochs
 from astro_scc.matching.matched import centroids_inside
@@ -39,9 +38,8 @@ STEPS, SMALL = 100, 0.02
 SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
 #: Sectors of azimuth that the jackknife leaves out in turn.
 AZIMUTHS = 24
-#: Columns of the components that the table of sectors keeps.
-KEPT = ("kind", "coefficient", "z_score", "p_local", "p_global", "p_fdr", "n_ssp",
-        "n_pairs", "n_features", "caution")  # fmt: skip
+#: Columns of the streams that the table of sectors keeps.
+KEPT = ("kind", "share", "p_local", "p_global", "p_fdr", "n_features", "caution")
 
 
 @dataclass(frozen=True, eq=False)

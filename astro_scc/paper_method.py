@@ -30,7 +30,7 @@ from astro_scc.matching.matched import (
 )
 from astro_scc.matching.plan import flow_direction, pairs_of_dates, scale_numbers
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.tables import velocity_columns
+from astro_scc.measurement.tables import Components, ssp_table, velocity_columns
 from astro_scc.paper import (
     Displacements,
     draw_orders,
@@ -62,13 +62,13 @@ STILL_SIGMA = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PaperMeasurement:
+class PaperMeasurement(Components):
     """
     The velocity components that the paper's method finds in a cube.
 
     Attributes
     ----------
-    cube : `~astro_scc.epochs.EpochCube`
+    matched : `~astro_scc.matching.MatchedEpochs`
     frame : frame of `astro_scc.kinematics`
         The two axes of velocities.
     position_angle : `~astropy.units.Quantity`
@@ -89,7 +89,7 @@ class PaperMeasurement:
     True
     """
 
-    cube: EpochCube
+    matched: MatchedEpochs
     frame: Any
     position_angle: u.Quantity
     stack: PaperStack
@@ -98,6 +98,16 @@ class PaperMeasurement:
     def __repr__(self):
         n = len(self.stack.components)
         return f"<PaperMeasurement: {len(self.cube)} epochs, {n} components>"
+
+    @property
+    def cube(self) -> EpochCube:
+        """The epochs that were measured."""
+        return self.matched.cube
+
+    @property
+    def ssps(self) -> QTable:
+        """The SSPs of all epochs as a `~astropy.table.QTable`."""
+        return ssp_table(self.matched)
 
     @property
     def grid(self) -> VelocityGrid:
@@ -129,6 +139,11 @@ class PaperMeasurement:
         table = in_speed_unit(build_table("paper", rows), self.cube.speed_unit)
         table.meta.update(self.meta | self.cube.facts)
         return name_by_frame(round_to_errors(table), self.cube)
+
+    @property
+    def streams(self) -> QTable:
+        """Another name of `components`."""
+        return self.components
 
     def velocity_map(self, which: str = "coefficient") -> NDData:
         """
@@ -203,10 +218,12 @@ def component_row(component, number, frame, angle):
     velocity = np.array([component.v1, component.v2])
     still = np.hypot(*(velocity / errors)) <= STILL_SIGMA
     kind = "stationary" if still else "moving"
+    columns = velocity_columns(velocity, covariance, frame, angle)
     return {
-        "component": number,
+        "stream": number,
         "kind": kind if component.significant else "not significant",
-        **velocity_columns(velocity, covariance, frame, angle),
+        **columns,
+        "pm_err_jitter": columns["pm_err"],
         **asdict(component),
     }
 
@@ -295,7 +312,10 @@ def measure_as_in_paper(
                 decompositions, image_pairs(pairs, orders), reach, select=select,
                 n_workers=workers, progress=done,
             )  # fmt: skip
-    matched = MatchedEpochs(cube, decomposer, ssps, select, matches, correlator, reach)
+    matched = MatchedEpochs(
+        cube=cube, decomposer=decomposer, ssps=ssps, select=select, matches=matches,
+        correlator=correlator, reach=reach,
+    )  # fmt: skip
     samples, frame = matched_displacements(matched, settings)
     names = (field.name for field in fields(Displacements))
     displacements = Displacements(**{name: getattr(samples, name) for name in names})
@@ -315,7 +335,7 @@ def measure_as_in_paper(
         "n_ssp": stack.n_ssp, "n_pairs": len(pairs),
         "alpha": settings.alpha,
     }  # fmt: skip
-    return PaperMeasurement(cube, frame, flow_direction(matched, frame), stack, meta)
+    return PaperMeasurement(matched, frame, flow_direction(matched, frame), stack, meta)
 
 
 def _reach(cube, speed, pairs, fwhm):

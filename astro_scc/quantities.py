@@ -473,6 +473,17 @@ def check_scales(value):
     return numbers
 
 
+def check_scale_groups(value):
+    """Return groups of scales by their names, of text such as "1,2; 3,4" or a mapping."""
+    wanted = "must be two groups of scales or more, such as '1,2; 3,4'"
+    if isinstance(value, str):
+        texts = [text.strip() for text in value.split(";")]
+        value = {", ".join(re.findall(r"[^\s,]+", text)): text for text in texts}
+    if not hasattr(value, "items") or len(value) < 2 or not all(value):
+        raise ValueError(wanted)
+    return {str(name): check_scales(scales) for name, scales in value.items()}
+
+
 def check_date(value):
     """Return a date as text."""
     # TOML has a type for dates.

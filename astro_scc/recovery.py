@@ -6,6 +6,7 @@ from __future__ import annotations
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice, product
+from math import factorial
 from typing import Any, NamedTuple
 
 import astropy.units as u
@@ -19,26 +20,26 @@ from astro_scc import quantities as q
 from astro_scc.columns import build_table
 from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import EpochCube
-from astro_scc.exceptions import MeasurementWarning
+from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
+from astro_scc.matching.plan import flow_beam
+from astro_scc.measurement.axes import velocity_frame
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
-from astro_scc.scc import StackedCrossCorrelation, seeded
+from astro_scc.scc import StackedCrossCorrelation, seeded, used_intervals
 from astro_scc.settings import require
-from astro_scc.stacking.stack import number_of_permutations
+from astro_scc.spectrum.permutations import fastest_speed
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
 __all__ = ["completeness", "draw_paths", "inject"]
 
-#: Largest difference of a component's velocity from that of the features, in beams
+#: Largest difference of a stream's velocity from that of the features, in beams
 #: over the median interval.
 TOLERANCE = 0.2
 #: Confidence level of the intervals of shares.
 CONFIDENCE = 0.95
-#: An SSP belongs to an injected feature within this distance, in beams.
-NEAR = 0.5
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
@@ -245,8 +246,8 @@ def completeness(
     position_angle : `~astropy.units.Quantity` or "radial", optional
         Direction in which the features move, by default that of ``scc``.
     region : optional
-        Anything that ``cube.region_mask`` takes.  SSPs inside are correlated,
-        and features are injected there.  Without it, everything is correlated
+        Anything that ``cube.region_mask`` takes.  What moves inside is measured,
+        and features are injected there.  Without it, everything is measured
         and features are injected where the epochs have SSPs, or anywhere if
         they have none.
     n_features : float, optional
@@ -259,8 +260,8 @@ def completeness(
         Standard deviation of a feature's position around its line at each
         epoch, on each axis, in beams.
     tolerance : `~astropy.units.Quantity`, optional
-        Largest distance of a component's velocity from the true one, by
-        default 0.2 beams over the median interval of the pairs of epochs.
+        Largest distance of a stream's velocity from the true one, by
+        default 0.2 beams over the median interval between epochs.
     fwhm : `~astropy.units.Quantity`, optional
         Full width of the features, which replaces the beam in the lengths
         above.  Needed if the cube has no beams.
@@ -280,7 +281,7 @@ def completeness(
         ``bias``, ``bias_err``, ``scatter`` and ``coverage`` of those found,
         masked if there are too few (``bias_err`` and ``scatter`` need two);
         and ``own``.  The meta holds the settings, the velocities of the epochs'
-        own components, the seed and the versions.
+        own streams, the seed and the versions.
 
     Raises
     ------
@@ -295,20 +296,18 @@ def completeness(
 
     Notes
     -----
-    The features are found if there is a component that
+    The features are found if there is a stream that
 
     1. is "moving",
-    2. lies within the tolerance of the features' velocity,
-    3. is not one of the epochs' own components: the epochs are first measured
-       without features, and each moving component found there claims the
-       nearest one within the tolerance.  At a speed that the epochs already
-       show (``own``), a second component is therefore needed, and
-    4. has most of its SSPs within half a beam of injected features.
+    2. lies within the tolerance of the features' velocity, and
+    3. is not one of the epochs' own: the epochs are first measured without
+       features, and each moving stream found there claims the nearest one within
+       the tolerance.  At a speed that the epochs already show (``own``), a second
+       stream is therefore needed.
 
     The epochs are measured ``1 + len(speeds) len(fluxes) n_injections``
     times.  Features change the planes of every epoch and the noise that is
-    measured on them, so every measurement decomposes and correlates everything
-    again.
+    measured on them, so every measurement decomposes everything again.
 
     Examples
     --------
@@ -328,26 +327,30 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    orders, n_trials = number_of_permutations(len(cube)), require("n_trials", n_trials)
+    n_trials, orders = require("n_trials", n_trials), factorial(max(len(cube) - 1, 0))
     smallest = max(1 / orders, 1 / (n_trials + 1))
     if smallest > scc.alpha:
         more = "measure more epochs" if 1 / orders > scc.alpha else "give more n_trials"
         raise ValueError(
-            f"{len(cube)} epochs (2/N!) and {n_trials} trials allow no p_global below "
+            f"{len(cube)} epochs (1/(N-1)!) and {n_trials} trials allow no p_global below "
             f"{smallest:.2g}, so nothing can be found at level {scc.alpha:g}: {more}"
         )
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
-    plan = scc.plan(cube)
     if fwhm is None and cube.beams is None:
         raise ValueError(NO_BEAMS)
+    gaps, beam = np.diff(cube.years.to_value(u.yr)), flow_beam(cube)
     given = "fwhm", q.one_quantity, fwhm, "an angle", "1 mas"
-    width = plan.fwhm if fwhm is None else q.named(*given).to_value(u.mas)
+    width = beam if fwhm is None else q.named(*given).to_value(u.mas)
     if tolerance is None:
-        tolerance = TOLERANCE * width / np.median(plan.pairs.interval) * PM_UNIT
+        tolerance = TOLERANCE * width / np.median(gaps[gaps > 0]) * PM_UNIT
     given = "tolerance", q.one_quantity, tolerance, "a proper motion", "2 mas/yr"
     tolerance = q.named(*given).to_value(PM_UNIT)
     region = None if region is None else cube.region_mask(region)
-    limit = plan.speed_limit(cube).to_value(PM_UNIT)
+    if scc.max_speed is None:
+        years, intervals = cube.years.to_value(u.yr), used_intervals(cube, scc.baseline)
+        limit = beam * fastest_speed(years, intervals)
+    else:
+        limit = scc.max_speed.to_value(PM_UNIT)
     speeds = _positive("speeds", speeds, PM_UNIT)
     # The component along the axis must be searched.
     if np.any(speeds * largest_part > limit):
@@ -364,32 +367,34 @@ def completeness(
     rng, seed = seeded(rng)
     own_rng, root = random_generator(rng).spawn(2)
 
-    def measure(cube, rng):
-        matched = scc.match(cube, region=region)
-        return scc.stack(matched, n_trials=n_trials, rng=rng)
+    def measure(decomposed, rng):
+        try:
+            return scc.measure(decomposed, n_trials=n_trials, rng=rng)
+        except NoFlowError:
+            return None
 
     with warnings.catch_warnings():
         # Features are injected even if the region has no SSP.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
-        bare = measure(cube, own_rng)
-    area = area_for_features(bare.decomposed, region)
-    own = np.reshape([*moving_components(bare).values()], (-1, 2))
-    axis = velocity_along(bare.frame, position_angle)
+        decomposed = scc.decompose(cube, region=region)
+        bare = measure(decomposed, own_rng)
+    area = area_for_features(decomposed, region)
+    own = np.reshape([s.velocity for s in moving_streams(bare)], (-1, 2))
+    axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
     flow = {"position_angle": position_angle, "n_features": n_features}
     flow["scatter"] = scatter * width * u.mas
 
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
         paths = draw_paths(cube, area, speed=speed * PM_UNIT, rng=path_rng, **flow)
-        result = measure(inject(cube, paths, peak * cube.unit, fwhm=fwhm), trial_rng)
-        rule = {"tolerance": tolerance, "paths": paths, "fwhm": width}
-        number = recovered(result, own, speed * axis, **rule)
-        if number is None:
+        fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
+        found = moving_streams(measure(scc.decompose(fuller, region=region), trial_rng))
+        stream = recovered(found, own, speed * axis, tolerance=tolerance)
+        if stream is None:
             return None
-        velocity = result.velocities[number - 1]
-        variance = axis @ velocity.covariance @ axis
+        variance = axis @ stream.covariance @ axis
         error = np.inf if np.isnan(variance) else np.sqrt(variance)
-        return axis @ velocity.value - speed, error
+        return axis @ stream.velocity - speed, error
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
@@ -496,17 +501,17 @@ def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
         return [list(islice(found, number)) for _ in cells]
 
 
-def area_for_features(matched, region=None):
+def area_for_features(decomposed, region=None):
     """
     Return the pixels in which features are injected, shape (ny, nx).
 
     They are the pixels of the region that are valid in any epoch.  Without a region,
     they are the pixels of SSPs of any epoch and scale, or all if there are none.
     """
-    exists = ~matched.cube.mask.all(axis=0)
+    exists = ~decomposed.cube.mask.all(axis=0)
     if region is None:
         area = np.zeros(exists.shape, dtype=bool)
-        area.flat[matched.ssps.pixels] = True
+        area.flat[decomposed.ssps.pixels] = True
         return area if area.any() else exists
     area = region & exists
     if not area.any():
@@ -522,30 +527,38 @@ def velocity_along(frame, position_angle):
     return frame.matrix(0.0, 0.0) @ [np.sin(angle), np.cos(angle)]
 
 
-def moving_components(result):
-    """Return the velocities of the moving components by their numbers, from 1."""
-    pairs = zip(result.search.streams, result.velocities, strict=True)
-    return {k: v.value for k, (s, v) in enumerate(pairs, 1) if s.kind == "moving"}
+def moving_streams(result):
+    """Return the streams of a result that move; of None, none."""
+    streams = () if result is None else result.search.streams
+    return [stream for stream in streams if stream.kind == "moving"]
 
 
-def recovered(result, own, velocity, *, tolerance, paths, fwhm):
+def recovered(streams, own, velocity, *, tolerance):
     """
-    Return the number of the component that is due to injected features, or None.
+    Return the stream that is due to injected features, or None.
 
-    The component is moving, and within the ``tolerance`` (mas/yr) of the features'
-    ``velocity`` on the axes of the result's frame.  It is not a component that the
-    epochs have without features: each velocity in ``own``, shape (n, 2), claims the
-    component nearest to it within the tolerance.  And more than half of its SSPs are
-    within half a beam (``fwhm`` in mas) of an injected feature.
+    Parameters
+    ----------
+    streams : sequence of `~astro_scc.streams.finder.Stream`
+        Those that move.
+    own : `~numpy.ndarray`, shape (n, 2)
+        Velocities that the epochs have without features; each claims the stream
+        nearest to it within the tolerance.
+    velocity : `~numpy.ndarray`, shape (2,)
+        Of the features, on the axes of the frame.
+    tolerance : float
+        In mas/yr.
+
+    Returns
+    -------
+    `~astro_scc.streams.finder.Stream` or None
+        The nearest one that is left, within the tolerance.
     """
-    left = moving_components(result)
+    left = {k: stream.velocity for k, stream in enumerate(streams)}
     for v in np.reshape(own, (-1, 2)):
         left.pop(_nearest(left, v, tolerance), None)
-    while (nearest := _nearest(left, np.asarray(velocity), tolerance)) is not None:
-        if _share_of_features(result, nearest, paths, fwhm) > 0.5:
-            return nearest
-        del left[nearest]
-    return None
+    nearest = _nearest(left, np.asarray(velocity), tolerance)
+    return None if nearest is None else streams[nearest]
 
 
 def _nearest(velocities, velocity, tolerance):
@@ -553,16 +566,3 @@ def _nearest(velocities, velocity, tolerance):
     distance = {k: np.hypot(*(v - velocity)) for k, v in velocities.items()}
     near = [k for k, d in distance.items() if d <= tolerance]
     return min(near, key=distance.get, default=None)
-
-
-def _share_of_features(result, number, paths, fwhm):
-    """Return the share of a component's SSPs that lie on injected features."""
-    ssps = result.decomposed.ssps
-    member = np.unique(result.members(number)["ssp"])
-    if len(member) == 0:
-        return 0.0
-    epoch = ssps.epoch[member]
-    pixels = paths.x[:, epoch] - ssps.x[member], paths.y[:, epoch] - ssps.y[member]
-    offset = np.einsum("ij,jnm->inm", result.cube.pixel_matrix.value, np.stack(pixels))
-    # Positions of features that do not exist yet are NaN and compare as far away.
-    return float((np.hypot(*offset) <= NEAR * fwhm).any(axis=0).mean())

@@ -67,6 +67,9 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     Parameters
     ----------
+    method : {"spectrum", "paper"}, optional
+        Find streams in the velocity spectrum, or components as Mertens & Lobanov
+        (2016): then a call returns an `~astro_scc.paper_method.PaperMeasurement`.
     scales : sequence of float or str, optional
         Wavelet scales, by number (j means 2^j pixels, j + 1/2 means
         1.5 x 2^j) or by size, as angles; by default from a quarter of the beam
@@ -361,7 +364,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        intervals = _intervals(cube, self.baseline)
+        intervals = used_intervals(cube, self.baseline)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
@@ -427,7 +430,8 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.measurement.SCCResult`
+        `~astro_scc.measurement.SCCResult` or PaperMeasurement
+            See `~astro_scc.paper_method.PaperMeasurement` and ``method``.
 
         Raises
         ------
@@ -437,6 +441,13 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         # Refused before the decomposition.
         n_trials = require("n_trials", n_trials)
+        if self.method == "paper":
+            from astro_scc.paper_method import measure_as_in_paper
+
+            return measure_as_in_paper(
+                cube, self, region=region, n_trials=n_trials, rng=rng,
+                n_workers=n_workers, progress_bar=progress_bar,
+            )  # fmt: skip
         shown = {"n_workers": n_workers, "progress_bar": progress_bar}
         decomposed = self.decompose(cube, region=region, **shown)
         require_ssps(decomposed.ssps, decomposed.scales)
@@ -497,7 +508,7 @@ def seeded(rng):
     return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
 
 
-def _intervals(cube, baseline):
+def used_intervals(cube, baseline):
     """Return the shortest and the longest interval that is used, in years."""
     years = cube.years.to_value(u.yr)
     if len(years) < 3:

@@ -69,6 +69,7 @@ def _setting(check, *more, default=None):
 class MeasurementSettings:
     """The settings of `~astro_scc.StackedCrossCorrelation`."""
 
+    method: str = _setting(q.check_choice, "spectrum", "paper", default="spectrum")
     scales: u.Quantity | Sequence[float | str] | None = _setting(q.check_scales)
     max_speed: u.Quantity | str | None = _setting(
         q.one_quantity, "an angle per time", "2 mas/yr"
@@ -135,6 +136,7 @@ class Settings(MeasurementSettings):
         q.check_range, "increasing distances", "0.5 1.5 2.5 mas", 0, lt, None
     )
     window: u.Quantity | str | None = _setting(q.one_quantity, "an angle", "2 mas")
+    scale_groups: Any = _setting(q.check_scale_groups)
     detections: str = _setting(q.check_choice, "gaussians", "ssp", default="gaussians")
     n_trials: int | None = _setting(q.check_integer, 2, 10**9)
     # FITS and TOML keep integers of 64 bits.
@@ -235,6 +237,8 @@ class Settings(MeasurementSettings):
 
 
 def _plain(value):
+    if hasattr(value, "items"):
+        return {name: _plain(item) for name, item in value.items()}
     if getattr(value, "shape", ()) or isinstance(value, tuple | list):
         return [_plain(item) for item in value]
     if hasattr(value, "unit"):

@@ -3,8 +3,7 @@
 
 import math
 import shlex
-from contextlib import suppress
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from astropy.io import fits
@@ -13,25 +12,25 @@ from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
 from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
-from astro_scc.flow import measure_acceleration
-from astro_scc.flow.profile import bins_of, measure_profile, write_profile
-from astro_scc.flow.speeds import compare_scales
-from astro_scc.matching import select_ssps
+from astro_scc.flow import compare_scales, measure_profile
+from astro_scc.flow.profile import bins_of, write_profile
+from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.products import write_epoch_regions, write_products
-from astro_scc.products.folder import product_folder
+from astro_scc.products.folder import (
+    product_folder,
+    write_files,
+    write_paper_products,
+)
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
+from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.units import in_speed_unit
-from astro_scc.visualization import FIGURES
-from astro_scc.writing import make_folder, versions
+from astro_scc.visualization import FIGURES, style
+from astro_scc.writing import versions
 
-#: Folder, within the folder of the products, for what an interrupted run goes on from,
-#: and what is in it.
-WORK = ".astro_scc-work"
-SEED, MATCHES = "seed.txt", "matches.fits"
 #: Products of an earlier measurement that must not remain beside new ones.
 STALE = (
     *PRODUCTS,
@@ -39,8 +38,7 @@ STALE = (
     *("report.html", "ssp_regions", "explore.html"),
 )
 PROFILE = (
-    "profile.ecsv scales.ecsv profile.png velocity_maps.png position_angles.png "
-    "config.toml publication"
+    "profile.ecsv scales.ecsv profile.png position_angles.png config.toml publication"
 ).split()
 #: Seed and trials of the demo, and the columns of the jet that it measures, from 0
 #: (Mertens & Lobanov 2016, Sect. 2.4).
@@ -51,15 +49,16 @@ FIRST, LAST = 60, 160
 def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
-    output, overwrite = inputs.output_of(args, settings), args.overwrite
-    reporter.resumes = args.resume
-    work = working_folder(output, overwrite) if args.resume else None
-    with product_folder(output, overwrite=overwrite or work, stale=STALE) as folder:
-        if work and settings.seed is None:
-            settings = settings.changed(seed=kept_seed(work))
+    output = inputs.output_of(args, settings)
+    with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
-        result = _measured(epochs, reporter, cache=work and work / MATCHES)
-        components = write_measurement(
+        if settings.method == "paper":
+            lines = _as_in_paper(epochs, folder, args, reporter)
+            reporter.say(*lines, *epochs.found, f"\nTables and maps: {output}")
+            return
+        require_epochs(epochs.cube)
+        result = _measured(epochs, reporter)
+        streams = write_measurement(
             result, epochs.settings, folder, output=output, published=epochs.published,
             report=not args.no_report, warnings=reporter.warnings,
             left_out=epochs.left_out, chosen=epochs.chosen, pdf=args.pdf,
@@ -70,7 +69,7 @@ def measure(args, reporter):
     own = result.features, result.tracked_features
     features = with_published(*own, epochs.published)
     reporter.say(
-        *answer.component_lines(components, features),
+        *answer.stream_lines(streams, features),
         *answer.published_lines(features),
         *flow_lines(result),
         *epochs.found,
@@ -80,8 +79,8 @@ def measure(args, reporter):
     )
 
 
-def _measured(epochs, reporter, *, cache=None):
-    """Return the measurement of epochs; ``cache`` is where matches are kept."""
+def _measured(epochs, reporter):
+    """Return the measurement of epochs."""
     settings = epochs.settings
     return StackedCrossCorrelation.from_settings(settings)(
         epochs.cube,
@@ -89,9 +88,33 @@ def _measured(epochs, reporter, *, cache=None):
         n_trials=settings.n_trials,
         rng=settings.seed,
         n_workers=epochs.n_workers,
-        cache=cache,
         progress_bar=reporter.progress,
     )
+
+
+def _as_in_paper(epochs, folder, args, reporter):
+    """Measure epochs by the paper's method, write the products; return lines on it."""
+    settings = epochs.settings
+    result = _measured(epochs, reporter)
+    how = settings.in_c
+    streams = result.components_in_c(**how) if how else result.streams
+    write_paper_products(
+        result, streams, folder, configuration=settings.to_dict(),
+        text=settings.to_toml(versions=versions()),
+    )  # fmt: skip
+    if not args.no_report:
+        plot = partial(result.plot, beta_per_pm=beta_per_pm(streams))
+        write_files(style.figure_files({"paper": plot}, pdf=args.pdf), folder)
+    return answer.paper_lines(streams, result.level)
+
+
+def require_epochs(cube):
+    """Refuse so few epochs that nothing could be shown to move."""
+    if len(cube) < FEWEST_EPOCHS:
+        raise ValueError(
+            f"too few epochs: {len(cube)} images, {FEWEST_EPOCHS} are needed to show "
+            "that anything moves; astro-scc track follows features in four or more"
+        )
 
 
 def write_measurement(
@@ -122,12 +145,12 @@ def write_measurement(
     Returns
     -------
     `~astropy.table.QTable`
-        The components.
+        The streams.
     """
     how = settings.in_c
-    components = result.components_in_c(**how) if how else result.components
+    streams = result.components_in_c(**how) if how else result.streams
     write_products(
-        result, components, folder, configuration=settings.to_dict(),
+        result, streams, folder, configuration=settings.to_dict(),
         text=settings.to_toml(versions=versions()), published=published,
         archives=archives,
     )  # fmt: skip
@@ -136,31 +159,10 @@ def write_measurement(
         if compare:
             rerun += f" --compare {shlex.quote(compare)}"
         write_report(
-            result, folder, components=components, rerun=rerun, published=published,
+            result, folder, streams=streams, rerun=rerun, published=published,
             explore=f"astro-scc explore {output}", **page,
         )  # fmt: skip
-    return components
-
-
-def working_folder(output, overwrite):
-    """Make and return the folder that --resume needs."""
-    work = output / WORK
-    if not (overwrite or work.is_dir()) and output.is_dir() and any(output.iterdir()):
-        raise OSError(
-            f"{output}: exists and is not of a run with --resume; choose another "
-            "folder, or --overwrite"
-        )
-    make_folder(work, output)
-    return work
-
-
-def kept_seed(work):
-    """Return the seed of a run that may be resumed, and draw it the first time."""
-    with suppress(OSError, ValueError):
-        return int((work / SEED).read_text(encoding="ascii"))
-    seed = inputs.draw_seed()
-    (work / SEED).write_text(f"{seed}\n", encoding="ascii")
-    return seed
+    return streams
 
 
 # -- in bins of distance -------------------------------------------------------------
@@ -176,41 +178,43 @@ def profile(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PROFILE) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note)
-        components, lines = _profile(epochs, folder, reporter)
-        write_publication({"profile": components}, folder)
-    lines = [*answer.profile_lines(components), "", *lines, *epochs.found]
+        require_epochs(epochs.cube)
+        streams, lines = _profile(epochs, folder, reporter)
+        write_publication({"profile": streams}, folder)
+    lines = [*answer.profile_lines(streams), "", *lines, *epochs.found]
     reporter.say(*lines, f"\nProfile: {output / 'profile.ecsv'}")
 
 
 def _profile(epochs, folder, reporter):
-    """Write the profile; return its components, and lines on all bins together."""
+    """Write the profile; return its streams, and lines on all bins together."""
     cube, settings = epochs.cube, epochs.settings
     scc = StackedCrossCorrelation.from_settings(settings)
-    shown = {"progress_bar": reporter.progress, "n_workers": epochs.n_workers}
-    matched = scc.match(cube, region=settings.region, **shown)
-    trials = {"n_trials": settings.n_trials, "rng": settings.seed}
-    trials["progress_bar"] = reporter.progress
-    ridge = scc.displacements(matched)[1] if scc.position_angle == "ridge" else None
-    found = measure_profile(
-        scc, matched, settings.bins, window=settings.window, ridge=ridge, **trials
+    shown = {"progress_bar": reporter.progress}
+    decomposed = scc.decompose(
+        cube, region=settings.region, n_workers=epochs.n_workers, **shown
     )
+    found = measure_profile(
+        scc, decomposed, settings.bins, window=settings.window,
+        scale_groups=settings.scale_groups, n_trials=settings.n_trials,
+        rng=settings.seed, **shown,
+    )  # fmt: skip
     how = settings.in_c
-    components = found.components_in_c(**how) if how else found.components
-    r_min, r_max = found.bins.min(), found.bins.max()
-    whole = scc.stack(select_ssps(matched, r_min=r_min, r_max=r_max), **trials)
-    acceleration = measure_acceleration(whole)
-    components.meta |= cube.facts
-    components.meta["acceleration"] = asdict(acceleration)
-    lines = [str(acceleration)]
-    if (of_scales := compare_scales(whole)) is not None:
-        in_speed_unit(of_scales, matched.cube.speed_unit)
+    streams = found.components_in_c(**how) if how else found.components
+    streams.meta |= cube.facts
+    several = len(found.groups) > 1
+    lines = [
+        f"scales {name}: {own}" if several else str(own)
+        for name, own in found.accelerations.items()
+    ]
+    if several:
+        of_scales = in_speed_unit(compare_scales(found), cube.speed_unit)
         of_scales.write(folder / "scales.ecsv", format="ascii.ecsv")
         lines += answer.scale_lines(of_scales)
     write_profile(
-        found, components, folder, configuration=settings.to_dict("profile"),
+        found, streams, folder, configuration=settings.to_dict("profile"),
         text=settings.to_toml("profile", versions=versions()),
     )  # fmt: skip
-    return components, lines
+    return streams, lines
 
 
 # -- the jet of the paper ------------------------------------------------------------
@@ -242,13 +246,13 @@ def demo(args, reporter):
         # Where they will be when the folder is complete.
         paths = [str(output / path.relative_to(folder)) for path in (region, *files)]
         settings = epochs.settings.changed(region=paths[0], epochs=paths[1:])
-        components = write_measurement(
+        streams = write_measurement(
             result, settings, folder, output=output, warnings=reporter.warnings
         )
     reporter.say(
         *_truth_lines(jet),
         "\nMeasured:",
-        *answer.component_lines(components, result.features),
+        *answer.stream_lines(streams, result.features),
         f"\nReport: {output / 'report.html'}",
     )
 
@@ -277,7 +281,7 @@ def explore(args, reporter):
 
     folder = Path(args.folder)
     advice = "; name a folder that astro-scc measure has written"
-    names = ("components", "features")
+    names = ("streams", "features")
     tables = [inputs.read_table(folder / f"{name}.ecsv", advice) for name in names]
     try:
         hdus = fits.open(folder / "scc.fits")

@@ -25,14 +25,14 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, read_table, workers_of
-from astro_scc.cli.measure import write_measurement
+from astro_scc.cli.measure import require_epochs, write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
 from astro_scc.columns import round_to_errors, table_lines
 from astro_scc.images.grid import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
-from astro_scc.matching import select_ssps
-from astro_scc.measurement import component_table, false_discovery_rate
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.measurement.tables import stream_table
 from astro_scc.products.folder import plain_meta
 from astro_scc.products.publication import (
     FOLDER,
@@ -52,7 +52,6 @@ TABLE = "survey.ecsv"
 #: Prefix of a folder until it is complete.
 PARTIAL = ".partial-"
 #: Why there is nothing to test.
-NO_MATCH = "no match that could be tested"
 NO_PATTERN = "no significant pattern here on these scales"
 #: Options on images that are restored from components.
 RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
@@ -109,7 +108,7 @@ def survey(args, reporter):
 
 
 def _summary(table):
-    """Yield lines on the numbers of sources and of significant components."""
+    """Yield lines on the numbers of sources and of streams that move."""
     rows = []
     for status in ("measured", "empty", "failed"):
         own = table["source"][table["status"] == status]
@@ -160,11 +159,11 @@ def run_survey(
     Returns
     -------
     `~astropy.table.QTable`
-        A row for each source, region, scale group and component, with the
-        columns of `~astro_scc.measurement.SCCResult.components` and ``p_fdr``
+        A row for each source, region, scale group and stream, with the
+        columns of `~astro_scc.measurement.SCCResult.streams` and ``p_fdr``
         over all that was searched, see
         `~astro_scc.measurement.false_discovery_rate`; a region and scale group
-        without a component has a row with masked numbers.  The table is written
+        without a stream has a row with masked numbers.  The table is written
         to ``survey.ecsv``, that of all features to ``features.ecsv``, both for archives
         to ``publication``, and an overview to ``overview.html``.
 
@@ -179,7 +178,7 @@ def run_survey(
     >>> from astro_scc.cli.survey_sources import read_survey
     >>> from astro_scc.cli.survey import run_survey
     >>> from astro_scc.simulation import simulate_two_fluid
-    >>> simulate_two_fluid(n_epochs=5, rng=1).cube.write("jet.fits")
+    >>> simulate_two_fluid(n_epochs=6, rng=1).cube.write("jet.fits")
     >>> text = '''[sources.Jet]
     ... epochs = "jet.fits"
     ... scales = [2]
@@ -207,14 +206,14 @@ def run_survey(
 
 
 def _write_catalogues(table, features, output):
-    """Write the components and features of all sources, also for archives."""
+    """Write the streams and features of all sources, also for archives."""
     for name, own in ((TABLE, table), (FEATURES, features)):
         with writing.replace_when_complete(output / name, overwrite=True) as part:
             own.write(part, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
     with _new_folder(output / FOLDER, output) as part:
-        write_publication({"components": measured, "features": features}, part.parent)
+        write_publication({"streams": measured, "features": features}, part.parent)
 
 
 @contextmanager
@@ -264,7 +263,7 @@ def _outcomes(every, output, report, n_workers, done, progress_bar):
 
 def catalogues(outcomes, every, output):
     """
-    Return the components and the features of all sources.
+    Return the streams and the features of all sources.
 
     Parameters
     ----------
@@ -275,16 +274,16 @@ def catalogues(outcomes, every, output):
 
     Returns
     -------
-    components : `~astropy.table.QTable`
+    streams : `~astropy.table.QTable`
         See `run_survey`.
     features : `~astropy.table.QTable`
         The tables of features of all sources, with the columns of ``HEAD`` that
         identify them.
     """
-    empty, numbers = component_table([]), set(range(len(outcomes)))
-    found = _stacked(outcomes, output, "components.ecsv", empty.copy())
+    empty, numbers = stream_table([]), set(range(len(outcomes)))
+    found = _stacked(outcomes, output, "streams.ecsv", empty.copy())
     features = _stacked(outcomes, output, FEATURES, QTable())
-    searched = {k for k in numbers if outcomes[k].folder}
+    searched = {k for k in numbers if outcomes[k].status != "failed"}
     nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
     tested = false_discovery_rate({"all": found} | nothing)
     rest = sorted(numbers - set(found["outcome"]))
@@ -361,10 +360,9 @@ def measure_source(source, output, report=False, parts=None):
     """
     Measure a source in all its regions and scale groups, without raising errors.
 
-    SSPs are correlated once, in all regions and on all scales together; each region and
-    scale group is a stack of its own.  The folder of the source is replaced as a whole
-    when everything is written.  An error becomes the message of an outcome; its
-    traceback is in ``error.txt`` of the folder.
+    The epochs are decomposed once for each region.  The folder of the source is
+    replaced as a whole when everything is written.  An error becomes the message of an
+    outcome; its traceback is in ``error.txt`` of the folder.
 
     Parameters
     ----------
@@ -403,15 +401,19 @@ def measure_source(source, output, report=False, parts=None):
 
 
 def _measure(source, output, part, report, said):
-    """Match a source and measure its parts."""
+    """Measure the parts of a source."""
     cube, settings, left_out, *_ = read_epochs(source.settings)
+    if settings.method != "spectrum":
+        raise ValueError(
+            f"method is {settings.method!r}, which astro-scc measure has: leave it out"
+        )
+    require_epochs(cube)
     published = source.compare and published_positions(source.compare, cube)
     if settings.crop is not None:
         for path in filter(None, source.regions.values()):
             refuse_pixels(path)
     masks = {path: path and cube.region_mask(path) for path in source.regions.values()}
-    inside = None if None in masks else np.any([*masks.values()], axis=0)
-    matched = StackedCrossCorrelation.from_settings(settings).match(cube, region=inside)
+    every, decomposed = StackedCrossCorrelation.from_settings(settings), {}
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
     of_all, outcomes = len(said), []
     first, last = cube.times.isot[[0, -1]].tolist()
@@ -428,24 +430,25 @@ def _measure(source, output, part, report, said):
         scales = settings.scales if scales is None else scales
         own = settings.changed(region=source.regions[region], scales=scales)
         try:
+            if region not in decomposed:
+                decomposed[region] = every.decompose(cube, region=masks[own.region])
+            if not decomposed[region].select.any():
+                shutil.rmtree(folder)
+                outcomes.append(outcome("empty", NO_PATTERN))
+                continue
             scc = StackedCrossCorrelation.from_settings(own)
-            how = {"region": masks[own.region], "scales": scc.scales}
-            result = scc.stack(
-                select_ssps(matched, **how), n_trials=own.n_trials, rng=own.seed
+            result = scc.measure(
+                decomposed[region], n_trials=own.n_trials, rng=own.seed
             )
             page["warnings"] = _lines([*said[:of_all], *said[before:]])
             page["output"] = output / where
-            components = write_measurement(result, own, folder, **page)
+            write_measurement(result, own, folder, **page)
         except Exception as error:
             shutil.rmtree(folder)
             _note_error(part, f"{region}, {group}:\n")
             outcomes.append(outcome("failed", _reason(error)))
             continue
-        status, message = "measured", ""
-        if len(components) == 0:
-            searched = result.decomposed.select.any()
-            status, message = "empty", NO_MATCH if searched else NO_PATTERN
-        outcomes.append(outcome(status, message, where.as_posix()))
+        outcomes.append(outcome("measured", folder=where.as_posix()))
     return outcomes
 
 

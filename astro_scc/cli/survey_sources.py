@@ -50,7 +50,7 @@ IMAGES, PLAN, HEAD = "images", "survey.toml", "# Images from"
 #: Names of images in a folder of one source.
 PATTERNS = ("*.fits", "*.fit", "*.fits.gz", "*.fits.fz")
 #: Table in the folder of every measurement.
-COMPONENTS = "components.ecsv"
+COMPONENTS = "streams.ecsv"
 #: Names of the columns of redshifts, in small letters.
 NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
@@ -121,15 +121,17 @@ class Outcome:
 def finished_outcomes(source, output, report):
     """Return the outcomes of a source whose products are complete, else None."""
     path = Path(output, SOURCES, source.folder, STATE)
-    needed = ["components.ecsv", FEATURES, "report.html"][: 2 + report]
+    needed = ["streams.ecsv", FEATURES, "report.html"][: 2 + report]
     with suppress(OSError, ValueError, KeyError, TypeError):
         state = json.loads(path.read_text(encoding="utf-8"))
         found = [Outcome(**outcome) for outcome in state["outcomes"]]
-        if state["key"] == source.key() and all(
-            outcome.status != "failed" and Path(output, outcome.folder, name).is_file()
+        complete = all(
+            outcome.status == "empty" or Path(output, outcome.folder, name).is_file()
             for outcome in found
             for name in needed
-        ):
+        )
+        failed = any(outcome.status == "failed" for outcome in found)
+        if state["key"] == source.key() and complete and not failed:
             return found
     return None
 

@@ -1,21 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Flow: speed profiles of jets, acceleration, and groups of scales."""
+"""Flow: speed profiles of jets, acceleration, groups of scales, and fields."""
 
-from astro_scc.flow.profile import Profile, ProfileFit, fit_profile, measure_profile
-from astro_scc.flow.speeds import (
-    compare_speeds,
-    feature_profile,
-    measure_acceleration,
-    scale_groups,
-)
+from astro_scc.flow.acceleration import measure_acceleration
+from astro_scc.flow.field import FlowField, measure_field
+from astro_scc.flow.models import ProfileFit, fit_profile
+from astro_scc.flow.profile import Profile, measure_profile
+from astro_scc.flow.speeds import compare_scales, feature_profile
 
 __all__ = [
+    "FlowField",
     "Profile",
     "ProfileFit",
-    "compare_speeds",
+    "compare_scales",
     "feature_profile",
     "fit_profile",
     "measure_acceleration",
+    "measure_field",
     "measure_profile",
-    "scale_groups",
 ]

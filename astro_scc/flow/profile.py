@@ -3,212 +3,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
-from numpy.typing import ArrayLike
-from scipy.optimize import curve_fit
-from scipy.special import chdtrc
+from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
+from astro_scc.flow.acceleration import FlowAcceleration, acceleration_of
+from astro_scc.flow.models import fit_profile
+from astro_scc.flow.parts import (
+    PartFit,
+    PartSpeeds,
+    fit_part,
+    has_flow,
+    place_of,
+    speeds_in_parts,
+)
+from astro_scc.flow.speeds import check_groups, feature_distances, flow_by_scale
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
-from astro_scc.matching import MatchedEpochs, select_ssps
+from astro_scc.matching import DecomposedEpochs
+from astro_scc.matching.matched import ssp_distances
+from astro_scc.matching.plan import flow_direction, scale_numbers
 from astro_scc.measurement import SCCResult, false_discovery_rate
+from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.products.folder import write_files, write_tables
+from astro_scc.progress import progress
 from astro_scc.quantities import random_generator
-from astro_scc.scc import StackedCrossCorrelation, seeded
+from astro_scc.scc import StackedCrossCorrelation, seeded, used_intervals
 from astro_scc.settings import require
-from astro_scc.stacking.stack import stack
+from astro_scc.streams.decomposed import DecomposedFlow
+from astro_scc.streams.finder import find_streams
+from astro_scc.units import PM_UNIT
 from astro_scc.visualization import speeds, style
+from astro_scc.writing import versions
 
-
-def _straight(r, r0, v0, gradient=0.0):
-    return v0 + gradient * (r - r0)
-
-
-def _power_law(r, r0, v0, index):
-    return v0 * (r / r0) ** index
-
-
-def _broken(r, _, v0, inner_gradient, outer_gradient, r_break):
-    return v0 + np.where(r < r_break, inner_gradient, outer_gradient) * (r - r_break)
-
-
-#: Speeds of each model at distances r, and its parameters; v0 is the speed at r0.
-MODELS = {
-    "constant": (_straight, ("v0",)),
-    "linear": (_straight, ("v0", "gradient")),
-    "power-law": (_power_law, ("v0", "index")),
-    "broken": (_broken, ("v0", "inner_gradient", "outer_gradient", "r_break")),
-}
-
-
-@dataclass(frozen=True, eq=False)
-class ProfileFit:
-    """
-    A model of speed against distance.
-
-    Attributes
-    ----------
-    model : str
-    r0 : `~astropy.units.Quantity`
-        Distance at which the speed is ``v0``; the break of a broken line.
-    parameters : dict of `~astropy.units.Quantity`
-    errors : dict of `~astropy.units.Quantity`
-    chi2 : float
-    n_free : int
-        Degrees of freedom.
-    aicc : float
-        Akaike's criterion for small samples; the smallest is the best.
-    p_constant : float
-        Probability that chance improves as much on a constant speed, from the
-        difference in chi-square; 1 for the constant itself.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.flow import fit_profile
-    >>> r = [1, 2, 4, 6] * u.mas
-    >>> v = [1.0, 1.1, 1.3, 1.5] * u.mas / u.yr
-    >>> fit = fit_profile(r, v, [0.05] * 4 * u.mas / u.yr)
-    >>> fit.model, fit(3 * u.mas).round(2)
-    ('linear', <Quantity 1.2 mas / yr>)
-    """
-
-    model: str
-    r0: u.Quantity
-    parameters: dict[str, u.Quantity]
-    errors: dict[str, u.Quantity]
-    chi2: float
-    n_free: int
-    aicc: float
-    p_constant: float
-
-    def __call__(self, distance: u.Quantity) -> u.Quantity:
-        """
-        Return the speed of the model.
-
-        Parameters
-        ----------
-        distance : `~astropy.units.Quantity`
-
-        Returns
-        -------
-        `~astropy.units.Quantity`
-        """
-        function, _ = MODELS[self.model]
-        values = [p.value for p in self.parameters.values()]
-        r = u.Quantity(distance).to_value(self.r0.unit)
-        return function(r, self.r0.value, *values) * self.parameters["v0"].unit
-
-
-def fit_profile(
-    distance: u.Quantity, speed: ArrayLike, error: ArrayLike, *, model: str = "linear"
-) -> ProfileFit:
-    r"""
-    Fit a model to speeds at distances, weighted by their errors.
-
-    ====================  =====================================================
-    ``"constant"``        :math:`v_0`
-    ``"linear"``          :math:`v_0 + g\,(r - r_0)`
-    ``"power-law"``       :math:`v_0\,(r / r_0)^k`
-    ``"broken"``          two straight lines that meet at ``r_break``
-    ====================  =====================================================
-
-    Parameters
-    ----------
-    distance : `~astropy.units.Quantity`, shape (n,)
-    speed, error : `~astropy.units.Quantity` or array_like, shape (n,)
-        Speeds without a finite, positive error are not used.
-    model : str, optional
-
-    Returns
-    -------
-    `~astro_scc.flow.ProfileFit`
-
-    Raises
-    ------
-    ValueError
-        If the model is unknown, if there are fewer distances with usable
-        speeds than parameters, or if a power law is fitted to distances or
-        speeds that are not positive.
-
-    Notes
-    -----
-    The errors follow from those of the speeds, which are not rescaled.  Speeds
-    in bins that share features are not independent; `measure_acceleration
-    <astro_scc.flow.measure_acceleration>` needs no bins.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astro_scc.flow import fit_profile
-    >>> fit = fit_profile([1, 2, 4, 8] * u.mas, [3.0, 3.2, 3.6, 4.4], [0.1] * 4)
-    >>> fit.parameters["gradient"].round(3), fit.p_constant < 1e-6
-    (<Quantity 0.2 1 / mas>, True)
-    """
-    if model not in MODELS:
-        raise ValueError(f"unknown model {model!r}: use one of {', '.join(MODELS)}")
-    r, v, e = (np.atleast_1d(u.Quantity(q)) for q in (distance, speed, error))
-    e = e.to(v.unit)
-    good = np.isfinite(v) & np.isfinite(e) & (e > 0)
-    x, y, s = r.value[good], v.value[good], e.value[good]
-    function, names = MODELS[model]
-    n, k, mean = len(x), len(names), np.average(y, weights=1 / s**2)
-    place = np.unique(x)
-    if len(place) < k:
-        raise ValueError(
-            f"a {model} profile needs speeds with errors at {k} distances or more, "
-            f"got {len(place)}"
-        )
-    starts, limits = [[mean, *[0.0] * (k - 1)]], (-np.inf, np.inf)
-    x0 = np.average(x, weights=1 / s**2)
-    if model == "power-law":
-        if not (np.all(x > 0) and np.all(y > 0)):
-            raise ValueError("a power law needs distances and speeds above 0")
-        x0 = np.exp(np.average(np.log(x), weights=(y / s) ** 2))
-    elif model == "broken":
-        # The best break may be near any of the distances.
-        starts = [[mean, 0.0, 0.0, at] for at in place[1:-1]]
-        limits = np.transpose([(-np.inf, np.inf)] * 3 + [place[[1, -2]]])
-
-    def curve(r, *values):
-        return function(r, x0, *values)
-
-    def chi2(speeds):
-        return float((((y - speeds) / s) ** 2).sum())
-
-    how = {"sigma": s, "absolute_sigma": True, "bounds": limits, "method": "trf"}
-    # Parameters in any units.
-    how["x_scale"] = "jac"
-    fits = [curve_fit(curve, x, y, start, **how) for start in starts]
-    values, covariance = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
-    least = chi2(curve(x, *values))
-    units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
-    units = [units.get(name, v.unit / r.unit) for name in names]
-    parameters, errors = (
-        dict(zip(names, map(u.Quantity, of, units), strict=True))
-        for of in (values, np.sqrt(np.diag(covariance)))
-    )
-    return ProfileFit(
-        model=model,
-        r0=parameters.get("r_break", x0 * r.unit),
-        parameters=parameters,
-        errors=errors,
-        chi2=least,
-        n_free=n - k,
-        aicc=least + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
-        p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
-    )
+#: The name of all scales together.
+ALL = "all"
 
 
 def bins_of(edges, *, window=None):
@@ -231,14 +71,20 @@ def bins_of(edges, *, window=None):
 @dataclass(frozen=True, eq=False, repr=False)
 class Profile(Components):
     """
-    The measurement in each bin of distance.
+    The measurement in each bin of distance, and each group of scales.
 
     Attributes
     ----------
     bins : `~astropy.units.Quantity`, shape (n, 2)
         Limits of the bins.
-    results : tuple of `~astro_scc.measurement.SCCResult` or None
-        One per bin; None if the bin has no SSP.
+    results : dict of tuple of `~astro_scc.measurement.SCCResult` or None
+        By the name of the group of scales, "all" if there are none: one per bin, None
+        if nothing is seen there.
+    fits, speeds : dict
+        By the same names: one stream fitted to each bin, and its speeds with their
+        covariance, in beams and years.
+    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+        The flow that is divided.
     along : {"radius", "ridge"}
         Whether distances are measured from the core or along the ridge line.
 
@@ -248,18 +94,18 @@ class Profile(Components):
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.flow import measure_profile
     >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
-    ...                               position_angle=270 * u.deg)
-    >>> matched = scc.match(cube)
-    >>> profile = measure_profile(
-    ...     scc, matched, [2, 10, 18] * u.mas, n_trials=20, rng=1)
-    >>> len(profile), profile.components.colnames[:3]
-    (2, ['r_min', 'r_max', 'r_mid'])
+    >>> cube = simulate_two_fluid(n_epochs=8, rng=1).cube
+    >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    >>> profile = measure_profile(scc, cube, [2, 10, 18] * u.mas, n_trials=20, rng=1)
+    >>> len(profile), profile.components.colnames[:3], profile.covariance.shape
+    (2, ['r_min', 'r_max', 'r_mid'], (2, 2))
     """
 
     bins: u.Quantity
-    results: tuple[SCCResult | None, ...]
+    results: dict[str, tuple[SCCResult | None, ...]]
+    fits: dict[str, tuple[PartFit | None, ...]]
+    speeds: dict[str, PartSpeeds]
+    flow: DecomposedFlow
     along: str = "radius"
 
     def __len__(self) -> int:
@@ -271,28 +117,87 @@ class Profile(Components):
             f"{self.bins.max():g}, {len(self.components)} streams>"
         )
 
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups of scales, ("all",) if there are none."""
+        return tuple(self.results)
+
+    @property
+    def covariance(self) -> u.Quantity:
+        """
+        Covariance of the speeds of the spectrum in the bins, of the first group.
+
+        The speeds are the means of one Gaussian in each bin; NaN where none is known.
+        """
+        return self.speeds[self.groups[0]].covariance * (self.flow.beam * PM_UNIT) ** 2
+
+    @cached_property
+    def acceleration(self) -> FlowAcceleration:
+        """The slope of the speeds of the first group, with their covariance."""
+        return self.accelerations[self.groups[0]]
+
+    @cached_property
+    def accelerations(self) -> dict[str, FlowAcceleration]:
+        """The acceleration by the name of the group of scales."""
+        unit = self.flow.cube.speed_unit
+        return {
+            name: acceleration_of(own, self.flow.beam, unit)
+            for name, own in self.speeds.items()
+        }
+
     @cached_property
     def components(self) -> QTable:
         """
-        The components of all bins, a `~astropy.table.QTable`.
+        The streams of all bins, a `~astropy.table.QTable`.
 
-        The columns are ``r_min``, ``r_max``, ``r_mid``, those of
-        `SCCResult.components <astro_scc.measurement.SCCResult.components>`
-        with ``p_fdr``, adjusted for all bins, and ``main``, which marks at most
-        one component of each bin: of those whose speed exceeds its error, the
-        moving one with the largest coefficient or, if none moves, the one with
-        the largest coefficient that is not significant.
+        The columns are ``r_min``, ``r_max``, ``r_mid``, with groups of scales
+        ``scale_group``, those of
+        `SCCResult.streams <astro_scc.measurement.SCCResult.streams>`
+        with ``p_fdr``, adjusted for all bins and groups, and ``main``, which marks at
+        most one stream of each bin: of those whose speed exceeds its error, the
+        moving one with the largest share or, if none moves, the one with the largest
+        share that is not significant.  The meta holds, by group, the ``covariance`` of
+        the speeds of the spectrum in the bins, and the ``acceleration``.
         """
-        tables = [
-            stream_table([]) if r is None else r.components for r in self.results
+        named = [
+            (name, limits, stream_table([]) if own is None else own.streams)
+            for name, found in self.results.items()
+            for limits, own in zip(self.bins, found, strict=True)
         ]
+        tables = [table for *_, table in named]
         adjusted = false_discovery_rate(tables)
-        placed = list(map(_in_bin, adjusted, self.bins))
+        several = self.groups != (ALL,)
+        placed = [
+            _in_bin(table, limits, name if several else None)
+            for (name, limits, _), table in zip(named, adjusted, strict=True)
+        ]
         meta = dict(next((table.meta for table in tables if table.meta), {}))
         if tested := adjusted[0].meta.get("false_discovery"):
             meta["false_discovery"] = tested
-        bins = self.bins.to_value(u.mas).tolist()
-        return stack_tables(placed, meta | {"bins": bins, "along": self.along})
+        meta["bins"] = self.bins.to_value(u.mas).tolist()
+        meta["along"] = self.along
+        meta["covariance"] = {name: self._covariance(name) for name in self.groups}
+        meta["acceleration"] = {
+            name: asdict(own) for name, own in self.accelerations.items()
+        }
+        return stack_tables(placed, meta)
+
+    @property
+    def streams(self) -> QTable:
+        """Another name of `components`."""
+        return self.components
+
+    def _covariance(self, name):
+        """Return the speeds of a group and their covariance for the meta."""
+        own, beam = self.speeds[name], self.flow.beam
+        known = np.flatnonzero(np.isfinite(own.speed))
+        square = own.covariance[np.ix_(known, known)]
+        return {
+            "bins": known.tolist(),
+            "distance": own.place[known] * beam * u.mas,
+            "speed": own.speed[known] * beam * PM_UNIT,
+            "covariance": square * (beam * PM_UNIT) ** 2,
+        }
 
     @property
     def main(self) -> QTable:
@@ -300,11 +205,13 @@ class Profile(Components):
         return self.components[self.components["main"]]
 
 
-def _in_bin(table, limits):
-    """Return a table of components with the limits of their bin in front."""
+def _in_bin(table, limits, group):
+    """Return a table of streams with the limits of their bin in front."""
     low, high = limits.to_value(u.mas)
     values = {"r_min": low, "r_max": high, "r_mid": (low + high) / 2}
     columns = {name: np.full(len(table), r) * u.mas for name, r in values.items()}
+    if group is not None:
+        columns["scale_group"] = np.full(len(table), group)
     columns |= dict(table.items()) | {"main": _main(table)}
     return describe(QTable(columns, meta=table.meta), "profile")
 
@@ -312,39 +219,45 @@ def _in_bin(table, limits):
 def _main(table):
     """Return which row, if any, represents the bin."""
     chosen = np.zeros(len(table), dtype=bool)
+    share = np.nan_to_num(np.asarray(table["share"], dtype=float))
     for wanted in ("moving", "not confirmed", "not significant"):
         moves = (table["kind"] == wanted) & (table["pm"] > table["pm_err"])
         if moves.any():
-            chosen[np.where(moves, table["coefficient"], -np.inf).argmax()] = True
+            chosen[np.where(moves, share, -np.inf).argmax()] = True
             break
     return chosen
 
 
 def measure_profile(
-    scc: StackedCrossCorrelation, matched: MatchedEpochs | EpochCube,
+    scc: StackedCrossCorrelation, decomposed: DecomposedEpochs | EpochCube,
     edges: u.Quantity | str, *, window: u.Quantity | str | None = None,
-    ridge: RidgeLine | None = None, n_trials: int = 1000,
-    rng: np.random.Generator | int | None = None, progress_bar: bool = False,
+    ridge: RidgeLine | None = None,
+    scale_groups: Mapping[str, Sequence[float]] | str | None = None,
+    n_trials: int = 1000, rng: np.random.Generator | int | None = None,
+    progress_bar: bool = False,
 ) -> Profile:  # fmt: skip
     """
-    Measure the velocity components in bins of distance.
+    Measure the streams in bins of distance, and by scale.
 
-    All epochs are matched once; for each bin, the matches of its SSPs are
-    stacked.
+    A displacement counts in the bin of its middle, and a feature in that of its mean
+    place.
 
     Parameters
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings.
-    matched : `~astro_scc.matching.MatchedEpochs` or cube
-        The result of ``scc.match(cube)``, or a cube, which is matched first.
+    decomposed : `~astro_scc.matching.DecomposedEpochs` or cube
+        The result of ``scc.decompose(cube)``, or a cube, which is decomposed first.
     edges : `~astropy.units.Quantity` or str, shape (n + 1,)
         Limits of the bins: increasing angles, none negative.
     window : `~astropy.units.Quantity` or str, optional
         Width of windows that replace the bins between edges: each edge is the
-        middle of a window, and neighbours share features where they overlap.
+        middle of a window, and neighbours share what moves where they overlap.
     ridge : `~astro_scc.kinematics.RidgeLine`, optional
-        Measure distances along this line instead of from the reference pixel.
+        Measure distances and speeds along this line.
+    scale_groups : dict of sequence of float, or str, optional
+        Numbers of the scales of each group by its name, or as text, ``"1,2; 3,4"``.
+        Each is measured by itself, from the spectrum alone, as features have no scale.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
         The trials of each bin are independent.
@@ -357,7 +270,7 @@ def measure_profile(
     Raises
     ------
     ValueError
-        If the bins are invalid, or none of them has an SSP.
+        If the bins or groups are invalid, or nothing is seen in any bin.
 
     Examples
     --------
@@ -365,31 +278,108 @@ def measure_profile(
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.flow import measure_profile
     >>> from astro_scc.simulation import simulate_two_fluid
-    >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr,
-    ...                               position_angle=270 * u.deg)
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> profile = measure_profile(scc, cube, [0, 10, 20] * u.mas, n_trials=50, rng=1)
-    >>> profile.components.colnames[:4]
-    ['r_min', 'r_max', 'r_mid', 'component']
+    >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    >>> cube = simulate_two_fluid(n_epochs=8, rng=1).cube
+    >>> profile = measure_profile(scc, cube, [2, 18] * u.mas, scale_groups="1; 2,3",
+    ...                           n_trials=50, rng=1)
+    >>> profile.components.colnames[3], sorted(set(profile.components["scale_group"]))
+    ('scale_group', ['1', '2, 3'])
     """
     bins = bins_of(edges, window=window)
-    if not hasattr(matched, "matches"):
-        matched = scc.match(matched, progress_bar=progress_bar)
+    groups = None if scale_groups is None else require("scale_groups", scale_groups)
+    n_trials = require("n_trials", n_trials)
+    if not hasattr(decomposed, "decomposer"):
+        decomposed = scc.decompose(decomposed, progress_bar=progress_bar)
+    scc = scc if ridge is None else replace(scc, position_angle=ridge)
+    cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
     rng, seed = seeded(rng)
-    results = [None] * len(bins)
-    for k, own in enumerate(random_generator(rng).spawn(len(bins))):
-        r_min, r_max = bins[k]
-        part = select_ssps(matched, r_min=r_min, r_max=r_max, ridge=ridge)
-        if part.select.any():
-            how = {"n_trials": n_trials, "rng": own, "progress_bar": progress_bar}
-            results[k] = scc.stack(part, **how)
-            results[k].meta["seed"] = seed
-    if not any(results):
-        raise ValueError(
-            f"no SSP lies in the bins, {bins.min():g} to {bins.max():g} from the core: "
-            "choose others, or fainter thresholds"
-        )
-    return Profile(bins, tuple(results), "radius" if ridge is None else "ridge")
+    generator = random_generator(rng)
+    search = {
+        "misaligned": alignment_errors(cube, scc.alignment_error), "alpha": scc.alpha,
+        "outward": scc.outward, "intervals": used_intervals(cube, scc.baseline),
+    }  # fmt: skip
+    with threadpool_limits(1):
+        flow = scc.flow(decomposed)
+        if len(flow.grids) > 1:
+            # Bins need one direction, that of the whole flow.
+            flow = find_streams(
+                flow, features, n_trials=n_trials, rng=generator, **search
+            ).flow  # fmt: skip
+        flows = {ALL: flow} if groups is None else _by_scale(cube, flow, groups)
+        distance = feature_distances(flow, features)
+        meta = {
+            "settings": scc.to_dict(), "n_trials": n_trials, "seed": seed,
+            "versions": versions(),
+        }  # fmt: skip
+        results, limits = {}, bins.to_value(u.mas)
+        total = len(flows) * len(bins)
+        with progress(total, "Searching", show=progress_bar) as done:
+            for name, own in flows.items():
+                results[name] = []
+                for (low, high), own_rng in zip(
+                    limits, generator.spawn(len(bins)), strict=True
+                ):
+                    inside = (distance >= low) & (distance < high)
+                    part, found = own.between(low, high), None
+                    if has_flow(part):
+                        found = find_streams(
+                            part, features, inside=inside & (groups is None),
+                            root=groups is None, n_trials=n_trials, rng=own_rng, **search
+                        )  # fmt: skip
+                        found = SCCResult(
+                            decomposed, found, flow_direction(decomposed, flow.frame),
+                            meta=dict(meta),
+                        )  # fmt: skip
+                    results[name].append(found)
+                    done(1)
+        if not any(result for found in results.values() for result in found):
+            raise ValueError(
+                f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from the "
+                "core: choose others"
+            )
+        sign = _sign_of(results)
+        fits = {
+            name: tuple(
+                _fit_again(result, sign, search["intervals"], root=groups is None)
+                for result in found
+            )
+            for name, found in results.items()
+        }
+        places = [place_of(flow.between(low, high)) for low, high in limits]
+        speeds = {name: speeds_in_parts(own, places) for name, own in fits.items()}
+    return Profile(
+        bins, {name: tuple(found) for name, found in results.items()}, fits, speeds,
+        flow, "ridge" if isinstance(flow.frame, RidgeLine) else "radius",
+    )  # fmt: skip
+
+
+def _by_scale(cube, flow, groups):
+    """Return the flows of groups of scales by their names."""
+    numbers = {name: scale_numbers(cube, own) for name, own in groups.items()}
+    check_groups(numbers)
+    whole = flow_by_scale(flow, sorted({s for own in numbers.values() for s in own}))
+    return {name: whole.part(scales=own) for name, own in numbers.items()}
+
+
+def _sign_of(results):
+    """Return the sign of the speed of the bin in which motion is clearest."""
+    tests = [
+        result.search.test for found in results.values() for result in found if result
+    ]
+    test = max(tests, key=lambda test: test.z.max())
+    return float(np.sign(test.speed[test.best[1]]))
+
+
+def _fit_again(result, sign, intervals, *, root):
+    """Return the fit of one stream to a bin."""
+    if result is None:
+        return None
+    search, fit = result.search, result.search.fit
+    same = fit is not None and len(fit.mean) == 1 and fit.mean[0] * sign > 0
+    return fit_part(
+        search.flow, sign=sign, root=root, intervals=intervals, diagram=search.diagram,
+        fit=fit if same else None,
+    )  # fmt: skip
 
 
 def write_profile(profile, components, directory, **settings):
@@ -407,16 +397,15 @@ def write_profile(profile, components, directory, **settings):
     >>> from astro_scc.flow import measure_profile
     >>> from astro_scc.flow.profile import write_profile
     >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
-    >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr,
-    ...                               position_angle=270 * u.deg)
+    >>> cube = simulate_two_fluid(n_epochs=8, rng=1).cube
+    >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     >>> profile = measure_profile(scc, cube, [2, 10, 18] * u.mas, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
-    ['profile.ecsv', 'profile.png', 'velocity_maps.png', 'position_angles.png']
+    ['profile.ecsv', 'profile.png', 'position_angles.png']
     """
-    of = {"profile": components}, directory, components.meta
-    _, paths = write_tables(*of, **settings)
+    tables = {"profile": components}
+    _, paths = write_tables(tables, directory, components.meta, **settings)
     files = style.figure_files(_figures(profile, components))
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]
@@ -424,43 +413,54 @@ def write_profile(profile, components, directory, **settings):
 
 def _figures(profile, components):
     """Return functions that draw the figures of a profile by their names."""
-    results = [result for result in profile.results if result is not None]
-    first, (maps, angles, grid) = results[0], _of_scales(results)
-    shown = {"line": _line_of(first, profile.bins.max()), "fits": _fits(profile.main)}
-    shown |= {"cube": first.cube, "beta_per_pm": beta_per_pm(components)}
-    axes = {"axis_names": tuple(first.frame.axis_names), "unit": first.cube.speed_unit}
+    found = [result for own in profile.results.values() for result in own if result]
+    shown = {
+        "line": _line_of(found[0], profile.bins.max()), "fits": _fits(profile),
+        "cube": found[0].cube, "beta_per_pm": beta_per_pm(components),
+    }  # fmt: skip
+    angles = angles_by_scale(profile, found[0])
     return {
         "profile": partial(speeds.plot_profile, components, **shown),
-        "velocity_maps": partial(speeds.plot_scale_maps, maps, grid, **axes),
         "position_angles": partial(speeds.plot_position_angles, angles),
     }
 
 
-def _of_scales(results):
-    """Return stacks and position angles by the name of a scale, and their grid."""
-    grid = max((r.grid for r in results), key=lambda g: g.shape[0] * g.shape[1])
-    matched = results[0].matched
-    select = np.any([r.matched.select for r in results], axis=0)
-    angle = ssp_angles(matched, results[0].position_angle)
-    maps, angles = {}, {}
-    for scale in np.unique(matched.ssps.scale):
-        own = matched.ssps.scale == scale
-        stacks = (
-            stack(d.select(own[d.ssp]), r.pairs, grid)
-            for d, r in ((r.displacements, r) for r in results)
-        )
-        maps[f"scale {scale:g}"] = sum(stacks) / len(results)
-        angles[f"scale {scale:g}"] = angle[select & own]
-    return maps, angles, grid
+def angles_by_scale(profile, result):
+    """
+    Return the position angles of SSPs in the bins, by groups of scales or by scale.
+
+    Parameters
+    ----------
+    profile : `Profile`
+    result : `~astro_scc.measurement.SCCResult`
+        Of any bin.
+
+    Returns
+    -------
+    dict of `~astropy.units.Quantity`
+    """
+    decomposed, frame = result.decomposed, profile.flow.frame
+    ridge = frame if profile.along == "ridge" else None
+    r = ssp_distances(decomposed, ridge=ridge)
+    inside = decomposed.select & (r >= profile.bins.min()) & (r < profile.bins.max())
+    angle, scale = ssp_angles(decomposed, result.position_angle), decomposed.ssps.scale
+    groups = {f"scale {j:g}": [j] for j in np.unique(scale[inside])}
+    if profile.groups != (ALL,):
+        groups = {
+            f"scales {name}": own[0].planes.scales
+            for name, fits in profile.fits.items()
+            if (own := [fit for fit in fits if fit])
+        }
+    return {name: angle[inside & np.isin(scale, own)] for name, own in groups.items()}
 
 
-def ssp_angles(matched, jet):
+def ssp_angles(decomposed, jet):
     """
     Return the position angles of the centroids of SSPs from the reference pixel.
 
     Parameters
     ----------
-    matched : `~astro_scc.matching.MatchedEpochs`
+    decomposed : `~astro_scc.matching.DecomposedEpochs`
     jet : `~astropy.units.Quantity`
         Direction of the jet.
 
@@ -469,7 +469,7 @@ def ssp_angles(matched, jet):
     `~astropy.units.Quantity`, shape (n_ssps,)
         Within half a turn of the jet's.
     """
-    east, north = ssp_offsets(matched.ssps, matched.cube, centroid=True)
+    east, north = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
     angle, jet = np.degrees(np.arctan2(east, north)), jet.to_value(u.deg)
     return (jet + (angle - jet + 180) % 360 - 180) * u.deg
 
@@ -482,11 +482,16 @@ def _line_of(result, length):
     return RidgeLine(s * np.sin(angle), s * np.cos(angle))
 
 
-def _fits(main):
+def _fits(profile):
     """Return a straight line and a power law, if there are enough speeds."""
-    speeds = main["r_mid"], main["pm_parallel"], main["pm_parallel_err"]
+    own, beam = profile.speeds[profile.groups[0]], profile.flow.beam
+    unit = profile.flow.cube.speed_unit
+    v, e = ((x * beam * PM_UNIT).to(unit) for x in (own.speed, own.error))
     fits = []
     for model in ("linear", "power-law"):
         with suppress(ValueError):
-            fits.append(fit_profile(*speeds, model=model))
+            r = own.place * beam * u.mas
+            fits.append(
+                fit_profile(r, v, e, model=model, covariance=profile.covariance)
+            )
     return tuple(fits)

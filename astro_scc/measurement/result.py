@@ -423,7 +423,7 @@ class SCCResult(tables.Components):
         """
         from astro_scc.visualization.explore import write_explore
 
-        tables = self.components, self.features
+        tables = self.streams, self.features
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
 
 

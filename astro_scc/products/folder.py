@@ -14,18 +14,19 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
+from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import writing
 from astro_scc.columns import describe
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.measurement.result import SCCResult, velocity_hdus
+from astro_scc.measurement.result import SCCResult, map_hdus, velocity_hdus
 from astro_scc.products.publication import with_published, write_publication
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
 #: Tables in forms of journals and archives.
-PRINTED = ("components", "features", "positions")
+PRINTED = ("streams", "features", "positions")
 
 
 @contextmanager
@@ -140,7 +141,7 @@ def _move(folder, target, stale=()):
 
 
 def write_products(
-    result: SCCResult, components: QTable, directory: Path | str, *,
+    result: SCCResult, streams: QTable, directory: Path | str, *,
     configuration: dict[str, Any] | None = None, text: str | None = None,
     published: QTable | None = None, archives: bool = True,
 ) -> list[Path]:  # fmt: skip
@@ -150,13 +151,13 @@ def write_products(
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
-    components : `~astropy.table.QTable`
-        Its ``components``, with apparent speeds if there are any.
+    streams : `~astropy.table.QTable`
+        Its ``streams``, with apparent speeds if there are any.
     directory : path
         A folder that exists, see ``product_folder``.
     configuration : dict, optional
         Settings as plain numbers and text.  In the meta of the tables, they
-        replace the settings of the stack alone.
+        replace the settings of the measurement alone.
     text : str, optional
         The same settings as TOML, for ``config.toml``.
     published : `~astropy.table.QTable`, optional
@@ -169,9 +170,10 @@ def write_products(
     Returns
     -------
     list of `~pathlib.Path`
-        ``components.ecsv``, ``features.ecsv``, with apparent speeds if the components
-        have them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``,
-        ``ssps.ecsv``, ``scc.fits``, the folder ``publication``, see
+        ``streams.ecsv``, ``components.ecsv``, the same for older scripts,
+        ``spectrum.ecsv``, ``features.ecsv``, with apparent speeds if the streams have
+        them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``, ``ssps.ecsv``,
+        ``scc.fits``, the folder ``publication``, see
         ``astro_scc.products.publication.write_publication``, and, if ``text`` is
         given, ``config.toml``.
 
@@ -192,23 +194,24 @@ def write_products(
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.products import write_products
     >>> from astro_scc.simulation import simulate_two_fluid
-    >>> cube = simulate_two_fluid(n_epochs=5, rng=1).cube
+    >>> cube = simulate_two_fluid(n_epochs=6, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
     >>> result = scc(cube, n_trials=20, rng=1)
     >>> Path("out").mkdir()
-    >>> paths = write_products(result, result.components, "out")
-    >>> [path.suffix for path in paths if path.parent.name == "out"]
-    ['.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.ecsv', '.fits']
+    >>> paths = write_products(result, result.streams, "out")
+    >>> [path.name for path in paths if path.parent.name == "out"][:3]
+    ['streams.ecsv', 'components.ecsv', 'spectrum.ecsv']
     """
     directory = Path(directory)
-    features = table_in_c_as(result.features, components)
+    features = table_in_c_as(result.features, streams)
     features = with_published(features, result.tracked_features, published)
-    meta = {**result.meta, **components.meta}
+    meta = {**result.meta, **streams.meta}
     meta["history"] = list(result.cube.meta.get("history", ()))
     epochs, used = result.cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
     epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
     tables = {
-        "components": components, "features": features,
+        "streams": streams, "components": streams, "spectrum": result.spectrum,
+        "features": features,
         "positions": result.feature_positions, "sensitivity": result.sensitivity,
         "epochs": describe(epochs, "epochs"), "ssps": result.ssps,
     }  # fmt: skip
@@ -221,6 +224,35 @@ def write_products(
         printed = {name: tables[name] for name in PRINTED}
         paths += write_publication(printed, directory, {"ssps": result.ssps})
     return paths
+
+
+def write_paper_products(result, streams, directory, *, configuration=None, text=None):
+    """
+    Write tables and maps of a measurement by the paper's method.
+
+    Parameters
+    ----------
+    result : `~astro_scc.paper_method.PaperMeasurement`
+    streams : `~astropy.table.QTable`
+        Its ``streams``, with apparent speeds if there are any.
+    directory, configuration, text
+        See `write_products`.
+
+    Returns
+    -------
+    list of `~pathlib.Path`
+        ``streams.ecsv``, ``components.ecsv``, the same, ``ssps.ecsv``, ``scc.fits``,
+        the folder ``publication`` and, with ``text``, ``config.toml``.
+    """
+    directory, meta = Path(directory), {**result.meta, **streams.meta}
+    tables = {"streams": streams, "components": streams, "ssps": result.ssps}
+    settings = {"configuration": configuration, "text": text}
+    tables, paths = write_tables(tables, directory, meta, **settings)
+    paths.append(directory / "scc.fits")
+    hdus = fits.HDUList(map_hdus(result, text=text))
+    hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
+    printed = {"streams": tables["streams"]}
+    return paths + write_publication(printed, directory, {"ssps": result.ssps})
 
 
 def write_tables(tables, folder, meta, *, configuration=None, text=None):

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 FOLDER = "publication"
 #: Captions, with the name of the source in braces.
 CAPTIONS = {
-    "components": "Velocity components{}",
+    "streams": "Velocities of the streams{}",
     "features": "Features{} and their motions",
     "positions": "Positions of the features{}",
-    "profile": "Velocity components{} in bins of core separation",
+    "profile": "Velocities of the streams{} in bins of core separation",
 }
 #: Longer tables may break over pages.
 ONE_PAGE = 40
@@ -97,10 +97,7 @@ def write_publication(
     folder = Path(directory, FOLDER)
     folder.mkdir(exist_ok=True)
     texts, files = {}, []
-    tables = {
-        name: printed(table) if "component" in table.colnames else table
-        for name, table in tables.items()
-    }
+    tables = {name: printed(table) for name, table in tables.items()}
     for name, table in tables.items():
         if "pm" in table.colnames:
             for journal, text in latex_texts_of(table, name).items():
@@ -334,8 +331,8 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     >>> import astropy.units as u
     >>> from astropy.table import QTable
     >>> from astro_scc.products import write_votable
-    >>> write_votable(QTable({"pm": [0.5] * u.mas / u.yr}), "components.vot")
-    >>> QTable.read("components.vot")["pm"].unit
+    >>> write_votable(QTable({"pm": [0.5] * u.mas / u.yr}), "streams.vot")
+    >>> QTable.read("streams.vot")["pm"].unit
     Unit("mas / yr")
     """
     plain = Table(table)

@@ -13,25 +13,29 @@ from astro_scc.units import offset_unit, unit_name
 #: Most features that are named in a sentence, and that the terminal shows.
 MOST = 10
 EXPLANATION = (
-    "p_global: probability that epochs in permuted order would give an equally strong",
-    "peak at any velocity",
+    "p_global: share of permutations of what is new in each epoch that move as much",
 )
-NOTHING = "Other scales, a larger region or --max-speed, or more epochs may show one."
 #: Speeds agree within so many errors of both.
 AGREE = 2
 #: Features that would have to be seen so many times as long are out of reach.
 MOST_SPANS = 10
-#: Columns of components, features and profiles.
-COMPONENTS = (
-    "component kind pm pm_pa beta_app v_app dispersion p_global n_features".split()
-)
-FEATURES = (
-    "feature component dates n_epochs separation pm pm_pa beta_app v_app p_false"
+#: Columns of streams, features and profiles.
+STREAMS = (
+    "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features "
+    "pm_features pm_spectrum"
 ).split()
-PROFILE = "bin pm_parallel pm beta_app v_app p_global p_fdr n_ssp remark".split()
+FEATURES = (
+    "feature stream dates n_epochs separation pm pm_pa beta_app v_app p_false"
+).split()
+PROFILE = (
+    "bin scale_group pm_parallel pm beta_app v_app p_global p_fdr n_features remark"
+).split()
+OF_PAPER = (
+    "stream kind pm pm_pa beta_app v_app coefficient z_score p_global n_ssp n_pairs"
+).split()
 #: Formats of numbers whose errors are not shown.
-FORMATS = dict.fromkeys(("dispersion", "p_global", "p_fdr", "p_false"), ".2g")
-FORMATS |= {"pm_pa": ".0f", "separation": ".3g"}
+FORMATS = dict.fromkeys(("share", "dispersion", "p_global", "p_fdr", "p_false"), ".2g")
+FORMATS |= {"pm_pa": ".0f", "separation": ".3g", "coefficient": ".2g", "z_score": ".2f"}
 #: Features seen over fewer days have the times of their epochs.
 SOME_DAYS = 3
 PROFILE_EXPLANATION = (
@@ -39,17 +43,18 @@ PROFILE_EXPLANATION = (
 )
 
 
-def headline(components):
+def headline(streams):
     """
     Return the result of a measurement as a sentence.
 
-    It is *motion*, *motion not confirmed*, *no significant motion* between the slowest
-    and the fastest speed that was searched, or *no motion found*.
+    It has all streams that move, and those whose motion is not confirmed, from slow to
+    fast; if there are none, that nothing moves significantly, and which speeds were
+    searched.
 
     Parameters
     ----------
-    components : `~astropy.table.QTable`
-        See `~astro_scc.measurement.SCCResult.components`.
+    streams : `~astropy.table.QTable`
+        See `~astro_scc.measurement.SCCResult.streams`.
 
     Returns
     -------
@@ -57,35 +62,31 @@ def headline(components):
 
     Examples
     --------
-    >>> from astro_scc.measurement.tables import component_table
+    >>> from astro_scc.measurement.tables import stream_table
     >>> from astro_scc.report.answer import headline
-    >>> headline(component_table([]))
-    'No motion found: no pattern has a match in another epoch.'
+    >>> headline(stream_table([]))
+    'Nothing moves significantly.'
     """
-    if len(components) == 0:
-        return "No motion found: no pattern has a match in another epoch."
-    rows = printed(components)
-    kinds = np.asarray(rows["kind"])
-    if moving := [_motion(row) for row in rows[kinds == "moving"]]:
-        return f"Motion: {'; and '.join(moving)}."
-    if len(some := rows[kinds == "not confirmed"]):
-        row = some[0]
-        why = f"p_global {row['p_global']:.2g}, but {row['caution']}"
-        speed = f"{_speed(row)} with " if row["n_features"] else ""
-        return f"Motion not confirmed: {speed}{why}."
-    searched, unit = "", rows["pm"].unit
-    if "fastest_searched" in components.meta:
-        ends = (components.meta[f"{k}_searched"] for k in ("slowest", "fastest"))
-        low, high = (f"{end.to_value(unit):.2g}" for end in ends)
-        searched = f" between {low} and {high} {unit_name(unit)}"
-    if len(some := rows[kinds == "not significant"]):
-        return (
-            f"No significant motion: the strongest peak{searched} has p_global "
-            f"{some['p_global'][0]:.2g}, which does not show that nothing moves."
+    parts, kinds = [], np.asarray(streams["kind"], dtype=str)
+    for kind, said in (("moving", "Motion: "), ("not confirmed", "Not confirmed: ")):
+        own = streams[kinds == kind]
+        if len(own):
+            parts.append(said + "; and ".join(_motion(row) for row in own))
+    if parts:
+        return f"{'. '.join(parts)}."
+    some, meta = streams[kinds == "not significant"], streams.meta
+    more = [f"p_global {some['p_global'][0]:.2g}"] if len(some) else []
+    if "unambiguous" in meta:
+        unit = streams["pm"].unit
+        low, high, safe = (
+            f"{meta[name].to_value(unit):.3g}"
+            for name in ("slowest", "fastest", "unambiguous")
         )
-    return (
-        f"No motion found{searched}: all features are stationary within their errors."
-    )
+        more += [
+            f"speeds of {low} to {high} {unit_name(unit)} were searched",
+            f"unambiguous to {safe}",
+        ]
+    return f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}."
 
 
 def _speed(row):
@@ -100,27 +101,25 @@ def _speed(row):
 
 def _motion(row):
     """Return the motion of a stream in words."""
-    n, angle, mean = row["n_features"], row["pm_pa"].value, _speed(row)
+    n, angle = row["n_features"], row["pm_pa"].value
     towards = " outward" if row["pm_parallel"] > 0 else " inward"
     if np.isfinite(angle):
         towards = f" towards PA {angle:.0f} deg"
         if "towards the core" in row["caution"]:
             towards += ", which is towards the core"
-    spread, slow, fast = (row[k].value for k in ("dispersion", "pm_min", "pm_max"))
-    # The features differ by more than their errors.
-    if n > 1 and spread > 2 * row["dispersion_err"].value:
-        unit = unit_name(row["pm"].unit)
-        mean = f"{slow:.2g} to {fast:.2g} {unit}, mean {mean}"
-    return f"{mean}{towards}, {n} {'feature' if n == 1 else 'features'}"
+    followed = f"{n or 'no'} {'feature' if n == 1 else 'features'}"
+    if n > 1:
+        followed += f" of {row['pm_min'].value:.2g} to {row['pm_max'].value:.2g}"
+    return f"{_speed(row)}{towards}, {followed}"
 
 
-def notes(components, features):
+def notes(streams, features):
     """
     Return what has to be known of each stream, and upper limits, as lines.
 
     Parameters
     ----------
-    components, features : `~astropy.table.QTable`
+    streams, features : `~astropy.table.QTable`
         Of an `~astro_scc.measurement.SCCResult`.
 
     Returns
@@ -130,10 +129,10 @@ def notes(components, features):
         that of the mean speed of features that are named; there is none if one of
         them is faster.
     """
-    lines, rows, said = [], printed(components), headline(components)
+    lines, rows, said = [], printed(streams), headline(streams)
     for row in rows:
-        limit, number = row["pm_limit"], row["component"]
-        own = features[features["component"] == number]
+        limit, number = row["pm_limit"], row["stream"]
+        own = features[features["stream"] == number]
         if row["caution"] != "-" and row["caution"] not in said:
             lines.append(f"Stream {number} ({row['kind']}): {row['caution']}")
         if len(own) and own["pm"].max() <= limit:
@@ -144,8 +143,6 @@ def notes(components, features):
                 f"Stream {number}: {limit.value:.2g} {unit_name(limit.unit)} is the "
                 f"upper limit (95%) of the mean speed of its features{named}"
             )
-    hidden = np.setdiff1d(components["component"], rows["component"])
-    lines += [f"Row {n} of components.ecsv is the core, the reference" for n in hidden]
     return lines
 
 
@@ -156,24 +153,25 @@ def scale_lines(of_scales):
     Parameters
     ----------
     of_scales : `~astropy.table.QTable`
-        See `~astro_scc.flow.compare_speeds`.
+        See `~astro_scc.flow.compare_scales`.
 
     Returns
     -------
     list of str
-        Without pairs of groups of which one has fewer than two features.
+        Without pairs of which a speed is not known.
     """
-
-    def speed(row, k):
-        return f"{cell(row, f'{k}_speed', '+-')} ({row[f'{k}_n_features']} features)"
-
-    unit = unit_name(of_scales["first_speed"].unit)
-    return [
-        f"Speeds of the {row['first']} and {row['second']} scales: "
-        f"{speed(row, 'first')} and {speed(row, 'second')} {unit}, "
-        f"p {row['p_value']:.2g}"
-        for row in of_scales[np.isfinite(of_scales["p_value"])]
-    ]
+    unit, far = unit_name(of_scales["first_speed"].unit), unit_name(u.mas)
+    lines = []
+    for row in of_scales[np.isfinite(of_scales["p_value"])]:
+        where = ""
+        if np.isfinite(row["r_max"]):
+            where = f"{row['r_min'].value:g} to {row['r_max'].value:g} {far}: "
+        first, second = (cell(row, f"{k}_speed", "+-") for k in ("first", "second"))
+        lines.append(
+            f"{where}speeds of the {row['first']} and {row['second']} scales: {first} "
+            f"and {second} {unit}, p {row['p_value']:.2g}"
+        )
+    return lines
 
 
 # -- on the terminal -----------------------------------------------------------------
@@ -187,14 +185,14 @@ def column_lines(table, names):
     return table_lines([dict(zip(heads, row, strict=True)) for row in rows])
 
 
-def component_lines(components, features):
+def stream_lines(streams, features):
     """
-    Return what was found in one sentence, and the components as a table.
+    Return what was found in one sentence, and the streams as a table.
 
     Parameters
     ----------
-    components : `~astropy.table.QTable`
-        See `~astro_scc.measurement.SCCResult.components`.
+    streams : `~astropy.table.QTable`
+        See `~astro_scc.measurement.SCCResult.streams`.
     features : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.features`; the secure ones are shown.
 
@@ -202,14 +200,35 @@ def component_lines(components, features):
     -------
     list of str
     """
-    followed = feature_lines(table_in_c_as(printed(features), components))
-    lines, rows = [headline(components)], printed(components)
-    if len(rows):
-        lines += ["", *column_lines(rows, COMPONENTS), *EXPLANATION]
-    elif len(components) == 0:
-        lines.append(NOTHING)
-    lines += notes(components, features)
-    return [*lines, *followed, *meta_lines(components.meta)]
+    followed = feature_lines(table_in_c_as(features, streams))
+    lines = [headline(streams)]
+    if len(streams):
+        lines += ["", *column_lines(streams, STREAMS), *EXPLANATION]
+    lines += notes(streams, features)
+    return [*lines, *followed, *meta_lines(streams.meta)]
+
+
+def paper_lines(streams, level):
+    """
+    Return the components of the paper's method as a table.
+
+    Parameters
+    ----------
+    streams : `~astropy.table.QTable`
+        See `~astro_scc.paper_method.PaperMeasurement.components`.
+    level : float
+        The z-score that significant components exceed.
+
+    Returns
+    -------
+    list of str
+    """
+    n = np.sum(streams["kind"] != "not significant")
+    said = "component" if n == 1 else "components"
+    lines = [f"Paper's method: {n or 'no'} {said} above the level of z, {level:.2g}."]
+    if len(streams):
+        lines += ["", *column_lines(streams, OF_PAPER)]
+    return [*lines, *meta_lines(streams.meta)]
 
 
 def feature_lines(features, most=MOST):
@@ -289,8 +308,8 @@ def _followed(features):
     letters = 10 if days.max() > SOME_DAYS else 16
     ends = zip(shown["first"].isot, shown["last"].isot, strict=True)
     shown["dates"] = [" to ".join(date[:letters] for date in pair) for pair in ends]
-    if not np.any(shown["component"]):
-        shown.remove_column("component")
+    if not np.any(shown["stream"]):
+        shown.remove_column("stream")
     return shown
 
 
@@ -337,13 +356,13 @@ def profile_lines(components):
     tested = set(rows["bin"])
     rows = rows[(rows["kind"] != "not significant") | rows["main"]]
     if len(rows) == 0:
-        return ["No velocity could be tested in any bin."]
+        return ["No speed could be tested in any bin."]
     rows["remark"] = np.where(rows["kind"] == "moving", "", rows["kind"])
     lines = column_lines(rows, PROFILE)
     for low, high in (components.meta["bins"] * u.mas).to_value(unit):
         name = f"{low:g} to {high:g}"
         if name not in rows["bin"]:
-            why = "no velocity exceeds its error" if name in tested else "no matches"
+            why = "no speed exceeds its error" if name in tested else "nothing is seen"
             lines.append(f"{name} {unit_name(unit)}: {why}")
     return [*lines, PROFILE_EXPLANATION, *meta_lines(components.meta)]
 

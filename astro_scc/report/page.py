@@ -23,24 +23,23 @@ from astro_scc.products.folder import write_files
 from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
 from astro_scc.report import answer
-from astro_scc.stacking.stack import number_of_permutations
 from astro_scc.units import in_speed_unit, offset_unit, unit_name
 from astro_scc.visualization import speeds, style
 from astro_scc.visualization.speeds import LARGE_ERROR, population
 from astro_scc.writing import make_folder
 
-#: Columns of components that come first, in their order: what is quoted, the rest.
+#: Columns of streams that come first, in their order: what is quoted, the rest.
 QUOTED = (
-    "component kind pm beta_app v_app pm_pa dispersion p_global n_features n_ssp "
-    "n_pairs"
+    "stream kind share pm beta_app v_app pm_pa dispersion p_global n_features "
+    "pm_features pm_spectrum pm_from"
 ).split()
 OTHERS = (
-    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat coefficient "
-    "z_score pm_err_jitter pm_err_alignment p_local p_distinct p_smallest"
+    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat "
+    "pm_err_alignment p_local p_distinct p_smallest"
 ).split()
 #: Columns of features.
 FEATURES = (
-    "feature component n_epochs first last separation position_angle pm beta_app v_app "
+    "feature stream n_epochs first last separation position_angle pm beta_app v_app "
     "t_ej p_false"
 ).split()
 #: Largest number of features that are shown at once.
@@ -52,28 +51,26 @@ OVERVIEW = (
 ).split()
 #: Columns that name the part of a survey.
 PART = ["source", "region", "scale_group"]
-#: Kinds of a source that has components of several, the first of those there are.
+#: Kinds of a source that has streams of several, the first of those there are.
 OF_SOURCE = (
     "moving", "not confirmed", "not significant", "stationary", "empty", "failed",
 )  # fmt: skip
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
-    "components.ecsv features.ecsv positions.ecsv sensitivity.ecsv epochs.ecsv "
-    "ssps.ecsv scc.fits publication config.toml"
+    "streams.ecsv components.ecsv spectrum.ecsv features.ecsv positions.ecsv "
+    "sensitivity.ecsv epochs.ecsv ssps.ecsv scc.fits publication config.toml"
 ).split()
-#: Speeds above this fraction of the largest one searched are pointed out.
-EDGE = 0.9
 #: Width and height of a small profile.
 SPARK = (144, 34)
 
 
-def component_tables(components):
+def stream_tables(streams):
     """
-    Return the columns of the two tables of components as text.
+    Return the columns of the two tables of streams as text.
 
     Parameters
     ----------
-    components : `~astropy.table.QTable`
+    streams : `~astropy.table.QTable`
 
     Returns
     -------
@@ -84,9 +81,9 @@ def component_tables(components):
     # The notes say these in words.
     listed = {"caution", "pm_limit", *QUOTED, *OTHERS}
     listed |= {f"{name}_err" for name in listed}
-    rest = (name for name in components.colnames if name not in listed)
-    others = "component", *OTHERS, *(k for k in rest if components[k].ndim == 1)
-    return [list(headed(components, names).values()) for names in (QUOTED, others)]
+    rest = (name for name in streams.colnames if name not in listed)
+    others = "stream", *OTHERS, *(k for k in rest if streams[k].ndim == 1)
+    return [list(headed(streams, names).values()) for names in (QUOTED, others)]
 
 
 def _in_words(meaning):
@@ -239,7 +236,7 @@ def _small_profile(features, unit):
         return None
     error = features["pm_radial_err"].value
     features = features[error <= LARGE_ERROR * np.median(error)]
-    distance, component = features["separation"].to_value(u.mas), features["component"]
+    distance, stream = features["separation"].to_value(u.mas), features["stream"]
     speed = features["pm_radial"].to_value(unit)
     low, high, far = speed.min(initial=0.0), speed.max(initial=0.0), distance.max()
 
@@ -247,13 +244,13 @@ def _small_profile(features, unit):
         x = SPARK[0] * x / (far or 1.0)
         return np.round(x, 1), np.round(SPARK[1] * (high - y) / (high - low or 1.0), 1)
 
-    of_first = np.flatnonzero(component == 1)
+    of_first = np.flatnonzero(stream == 1)
     of_first = of_first[np.argsort(distance[of_first])]
     bins = np.array_split(of_first, max(min(len(of_first) // LEAST, MOST_BINS), 1))
     line = [place(np.median(distance[k]), np.median(speed[k])) for k in bins if len(k)]
     lengths = offset_unit(far)
     return {
-        "points": [*zip(*place(distance, speed), component.tolist(), strict=True)],
+        "points": [*zip(*place(distance, speed), stream.tolist(), strict=True)],
         "line": " ".join(f"{x},{y}" for x, y in line) if len(line) > 1 else "",
         "zero": place(0, 0.0)[1],
         "range": f"{far * u.mas.to(lengths):.2g} {unit_name(lengths)}, "
@@ -262,7 +259,7 @@ def _small_profile(features, unit):
 
 
 def write_report(
-    result: SCCResult, directory: Path | str, *, components: QTable | None = None,
+    result: SCCResult, directory: Path | str, *, streams: QTable | None = None,
     title: str | None = None, warnings: Sequence[str] = (),
     left_out: Sequence[str | tuple[str, str]] = (), chosen: Sequence[str] = (),
     rerun: str | None = None, explore: str | None = None, all_figures: bool = False,
@@ -275,11 +272,12 @@ def write_report(
     ----------
     result : `~astro_scc.measurement.SCCResult`
     directory : path
-        Folder for ``report.html``, and for ``separation.png``, ``tracks.png``,
-        ``diagram.png`` and ``speeds.png``, which the page holds too.  It is made if
-        need be; files of these names are replaced, each when the new one is complete.
-    components : `~astropy.table.QTable`, optional
-        By default ``result.components``; the table of ``result.components_in_c``
+        Folder for ``report.html``, and for ``spectrum.png``, ``distance.png``,
+        ``diagram.png``, ``separation.png``, ``tracks.png`` and ``speeds.png``, which
+        the page holds too.  It is made if need be; files of these names are replaced,
+        each when the new one is complete.
+    streams : `~astropy.table.QTable`, optional
+        By default ``result.streams``; the table of ``result.components_in_c``
         has apparent speeds too.
     title : str, optional
         Heading of the page, by default the name of the object.
@@ -295,8 +293,8 @@ def write_report(
         The command that writes ``explore.html`` beside the page; the page links to it
         if it is there.
     all_figures : bool, optional
-        Draw ``velocity_map.png``, ``significance.png``, ``members.png``,
-        ``epochs.png`` and ``sensitivity.png``, too, which take longer than the others.
+        Draw ``velocity_map.png``, ``significance.png``, ``epochs.png`` and
+        ``sensitivity.png``, too, which take longer than the others.
     pdf : bool, optional
         Write each figure as a PDF file, too, as wide as a column of a journal and
         with letters of 8 pt.
@@ -321,36 +319,34 @@ def write_report(
     >>> from astro_scc.report import write_report
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=5, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=6, rng=1).cube, n_trials=50, rng=1)
     >>> path = write_report(result, "out", title="Two fluids")
     >>> path.name
     'report.html'
     """
     directory = Path(directory)
     own = with_published(result.features, result.tracked_features, published)
-    components = result.components if components is None else components
+    streams = result.streams if streams is None else streams
     make_folder(directory, directory)
-    shown = printed(components)
+    shown = printed(streams)
     how = {"every": all_figures, "pdf": pdf, "published": published}
     files = draw_figures(result, shown, **how)
-    features = table_in_c_as(printed(own), components)
-    meta = {**result.meta, **components.meta}
+    features = table_in_c_as(own, streams)
+    meta = {**result.meta, **streams.meta}
     page = _template("report.html").render(
         result=result,
-        title=title or result.cube.meta.get("object") or "Velocity components",
-        components=shown,
-        headline=answer.headline(components),
-        aligned=bool(np.any(components["pm_err_alignment"] > 0)),
-        tables=component_tables(shown),
+        title=title or result.cube.meta.get("object") or "Velocities",
+        streams=shown,
+        headline=answer.headline(streams),
+        aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
+        tables=stream_tables(shown),
         features=feature_rows(features),
         accelerations=acceleration_text(features),
         notes=[
-            *answer.notes(components, own),
+            *answer.notes(streams, own),
             *(line.rstrip(".") for line in answer.published_lines(own)),
         ],
         settings=meta.pop("settings", {}) | meta,
-        smallest_of_epochs=1 / number_of_permutations(len(result.cube)),
-        fast=fast_components(result, components),
         flow=flow_lines(result),
         depends=result.sensitivity_line,
         files=files,
@@ -438,23 +434,22 @@ def _listed(words):
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def draw_figures(result, components, *, every=False, pdf=False, published=None):
+def draw_figures(result, streams, *, every=False, pdf=False, published=None):
     """
     Return the figures as PNG files, and as PDF, without those that are empty.
 
-    Only the four that the page shows at once are drawn, unless ``every`` is True.
+    Only those that the page shows at once are drawn, unless ``every`` is True.
     """
-    per_pm, rows = {"beta_per_pm": beta_per_pm(components)}, {"components": components}
-    options = {"diagram": rows}
+    per_pm, rows = {"beta_per_pm": beta_per_pm(streams)}, {"components": streams}
+    options = {"spectrum": per_pm, "distance": per_pm, "diagram": rows}
     if len(result.features):
-        own = {"component": printed(result.features)["component"]}
+        own = {"stream": result.features["stream"]}
         options["speeds"] = own | per_pm | {"profile": feature_profile(result)}
         own["published"] = published
         options |= {"tracks": own, "separation": own | per_pm}
     if every:
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
         options |= {"epochs": {}}
-        options |= {"members": rows} if len(components) else {}
         options |= {"sensitivity": per_pm} if len(result.sensitivity) else {}
     figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}
     return style.figure_files(figures, pdf=pdf)
@@ -481,11 +476,3 @@ def flow_lines(result):
         differ = of_scales["p_value"] <= result.meta["settings"]["alpha"]
         lines += answer.scale_lines(of_scales[differ] if moving[1:] else of_scales)
     return lines
-
-
-def fast_components(result, components):
-    """Return the numbers of moving streams near the largest speed searched."""
-    fastest = result.search.permutations.speed.max()
-    moving = components["component"][components["kind"] == "moving"]
-    streams = result.search.streams
-    return [n for n in moving if abs(streams[n - 1].along.mean) > EDGE * fastest]

@@ -33,6 +33,8 @@ TESTED, FLOOR = 0.8, 0.1
 #: Memories, in median intervals and in the whole time, and white shares, that are tried.
 SHORTEST, LONGEST, N_MEMORIES = 0.3, 2.0, 24
 WHITE = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
+#: Share of the permutations below the level that figures show.
+LEVEL = 0.99
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +55,8 @@ class MotionTest:
         Share of permutations with as large a mean of ``exp(z^2 / 2)`` over all speeds.
     p_smallest : float
         Smallest p-value that permutations and epochs allow.
+    level : float
+        The largest z of 99% of the permutations.
     memory, white : float
         Time over which the images are correlated, in years, and the share of their
         variance without memory, in the direction of the largest z.
@@ -64,6 +68,7 @@ class MotionTest:
     p_speed: np.ndarray
     p_global: float
     p_smallest: float
+    level: float
     memory: float
     white: float
     gram: np.ndarray
@@ -272,6 +277,7 @@ def test_motion(
         p_speed=(largest[None, :, None] >= both[:, :1]).mean(axis=1),
         p_global=share_of_larger(evidence),
         p_smallest=1 / len(orders),
+        level=float(np.quantile(largest[1:], LEVEL)),
         memory=memories[k][0],
         white=memories[k][1],
         gram=gram,

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.epochs import EpochCube
+from astro_scc.exceptions import NoFlowError
 from astro_scc.grid.lines import FlowGrid, flow_grids
 from astro_scc.grid.sampling import (
     default_scales,
@@ -181,8 +182,10 @@ def decompose_flow(
 
     Raises
     ------
+    `~astro_scc.exceptions.NoFlowError`
+        If no flow is seen.
     ValueError
-        If no flow is seen, or two epochs are of one date.
+        If two epochs are of one date.
     """
     core = has_core(cube, beam)
     seen = seen_flow(cube, beam, core=core)
@@ -190,7 +193,7 @@ def decompose_flow(
         seen = region
     if not seen.any():
         away = " a beam or more from the core" if core else ""
-        raise ValueError(
+        raise NoFlowError(
             f"nothing in the images is brighter than five times their noise{away}: "
             "there is no flow to be measured"
         )

@@ -187,7 +187,7 @@ def moving_features(features, frame, angle, use=None):
 
 def find_streams(
     flow: DecomposedFlow, features, *, misaligned, alpha=0.01, n_trials=1000,
-    outward=False, inside=None, intervals=EVERY, rng,
+    outward=False, inside=None, intervals=EVERY, root=True, rng,
 ) -> StreamSearch:  # fmt: skip
     """
     Find the streams of a flow.
@@ -207,6 +207,9 @@ def find_streams(
         The features of a part of the flow.
     intervals : (float, float), optional
         Shortest and longest interval that is used, in years.
+    root : bool, optional
+        Fit the streams to the square root of the planes, see
+        `FlowPlanes.square_root`; not where scales are compared.
     rng : `~numpy.random.Generator`
 
     Returns
@@ -234,10 +237,11 @@ def find_streams(
             [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
             n_trials=n_trials, inward=0.0, rng=rng,
         )  # fmt: skip
-        found = replace(found, p_global=test.p_global, p_smallest=test.p_smallest)
+        of_all = {k: getattr(test, k) for k in ("p_global", "p_smallest", "level")}
+        found = replace(found, **of_all)
     test, best = found, found.best[1]
     grid, years = flow.grids[0], flow.years
-    planes = flow.planes[0].square_root()
+    planes = flow.planes[0].square_root() if root else flow.planes[0]
     region, beam = flow.regions[0], flow.beam
     sheet, aside = _sheet(planes, region, 3)
     diagram = sheet[len(sheet) // 2]

@@ -7,7 +7,7 @@ Those of a measurement and of images are drawn by `SCCResult.plot
 <astro_scc.epochs.EpochCube.plot>`.
 """
 
-from astro_scc.visualization import tracks, velocity
+from astro_scc.visualization import spectrum, tracks, velocity
 from astro_scc.visualization.images import plot_epochs
 from astro_scc.visualization.speeds import (
     plot_feature_speeds,
@@ -22,7 +22,7 @@ def _of_features(plot):
     """Return a function of a result that draws its features, coloured by stream."""
 
     def draw(result, **options):
-        own = {"component": result.features["component"], **options}
+        own = {"stream": result.features["stream"], **options}
         return plot(result.tracked_features, **own)
 
     return draw
@@ -30,11 +30,12 @@ def _of_features(plot):
 
 #: Functions of a result and of options, by the kind of figure, its name in a report.
 FIGURES = {
+    "spectrum": spectrum.plot_spectrum,
+    "distance": spectrum.plot_distance,
     "velocity_map": velocity.plot_velocity_map,
     "significance": velocity.plot_significance,
     "paper": velocity.plot_map_and_significance,
     "diagram": velocity.plot_diagram,
-    "members": tracks.plot_members,
     "speeds": plot_feature_speeds,
     "tracks": _of_features(tracks.plot_tracks),
     "separation": _of_features(tracks.plot_separation),

@@ -11,8 +11,7 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc.images.positions import sky_columns
-from astro_scc.streams.diagram import DEFAULT
-from astro_scc.streams.dispersion import error_of_speed
+from astro_scc.streams.spread import PRIOR, SCATTER
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style, velocity
 from astro_scc.writing import replace_when_complete
@@ -48,7 +47,7 @@ YEAR = u.yr.to(u.ms)
 WIDE = {"sizing_mode": "stretch_width"}
 
 
-def write_explore(path, components, features, hdus, *, cube=None, notes=()):
+def write_explore(path, streams, features, hdus, *, cube=None, notes=()):
     """
     Write a page with linked panels of velocities, images, times and features.
 
@@ -56,7 +55,7 @@ def write_explore(path, components, features, hdus, *, cube=None, notes=()):
     ----------
     path : path
         The HTML file, which is replaced if it exists.
-    components, features : `~astropy.table.QTable`
+    streams, features : `~astropy.table.QTable`
         As in the products of a measurement.
     hdus : `~astropy.io.fits.HDUList`
         The content of ``scc.fits``.
@@ -74,11 +73,7 @@ def write_explore(path, components, features, hdus, *, cube=None, notes=()):
     OSError
         If the file cannot be written.
     """
-    # The core is the reference, and what stands still like it is of no stream.
-    core, features = components.meta.get("core", ()), features.copy()
-    features["component"][np.isin(features["component"], core)] = 0
-    components = components[~np.isin(components["component"], core)]
-    page = Page(components, features, hdus, cube)
+    page = Page(streams, features, hdus, cube)
     document = page.document()
     name = hdus[0].header.get("OBJECT", "")
     title = f"{name}: features and velocities" if name else "Features and velocities"
@@ -100,24 +95,24 @@ class Page:
     Each row of ``features`` is a feature, each row of ``points`` one at an epoch.
     """
 
-    def __init__(self, components, features, hdus, cube):
-        self.components, self.hdus, self.cube, self.notes = components, hdus, cube, []
-        self.kinds = components["kind"].tolist()
+    def __init__(self, streams, features, hdus, cube):
+        self.streams, self.hdus, self.cube, self.notes = streams, hdus, cube, []
+        self.kinds = streams["kind"].tolist()
         self.angle = hdus["DIAGRAM"].header.get("DISPPA")
-        self.slopes = velocity.ray_slopes(components, self.kinds, self.angle)
+        self.slopes = velocity.ray_slopes(streams, self.kinds, self.angle)
         self.table, self.seen = features, QTable.read(hdus["FEATURES"])
         #: Row in the table of each point.
         self.row = np.searchsorted(features["feature"], self.seen["feature"])
-        self.pm_unit = components["pm"].unit
+        self.pm_unit = streams["pm"].unit
         #: Where longitude and latitude increase, as the columns describe it.
-        about = [components[k].info.description for k in sky_columns(components)]
+        about = [streams[k].info.description for k in sky_columns(streams)]
         self.words = [re.sub(r"^.* to (the )?", "", text or "") for text in about]
         #: Offsets in mas, shape (2, n).
         self.place = images.sky_place(self.seen)
         self.length = offset_unit(np.hypot(*self.place).max(initial=0.0) or 1.0)
-        own = np.asarray(features["component"])
-        #: Rows of the features of each component.
-        self.rows = [np.flatnonzero(own == n).tolist() for n in components["component"]]
+        own = np.asarray(features["stream"])
+        #: Rows of the features of each stream.
+        self.rows = [np.flatnonzero(own == n).tolist() for n in streams["stream"]]
         points = self._point_columns()
         self.features = models.ColumnDataSource(self._feature_columns(points))
         self.points = models.ColumnDataSource(points)
@@ -131,7 +126,7 @@ class Page:
 
     def _look(self, numbers):
         """Return columns for the look of what belongs to streams."""
-        kinds = dict(zip(self.components["component"], self.kinds, strict=True))
+        kinds = dict(zip(self.streams["stream"], self.kinds, strict=True))
         return {
             "color": [style.component_color(n) if n else style.GREY for n in numbers],
             "marker": [MARKERS[(n - 1) % len(MARKERS)] if n else "x" for n in numbers],
@@ -164,10 +159,7 @@ class Page:
                 columns[name].append(np.round(values, 5).tolist())
         speeds = {"pm": table, "pm_err": table, "pm_axis1": own, "pm_axis2": own}
         columns |= {k: of[k].to_value(self.pm_unit) for k, of in speeds.items()}
-        # As the features of a stream have it.
-        formal = columns["pm_err"] / DEFAULT.error_inflation
-        columns["error"] = error_of_speed(columns["pm"], formal)
-        for name in ("feature", "component", "n_epochs", "p_false"):
+        for name in ("feature", "stream", "n_epochs", "p_false"):
             columns[name] = np.asarray(table[name])
         columns["secure"] = ["yes" if secure else "no" for secure in table["secure"]]
         longest = max((t[-1] - t[0] for t in columns["ts"]), default=0.0)
@@ -175,13 +167,13 @@ class Page:
         for name in ("first", "last"):
             columns[name] = [str(day)[:digits].replace("T", " ") for day in table[name]]
         columns["separation"] = table["separation"].to_value(self.length)
-        return columns | self._look(table["component"])
+        return columns | self._look(table["stream"])
 
     def _point_columns(self):
         x, y = (self.place * u.mas).to_value(self.length)
         time = np.array(self.seen["date"], "datetime64[ms]").astype(float)
         columns = {"row": self.row, "x": x, "y": y, "t": time, "d": np.hypot(x, y)}
-        return columns | self._look(self.table["component"][self.row])
+        return columns | self._look(self.table["stream"][self.row])
 
     # -- parts of panels -----------------------------------------------------------
 
@@ -220,7 +212,7 @@ class Page:
         """Let a box select, and say what is under the pointer."""
         speed = f"@pm{{0.000}} ± @pm_err{{0.000}} {unit_name(self.pm_unit)}"
         tips = [
-            ("feature", "@feature of stream @component"),
+            ("feature", "@feature of stream @stream"),
             ("seen", "@n_epochs times, @first to @last"),
             ("speed", speed),
             ("secure", "@secure, p_false @p_false{0.00}"),
@@ -247,7 +239,8 @@ class Page:
         features.selected.js_on_change("indices", self._call("toPoints", **both))
         text, unit = models.Div(), unit_name(self.pm_unit)
         of = {"features": features, "text": text, "unit": unit}
-        summary = self._call("summary", **of, prior=DEFAULT.lone_dispersion)
+        of |= {"prior": PRIOR, "scatter": SCATTER}
+        summary = self._call("summary", **of)
         features.selected.js_on_change("indices", summary)
         document.js_on_event("document_ready", summary)
         panels = [self._choose(text), self._velocity(), self._sky(), self._diagram()]
@@ -260,8 +253,8 @@ class Page:
     def _choose(self, text):
         """Return a button for each stream, and the text on what is selected."""
         buttons = {models.Button(label="all features"): []}
-        for row, kind, own in zip(self.components, self.kinds, self.rows, strict=True):
-            label = f"{row['component']}: {velocity.speed_text(row, kind)}"
+        for row, kind, own in zip(self.streams, self.kinds, self.rows, strict=True):
+            label = f"{row['stream']}: {velocity.speed_text(row, kind)}"
             buttons[models.Button(label=label, disabled=not own)] = own
         for button, own in buttons.items():
             how = {"features": self.features, "rows": own}
@@ -274,7 +267,7 @@ class Page:
         axes = [header[f"CNAME{k}"] for k in (1, 2)]
         labels = velocity.velocity_labels(axes, self.words, self.pm_unit)
         on_sky = axes[0] in velocity.SKY
-        names = velocity.axis_columns(self.components, on_sky=on_sky)
+        names = velocity.axis_columns(self.streams, on_sky=on_sky)
         plot = self._figure(*labels, on_sky=on_sky, match_aspect=True)
         data = np.round(np.nan_to_num(self.hdus[0].data), 3).astype(np.float32)
         highest = float(data.max()) if data.max() > 0 else 1.0
@@ -290,12 +283,12 @@ class Page:
         dots = self._dots(plot, "pm_axis1", "pm_axis2", 8, self.features)
         for glyph in (dots.glyph, dots.selection_glyph):
             glyph.update(line_color="white", line_width=0.8)
-        numbers = [str(n) for n in self.components["component"]]
+        numbers = [str(n) for n in self.streams["stream"]]
         dash = [DASHES[kind] for kind in self.kinds]
         columns = {"rows": self.rows, "dash": dash, "number": numbers}
         for field, width, name in zip(("v1", "v2"), "wh", names, strict=True):
-            columns[field] = self.components[name].to_value(self.pm_unit)
-            error = self.components[f"{name}_err"].to_value(self.pm_unit)
+            columns[field] = self.streams[name].to_value(self.pm_unit)
+            error = self.streams[f"{name}_err"].to_value(self.pm_unit)
             columns[width] = 2 * np.nan_to_num(error)
         peaks = models.ColumnDataSource(columns)
         for color, width in (("black", 3.5), ("white", 1.5)):
@@ -376,7 +369,7 @@ class Page:
         plot.image([level], x=0, y=-top, color_mapper=mapper, **size)
         lines = self._lines(plot, "rx", "ry")
         middle = {"text_align": "center", "text_baseline": "middle"}
-        numbers = self.components["component"]
+        numbers = self.streams["stream"]
         for number, slope, kind in zip(numbers, self.slopes, self.kinds, strict=True):
             end = min(longest, half / abs(slope)) if slope else longest
             ray = np.array([u.yr.to(time, end), u.mas.to(self.length, slope * end)])
@@ -405,7 +398,7 @@ class Page:
         speed, length = unit_name(self.pm_unit), unit_name(self.length)
         shown = (
             ("feature", "feature", "0", 55),
-            ("component", "stream", "0", 80),
+            ("stream", "stream", "0", 80),
             ("n_epochs", "epochs", "0", 55),
             ("first", "first", None, 95),
             ("last", "last", None, 95),

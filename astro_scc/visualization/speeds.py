@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -12,10 +13,9 @@ import numpy as np
 
 from astro_scc.features.trust import MOST_FALSE
 from astro_scc.kinematics.frames import mean_width
-from astro_scc.units import PM_UNIT, offset_unit, unit_name
+from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
 from astro_scc.visualization.tracks import feature_look
-from astro_scc.visualization.velocity import draw_map
 
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
@@ -29,7 +29,7 @@ BINS = 20
 
 
 def plot_feature_speeds(
-    result, *, profile=None, beta_per_pm=None, component=None, ax=None
+    result, *, profile=None, beta_per_pm=None, stream=None, ax=None
 ):
     """
     Draw the radial speed of each feature against its separation from the core.
@@ -38,13 +38,13 @@ def plot_feature_speeds(
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
-    component = table["component"] if component is None else component
+    stream = table["stream"] if stream is None else stream
     separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
     unit = offset_unit(separation.max(initial=1.0))
     speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
     largest = LARGE_ERROR * np.median(error) if len(error) else 0.0
     for k, place in enumerate(separation * u.mas.to(unit)):
-        look = feature_look(result.tracked_features, k, component)
+        look = feature_look(result.tracked_features, k, stream)
         look |= {"ms": 4, "lw": 0.8, "linestyle": "", "marker": "o"}
         ax.errorbar(place, speed[k], min(error[k], largest), **look)
     if profile is not None and len(profile):
@@ -267,7 +267,7 @@ def plot_profile(
         look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
         ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **look)
         far = max(far, float(np.max(r, initial=0)))
-    _draw_components(ax, table)
+    _draw_streams(ax, table)
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
@@ -291,21 +291,25 @@ def plot_profile(
     return figure
 
 
-def _draw_components(ax, table):
-    """Draw the components by kind, those that do not represent their bin smaller."""
-    # What has no feature has no speed.
-    table = table[np.asarray(table["n_features"]) > 0]
+def _draw_streams(ax, table):
+    """Draw streams by kind and group of scales, those not main in their bin smaller."""
+    table = table[np.isfinite(table["pm_parallel"])]
     kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
-    for kind, sign in style.KINDS.items():
-        own = kinds == kind
+    group = np.full(len(table), "")
+    if "scale_group" in table.colnames:
+        group = np.asarray(table["scale_group"], dtype=str)
+    names = list(dict.fromkeys(group.tolist()))
+    for name, kind in product(names, style.KINDS):
+        own, color = (kinds == kind) & (group == name), names.index(name) + 1
         for part, size in ((own & main, 5), (own & ~main, 3)):
             if part.any():
+                label = f"{kind}, scales {name}" if name else kind
                 style.draw_bins(
                     ax, table[part], u.mas, table["pm_parallel"].unit, ms=size,
-                    fmt=sign.on_profile, lw=1.0, zorder=3,
-                    color=style.VERMILION if kind == "stationary" else style.BLUE,
+                    fmt=style.KINDS[kind].on_profile, lw=1.0, zorder=3,
+                    color=style.component_color(color),
                     mfc="white" if kind.startswith("not") else None,
-                    label=kind if size == 5 or not (own & main).any() else None,
+                    label=label if size == 5 or not (own & main).any() else None,
                 )  # fmt: skip
 
 
@@ -328,52 +332,6 @@ def _draw_strip(ax, cube, line, far):
         cmap="Greys", norm=images.plotting_norm(cube, strip),
     )  # fmt: skip
     ax.set_ylabel("Across\n(mas)")
-
-
-def plot_scale_maps(maps, grid, *, axis_names, unit=PM_UNIT):
-    """
-    Draw the stacks of several groups of scales side by side.
-
-    Parameters
-    ----------
-    maps : dict of `~numpy.ndarray`, shape ``grid.shape``
-        The stacks, by the names of the groups.
-    grid : ``VelocityGrid``
-        In mas/yr.
-    axis_names : (str, str)
-    unit : `~astropy.units.Unit`, optional
-        Unit of the axes.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.stacking.velocities import VelocityGrid
-    >>> from astro_scc.visualization.speeds import plot_scale_maps
-    >>> grid = VelocityGrid.covering(2.0, 0.5)
-    >>> names = ("parallel", "transverse")
-    >>> figure = plot_scale_maps({"1": np.ones(grid.shape)}, grid, axis_names=names)
-    >>> figure.axes[0].get_title()
-    '1'
-    """
-    columns, rows = min(len(maps), 2), -(-len(maps) // 2)
-    figure = style.new_figure((style.WIDTH, 2.9 * rows))
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for ax, (name, values) in zip(axes.flat, maps.items(), strict=False):
-        draw_map(ax, values, grid, unit)
-        if np.max(values, initial=0.0) > 0:
-            row, column = np.unravel_index(values.argmax(), values.shape)
-            place = PM_UNIT.to(unit, [grid.v1[column], grid.v2[row]])
-            ax.plot(*place, "+", color="white", ms=8)
-        ax.set_title(name)
-    for ax in axes.flat[len(maps) :]:
-        ax.set_axis_off()
-    labels = (f"Proper motion, {name} ({unit_name(unit)})" for name in axis_names)
-    style.label_all(figure, *labels)
-    return figure
 
 
 def plot_position_angles(groups):

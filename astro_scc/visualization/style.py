@@ -30,7 +30,7 @@ HEIGHT = 9.5
 #: take letters of 8 pt and no fonts of Type 3.
 COLUMN = 3.46
 #: Figures of many panels, which need two columns.
-WIDE = ("epochs", "members")
+WIDE = ("epochs",)
 JOURNAL = {
     "font.size": 8.0,
     "axes.linewidth": 0.6,
@@ -214,6 +214,15 @@ def legend_above(ax):
         )  # fmt: skip
 
 
+def plain_log(ax):
+    """Write the speeds at a logarithmic axis as plain numbers: 1, 2, 5, 10."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
 def beside(ax):
     """Return axes for a colour bar beside others, exactly as high as they are."""
     return ax.inset_axes((1.02, 0.0, 0.03, 1.0))
@@ -226,9 +235,9 @@ def label_all(figure, across, up):
 
 
 def add_speed_axis(ax, unit, beta_per_pm, side="top"):
-    """Add an axis in units of c to one of proper motion, if their ratio is known."""
+    """Return an axis in units of c beside one of proper motion, if known, or None."""
     if beta_per_pm is None:
-        return
+        return None
     factor = float(beta_per_pm) * (1 * unit).to_value(PM_UNIT)
     if not 0 < factor < np.inf:
         raise ValueError(f"beta_per_pm must be positive, got {beta_per_pm}")
@@ -236,6 +245,7 @@ def add_speed_axis(ax, unit, beta_per_pm, side="top"):
     both = (lambda v: v * factor, lambda beta: beta / factor)
     second = getattr(ax, f"secondary_{axis}axis")(side, functions=both)
     second.set(**{f"{axis}label": "Apparent speed (c)"})
+    return second
 
 
 def outline(width=2.5, color="white"):

@@ -1,12 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figures of features: matches of components, paths on the mean image, separations."""
+"""Figures of features: paths on the mean image, and separations."""
 
 import astropy.units as u
 import numpy as np
 
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
-from astro_scc.visualization.velocity import speed_text
 
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
@@ -23,81 +22,8 @@ BESIDE = (
 EARLIER = 0.3
 
 
-def plot_members(result, *, figure=None, components=None, max_panels=4, unit=None):
-    """
-    Draw the displacements that belong to each component on the mean image.
-
-    There is one panel per component.  Each arrow leads from an SSP to its match
-    in the next epoch in which its feature is seen.
-
-    Parameters
-    ----------
-    result : `~astro_scc.measurement.SCCResult`
-    figure : `matplotlib.figure.Figure`, optional
-        Figure to draw on instead of a new one.
-    components : `~astropy.table.QTable`, optional
-        By default ``result.components``.
-    max_panels : int, optional
-        Largest number of panels.  Components are drawn in the order of the
-        table, but those that are not significant come last.
-    unit : `~astropy.units.Unit`, optional
-        Unit of the offsets.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-        It shows only the mean image if there is no component.
-
-    Raises
-    ------
-    ValueError
-        If ``max_panels`` is below 1, or the unit is not an angle.
-    """
-    if max_panels < 1:
-        raise ValueError(f"max_panels must be at least 1, got {max_panels}")
-    components = result.components if components is None else components
-    kinds = components["kind"].tolist()
-    order = sorted(range(len(kinds)), key=lambda k: kinds[k].startswith("not"))
-    panels = [(int(components["component"][k]), kinds[k]) for k in order[:max_panels]]
-    own = [result.members(number)["ssp"] for number, _ in panels]
-    # The core is seen, too: the most significant SSP.
-    core = result.ssps["snr"].argsort()[-1:]
-    own = np.unique(np.concatenate([core, *own]) if own else result.ssps["ssp"])
-    points = images.ssp_points(result.cube, result.ssps[own])
-    view, figure, axes = images.mean_image_panels(
-        result.cube, points, max(len(panels), 1), figure=figure, unit=unit,
-        edge=0.0 if panels else images.EDGE,
-    )  # fmt: skip
-    for ax, (number, kind) in zip(axes, panels, strict=False):
-        _draw_members(ax, view, result, number, kind)
-    if not panels:
-        axes[0].set_title(style.NONE)
-    return figure
-
-
-def _draw_members(ax, view, result, number, kind):
-    member, d = result.members(number)["match"], result.displacements
-    n_ssp = len(np.unique(d.ssp[member]))
-    member = member[d.target[member] > d.reference[member]]
-    member = member[np.argsort(d.target[member], kind="stable")]
-    owner, first = np.unique(d.ssp[member], return_index=True)
-    place = images.sky_place(result.ssps[owner])
-    motion = np.stack([d.d1, d.d2])[:, member[first]]
-    # The matrix is orthogonal, so its transpose leads back to the sky.
-    motion = np.einsum("nai,an->in", result.frame.matrix(*place), motion) * view.factor
-    ax.quiver(
-        *place * view.factor, *motion, angles="xy",
-        scale_units="xy", scale=1, color=style.component_color(number),
-        width=0.0035, headwidth=4, headlength=5, minlength=0.5, alpha=0.75,
-    )  # fmt: skip
-    corner = images.empty_corners(view, ax.images[0].get_array())[1]
-    speed = speed_text(result.components[number - 1], kind)
-    text = f"{number}: {speed}, {n_ssp} SSPs".replace("\n", " ")
-    images.panel_text(ax, text, corner)
-
-
 def plot_separation(
-    features, *, component=None, beta_per_pm=None, published=None, ax=None, unit=None
+    features, *, stream=None, beta_per_pm=None, published=None, ax=None, unit=None
 ):
     """
     Draw the core separations of features against time, with their fits.
@@ -109,7 +35,7 @@ def plot_separation(
     Parameters
     ----------
     features : `~astro_scc.features.Features`
-    component : array_like of int, shape (n,), optional
+    stream : array_like of int, shape (n,), optional
         Stream of each, 0 for none, which gives its colour.
     beta_per_pm : float, optional
         Apparent speed in units of c of 1 mas/yr; with it, secure features have their
@@ -150,7 +76,7 @@ def plot_separation(
             on_axis(p["date"].jyear), p["separation"].to_value(unit)))  # fmt: skip
     for number, motion in enumerate(features.motions):
         k = features.tracks[number].detection
-        look = feature_look(features, number, component)
+        look = feature_look(features, number, stream)
         time = d.time[k]
         dots = {"fmt": "o", "ms": 3, "mew": 0, "lw": 0.8, **look, "linestyle": ""}
         ax.errorbar(on_axis(time), factor * distance[k], factor * error[k], **dots)
@@ -218,12 +144,12 @@ def _fitted(motion, time):
     return motion.place + motion.velocity * dt + bend * dt**2 / 2
 
 
-def feature_look(features, number, component=None):
+def feature_look(features, number, stream=None):
     """Return the look of a feature, pale unless it is secure."""
     look = STRONG if features.secure[number] else PALE
-    if component is None:
+    if stream is None:
         return {"color": style.component_color(number + 1), **look}
-    own = int(component[number])
+    own = int(stream[number])
     color = style.component_color(own) if own else style.BLACK
     return {"color": color, "label": f"stream {own}" if own else style.NONE, **look}
 
@@ -249,7 +175,7 @@ def _write_numbers(ax, features, ends, beta_per_pm=None, *, own):
         place, color = ends[k]
         name = f"{features.number[k]}"
         if beta_per_pm and features.secure[k] and len(ends) <= CROWDED:
-            name += f" ({beta_per_pm * features.motions[k].speed:.2g} c)"
+            name += f" ({beta_per_pm * features.motions[k].speed:.3g} c)"
         text = ax.annotate(
             name, place, (0, 0), textcoords="offset points", fontsize="small",
             va="center", color=color, annotation_clip=True, zorder=4,
@@ -271,7 +197,7 @@ def _write_numbers(ax, features, ends, beta_per_pm=None, *, own):
             text.remove()
 
 
-def plot_tracks(features, *, component=None, published=None, figure=None, unit=None):
+def plot_tracks(features, *, stream=None, published=None, figure=None, unit=None):
     """
     Draw the paths of features over the mean image.
 
@@ -283,7 +209,7 @@ def plot_tracks(features, *, component=None, published=None, figure=None, unit=N
     Parameters
     ----------
     features : `~astro_scc.features.Features`
-    component : array_like of int, shape (n,), optional
+    stream : array_like of int, shape (n,), optional
         Stream of each, 0 for none, which gives its colour.
     published : `~astropy.table.QTable`, optional
         Features to compare with, in grey, see `plot_separation`.
@@ -315,7 +241,7 @@ def plot_tracks(features, *, component=None, published=None, figure=None, unit=N
     head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
     head, last = head | {"linewidth": 0.9}, []
     for number, track in enumerate(features.tracks):
-        look = feature_look(features, number, component)
+        look = feature_look(features, number, stream)
         place = view.factor * d.place[track.detection].T
         dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0}
         ax.plot(*place, linewidth=0.9, **dots, **look)

@@ -22,7 +22,7 @@ AXIS_LABELS = {
 }
 #: First axes of velocities on the sky.
 SKY = "east", "lon"
-MAP_LABELS = {"coefficient": "Stacked correlation coefficient", "z_score": "z-score"}
+MAP_LABELS = {"coefficient": "Correlation", "z_score": "z-score"}
 #: Corners for the legend (the first preferred) and for the arrow (the second).
 CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
 CORNERS |= {"upper left": (0, 1), "lower right": (1, 0)}
@@ -168,7 +168,7 @@ def _draw_components(scene):
         )  # fmt: skip
         inward = np.where(place > 0.93, -1, 1)
         ax.annotate(
-            f"{row['component']}", np.clip(place, 0, 1),
+            f"{row['stream']}", np.clip(place, 0, 1),
             xycoords="axes fraction", xytext=7 * inward, textcoords="offset points",
             ha="left" if inward[0] > 0 else "right",
             va="bottom" if inward[1] > 0 else "top", color="white",
@@ -226,22 +226,22 @@ def plot_significance(
     least = PM_UNIT.to(unit, max(result.grid.step))
     for row, kind, strong, numbers in scene.streams(*names):
         along, error, across, across_error = numbers
+        z = _z_of(scene, row)
         on_axis = abs(across) <= 3 * max(across_error, least)
         color = style.VERMILION if strong else GREY
         ax.errorbar(
-            along, row["z_score"], xerr=error if np.isfinite(error) else 0.0,
+            along, z, xerr=error if np.isfinite(error) else 0.0,
             fmt=KINDS[kind].on_slice, color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
         ax.annotate(
-            f"{row['component']}", (along, row["z_score"]), xytext=(0, 6),
+            f"{row['stream']}", (along, z), xytext=(0, 6),
             textcoords="offset points", ha="center", color=color,
             fontweight="bold" if strong else "normal", path_effects=style.outline(),
             clip_on=True,
         )  # fmt: skip
     ax.set_xlim(speed[0], speed[-1])
-    top = max(np.nanmax(highest, initial=1.0), *scene.components["z_score"], 1.0)
-    top = max(top, level or 0.0)
+    top = max(np.nanmax(highest, initial=1.0), level or 0.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
     label = scene.labels[0]
     if scene.on_sky:
@@ -252,6 +252,15 @@ def plot_significance(
     ax.legend(loc="upper left", fontsize="small", ncols=columns, frameon=False)
     style.add_speed_axis(ax, unit, beta_per_pm)
     return scene.figure
+
+
+def _z_of(scene, row):
+    """Return the z-score of the map at the velocity of a stream."""
+    grid = scene.result.grid
+    names = axis_columns(scene.components, on_sky=scene.on_sky)
+    v1, v2 = (row[name].to_value(PM_UNIT) for name in names)
+    k, n = np.abs(grid.v1 - v1).argmin(), np.abs(grid.v2 - v2).argmin()
+    return float(scene.result.z_score[n, k])
 
 
 def plot_map_and_significance(
@@ -276,7 +285,7 @@ def _along_jet(scene):
         angle = scene.result.position_angle.to_value(u.rad)
         sin, cos = np.sin(angle), np.cos(angle)
         # The map is square, so its reach depends on the direction.
-        reach = min(np.divide(grid.v_max, np.maximum(np.abs([sin, cos]), 1e-9)))
+        reach = min(np.divide(abs(grid.v1[-1]), np.maximum(np.abs([sin, cos]), 1e-9)))
         middle = int(np.ceil(reach / min(grid.step)))
         speed = np.linspace(-reach, reach, 2 * middle + 1)
         along, across = np.meshgrid(speed, speed)
@@ -288,8 +297,6 @@ def _along_jet(scene):
 
 def speed_text(row, kind):
     """Return the speed of a stream, its kind, or both as text."""
-    if not row["n_features"]:
-        return kind
     form = None if np.isfinite(row["pm_err"]) else ".3g"
     text = f"{cell(row, 'pm', form=form)} {unit_name(row['pm'].unit)}"
     return {"moving": text, "stationary": kind}.get(kind, f"{text},\n{kind}")
@@ -302,11 +309,11 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     """
     Draw the displacement-interval diagram with the rays of the streams.
 
-    In red areas, more patterns match than in permuted epochs.  What moves at a
-    constant speed lies on a ray from the origin; what stands still lies at zero
-    displacement.  Thin lines on both sides of a ray are one dispersion of the
-    speeds away.  Intervals are shown until the slowest moving stream leaves the
-    diagram.  A second axis shows the displacement in beams.
+    In red areas, the changes of the images are more alike than the mean of all pairs
+    of epochs.  What moves at a constant speed lies on a ray from the origin; what
+    stands still lies at zero displacement.  Thin lines on both sides of a ray are one
+    dispersion of the speeds away.  Intervals are shown until the slowest moving stream
+    leaves the diagram.  A second axis shows the displacement in beams.
     """
     image = result.diagram()
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
@@ -329,10 +336,9 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
     factor = PM_UNIT.to(unit / time)
     for row, kind, slope in zip(scene.components, kinds, slopes, strict=True):
-        # A row without features has no speed.
         if not np.isfinite(slope):
             continue
-        label = f"{row['component']}: {speed_text(row, kind)}"
+        label = f"{row['stream']}: {speed_text(row, kind)}"
         spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
         spread = 0.0 if kind == "stationary" else spread
         _draw_ray(ax, slope * factor, spread * factor, kind, label)
@@ -348,7 +354,7 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
         above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
         scene.figure.colorbar(
             drawn, cax=above, orientation="horizontal", ticklocation="top",
-            extend="both", label="Matches per pattern and beam, beyond chance",
+            extend="both", label="Correlation",
         )  # fmt: skip
     return scene.figure
 

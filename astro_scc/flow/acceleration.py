@@ -1,0 +1,187 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Acceleration of a flow: the slope of its speeds in parts along it."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.flow.parts import (
+    fit_part,
+    place_of,
+    slope_of,
+    speeds_in_parts,
+    two_sided,
+    weight_of,
+)
+from astro_scc.measurement import SCCResult
+from astro_scc.quantities import with_error
+from astro_scc.units import PM_UNIT, offset_unit
+
+#: Distance from the core below which speeds are not used, and length of a part, in
+#: beams.
+CORE, LENGTH = 2.0, 2.0
+#: Fewest and most parts.
+FEWEST, MOST = 3, 10
+#: Relative gradient of the speed, per beam, of steady jets: their ends, and patterns
+#: that change on their way.
+STEADY = 0.009
+
+
+@dataclass(frozen=True)
+class FlowAcceleration:
+    """
+    Acceleration of a flow, from its speeds in parts along it.
+
+    Attributes
+    ----------
+    speed : `~astropy.units.Quantity`
+        Speed at the centre, in mas/yr.
+    centre : `~astropy.units.Quantity`
+        Mean distance of the parts along the flow, in mas.
+    gradient, gradient_err : `~astropy.units.Quantity`
+        Change of the speed with distance, in 1/yr.
+    acceleration, acceleration_err : `~astropy.units.Quantity`
+        Acceleration of the matter, the gradient times the speed, in mas/yr^2.
+    p_value : float
+        Probability of as large an acceleration of either sign if there is none.
+    n_parts : int
+        Parts whose speed is known.  With fewer than three the other numbers are NaN.
+    """
+
+    speed: u.Quantity
+    centre: u.Quantity
+    gradient: u.Quantity
+    gradient_err: u.Quantity
+    acceleration: u.Quantity
+    acceleration_err: u.Quantity
+    p_value: float
+    n_parts: int
+
+    def __str__(self):
+        if np.isnan(self.p_value):
+            return (
+                "acceleration: unknown, as speeds are needed in three parts of the "
+                f"flow, of two beams each, and there are {self.n_parts}"
+            )
+        length, time = self.speed.unit.bases
+        both = self.acceleration, self.acceleration_err
+        value = with_error(*(a.to_value(length / time**2) for a in both), "+-")
+        far = offset_unit(self.centre.to_value(u.mas))
+        return (
+            f"acceleration: {value} {length}/{time}^2 at "
+            f"{self.centre.to_value(far):.3g} {far}, p {self.p_value:.2g}, "
+            f"{self.n_parts} parts of the flow"
+        )
+
+
+def acceleration_of(parts, beam, unit=PM_UNIT):
+    """
+    Return the acceleration from speeds in parts of a flow.
+
+    Parameters
+    ----------
+    parts : `~astro_scc.flow.parts.PartSpeeds`
+    beam : float
+        In mas.
+    unit : `~astropy.units.Unit`, optional
+        Of speeds.
+
+    Returns
+    -------
+    `FlowAcceleration`
+    """
+    centre, speed, slope, error, number = slope_of(parts)
+    error = np.hypot(error, STEADY * speed)
+    length, time = unit.bases
+    speed = (speed * beam * PM_UNIT).to(unit)
+    gradient, gradient_err = (
+        u.Quantity(x, 1 / u.yr).to(1 / time) for x in (slope, error)
+    )
+    return FlowAcceleration(
+        speed=speed,
+        centre=centre * beam * u.mas,
+        gradient=gradient,
+        gradient_err=gradient_err,
+        acceleration=(gradient * speed).to(length / time**2),
+        acceleration_err=(gradient_err * speed).to(length / time**2),
+        p_value=two_sided(slope / error) if np.isfinite(slope) else np.nan,
+        n_parts=number,
+    )
+
+
+def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
+    """
+    Measure the acceleration of a flow.
+
+    The flow beyond two beams from the core is divided into three to ten parts with
+    equal amounts of emission, of about two beams.  The speed of the stream is fitted in
+    each, and a straight line to these speeds with their covariance, as neighbouring
+    parts see the same patterns.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    row : int, optional
+        Row in the table of streams.
+
+    Returns
+    -------
+    ``FlowAcceleration``
+        ``speed`` in the unit of proper motions at the mean distance ``centre``;
+        ``gradient`` of the speed with distance in 1/yr and ``acceleration`` in
+        mas/yr^2, each with ``_err``; ``p_value`` and ``n_parts``.  It prints
+        as one line.
+
+    Raises
+    ------
+    ValueError
+        If there is no such row.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import measure_acceleration
+    >>> from astro_scc.simulation import simulate_jet
+    >>> jet = simulate_jet(n_epochs=30, n_features=10, acceleration=3.0, dispersion=0.05,
+    ...                    rng=1)
+    >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    >>> found = measure_acceleration(scc(jet.cube, n_trials=199, rng=1))
+    >>> bool(found.acceleration > 0 * u.mas / u.yr**2), found.p_value < 0.05
+    (True, True)
+    """
+    search = result.search
+    if not 0 <= row < len(search.streams):
+        raise ValueError(f"row must be from 0 to {len(search.streams) - 1}, got {row}")
+    flow, unit, fit = search.flow, result.cube.speed_unit, search.fit
+    fits, places = [], []
+    if search.streams[row].kind != "stationary" and fit is not None:
+        several = len(fit.mean) > 1
+        start = list(zip(fit.mean, fit.sd, strict=True)) if several else None
+        for low, high in parts_along(flow):
+            part = flow.between(low, high)
+            fits.append(fit_part(part, sign=np.sign(fit.mean[0]), start=start))
+            places.append(place_of(part))
+    parts = speeds_in_parts(fits, places, stream=row if len(fits) else 0)
+    return acceleration_of(parts, flow.beam, unit)
+
+
+def parts_along(flow):
+    """Return limits of parts with equal amounts of emission, in mas, shape (n, 2)."""
+    planes = flow.planes[0]
+    along = np.abs(flow.grids[0].along)
+    power = (planes.values**2).sum(axis=(0, 1)) * weight_of(flow)
+    power = power.sum(axis=1) * (along > (CORE if flow.outward else 0))
+    order = np.argsort(along, kind="stable")
+    total = np.cumsum(power[order])
+    if not total[-1] > 0:
+        return np.empty((0, 2))
+    seen = along[order][power[order] > 0]
+    length = np.ptp(seen)
+    if length < FEWEST * LENGTH / 2:
+        return np.empty((0, 2))
+    n = int(np.clip(length / LENGTH, FEWEST, MOST))
+    inner = np.interp(np.arange(1, n) / n * total[-1], total, along[order])
+    edges = np.concatenate([[seen[0]], inner, [seen[-1] * (1 + 1e-9)]])
+    return np.stack([edges[:-1], edges[1:]], axis=1) * flow.beam

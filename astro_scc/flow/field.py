@@ -1,0 +1,211 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Speeds in cells of distance and place across the flow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.io import fits
+from astropy.table import QTable
+from astropy.wcs import WCS
+
+from astro_scc.flow.parts import fit_part, has_flow
+from astro_scc.kinematics import ExpansionFrame, RidgeLine
+from astro_scc.measurement import SCCResult
+from astro_scc.quantities import check_range, named, random_generator
+from astro_scc.settings import require
+from astro_scc.spectrum.permutations import test_motion
+from astro_scc.units import PM_UNIT
+
+#: Length of a cell along the flow in beams, and number across it, if none are given.
+LENGTH, ACROSS = 2.0, 3
+#: Columns of the table that are images of the FITS file.
+IMAGES = {"SPEED": "pm_parallel", "ERROR": "pm_parallel_err", "P_FDR": "p_fdr"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FlowField:
+    """
+    Speeds in cells of distance and place across the flow.
+
+    Attributes
+    ----------
+    table : `~astropy.table.QTable`
+        A row for each cell: ``r_min``, ``r_max``; ``offset_min``, ``offset_max``, across
+        the flow to its left, seen along it, or position angles of radial flows;
+        ``pm_parallel`` with ``pm_parallel_err``; ``p_global`` and, adjusted for all
+        cells, ``p_fdr``.  What is unknown is NaN.
+    along, across : `~astropy.units.Quantity`
+        Edges of the cells.
+    """
+
+    table: QTable
+    along: u.Quantity
+    across: u.Quantity
+
+    def to_fits(self) -> fits.HDUList:
+        """
+        Return the cells as images with a WCS of distance and offset.
+
+        Returns
+        -------
+        `~astropy.io.fits.HDUList`
+            ``SPEED``, ``ERROR`` and ``P_FDR``.
+
+        Raises
+        ------
+        ValueError
+            If the cells are not of one size.
+        """
+        wcs = WCS(naxis=2)
+        wcs.wcs.ctype = ["DISTANCE", "OFFSET"]
+        wcs.wcs.crpix = [0.5, 0.5]
+        for k, (name, edges) in enumerate(
+            (("along", self.along), ("across", self.across))
+        ):
+            step = np.diff(edges.value)
+            if not np.allclose(step, step[0], rtol=1e-6):
+                raise ValueError(
+                    f"images need cells of one size: give even edges {name}"
+                )
+            wcs.wcs.cunit[k] = edges.unit.to_string("fits")
+            wcs.wcs.crval[k], wcs.wcs.cdelt[k] = edges.value[0], step[0]
+        shape, hdus = (len(self.across) - 1, len(self.along) - 1), []
+        for name, column in IMAGES.items():
+            kind = fits.ImageHDU if hdus else fits.PrimaryHDU
+            values = u.Quantity(self.table[column])
+            hdu = kind(values.value.reshape(shape), wcs.to_header())
+            hdu.name, hdu.header["BUNIT"] = name, values.unit.to_string("fits")
+            hdus.append(hdu)
+        return fits.HDUList(hdus)
+
+
+def measure_field(
+    result: SCCResult, *, along: u.Quantity | str | None = None,
+    across: u.Quantity | None = None, n_trials: int = 200,
+    rng: np.random.Generator | int | None = None,
+) -> FlowField:  # fmt: skip
+    """
+    Measure speeds in cells of distance and place across the flow.
+
+    One stream is fitted in each cell, and motion is tested there.  The side of the
+    counter-jet is left out.
+
+    Parameters
+    ----------
+    result : `~astro_scc.measurement.SCCResult`
+    along : `~astropy.units.Quantity` or str, optional
+        Edges of the cells: increasing distances, by default every two beams.
+    across : `~astropy.units.Quantity`, optional
+        Increasing offsets or, of radial and expanding flows, position angles; by default
+        three cells over what is seen.
+    n_trials : int, optional
+    rng : None, int or `~numpy.random.Generator`, optional
+
+    Returns
+    -------
+    `FlowField`
+
+    Raises
+    ------
+    ValueError
+        If edges do not increase, or nothing is seen in any cell.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.flow import measure_field
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    >>> result = scc(simulate_two_fluid(n_epochs=8, rng=1).cube, n_trials=50, rng=1)
+    >>> field = measure_field(
+    ...     result, along=[2, 10, 18] * u.mas, across=[-2, 0, 2] * u.mas, n_trials=20)
+    >>> len(field.table), [hdu.name for hdu in field.to_fits()]
+    (4, ['SPEED', 'ERROR', 'P_FDR'])
+    """
+    from scipy.stats import false_discovery_control
+
+    n_trials = require("n_trials", n_trials)
+    flow, grid = result.flow, result.flow.grids[0]
+    r, offset, unit = cell_coordinates(flow)
+    seen = flow.planes[0].mask & ~grid.counter
+    if along is None:
+        step = LENGTH * flow.beam
+        low, high = (f(r[seen]) for f in (np.min, np.max))
+        along = np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step * u.mas
+    if across is None:
+        low, high = offset[seen].min(), offset[seen].max() + 1e-9
+        across = np.linspace(low, high, ACROSS + 1) * unit
+    given = "increasing distances", "0.5 1.5 2.5 mas", 0, np.less, None
+    along = named("along", check_range, along, *given).to(u.mas)
+    across = u.Quantity(across).to(unit)
+    if across.ndim != 1 or len(across) < 2 or not np.all(np.diff(across) > 0):
+        raise ValueError(f"across = {across} must be two increasing offsets or more")
+    fit = result.search.fit
+    sign = 1.0 if fit is None else np.sign(fit.mean[0])
+    rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
+    for low, high in zip(across.value[:-1], across.value[1:], strict=True):
+        for r_min, r_max in zip(along.value[:-1], along.value[1:], strict=True):
+            inside = (r >= r_min) & (r < r_max) & (offset >= low) & (offset < high)
+            cell = flow.part(places=[(inside & ~grid.counter) * 1.0])
+            found = _measure_cell(cell, sign, n_trials, next(rngs))
+            rows.append((r_min, r_max, low, high, *found))
+    names = ("r_min", "r_max", "offset_min", "offset_max", "pm_parallel",
+             "pm_parallel_err", "p_global")  # fmt: skip
+    units = [u.mas, u.mas, unit, unit, PM_UNIT, PM_UNIT]
+    table = QTable(rows=rows, names=names, units=dict(zip(names, units, strict=False)))
+    p = table["p_global"] = u.Quantity(table["p_global"]).value
+    if np.isnan(p).all():
+        raise ValueError("nothing is seen in any cell: choose other edges")
+    table["p_fdr"] = np.full(len(p), np.nan)
+    table["p_fdr"][np.isfinite(p)] = false_discovery_control(p[np.isfinite(p)])
+    return FlowField(table, along, across)
+
+
+def _measure_cell(cell, sign, n_trials, rng):
+    """Return speed, error and p-value of a cell, or NaN."""
+    unknown = np.nan, np.nan, np.nan
+    if not has_flow(cell):
+        return unknown
+    test = test_motion(
+        [cell.diagram(0)], fastest=cell.fastest, n_trials=n_trials, rng=rng,
+        inward=0.1 if cell.outward else 1.0,
+    )  # fmt: skip
+    part = fit_part(cell, sign=sign)
+    if part is None or not part.fit.amplitude[0] > 0:
+        return np.nan, np.nan, test.p_global
+    speed, error = part.fit.mean[0], part.errors(part.fit.mean[0]).mean[0]
+    return abs(speed) * cell.beam, error * cell.beam, test.p_global
+
+
+def cell_coordinates(flow):
+    """
+    Return the coordinates of the points of a flow's grid.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+
+    Returns
+    -------
+    distance, offset : `~numpy.ndarray`, shape (n_along, n_across)
+        The first in mas.
+    unit : `~astropy.units.Unit`
+        Of the offset: mas, or degrees of the position angle in radial flows.
+    """
+    grid, frame, beam = flow.grids[0], flow.frame, flow.beam
+    shape = grid.x.shape
+    distance = np.broadcast_to(np.abs(grid.along)[:, None] * beam, shape)
+    if np.isfinite(grid.angle) or isinstance(frame, RidgeLine):
+        return distance, np.broadcast_to(grid.across * beam, shape), u.mas
+    shell = isinstance(frame, ExpansionFrame)
+    origin = frame.centre if shell else frame.origin
+    place = flow.cube.pixel_to_offset(grid.x, grid.y)
+    east, north = ((p - o).to_value(u.mas) for p, o in zip(place, origin, strict=True))
+    # The last row, as a radial grid begins at the origin.  Angles do not jump at north.
+    angle = np.degrees(np.unwrap(np.arctan2(east[-1], north[-1])))
+    angle -= np.floor(angle.min() / 360) * 360
+    return np.hypot(east, north), np.broadcast_to(angle, shape), u.deg

@@ -1,0 +1,278 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""The velocity spectrum of a result, and speeds against distance from the core."""
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.columns import cell
+from astro_scc.spectrum.equations import deconvolve, set_up
+from astro_scc.streams.decomposed import distances
+from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
+from astro_scc.visualization import images, style
+
+#: Width of a bin of distance in beams, at least, and number of bins, at most.
+BIN, MOST_BINS = 1.5, 12
+#: The axis of speeds ends so far beyond what is shown, as a factor.
+BEYOND = 1.35
+
+
+class Speeds:
+    """
+    Speeds along the flow of a result, positive outward, in the unit of a figure.
+
+    Attributes
+    ----------
+    unit : `~astropy.units.Unit`
+    factor : float
+        The unit in mas/yr.
+    distance, feature, feature_err : `~numpy.ndarray`, shape (n_features,)
+        Distance of each feature from the core in mas, and its speed.
+    stream, stream_err, dispersion : `~numpy.ndarray`, shape (n_streams,)
+        The speed of what stands still is zero.
+    """
+
+    def __init__(self, result, unit=None):
+        unit = result.cube.speed_unit if unit is None else unit
+        self.unit = unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
+        self.factor, search = PM_UNIT.to(self.unit), result.search
+        along = np.array([np.cos(search.angle), np.sin(search.angle)])
+        motions = result.tracked_features.motions
+        place, velocity, error = (
+            np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
+            for name in ("place", "velocity", "velocity_err")
+        )
+        on_sky = along @ np.asarray(result.frame.matrix(*place.T))
+        self.distance = np.hypot(*place.T)
+        self.feature = self.factor * (on_sky * velocity).sum(axis=1)
+        self.feature_err = self.factor * np.hypot(*(on_sky * error).T)
+        rows = [
+            (s.velocity @ along, np.sqrt(along @ s.covariance @ along), s.dispersion)
+            for s in search.streams
+        ]
+        self.stream, self.stream_err, self.dispersion = np.nan_to_num(
+            self.factor * np.reshape(rows, (-1, 3)).T
+        )
+
+    @property
+    def name(self):
+        """The unit as it is written."""
+        return unit_name(self.unit)
+
+
+def _look(stream, number):
+    """Return the colour of a stream, grey if it is not significant, and its filling."""
+    color = style.component_color(number)
+    sure = stream.kind in ("moving", "stationary")
+    color = style.GREY if stream.kind == "not significant" else color
+    return color, color if sure else "white"
+
+
+def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None):
+    """
+    Draw the velocity spectrum over its significance.
+
+    Above is the share of the variance of the images that moves at each speed along the
+    flow; that of the opposite direction is noise where nothing moves that way.
+    Points are the streams with their errors, pale bars their dispersions, ticks the
+    secure features.  Below is the excess over permuted innovations; a dashed line is
+    the level that the largest of one in a hundred permutations exceeds.  Speeds that
+    were not searched are grey; beyond the dotted line patterns can be mistaken for one
+    another.
+    """
+    figure = style.new_figure((style.WIDTH, 4.8)) if figure is None else figure
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    search, speeds = result.search, Speeds(result, unit)
+    words = ("outward", "inward") if result.flow.outward else ("along", "against")
+    speed, total = search.speed * speeds.factor, search.spectrum.sum() or 1.0
+    half = len(speed) // 2
+    share = search.spectrum / total
+    for sign, word, fill in ((1, words[0], True), (-1, words[1], False)):
+        own = share[half + 1 :] if sign > 0 else share[:half][::-1]
+        color = style.BLUE if fill else style.GREY
+        look = {"color": color, "label": word, "lw": 1.2 if fill else 0.8}
+        upper.step(speed[half + 1 :], own, where="mid", **look)
+        if fill:
+            upper.fill_between(
+                speed[half + 1 :], own, step="mid", color=color, alpha=0.2, lw=0
+            )
+    top = share[np.arange(len(share)) != half].max(initial=0.0) or 1.0
+    middle = np.sqrt(speed[half + 1] * speed[-1])
+    _draw_streams(upper, result, speeds, top, middle)
+    _draw_ticks(upper, result, speeds, top)
+    _draw_test(lower, search, speeds)
+    limits = search.slowest, search.fastest, search.unambiguous
+    slowest, fastest, safe = (limit * speeds.factor for limit in limits)
+    low, high = speed[half + 1], speed[-1]
+    for ax in (upper, lower):
+        ax.set(xscale="log", xlim=(low, high))
+        for ends in ((low, slowest), (fastest, high)):
+            ax.axvspan(*ends, color=style.GREY, alpha=0.15, lw=0, gid="not searched")
+        if low < safe < high:
+            ax.axvline(safe, color=style.BLACK, lw=0.8, ls=":", gid="unambiguous")
+    if low < safe < high:
+        left = safe**2 > low * high
+        lower.annotate(
+            "ambiguous beyond", (safe, 0.97), xycoords=lower.get_xaxis_transform(),
+            xytext=(-3 if left else 3, 0), textcoords="offset points",
+            fontsize="x-small", ha="right" if left else "left", va="top",
+        )  # fmt: skip
+    upper.set_ylabel("Share of the variance")
+    lower.set_xlabel(f"Speed along the flow ({speeds.name})")
+    upper.legend(fontsize="small", frameon=False, loc="center left")
+    style.plain_log(lower)
+    if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
+        style.plain_log(second)
+    figure.align_ylabels()
+    return figure
+
+
+def _draw_streams(ax, result, speeds, top, middle):
+    """Draw the streams that move as points above the spectrum, with their speeds."""
+    streams, row = result.search.streams, 0
+    for k, (stream, own) in enumerate(zip(streams, result.streams, strict=True)):
+        if stream.kind == "stationary":
+            continue
+        speed, color = abs(speeds.stream[k]), _look(stream, k + 1)
+        row += 1
+        y, spread = top * (1 + 0.12 * row), speeds.dispersion[k]
+        ax.plot(
+            [max(speed - spread, 1e-3 * speed), speed + spread], [y, y], lw=6,
+            alpha=0.3, color=color[0], solid_capstyle="butt", gid="dispersion",
+        )  # fmt: skip
+        text = f"{k + 1}: {cell(own, 'pm')}"
+        text += "" if stream.kind == "moving" else f", {stream.kind}"
+        error = min(speeds.stream_err[k], 0.99 * speed)
+        ax.errorbar(
+            speed, y, xerr=error, fmt="o", ms=5, capsize=2, lw=1, color=color[0],
+            mfc=color[1], zorder=4,
+        )  # fmt: skip
+        left, wide = speed > middle, max(spread, error)
+        ax.annotate(
+            text, (max(speed - wide, 0.1 * speed) if left else speed + wide, y),
+            xytext=(-6 if left else 6, 0), textcoords="offset points", va="center",
+            ha="right" if left else "left", fontsize="small", color=color[0],
+            path_effects=style.outline(),
+        )  # fmt: skip
+    ax.set_ylim(-0.06 * top, top * (1.1 + 0.12 * row))
+
+
+def _draw_ticks(ax, result, speeds, top):
+    """Draw the secure features as ticks below the spectrum, in colours of streams."""
+    stream, secure = result.features["stream"], result.tracked_features.secure
+    for number in np.unique(stream[secure]):
+        own = np.abs(speeds.feature[secure & (stream == number)])
+        color = style.component_color(number) if number else style.BLACK
+        ax.vlines(own, -0.05 * top, -0.005 * top, color=color, lw=1, gid="features")
+
+
+def _draw_test(ax, search, speeds):
+    """Draw the excess over permutations at the speeds that were tested."""
+    test = search.test
+    z = test.z[test.best[0]]
+    use = test.speed > 0
+    order = np.argsort(test.speed[use])
+    speed = test.speed[use][order] * search.beam * speeds.factor
+    z = z[use][order]
+    ax.plot(speed, z, color=style.BLUE, lw=1.2)
+    ax.axhline(0, color=style.GREY, lw=0.6)
+    for sign in (1, -1):
+        look = {"color": style.VERMILION, "lw": 0.9, "ls": "--", "gid": "level"}
+        ax.axhline(sign * test.level, **look)
+    ax.annotate(
+        "99% of permutations", (0.0, test.level), xycoords=ax.get_yaxis_transform(),
+        xytext=(4, 2), textcoords="offset points", va="bottom", fontsize="x-small",
+        color=style.VERMILION,
+    )  # fmt: skip
+    top = max(z.max(), 1.25 * test.level)
+    ax.set(ylim=(min(z.min(), -1.0) * 1.1, 1.25 * top), ylabel="z")
+
+
+# -- against distance ----------------------------------------------------------------
+
+
+def spectra_of_bins(flow):
+    """
+    Return the velocity spectra of bins of distance.
+
+    Parameters
+    ----------
+    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+        Along one direction.
+
+    Returns
+    -------
+    edges : `~numpy.ndarray`, shape (n_bins + 1,)
+        In mas.
+    speed : `~numpy.ndarray`, shape (n_v,)
+        In mas/yr.
+    share : `~numpy.ndarray`, shape (n_v, n_bins)
+        The sum of each bin is one; zero where nothing moves.
+    """
+    inside = flow.planes[0].mask
+    if flow.regions[0] is not None:
+        inside = inside & (flow.regions[0] > 0)
+    r = distances(flow.grids[0])[inside]
+    low, high = (r.min(), r.max()) if r.size else (0.0, 1.0)
+    n = int(np.clip((high - low) // BIN, 1, MOST_BINS))
+    edges = np.linspace(low, high, n + 1) * flow.beam
+    found = []
+    for ends in zip(edges[:-1], edges[1:], strict=True):
+        part = flow.between(*ends)
+        equations = set_up(part.diagram(0), fastest=flow.fastest)
+        own = deconvolve(equations)
+        own[len(own) // 2] = 0.0
+        found.append(own / (own.sum() or 1.0))
+    return edges, equations.speed * flow.beam, np.array(found).T
+
+
+def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None):
+    """
+    Draw speeds along the flow against distance from the core.
+
+    Grey is the velocity spectrum of each bin of distance, dark where most of what moves
+    there has this speed.  Points are features at the dates of their speeds, in the
+    colours of their streams; those that are not secure are open.  Lines are the
+    streams.
+    """
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
+    speeds, features = Speeds(result, unit), result.tracked_features
+    edges, speed, share = spectra_of_bins(result.flow)
+    distance, secure = speeds.distance, features.secure
+    far = max(edges[-1], distance[secure].max(initial=0.0))
+    lengths = offset_unit(far)
+    scale = u.mas.to(lengths)
+    ax.pcolormesh(
+        edges * scale, images.edges(speed * speeds.factor), share, cmap="Greys",
+        vmin=0, vmax=1.4 * share.max() or 1.0, rasterized=True,
+    )  # fmt: skip
+    numbers = result.features["stream"]
+    for k in np.flatnonzero(np.isfinite(speeds.feature)):
+        color = style.component_color(numbers[k]) if numbers[k] else style.SKY_BLUE
+        look = {"ms": 3, "mfc": "white", "alpha": 0.6, "zorder": 3}
+        if secure[k]:
+            look = {"ms": 4.5, "mfc": color, "zorder": 4}
+        ax.errorbar(
+            distance[k] * scale, speeds.feature[k], speeds.feature_err[k], fmt="o",
+            lw=0.8, color=color, **look,
+        )  # fmt: skip
+    rows = zip(result.search.streams, result.streams, strict=True)
+    for k, (stream, own) in enumerate(rows):
+        color, _ = _look(stream, k + 1)
+        text = cell(own, "pm")
+        text = text if stream.kind == "moving" else f"{text}, {stream.kind}"
+        ax.axhline(
+            speeds.stream[k], color=color, lw=1.2, zorder=2, gid="stream",
+            ls=style.KINDS[stream.kind].line, label=f"{k + 1}: {text}",
+            path_effects=style.outline(2.2),
+        )  # fmt: skip
+    shown = [*speeds.stream, *speeds.feature[secure], 0.0]
+    if not any(stream.kind == "moving" for stream in result.search.streams):
+        shown += [-min(shown), -max(shown)]
+    low, high = BEYOND * min(shown), BEYOND * max(shown)
+    margin = 0.06 * (high - low)
+    ax.set(xlim=(0, 1.02 * far * scale), ylim=(low - margin, high or 1.0))
+    ax.set_xlabel(f"Core separation ({unit_name(lengths)})")
+    ax.set_ylabel(f"Speed along the flow ({speeds.name})")
+    style.legend_above(ax)
+    style.add_speed_axis(ax, speeds.unit, beta_per_pm, "right")
+    return figure
