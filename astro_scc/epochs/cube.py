@@ -21,7 +21,7 @@ from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
 from astro_scc.epochs import reading, serialize
 from astro_scc.epochs.inspection import kind_of
-from astro_scc.images.beam import Beam
+from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.convolution import common_beam
 from astro_scc.images.fits import CUBE_CREATOR, find_files
 from astro_scc.images.grid import crop, region_mask, reproject_cube
@@ -208,6 +208,12 @@ class EpochCube(ImageSeries):
         -------
         `EpochCube`
         """
+        if not hasattr(ndcube, "data"):
+            kind = type(ndcube).__name__
+            raise TypeError(
+                f"a {kind} is no NDCube; give one of its cubes, or make an "
+                "NDCubeSequence of those that are epochs"
+            )
         many = isinstance(ndcube.data, list | tuple)
         images = ndcube.data if many else reading.epochs_of(ndcube, times)
         fields = reading.read_images(images, times, beams, "offset", check=False)
@@ -258,7 +264,7 @@ class EpochCube(ImageSeries):
         if self.beams is not None:
             beam = self.beams[0]
             size = f"beam {readable_angle(beam.major)} x {readable_angle(beam.minor)}"
-            same = all(other == beam for other in self.beams)
+            same = different_beam(self.beams) is None
             parts.append(size if same else "beams that differ")
         return f"<EpochCube {', '.join(parts)}>"
 

@@ -125,7 +125,7 @@ def test_dates_are_taken_in_many_forms():
         ({"noise": -1 * JY_BEAM}, "finite and not negative"),
         ({"noise": 1 * u.K}, "noise must be a Quantity in Jy / beam"),
         ({"epoch_wcs": [celestial()]}, "3 epochs need 3 epoch_wcs"),
-        ({"wcs": None}, "wcs must be a WCS, or one sliced, got"),
+        ({"wcs": None}, "needs data, times and wcs; EpochCube.from_arrays"),
         ({"wcs": WCS(naxis=2)}, "wcs must have celestial axes"),
         ({"wcs": celestial(ctype=["DEC--SIN", "RA---SIN"])}, "latitude on its first"),
     ],

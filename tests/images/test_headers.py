@@ -10,12 +10,9 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import Beam
-from astro_scc.images.headers import (
-    celestial_wcs,
-    header_facts,
-    parse_unit,
-    read_header,
-)
+from astro_scc.images.brightness import parse_unit
+from astro_scc.images.facts import header_facts
+from astro_scc.images.headers import celestial_wcs, read_header
 from astro_scc.quantities import parse_date
 
 DAY = "2006-03-09T00:00:00.000"
