@@ -109,7 +109,8 @@ def read_fields(path, source, origin, date=None):
     if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
     if missing := sorted(needed - columns.keys()):
-        lacks, has = (", ".join(names) for names in (missing, table.colnames))
+        # In quotes, as columns are no options of the same names.
+        lacks, has = (", ".join(map(repr, n)) for n in (missing, table.colnames))
         raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
     values = {
         what: numbers(table[columns[what]], unit, path)

@@ -208,7 +208,7 @@ class EpochCube(ImageSeries):
         -------
         `EpochCube`
         """
-        if not hasattr(ndcube, "data"):
+        if not (hasattr(ndcube, "data") and hasattr(ndcube, "meta")):
             kind = type(ndcube).__name__
             raise TypeError(
                 f"a {kind} is no NDCube; give one of its cubes, or make an "

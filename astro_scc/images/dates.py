@@ -3,6 +3,7 @@
 
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 
 import astropy.units as u
@@ -28,7 +29,7 @@ CLOCKS = (
 EXPOSURES = "EXPTIME", "XPOSURE", "EXPOSURE", "TEXPTIME", "EXP_TIME", "EXPOS"
 #: Time scales by their names in headers; dates of others are in UTC.
 SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg", "ut1")}
-SCALES |= {"IAT": "tai", "TDT": "tt", "ET": "tt"}
+SCALES |= {"IAT": "tai", "GPS": "tai", "TDT": "tt", "ET": "tt"}
 #: GPS time is behind atomic time.
 GPS = 19 * u.s
 #: Smallest Julian date that is no modified one.
@@ -246,8 +247,9 @@ def _seconds(header, keyword):
     if number is None or not 0 <= number <= u.day.to(u.s):
         return None, 0.0
     digits = len(text.partition(".")[2].rstrip("0"))
-    comments = getattr(header, "comments", {})
-    comment = comments[keyword] if keyword in comments else ""
+    comment = ""
+    with suppress(AttributeError, KeyError):
+        comment = header.comments[keyword]
     unit = 3600.0 if re.search(r"\[h|hour", comment.lower()) else 1.0
     return number * unit, unit * 10.0**-digits
 
@@ -255,7 +257,7 @@ def _seconds(header, keyword):
 def _in_scale(time, scale):
     """Return a time that was read in the scale of a name as what it means."""
     if scale == "GPS":
-        return Time(Time(time, scale="tai", format="mjd") + GPS, format="isot")
+        return time + GPS
     return time
 
 
@@ -311,7 +313,7 @@ def axis_times(header, axis, hdus=()):
     except (TypeError, ValueError, u.UnitsError):
         what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
         raise ValueError(what) from None
-    scale = next((part for part in (name, name[:3]) if part in (*SCALES, "GPS")), None)
+    scale = next((part for part in (name, name[:3]) if part in SCALES), None)
     scale = scale or (get(header, "TIMESYS", kind=str) or "UTC").upper()
     return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
 

@@ -84,6 +84,12 @@ def celestial_wcs(header, fobj=None):
         rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
         if not any(clean[key] for key in rows):
             raise ContentError("its celestial axes have no pixel scale (CDELT or CD)")
+    for axis in set(range(1, 8)) - {*axes}:
+        # What is wrong with axes of frequencies, dates or others does not matter.
+        for name in ("CTYPE", "CUNIT", "CRVAL", "CDELT"):
+            clean.remove(f"{name}{axis}", ignore_missing=True)
+        for key in [key for key in clean if re.match(rf"P[SV]{axis}_\d+$", key)]:
+            del clean[key]
     with warnings.catch_warnings(action="ignore"):
         try:
             wcs = WCS(clean, fobj=fobj).celestial
