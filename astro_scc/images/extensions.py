@@ -99,7 +99,7 @@ def _chosen(hdus, found, choice):
         if name.isdigit() and not number:
             known = index == int(name)
         else:
-            of_version = not number or str(hdu.ver) == number
+            of_version = not number or str(version(hdus, hdu)) == number
             known = of_version and (hdu.name or "PRIMARY") == name
         if known and is_image(hdu):
             return hdu
@@ -112,7 +112,15 @@ def _name(hdus, hdu):
     if not hdu.name:
         return str([other is hdu for other in hdus].index(True))
     several = sum(other.name == hdu.name for other in hdus) > 1
-    return f"{hdu.name},{hdu.ver}" if several else hdu.name
+    return f"{hdu.name},{version(hdus, hdu)}" if several else hdu.name
+
+
+def version(hdus, hdu):
+    """Return the version of an HDU, its number of those of a name if that is lost."""
+    same = [other for other in hdus if other.name == hdu.name]
+    if len({other.ver for other in same}) == len(same):
+        return hdu.ver
+    return [other is hdu for other in same].index(True) + 1
 
 
 def _is_named(hdu):
@@ -155,7 +163,8 @@ def beside(hdus, image, names, shape, *, strict=True):
     for hdu in hdus:
         if hdu is image or hdu.name not in names or not is_image(hdu):
             continue
-        if hdu.ver != image.ver and sum(own.name == hdu.name for own in hdus) > 1:
+        several = sum(own.name == hdu.name for own in hdus) > 1
+        if several and version(hdus, hdu) != version(hdus, image):
             continue
         if tuple(n for n in hdu.shape if n > 1) == tuple(n for n in shape if n > 1):
             found.append(hdu)

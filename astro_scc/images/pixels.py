@@ -11,7 +11,8 @@ EACH_SIGN = 0.1
 #: ... or the smallest tenth is above this part of the median, as it is where the sky
 #: is not zero; where zeros are faint values they go over into others.
 JUMP = 0.5
-#: Share of pixels that flags hardly call bad in an image worth measuring.
+#: Share of the other pixels that is in blocks, or no brighter than those beside zeros;
+#: and the share that flags hardly call bad in an image worth measuring.
 MOST = 0.5
 
 
@@ -21,8 +22,8 @@ def padding(image):
 
     This is the one definition of zeros that are missing: they fill blocks of 3 x 3
     pixels, and beside them the sky begins at once, so that they are no faint values:
-    there are values of both signs, or none near zero and none that stand out.  Sparse
-    counts, and images of sources without noise or above a threshold, have none.
+    there are values of both signs, or none near zero while most others are no brighter.
+    Sparse counts, and sources without noise or above a threshold, have none.
     """
     zero = image == 0
     none = np.zeros(image.shape, dtype=bool)
@@ -35,17 +36,22 @@ def padding(image):
     solid = ndimage.binary_dilation(solid, block)
     padded = ndimage.binary_propagation(solid, mask=zero)
     other = np.isfinite(image) & ~zero
-    border = image[ndimage.binary_dilation(padded, block) & other]
-    inside = ndimage.binary_opening(other, block)
-    if border.size == 0 or 2 * np.count_nonzero(inside) < np.count_nonzero(other):
+    edge = ndimage.binary_dilation(padded, block) & other
+    border, inside = image[edge], np.abs(image[other & ~edge])
+    filled = np.count_nonzero(ndimage.binary_opening(other, block))
+    if (
+        border.size == 0
+        or inside.size == 0
+        or filled < MOST * (border.size + inside.size)
+    ):
         return none
     positive = np.mean(border > 0)
     if min(positive, 1 - positive) >= EACH_SIGN:
         return padded
     size = np.abs(border)
-    low, middle = np.quantile(size, [0.1, 0.5])
-    usual = np.quantile(np.abs(image[other]), 0.25)
-    return padded if low > JUMP * middle and middle >= usual else none
+    low, middle, high = np.quantile(size, [0.1, 0.5, 0.9])
+    brighter = np.mean(inside > high)
+    return padded if low > JUMP * middle and brighter <= MOST else none
 
 
 def flagged(flags, image, name, *, telescope=""):
