@@ -95,11 +95,19 @@ def celestial_wcs(header, fobj=None):
             wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
         except Exception as error:
-            reason = " ".join(str(error).strip().splitlines()[:2])
-            # Where in its source wcslib noticed it helps nobody.
-            reason = re.sub(r"ERROR \d+ in \S+ at line \d+ of file \S+: ", "", reason)
+            reason = _reason(str(error))
             raise ContentError(f"its coordinates cannot be read: {reason}") from None
     return as_celestial(wcs)
+
+
+def _reason(text):
+    """Return what wcslib says of a header, without where in its source it noticed."""
+    text = re.sub(r"ERROR \d+ in \S+ at line \d+ of file \S+:", "", text)
+    lines = [line.strip() for line in text.splitlines()]
+    said = [line for line in lines if line and not line.endswith(":")][:2]
+    if not said or "NULL error" in said[0]:
+        return "the values of CTYPE, CRVAL, PC, CD or PV do not go together"
+    return " ".join(said)
 
 
 def _repaired(header):

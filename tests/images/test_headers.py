@@ -218,3 +218,25 @@ def test_unusable_coordinates_are_refused_in_one_line(aips_header, changes, mess
     with pytest.raises(ValueError, match=message) as caught:
         celestial_wcs(aips_header(**changes))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "ERROR 5 in wcsset() at line 2 of file x.c:\nInvalid parameter value.\n",
+            "In",
+        ),
+        ("header parser:\n", "the values of CTYPE, CRVAL, PC, CD or PV do not go tog"),
+        ("NULL error object in wcslib", "the values of CTYPE, CRVAL, PC, CD or PV do"),
+        ("", "the values of CTYPE"),
+    ],
+)
+def test_what_wcslib_says_is_a_reason(monkeypatch, aips_header, text, expected):
+    def refuse(*args, **options):
+        raise ValueError(text)
+
+    monkeypatch.setattr("astro_scc.images.headers.WCS", refuse)
+    words = f"its coordinates cannot be read: {expected}"
+    with pytest.raises(ValueError, match=words):
+        celestial_wcs(aips_header())
