@@ -103,7 +103,8 @@ class EpochCube(ImageSeries):
         Parameters
         ----------
         paths : str, path-like, or sequence of them
-            Files, or patterns such as ``"3c273/*.fits"``.
+            Files, or patterns such as ``"3c273/*.fits"``.  One of several images of a
+            file is chosen behind its name, ``"m87.fits[SCI,2]"``.
         frame : {"offset", "absolute"}
             Align the epochs by their reference pixels, or by their celestial
             coordinates, which in VLBI differ between epochs by more than features

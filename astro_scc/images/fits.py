@@ -14,12 +14,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
-from astropy.nddata import (
-    InverseVariance,
-    NDUncertainty,
-    StdDevUncertainty,
-    VarianceUncertainty,
-)
+from astropy.nddata import NDUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
@@ -40,28 +35,22 @@ from astro_scc.images.extensions import (
 from astro_scc.images.facts import bandwidth
 from astro_scc.images.grid import cut_wcs
 from astro_scc.images.pixels import flagged, padding
+from astro_scc.images.uncertainty import uncertainty_noise, uncertainty_of
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
 #: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
-#: Uncertainties by the names that astropy writes.
-UNCERTAINTIES = {
-    kind.__name__: kind
-    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
-}
 #: Suffixes of text that is no list of components by its name.
 TEXT = ".csv", ".tsv", ".asc", ".tab", ".tbl", ".xls", ".xlsx"
 #: What to do with a list in a form of its own, such as spots of masers.
-NO_TABLE = (
-    "is a table and no image; a list of spots or components is read as .ecsv: with "
-    "astropy, table = QTable.read(FILE, ...) with the columns epoch, flux, x and y, "
-    "their units (table['x'].unit = 'mas'), and table.write('spots.ecsv')"
+AS_TABLE = (
+    "a list of spots or components is read as .ecsv: with astropy, table = "
+    "QTable.read(FILE, ...) with the columns epoch, flux, x and y, their units "
+    "(table['x'].unit = 'mas'), and table.write('spots.ecsv')"
 )
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
-#: Factor by which uncertainties of pixels may differ from the image's median.
-EVEN = 1.5
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 
 
@@ -211,7 +200,7 @@ def opened(path, *, known=False):
             "exportfits"
         )
     if path.suffix.lower() in TEXT:
-        raise NoImageError(f"{path}: {NO_TABLE}")
+        raise NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
@@ -348,26 +337,9 @@ def _load(plane, hdus, hdu, index, window):
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
     for other in beside(hdus, hdu, UNCERTAIN, _shape_of(hdu, plane))[:1]:
-        _take_errors(plane, other, pixels(other))
+        plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)
-
-
-def _take_errors(plane, other, values):
-    """Take the values of an extension for the uncertainty of a plane."""
-    name, unit = (other.header.get(key) for key in ("UTYPE", "BUNIT"))
-    kind = UNCERTAINTIES[name if name in UNCERTAINTIES else UNCERTAIN[other.name]]
-    unit = None if unit is None else parse_unit(unit)
-    values = np.array(values, dtype=float)
-    if other.name != "UNCERT":
-        # Telescopes write 0 where there is no error, and units that do not fit.
-        values[~(values > 0)] = np.nan
-        if np.isnan(values[~plane.mask]).all():
-            return
-        power = 2 if kind is VarianceUncertainty else 1
-        if unit is not None and not unit.is_equivalent(plane.unit**power):
-            unit = None
-    plane.uncertainty = kind(values, unit=unit, copy=False)
 
 
 def _shape_of(hdu, plane):
@@ -441,42 +413,3 @@ def looks_like_mask(image):
         return False
     values = values[np.isfinite(values)]
     return values.size > 0 and np.isin(values, (values.min(), values.max())).all()
-
-
-def uncertainty_noise(uncertainty, unit, mask):
-    """
-    Return the noise of an image whose pixels have uncertainties.
-
-    The noise is the median standard deviation of the valid pixels, in the ``unit`` of
-    the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without a finite standard deviation, and whether
-    the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
-    """
-    kind, sigma = type(uncertainty).__name__, uncertainty
-    if uncertainty.array is None:
-        raise ValueError("its uncertainty has no values; remove it")
-    try:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if not isinstance(uncertainty, StdDevUncertainty):
-                sigma = uncertainty.represent_as(StdDevUncertainty)
-        factor = 1.0 if sigma.unit is None else sigma.unit.to(unit)
-    except TypeError:
-        names = ", ".join(UNCERTAINTIES)
-        raise ValueError(
-            f"its uncertainty is of type {kind}; give it as {names}"
-        ) from None
-    except u.UnitConversionError:
-        raise ValueError(
-            f"its {kind} is in {uncertainty.unit}, which does not fit "
-            f"images in {unit.to_string() or 'no unit'}; correct or remove it"
-        ) from None
-    if np.any(np.asarray(uncertainty.array) < 0):
-        raise ValueError("its uncertainty has negative values; correct or remove it")
-    sigma = np.broadcast_to(np.asarray(sigma.array) * factor, mask.shape)
-    bad = ~np.isfinite(sigma)
-    valid = sigma[~(mask | bad)]
-    if valid.size == 0:
-        raise ValueError("its uncertainty is finite at no valid pixel; remove it")
-    noise = np.median(valid)
-    even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
-    return noise * unit, bad, even

@@ -297,11 +297,12 @@ def test_brightness_that_does_not_add_up(tmp_path, unit, cards, words):
         EpochCube.read(path)
 
 
-@pytest.mark.parametrize("name", ["spots.csv", "spots.tsv", "spots.tbl"])
+@pytest.mark.parametrize("name", ["spots.csv", "spots.tbl", "spots.dat", "s.txt"])
 def test_lists_of_spots_are_told_how_to_become_tables(tmp_path, name, capsys):
     (tmp_path / name).write_text("x,y,flux\n1,2,3\n")
     assert main(["measure", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "is a table and no image; a list of spots or components" in line
+    words = "is a table and no image; ", "lay the ReadMe of CDS beside it, or "
+    assert f"{words['d' in name or 'txt' in name]}a list of spots or components" in line
     assert "table.write('spots.ecsv')" in line
     assert "no image" in inspect_epochs(tmp_path / name)["problem"][0]
