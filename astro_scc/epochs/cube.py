@@ -208,6 +208,11 @@ class EpochCube(ImageSeries):
         Returns
         -------
         `EpochCube`
+
+        Raises
+        ------
+        TypeError
+            If it is no NDCube and no sequence of them.
         """
         if not (hasattr(ndcube, "data") and hasattr(ndcube, "meta")):
             kind = type(ndcube).__name__

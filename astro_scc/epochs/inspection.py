@@ -432,7 +432,7 @@ def _same_dates(planes):
         one, other = (dated[order[n]] for n in (k, k + 1))
         if gaps[k] > 0 and not _same_pixels(planes[one], planes[other]):
             continue
-        date = date_labels(times[[order[k]]], clock=None)[0]
+        date = date_labels(times[[order[k]]], clock=True)[0]
         what = f"is of {date}, as is {Path(planes[one].name).name}"
         advice = (
             "leave one out, or average them: two images of the same data share their "

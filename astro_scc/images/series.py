@@ -31,8 +31,8 @@ from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
 
-#: Digits of the seconds of dates.
-DIGITS = 9
+#: Digits of the seconds of dates, of which as few as tell them apart are given.
+DIGITS = 0, 3, 6, 9
 #: Fields that have a value for each epoch.
 EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_meta"
 
@@ -511,20 +511,24 @@ def epoch_index(epoch, n):
     return index % n
 
 
-def date_labels(times, clock=False):
+def date_labels(times, *, clock=False):
     """
     Return dates as short text, with as much of the time of day as tells them apart.
 
-    With None for ``clock`` it is given unless all are of midnight.
+    With ``clock`` that is given unless all are of midnight.
     """
-    texts = Time(times, format="isot", precision=DIGITS).isot.tolist()
-    if clock is None:
-        clock = any(not text.endswith("T00:00:00." + "0" * DIGITS) for text in texts)
-    for length in (19 if clock else 10, 19, 23, None):
-        short = tuple(text[:length] for text in texts)
-        if len(set(short)) == len(set(texts)):
-            break
-    return short
+    gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
+    least = gaps[gaps > 0].min(initial=np.inf)
+    digits = next((n for n in DIGITS if 2 * 10.0**-n <= least), DIGITS[-1])
+    texts = Time(times, format="isot", precision=digits).isot
+    # A selection of dates some of which are missing is still masked.
+    texts = tuple(getattr(texts, "unmasked", texts).tolist())
+    # Days are not rounded.
+    days = Time(times, format="isot", precision=DIGITS[-1]).isot
+    days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
+    midnight = all(text[10:].startswith("T00:00:00") for text in texts)
+    told_apart = len(set(days)) == len(set(texts))
+    return days if told_apart and (not clock or midnight) else texts
 
 
 def numbers(column, unit, path, own_unit=None):

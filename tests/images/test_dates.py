@@ -129,14 +129,16 @@ def test_the_same_date_and_the_same_exposure(make_fits):
 
     for clocks, pixels in (((1, 1, 9), (0, 1, 2)), ((1, 1.004, 9), (0, 0, 1))):
         found = paths([clock.format(c) for c in clocks], pixels)
-        with pytest.raises(ValueError, match=r"1.fits: is of 2015-06-18T10:00:01.*0.f"):
+        with pytest.raises(
+            ValueError, match=r"1.fits: is of 2015-06-18T10:00:01, as is .*0.f"
+        ):
             EpochCube.read(found)
     # Other pixels, or other dates.
     for clocks, pixels in (((1, 1.004, 9), (0, 1, 2)), ((1, 3, 9), (0, 0, 0))):
         found = paths([clock.format(c) for c in clocks], pixels)
         assert len(EpochCube.read(found)) == 3
     same = ["2015-06-18T10:00:01.5"] * 2
-    with pytest.warns(EpochWarning, match="two images are of 2015-06-18T10:00:01.5"):
+    with pytest.warns(EpochWarning, match="two images are of 2015-06-18T10:00:0[12]"):
         EpochCube.from_arrays(data[:2], same, pixel_scale=1 * u.mas)
 
 
