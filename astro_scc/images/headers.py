@@ -17,6 +17,7 @@ from astro_scc.images.dates import observing_time
 from astro_scc.images.facts import FACTS, header_facts
 
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
+_SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
 _CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
 
 
@@ -89,6 +90,10 @@ def celestial_wcs(header, fobj=None):
         for name in ("CTYPE", "CUNIT", "CRVAL", "CDELT"):
             clean.remove(f"{name}{axis}", ignore_missing=True)
         for key in [key for key in clean if re.match(rf"P[SV]{axis}_\d+$", key)]:
+            del clean[key]
+    if not any("-SIP" in str(clean[f"CTYPE{axis}"]) for axis in axes):
+        # Left over in images from which the distortion has been removed.
+        for key in [key for key in clean if _SIP.match(key)]:
             del clean[key]
     with warnings.catch_warnings(action="ignore"):
         try:

@@ -240,3 +240,12 @@ def test_what_wcslib_says_is_a_reason(monkeypatch, aips_header, text, expected):
     words = f"its coordinates cannot be read: {expected}"
     with pytest.raises(ValueError, match=words):
         celestial_wcs(aips_header())
+
+
+def test_left_over_distortions_are_none(aips_header, caplog):
+    sip = {"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-4, "B_0_2": 1e-4, "A_DMAX": 1.0}
+    plain = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN"}
+    found = celestial_wcs(aips_header(**plain, **sip))
+    assert found.wcs.compare(celestial_wcs(aips_header(**plain)).wcs)
+    assert not found.has_distortion
+    assert caplog.text == ""
