@@ -4,7 +4,7 @@
 import re
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import astropy.units as u
 import numpy as np
@@ -30,6 +30,8 @@ EXPOSURES = "EXPTIME", "XPOSURE", "EXPOSURE", "TEXPTIME", "EXP_TIME", "EXPOS"
 #: Time scales by their names in headers; dates of others are in UTC.
 SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg", "ut1")}
 SCALES |= {"IAT": "tai", "GPS": "tai", "TDT": "tt", "ET": "tt"}
+#: Hours of a day.
+HOURS = 24
 #: GPS time is behind atomic time.
 GPS = 19 * u.s
 #: Smallest Julian date that is no modified one.
@@ -108,6 +110,8 @@ def observing_time(header, *, start=False):
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
     half = _half_exposure(header, begin, exposure, scale)
+    if (begin or first).day_only:
+        middles += _before_end(header, exposure, scale)
     middle = min(
         (one for one in middles if _follows(one, begin or first, exposure)),
         key=_precision,
@@ -115,6 +119,8 @@ def observing_time(header, *, start=False):
     )
     if middle is not None and (begin is None or _better(middle, begin)):
         return _in_utc(middle.time), remark
+    if begin is not None and begin.day_only:
+        remark = remark or _hours_or_seconds(header)
     return _in_utc((begin or first).time + half), remark
 
 
@@ -154,12 +160,49 @@ def _half_exposure(header, begin, exposure, scale):
     if begin is None or begin.day_only:
         return TimeDelta(0, format="sec")
     if not exposure > 0:
-        ends = _texts(header, ENDS, scale)[0] + _days(header, END_DAYS, scale)
-        later = [one for one in ends if not one.day_only and one.time > begin.time]
+        later = [one for one in _ends(header, scale) if one.time > begin.time]
         if later:
             end = min(later, key=_precision)
             exposure = (end.time - begin.time).to_value(u.s)
     return TimeDelta(max(exposure, 0.0) / 2, format="sec")
+
+
+def _ends(header, scale):
+    """Return the dates of the end of the exposure that have the time of the day."""
+    ends = _texts(header, ENDS, scale)[0] + _days(header, END_DAYS, scale)
+    return [one for one in ends if not one.day_only]
+
+
+def _before_end(header, exposure, scale):
+    """Return half of the exposure before its end."""
+    half = TimeDelta(exposure / 2, format="sec")
+    return [
+        replace(one, time=one.time - half, middle=True) for one in _ends(header, scale)
+    ]
+
+
+def _hours_or_seconds(header):
+    """Return a remark if a time of the day is a number of which the unit is unknown."""
+    for keyword in CLOCKS:
+        number = get(header, keyword, kind=float)
+        if _is_doubtful(header, keyword, number):
+            return (
+                f"its {keyword} = {number:g} may be hours or seconds and is left out; "
+                "write it as HH:MM:SS"
+            )
+    return ""
+
+
+def _is_doubtful(header, keyword, number):
+    """Return whether a number may be hours, which is likely for universal time."""
+    known = number is None or not 0 < number <= HOURS or not keyword.startswith("UT")
+    return not (known or re.search(r"\[s|sec|\[h|hour", _comment(header, keyword)))
+
+
+def _comment(header, keyword):
+    with suppress(AttributeError, KeyError):
+        return str(header.comments[keyword]).lower()
+    return ""
 
 
 def _texts(header, keywords, scale, middle=False):
@@ -246,11 +289,10 @@ def _seconds(header, keyword):
     number = get(header, keyword, kind=float)
     if number is None or not 0 <= number <= u.day.to(u.s):
         return None, 0.0
+    if _is_doubtful(header, keyword, number):
+        return None, 0.0
     digits = len(text.partition(".")[2].rstrip("0"))
-    comment = ""
-    with suppress(AttributeError, KeyError):
-        comment = header.comments[keyword]
-    unit = 3600.0 if re.search(r"\[h|hour", comment.lower()) else 1.0
+    unit = 3600.0 if re.search(r"\[h|hour", _comment(header, keyword)) else 1.0
     return number * unit, unit * 10.0**-digits
 
 

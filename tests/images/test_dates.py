@@ -45,6 +45,8 @@ DATES = [
     (CLOCK | {"MJD-OBS": 57191.0}, START),
     ({"DATE-OBS": "2015-06-18T14:24:00", "DATE_OBS": "2015-06-18T14:24:00.125"},
      "2015-06-18T14:24:00.125"),
+    (DAY | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
+    (DAY | {"TIME-OBS": 14.4}, "2015-06-18T00:00:14.400"),
     # What is no time of the day, or is of another time, does not count.
     (DAY | {"UT": "night"}, MIDNIGHT),
     (DAY | {"UT": 90000.0}, MIDNIGHT),
@@ -64,6 +66,10 @@ DATES = [
     (DAY | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
     (DAY | {"MJD-AVG": MJD + 300 / 86400, "EXPTIME": 99.0}, MIDDLE),
     (CLOCK | {"DATE-AVG": "2015-06-20T14:29:00"}, START),
+    # The end alone.
+    (DAY | {"DATE-END": "2015-06-18T14:34:00", "EXPTIME": 600.0}, MIDDLE),
+    (DAY | {"MJD-END": MJD + 600 / 86400, "EXPTIME": 600.0}, MIDDLE),
+    (DAY | {"DATE-END": "2015-06-20T14:34:00", "EXPTIME": 600.0}, MIDNIGHT),
     # Exposures that last beyond midnight.
     ({"DATE-OBS": "2015-06-17T23:59:00", "DATE-AVG": "2015-06-18T00:04:00.5"},
      "2015-06-18T00:04:00.500"),
@@ -94,6 +100,7 @@ DOUBTS = [
     ({"DATE": "2015-06-18", "UT": "14:24:00"}, None, ""),
     (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
      "MJD-OBS is of 1995-10-10"),
+    (DAY | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is left"),
 ]  # fmt: skip
 
 
