@@ -381,7 +381,7 @@ def random_generator(rng):
 
     Parameters
     ----------
-    rng : int, `~numpy.random.Generator` or None
+    rng : int, `~numpy.random.Generator`, `~numpy.random.RandomState` or None
 
     Returns
     -------
@@ -400,6 +400,9 @@ def random_generator(rng):
     """
     import numpy as np
 
+    if isinstance(rng, np.random.RandomState):
+        # Generators of the older kind have the same source of bits.
+        rng = rng._bit_generator
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
@@ -465,6 +468,8 @@ def check_scales(value):
         return angles
     if not numbers:
         raise ValueError(wanted)
+    if numbers == (0,):
+        raise ValueError(f"{wanted}; scale 0 is single pixels, and none alone")
     if len(set(numbers)) < len(numbers):
         raise ValueError("must differ: leave out what is there twice")
     if not all(0 <= j <= LARGEST_SCALE and j % 0.5 == 0 for j in numbers):

@@ -15,7 +15,7 @@ import math
 import tomllib
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from importlib import import_module, resources
 from operator import le, lt
@@ -60,6 +60,22 @@ POSITIVE = (q.check_number, 0, math.inf, "must be above 0")
 BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
 
 
+def _comparable(value):
+    """Return a value with tuples, which can be hashed, for what holds several."""
+    if is_dataclass(value):
+        own = (_comparable(getattr(value, one.name)) for one in fields(value))
+        return type(value).__name__, *own
+    if hasattr(value, "unit"):
+        return str(value.unit), _comparable(value.value)
+    if hasattr(value, "tolist"):
+        return _comparable(value.tolist())
+    if isinstance(value, dict):
+        value = [*value.items()]
+    if isinstance(value, list | tuple):
+        return tuple(map(_comparable, value))
+    return value
+
+
 def _setting(check, *more, default=None):
     """Declare a setting by its check and the arguments of that after the value."""
     return field(default=default, metadata={"check": (check, *more)})
@@ -95,6 +111,14 @@ class MeasurementSettings:
     )
     small_displacement_correction: bool = _setting(q.check_boolean, default=False)
     common_beam: bool | None = _setting(q.check_boolean)
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return _comparable(self) == _comparable(other)
+
+    def __hash__(self) -> int:
+        return hash(_comparable(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

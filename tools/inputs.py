@@ -165,7 +165,9 @@ each("CDELT in single precision, not the same in every epoch")(
         "CDELT2": float(np.float32(0.1 * MAS)),
     }
 )
-each("STOKES 1, -1 and -9")(lambda i: {"CRVAL4": (1.0, -1.0, -9.0, 1.0, 1.0)[i]})
+each("STOKES 1, -1 and -9", "is of Stokes RR, others are of I; leave it out if it")(
+    lambda i: {"CRVAL4": (1.0, -1.0, -9.0, 1.0, 1.0)[i]}
+)
 each("unit JY/PIXEL")(lambda i: {"BUNIT": "JY/PIXEL"})
 each("unit 'counts / pixel'")(lambda i: {"BUNIT": "counts / pixel"})
 each("unit missing")(lambda i: {"BUNIT": None})

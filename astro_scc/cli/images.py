@@ -27,6 +27,7 @@ from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
+from astro_scc.images.series import date_labels
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.report.answer import misalignment_text
@@ -181,8 +182,8 @@ def inspect(args, reporter):
         ]
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube)
     rows = [
-        _cells(name, row, facts["noise"].unit) | {"core": cores.get(name, "-")}
-        for name, row in zip(names, facts, strict=True)
+        _cells(name, date, row, facts["noise"].unit) | {"core": cores.get(name, "-")}
+        for name, date, row in zip(names, _dates(facts), facts, strict=True)
     ]
     reporter.say(
         *table_lines(rows),
@@ -219,15 +220,23 @@ def _facts_of_cube(cube):
     return table
 
 
-def _cells(name, row, unit):
+def _dates(facts):
+    """Return the dates as text, with the time of day where days do not suffice."""
+    known = ~np.broadcast_to(facts["date"].mask, len(facts))
+    texts = np.full(len(facts), "-", dtype=object)
+    if known.any():
+        texts[known] = date_labels(facts["date"][known])
+    return texts.tolist()
+
+
+def _cells(name, date, row, unit):
     """Return a row of `inspect_epochs` as text under the headings of the table."""
     noise = f"noise ({unit})"
     heads = "date", "pixels", "pixel", "beam", noise, "peak"
     cells = {"epoch": name} | dict.fromkeys(heads, "-")
     if not row["nx"]:
         return cells
-    if not np.any(row["date"].mask):
-        cells["date"] = str(row["date"].isot)[:10]
+    cells["date"] = date
     cells["pixels"] = f"{row['nx']} x {row['ny']}"
     cells["pixel"] = readable_angle(row["pixel"])
     if "major" in row.colnames and np.isfinite(row["major"]):

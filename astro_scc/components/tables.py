@@ -16,7 +16,7 @@ from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.images.beam import parse_beam
-from astro_scc.images.fits import open_fits
+from astro_scc.images.fits import AS_TABLE, open_fits
 from astro_scc.images.headers import celestial_wcs, first_line, get, read_header, some
 from astro_scc.images.series import as_times, naming, numbers
 from astro_scc.quantities import parse_date
@@ -109,7 +109,8 @@ def read_fields(path, source, origin, date=None):
     if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
     if missing := sorted(needed - columns.keys()):
-        lacks, has = (", ".join(names) for names in (missing, table.colnames))
+        # In quotes, as columns are no options of the same names.
+        lacks, has = (", ".join(map(repr, n)) for n in (missing, table.colnames))
         raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
     values = {
         what: numbers(table[columns[what]], unit, path)
@@ -298,7 +299,7 @@ def _open_mrt(path):
     readme = path.parent / "ReadMe"
     if not readme.is_file():
         what = "has no byte-by-byte description; lay the ReadMe of CDS beside it"
-        raise OSError(f"{path}: {what}")
+        raise OSError(f"{path}: {what}, or {AS_TABLE}")
     return _open_ascii(path, "ascii.cds", readme=str(readme))
 
 

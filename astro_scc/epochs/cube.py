@@ -21,7 +21,7 @@ from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
 from astro_scc.epochs import reading, serialize
 from astro_scc.epochs.inspection import kind_of
-from astro_scc.images.beam import Beam
+from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.convolution import common_beam
 from astro_scc.images.fits import CUBE_CREATOR, find_files
 from astro_scc.images.grid import crop, region_mask, reproject_cube
@@ -103,7 +103,8 @@ class EpochCube(ImageSeries):
         Parameters
         ----------
         paths : str, path-like, or sequence of them
-            Files, or patterns such as ``"3c273/*.fits"``.
+            Files, or patterns such as ``"3c273/*.fits"``.  One of several images of a
+            file is chosen behind its name, ``"m87.fits[SCI,2]"``.
         frame : {"offset", "absolute"}
             Align the epochs by their reference pixels, or by their celestial
             coordinates, which in VLBI differ between epochs by more than features
@@ -207,7 +208,18 @@ class EpochCube(ImageSeries):
         Returns
         -------
         `EpochCube`
+
+        Raises
+        ------
+        TypeError
+            If it is no NDCube and no sequence of them.
         """
+        if not (hasattr(ndcube, "data") and hasattr(ndcube, "meta")):
+            kind = type(ndcube).__name__
+            raise TypeError(
+                f"a {kind} is no NDCube; give one of its cubes, or make an "
+                "NDCubeSequence of those that are epochs"
+            )
         many = isinstance(ndcube.data, list | tuple)
         images = ndcube.data if many else reading.epochs_of(ndcube, times)
         fields = reading.read_images(images, times, beams, "offset", check=False)
@@ -258,7 +270,7 @@ class EpochCube(ImageSeries):
         if self.beams is not None:
             beam = self.beams[0]
             size = f"beam {readable_angle(beam.major)} x {readable_angle(beam.minor)}"
-            same = all(other == beam for other in self.beams)
+            same = different_beam(self.beams) is None
             parts.append(size if same else "beams that differ")
         return f"<EpochCube {', '.join(parts)}>"
 

@@ -18,18 +18,20 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
+from astro_scc.images.extensions import is_visibilities
 from astro_scc.images.fits import (
     CORRECT_BEAM,
     CUBE_CREATOR,
+    file_of,
     find_files,
-    is_visibilities,
+    frames_of,
     looks_like_mask,
     open_fits,
     read_plane,
 )
 from astro_scc.images.grid import ONE_SHIFT, finest, in_frame, whole_step
 from astro_scc.images.positions import readable_angle, resolution
-from astro_scc.images.series import ImageSeries, as_times, order_of
+from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
 # apart.
@@ -37,7 +39,21 @@ BAND = 0.1
 # Reference pixels further apart than this fraction of the image exceed the
 # scatter of VLBI positions.
 FAR = 0.05
-POLARISED = ("Q", "U", "V")
+# Larger differences, or those of more than a channel's width, are named.
+CHANNEL = 1e-3
+POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
+#: Facts about which images that belong together agree, as they are named.
+BELONGING = {
+    "filter": "the filter",
+    "wavelength": "the wavelength (WAVELNTH)",
+    "band": "the band",
+    "polarisation": "the polarisation (POLARIZ)",
+    "type": "the type (BTYPE)",
+}
+#: What to do with an image that is slightly different.
+OTHER_CHANNEL = "leave it out if it shows something else"
+#: Part of a series in which two images with the same pixels are of one exposure.
+AT_ONCE = 1e-3
 #: Smallest factor between the brightness of an image and that of most others that is
 #: hardly variability, but another unit.
 OTHER_SCALE = 100
@@ -96,7 +112,8 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     >>> print(table["problem"][-1].split(";")[0])
     no date of observation
     """
-    rows = [_row_of(path) for path in find_files(paths, missing_ok=True)]
+    files = find_files(paths, missing_ok=True)
+    rows = [_row_of(path, k) for path in files for k in _frames(path)]
     rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
     planes = [row.pop("plane") for row in rows]
     read = [i for i, plane in enumerate(planes) if plane is not None]
@@ -126,7 +143,7 @@ def kind_of(path):
         return "components"
     # What is wrong with a file is said where it is read.
     with suppress(Exception), warnings.catch_warnings(action="ignore"):
-        with path.open("rb") as file, open_fits(file) as hdus:
+        with file_of(path)[0].open("rb") as file, open_fits(file) as hdus:
             if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
                 return "cube"
             image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
@@ -136,14 +153,23 @@ def kind_of(path):
     return "images"
 
 
-def _row_of(path):
-    """Return the row of a file, with its `Plane` if the file can be read."""
-    row = {"file": str(path), "date": None, "nx": 0, "ny": 0}
+def _frames(path):
+    """Return the numbers of the images on an axis of time of a file, else None."""
+    with suppress(OSError, ValueError):
+        if (n := frames_of(path)) not in (None, 1):
+            return range(n)
+    return [None]
+
+
+def _row_of(path, frame):
+    """Return the row of an image, with its `Plane` if it can be read."""
+    name = str(path) if frame is None else f"{path}, image {frame + 1}"
+    row = {"file": name, "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
     row |= {"object": "", "frequency": row.pop("frequency")}
     row |= {"problem": [], "plane": None}
     try:
-        plane = read_plane(path)
+        plane = read_plane(path, frame=frame)
         plane.take_uncertainty()
     except (OSError, ValueError) as error:
         listed = kind_of(path) == "components"
@@ -395,15 +421,18 @@ def _warned(planes):
 
 
 def _same_dates(planes):
-    """Yield images of the date of another one, to the second."""
+    """Yield images of the date of another one, or of its pixels at nearly its date."""
     dated = [i for i, plane in enumerate(planes) if plane.time is not None]
     if not dated:
         return
     times = as_times([planes[i].time for i in dated], len(dated))
     order = order_of(times)
-    for k in np.flatnonzero(np.diff((times - times[0]).sec[order]) < 1):
+    gaps = np.diff((times - times[0]).sec[order])
+    for k in np.flatnonzero(gaps <= AT_ONCE * gaps.sum()):
         one, other = (dated[order[n]] for n in (k, k + 1))
-        date = times[order[k]].to_value("iso", subfmt="date")
+        if gaps[k] > 0 and not _same_pixels(planes[one], planes[other]):
+            continue
+        date = date_labels(times[[order[k]]], clock=True)[0]
         what = f"is of {date}, as is {Path(planes[one].name).name}"
         advice = (
             "leave one out, or average them: two images of the same data share their "
@@ -412,11 +441,18 @@ def _same_dates(planes):
         yield Problem(other, what, advice)
 
 
+def _same_pixels(one, other):
+    """Return whether two images that have been read are the same."""
+    if one.data is None or other.data is None:
+        return False
+    return np.array_equal(one.data, other.data, equal_nan=True)
+
+
 def _strangers(planes):
     """Yield images of another object, filter, polarisation or band."""
-    names, filters, stokes, known = (
+    names, stokes, known = (
         [plane.facts.get(fact) for plane in planes]
-        for fact in ("object", "filter", "stokes", "frequency")
+        for fact in ("object", "stokes", "frequency")
     )
     names = [str(name or "").strip() for name in names]
     names = [None if name.upper() in UNNAMED else name for name in names]
@@ -427,16 +463,44 @@ def _strangers(planes):
         what = f"shows {mine}, {where}, where others show {others}"
         advice = "leave it out if it is another object" if same else UNCHECKED
         yield Problem(i, what, advice, refused=not same)
-    stokes = [s if s in POLARISED else s and "I" for s in stokes]
-    for what, values in (("the filter", filters), ("Stokes", stokes)):
+    intensity = [s if s in POLARISED else s and "I" for s in stokes]
+    other_kinds = [("Stokes", intensity)] + [
+        (what, [plane.facts.get(fact) for plane in planes])
+        for fact, what in BELONGING.items()
+    ]
+    for what, values in other_kinds:
         for i, mine, others in _minority(values):
             yield Problem(i, f"is of {what} {mine}, others are of {others}")
+    channels = [plane.facts.get("channel") for plane in planes]
+    hands = [None if s in POLARISED else s for s in stokes]
+    for what, values in (("Stokes", hands), ("the channel", channels)):
+        for i, mine, others in _minority(values)[:1]:
+            what = f"is of {what} {mine}, others are of {others}"
+            yield Problem(i, what, OTHER_CHANNEL, refused=False)
+    yield from _other_frequencies(planes, known)
+
+
+def _other_frequencies(planes, known):
+    """Yield images of another band, and the first of another channel in the band."""
     known = np.array([value or np.nan for value in known], dtype=float)
-    near = np.abs(np.log(known[:, None] / known)) < BAND
+    ratio = np.abs(np.log(known[:, None] / known))
+    near = ratio < BAND
     usual = int(np.argmax(near.sum(axis=1)))
     for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):
         mine, others = (f"{known[k] / 1e9:.4g}" for k in (i, usual))
         yield Problem(int(i), f"is at {mine} GHz, others are at {others}")
+    widths = [plane.bandwidth or 0.0 for plane in planes]
+    # A width that is no more than rounding is none.
+    width = min((w for w in widths if w > CHANNEL**2 * known[usual]), default=np.inf)
+    limit = min(CHANNEL, width / known[usual]) * (1 - CHANNEL)
+    alike = ratio < limit
+    usual = int(np.argmax(alike.sum(axis=1)))
+    odd = np.flatnonzero(near[usual] & ~alike[usual])
+    if len(odd):
+        mine, others = (f"{known[k] / 1e9:.7g}" for k in (odd[0], usual))
+        more = f", as are {len(odd) - 1} more" if len(odd) > 1 else ""
+        what = f"is at {mine} GHz{more}, others are at {others}, in the same band"
+        yield Problem(int(odd[0]), what, OTHER_CHANNEL, refused=False)
 
 
 def _minority(values):

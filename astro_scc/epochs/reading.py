@@ -17,7 +17,10 @@ from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, grid, series
 from astro_scc.images.beam import different_beam
-from astro_scc.images.headers import as_celestial, fits_wcs, get, read_header, some
+from astro_scc.images.brightness import logarithm
+from astro_scc.images.cards import get
+from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
+from astro_scc.images.pixels import padding
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
@@ -32,23 +35,24 @@ MARGIN = 4
 
 def read_files(files, times, beams, frame, *, check, region, pad):
     """Return the fields of the cube in some files; see `EpochCube.read`."""
-    given = _given(times, beams, len(files), frame)
     for path in files:
         if path.suffix.lower() in LISTS:
             raise ValueError(f"{path}: {NO_IMAGE}")
-    names = [path.name for path in files]
+    images = images_of(files)
+    given = _given(times, beams, len(images), frame)
+    names = [_label(path.name, k) for path, k in images]
     if len(set(names)) < len(names):
-        names = [str(path) for path in files]
-    windows = [None] * len(files)
+        names = [_label(path, k) for path, k in images]
+    windows = [None] * len(images)
     if region is not None:
-        planes = [fits.read_plane(path, pixels=False) for path in files]
-        dates = series.as_times(list(map(_observed, planes, given[0])), len(files))
+        planes = [fits.read_plane(path, pixels=False, frame=k) for path, k in images]
+        dates = series.as_times(list(map(_observed, planes, given[0])), len(images))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
-        for path, name, window in zip(files, names, windows, strict=True):
-            plane = fits.read_plane(path, window=window)
+        for (path, k), name, window in zip(images, names, windows, strict=True):
+            plane = fits.read_plane(path, window=window, frame=k)
             plane.label, (ny, nx) = name, plane.data.shape
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -57,19 +61,32 @@ def read_files(files, times, beams, frame, *, check, region, pad):
                     f"to be a mask; {UNCHECKED}"
                 )
             # Before the machine is blocked by more than its memory holds.
-            need = len(files) * ny * nx * BYTES
+            need = len(images) * ny * nx * BYTES
             if need > (have := machine_memory()):
                 raise MemoryError(
-                    f"{len(files)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
+                    f"{len(images)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
                     f"GB, this machine has {have / 1e9:.3g}; read a region of them "
                     "(region=, --crop)"
                 )
             yield plane
 
-    fields = _assemble(read(), *given, frame, check, f"{len(files)} FITS images")
+    fields = _assemble(read(), *given, frame, check, f"{len(images)} FITS images")
     if region is not None:
         fields["meta"]["history"].append(grid.crop_line(part))
     return fields
+
+
+def images_of(files):
+    """Return each image of files, with its number on an axis of time or None."""
+    found = []
+    for path in files:
+        n = fits.frames_of(path)
+        found += [(path, None)] if n in (None, 1) else [(path, k) for k in range(n)]
+    return found
+
+
+def _label(name, frame):
+    return str(name) if frame is None else f"{name}, image {frame + 1}"
 
 
 def read_images(images, times, beams, frame, *, check):
@@ -103,6 +120,9 @@ def _plane_of_nddata(image, name):
         mask |= np.asarray(image.mask, dtype=bool)
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
         raise ValueError(f"has shape {data.shape}, an image has two axes")
+    if image.unit is not None and (problem := logarithm(image.unit)):
+        raise ValueError(problem)
+    mask |= padding(data.reshape(data.shape[-2:])).reshape(mask.shape)
     if mask.all():
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
@@ -197,9 +217,11 @@ def _completed(planes, times, beams):
                     f"{plane.name}: the beam that is given, {beam}, is larger than the "
                     "image; give another"
                 )
-            plane.beam, plane.beam_problem = beam, ""
+            plane.beam, plane.beam_problem, plane.beam_choice = beam, "", ""
             if own is not None and different_beam((beam, own)):
                 notes = [f"the beam that is given, {beam}, replaces that of the header"]
+        if plane.beam_choice:
+            raise ValueError(f"{plane.name}: {plane.beam_choice}")
         with series.naming(plane.name):
             plane.take_uncertainty()
         for note in plane.notes + notes:

@@ -57,6 +57,11 @@ class Beam:
     def __post_init__(self):
         major, minor = (u.Quantity(axis).to(u.mas) for axis in (self.major, self.minor))
         pa = u.Quantity(self.pa).to(u.deg)
+        if major.shape or minor.shape or pa.shape:
+            raise ValueError(
+                f"major, minor and pa of a beam are single angles, got {major.size}; "
+                "make a list of beams"
+            )
         finite = np.all(np.isfinite([major.value, minor.value, pa.value]))
         if not (finite and 0 < minor.value <= major.value * (1 + 1e-9)):
             raise ValueError(
@@ -110,10 +115,20 @@ class Beam:
         variance = np.einsum("i...,ij,j...->...", direction, self.covariance, direction)
         return np.sqrt(variance) / FWHM_TO_SIGMA
 
+    @cached_property
+    def _key(self):
+        """Covariance to five digits, so that equal beams have equal hashes."""
+        values = self.covariance.to_value(u.mas**2)[[0, 0, 1], [0, 1, 1]]
+        exponent = int(np.floor(np.log10(values[0] + values[2])))
+        return exponent, *np.rint(values / 10.0 ** (exponent - 5)).astype(int).tolist()
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Beam):
             return NotImplemented
-        return bool(np.all(np.isclose(self.covariance, other.covariance, rtol=1e-6)))
+        return self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
 
 
 def parse_beam(text):

@@ -7,38 +7,50 @@ import mmap
 import os
 import re
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
-from astropy.nddata import (
-    InverseVariance,
-    NDUncertainty,
-    StdDevUncertainty,
-    VarianceUncertainty,
-)
+from astropy.nddata import NDUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.images import headers
 from astro_scc.images.beam import Beam
+from astro_scc.images.brightness import logarithm, parse_unit
+from astro_scc.images.cards import axis_numbers, get
+from astro_scc.images.dates import axis_times, time_axis
+from astro_scc.images.extensions import (
+    FLAGS,
+    UNCERTAIN,
+    WEIGHTS,
+    NoImageError,
+    beside,
+    find_image,
+    split_choice,
+)
+from astro_scc.images.facts import bandwidth
 from astro_scc.images.grid import cut_wcs
+from astro_scc.images.pixels import flagged, padding
+from astro_scc.images.uncertainty import uncertainty_noise, uncertainty_of
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
 #: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
-#: Uncertainties by the names that astropy writes.
-UNCERTAINTIES = {
-    kind.__name__: kind
-    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
-}
+#: Suffixes of text that is no list of components by its name.
+TEXT = ".csv", ".tsv", ".asc", ".tab", ".tbl", ".xls", ".xlsx"
+#: What to do with a list in a form of its own, such as spots of masers.
+AS_TABLE = (
+    "a list of spots or components is read as .ecsv: with astropy, table = "
+    "QTable.read(FILE, ...) with the columns epoch, flux, x and y, their units "
+    "(table['x'].unit = 'mas'), and table.write('spots.ecsv')"
+)
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
-#: Factor by which uncertainties of pixels may differ from the image's median.
-EVEN = 1.5
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 
 
@@ -58,7 +70,10 @@ class Plane:
     beam: Beam | None = None
     facts: dict = field(default_factory=dict)
     date_problem: str = ""
+    date_remark: str = ""
     beam_problem: str = ""
+    beam_choice: str = ""
+    bandwidth: float | None = None
     data: np.ndarray | None = None
     mask: np.ndarray | None = None
     unit: u.UnitBase = u.dimensionless_unscaled
@@ -67,6 +82,7 @@ class Plane:
     label: str | None = None
     unit_problem: str = ""
     noise_problem: str = ""
+    mask_remarks: tuple[str, ...] = ()
 
     @property
     def extent(self):
@@ -78,7 +94,8 @@ class Plane:
     def notes(self):
         """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
-        notes = self.unit_problem, self.beam_problem and beam, self.noise_problem
+        notes = self.date_remark, self.unit_problem, self.beam_problem and beam
+        notes = *notes, self.beam_choice, self.noise_problem, *self.mask_remarks
         return [note for note in notes if note]
 
     def take_uncertainty(self):
@@ -96,16 +113,13 @@ class Plane:
                 )
 
 
-class _NoImageError(OSError):
-    """The file is not FITS, is broken, or holds no image."""
-
-
 def find_files(paths, *, missing_ok=False):
     """
     Return the files that paths and patterns stand for, each once, as a list of Path.
 
-    They are in the order given; those of a pattern are in alphabetical order.  Files
-    that do not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
+    They are in the order given; those of a pattern are in alphabetical order.  An
+    image of a file may be chosen behind its name, ``file.fits[SCI,2]``.  Files that do
+    not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
@@ -121,6 +135,8 @@ def find_files(paths, *, missing_ok=False):
             found.append(name)
         elif matches := sorted(glob.glob(name, recursive=True)):
             found += [match for match in matches if not os.path.isdir(match)]
+        elif matches := _chosen(name):
+            found += matches
         else:
             what = "file matches this pattern" if glob.has_magic(name) else "such file"
             raise FileNotFoundError(f"{name}: no {what}")
@@ -134,17 +150,48 @@ def find_files(paths, *, missing_ok=False):
     return files
 
 
-def read_plane(path, *, window=None, pixels=True):
+def _chosen(name):
+    """Return the images that are chosen in the files of a name or pattern."""
+    file, choice = split_choice(name)
+    if choice is None:
+        return []
+    files = [file] if os.path.exists(file) else sorted(glob.glob(file, recursive=True))
+    return [f"{own}[{choice}]" for own in files if not os.path.isdir(own)]
+
+
+def file_of(path):
+    """Return the file of a path, and the image that is chosen behind it, or None."""
+    file, choice = (path, None) if path.exists() else split_choice(path)
+    return Path(file), choice
+
+
+def read_plane(path, *, window=None, pixels=True, frame=None):
     """
     Return the `Plane` of a FITS file of AIPS, difmap, CASA, HST or others.
 
-    The first image is read.  Axes of length one are dropped, and Stokes I is taken from
-    several Stokes parameters.  ``window`` selects the rows and columns to load from a
-    file that was read before; without ``pixels`` only the header is read.  A file that
-    is missing, broken or holds no image raises an OSError; an image of more than two
-    axes, without celestial coordinates or without a valid pixel a ValueError.
+    For the image that is read see `find_image`.  Axes of length one are dropped, and
+    Stokes I is taken from several Stokes parameters, ``frame`` from an axis of time.
+    ``window`` selects the rows and columns to load from a file that was read before;
+    without ``pixels`` only the header is read.  A file that is missing, broken or holds
+    no image raises an OSError; an image of more than two axes, without celestial
+    coordinates or without a valid pixel a ValueError.
     """
-    path = Path(path)
+    with opened(path, known=bool(window)) as hdus:
+        return plane_of(hdus, path, window=window, pixels=pixels, frame=frame)
+
+
+def frames_of(path):
+    """Return the number of dates on the axis of time of a file, None without one."""
+    with opened(path) as hdus:
+        header = find_image(hdus, path, file_of(Path(path))[1]).header
+        axis = time_axis(header)
+        return axis and header[f"NAXIS{axis}"]
+
+
+@contextmanager
+def opened(path, *, known=False):
+    """Open a FITS file; what is wrong with it, then or later, names it in one line."""
+    path, _ = file_of(Path(path))
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     if path.is_dir():
@@ -152,13 +199,15 @@ def read_plane(path, *, window=None, pixels=True):
             f"{path}: is a directory; give {path}/*.fits, or export a CASA image by "
             "exportfits"
         )
+    if path.suffix.lower() in TEXT:
+        raise NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits does not close files that it fails to open.
-            with path.open("rb") as file, open_fits(file, known=bool(window)) as hdus:
-                return plane_of(hdus, path, window=window, pixels=pixels)
-        except (headers.ContentError, _NoImageError) as error:
+            with path.open("rb") as file, open_fits(file, known=known) as hdus:
+                yield hdus
+        except (headers.ContentError, NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
@@ -184,30 +233,41 @@ def open_fits(file, *, known=False, **options):
         else:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if found := _AXES.search(content):
-            raise _NoImageError(f"is broken, it claims {found[1].decode()} axes")
+            raise NoImageError(f"is broken, it claims {found[1].decode()} axes")
         file.seek(0)
     return fits.open(file, **options)
 
 
-def plane_of(hdus, path, *, window=None, pixels=True):
+def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     """Return the `Plane` of an open file, see `read_plane`."""
     if "SCCVERS" in hdus[0].header:
         what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
         reader = what if what == "EpochCube" else "SCCResult"
         raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
-    hdu = _find(hdus)
+    file, choice = file_of(Path(path))
+    hdu = find_image(hdus, path, choice)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
-        header.extend(hdus[0].header, unique=True, bottom=True)
-    _check_complete(hdu, path)
+        header.extend(_inherited(hdus[0], hdu), unique=True, bottom=True)
+    _check_complete(hdu, file)
+    text = get(header, "BUNIT", kind=str)
+    if problem := logarithm(text) or _stretched(header):
+        raise headers.ContentError(problem)
     wcs = headers.celestial_wcs(header, fobj=hdus)
-    index = _plane_index(header)
+    index = _plane_index(header, frame)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
     record = headers.read_header(header, tables)
-    text = headers.get(header, "BUNIT", kind=str)
-    plane = Plane(name=str(path), wcs=wcs, shape=shape, **record)
-    if (unit := headers.parse_unit(text)) is not None:
+    name = str(path) if frame is None else f"{path}, image {frame + 1}"
+    plane = Plane(name=name, wcs=wcs, shape=shape, **record)
+    plane.bandwidth = bandwidth(header)
+    if (axis := time_axis(header)) is not None:
+        try:
+            plane.time = axis_times(header, axis, hdus)[frame or 0]
+        except ValueError as error:
+            if frame is not None:
+                raise headers.ContentError(str(error)) from None
+    if (unit := parse_unit(text)) is not None:
         plane.unit = unit
     else:
         plane.unit_problem = (
@@ -222,63 +282,75 @@ def plane_of(hdus, path, *, window=None, pixels=True):
     return plane
 
 
+def _inherited(primary, hdu):
+    """Return the cards of the first header that may be those of a later image."""
+    if not (headers.has_celestial(hdu.header) and "NAXIS1" in primary.header):
+        return primary.header
+    # Coordinates and units of another image are not those of this one.
+    own = re.compile(r"(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA|PC|CD)\d|B(UNIT|TYPE)$")
+    return fits.Header([c for c in primary.header.cards if not own.match(c.keyword)])
+
+
+def _stretched(header):
+    """Return why the brightness is not linear, or ""."""
+    if {"BOFFSET", "BSOFTEN"} & set(header):
+        return (
+            "its brightness is stretched by asinh (BSOFTEN, BOFFSET of Pan-STARRS); "
+            "make it linear, BOFFSET + 2 BSOFTEN sinh(pixel / 1.0857362), and remove "
+            "these keywords"
+        )
+    return ""
+
+
 def _load(plane, hdus, hdu, index, window):
     """Add the pixels of a window, with mask and uncertainty, to the plane."""
     # Only these pixels are read if the file is mapped into memory.
     plane.data = np.array(hdu.data[index][window], dtype=np.float64)
     where = "" if plane.data.shape == plane.shape else " in this part"
     plane.mask, why = ~np.isfinite(plane.data), ", all are NaN"
-    for name, is_bad in (("WHT", np.logical_not), ("MASK", np.asarray)):
-        beside = _beside(hdus, hdu, name, plane.shape)
-        if beside is not None and not plane.mask.all():
-            plane.mask |= is_bad(beside.data[window]).astype(bool)
-            why = f" by its extension {name}"
+
+    def pixels(other):
+        # Beside one plane, or planes of all dates.
+        data = other.data if other.data.ndim == 2 else np.squeeze(other.data)
+        if data.ndim > 2:
+            data = data[_dated(hdu, index)]
+        return data[window]
+
+    for other in beside(hdus, hdu, WEIGHTS, _shape_of(hdu, plane), strict=False):
+        if not plane.mask.all():
+            plane.mask |= ~(pixels(other) > 0)
+            why = f" by its extension {other.name}"
+    for other in beside(hdus, hdu, FLAGS, _shape_of(hdu, plane)):
+        if not plane.mask.all():
+            telescope = plane.facts.get("telescope", "").upper()
+            try:
+                bad, remark = flagged(
+                    pixels(other), plane.data, other.name, telescope=telescope
+                )
+            except ValueError as error:
+                raise headers.ContentError(str(error)) from None
+            plane.mask |= bad
+            plane.mask_remarks += (remark,) if remark else ()
+            why = f" by its extension {other.name}"
+    if not plane.mask.all():
+        plane.mask |= padding(plane.data)
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    if (beside := _beside(hdus, hdu, "UNCERT", plane.shape)) is not None:
-        name, unit = (beside.header.get(key) for key in ("UTYPE", "BUNIT"))
-        kind = UNCERTAINTIES.get(name, StdDevUncertainty)
-        unit = None if unit is None else headers.parse_unit(unit)
-        values = np.array(beside.data[window], dtype=float)
-        plane.uncertainty = kind(values, unit=unit, copy=False)
+    for other in beside(hdus, hdu, UNCERTAIN, _shape_of(hdu, plane))[:1]:
+        plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)
 
 
-def _beside(hdus, image, name, shape):
-    """
-    Return an extension of the image with its shape, or None.
-
-    Drizzled HST images have weights, ``WHT``; astropy writes the mask and the
-    uncertainty of a CCDData as ``MASK`` and ``UNCERT``.
-    """
-    for hdu in hdus:
-        if hdu is not image and hdu.name == name and hdu.is_image:
-            if hdu.shape == shape:
-                return hdu
-            if name != "WHT":
-                raise headers.ContentError(
-                    f"its extension {name} has shape {hdu.shape}, it {shape}; remove it"
-                )
-    return None
+def _shape_of(hdu, plane):
+    """Return the shape of extensions that tell of an image: its own, or a plane's."""
+    return plane.shape if time_axis(hdu.header) is None else hdu.shape
 
 
-def _find(hdus):
-    """Return the first image."""
-    for hdu in hdus:
-        if hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape:
-            return hdu
-    if is_visibilities(hdus):
-        raise _NoImageError(
-            "holds visibilities and no image; make an image of them (difmap, CASA "
-            "or AIPS), or give the models that were fitted to them (.mod)"
-        )
-    raise _NoImageError("holds no image")
-
-
-def is_visibilities(hdus):
-    """Return whether an open file is UVFITS or FITS-IDI."""
-    return any(isinstance(h, fits.GroupsHDU) or h.name == "UV_DATA" for h in hdus)
+def _dated(hdu, index):
+    """Return the index of the plane of an axis of time in what has no other axes."""
+    axis = time_axis(hdu.header)
+    return index[len(index) - axis]
 
 
 def _check_complete(hdu, path):
@@ -293,20 +365,22 @@ def _check_complete(hdu, path):
     missing = info["datLoc"] + size - path.stat().st_size
     if missing > 0:
         least = "at least " if packed else ""
-        raise _NoImageError(
+        raise NoImageError(
             f"is truncated, {least}{missing} bytes of its image are missing; "
             "copy the file again"
         )
 
 
-def _plane_index(header):
+def _plane_index(header, frame=None):
     """Return the index of the image plane, in numpy's order of axes."""
-    index = []
+    index, dates = [], time_axis(header)
     for axis in range(header["NAXIS"], 0, -1):
         name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
         length = header[f"NAXIS{axis}"]
         if headers.axis_kind(name):
             index.append(slice(None))
+        elif axis == dates and frame is not None:
+            index.append(frame)
         elif length == 1:
             index.append(0)
         elif name.startswith("STOKES"):
@@ -320,7 +394,7 @@ def _plane_index(header):
 
 
 def _stokes_i(header, axis, length):
-    start, pixel, step = headers.axis_numbers(header, axis)
+    start, pixel, step = axis_numbers(header, axis)
     if start is not None:
         position = (1 - start) / (step or 1) + pixel - 1
         if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
@@ -339,42 +413,3 @@ def looks_like_mask(image):
         return False
     values = values[np.isfinite(values)]
     return values.size > 0 and np.isin(values, (values.min(), values.max())).all()
-
-
-def uncertainty_noise(uncertainty, unit, mask):
-    """
-    Return the noise of an image whose pixels have uncertainties.
-
-    The noise is the median standard deviation of the valid pixels, in the ``unit`` of
-    the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without a finite standard deviation, and whether
-    the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
-    """
-    kind, sigma = type(uncertainty).__name__, uncertainty
-    if uncertainty.array is None:
-        raise ValueError("its uncertainty has no values; remove it")
-    try:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if not isinstance(uncertainty, StdDevUncertainty):
-                sigma = uncertainty.represent_as(StdDevUncertainty)
-        factor = 1.0 if sigma.unit is None else sigma.unit.to(unit)
-    except TypeError:
-        names = ", ".join(UNCERTAINTIES)
-        raise ValueError(
-            f"its uncertainty is of type {kind}; give it as {names}"
-        ) from None
-    except u.UnitConversionError:
-        raise ValueError(
-            f"its {kind} is in {uncertainty.unit}, which does not fit "
-            f"images in {unit.to_string() or 'no unit'}; correct or remove it"
-        ) from None
-    if np.any(np.asarray(uncertainty.array) < 0):
-        raise ValueError("its uncertainty has negative values; correct or remove it")
-    sigma = np.broadcast_to(np.asarray(sigma.array) * factor, mask.shape)
-    bad = ~np.isfinite(sigma)
-    valid = sigma[~(mask | bad)]
-    if valid.size == 0:
-        raise ValueError("its uncertainty is finite at no valid pixel; remove it")
-    noise = np.median(valid)
-    even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
-    return noise * unit, bad, even

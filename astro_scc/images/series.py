@@ -23,13 +23,16 @@ from numpy.typing import ArrayLike
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
 from astro_scc.images import positions
-from astro_scc.images.beam import Beam, as_beam
+from astro_scc.images.beam import Beam, as_beam, different_beam
+from astro_scc.images.brightness import logarithm
 from astro_scc.images.headers import as_celestial, epoch_header
 from astro_scc.quantities import parse_date, without_doubt
 from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
 
+#: Digits of the seconds of dates, of which as few as tell them apart are given.
+DIGITS = 0, 3, 6, 9
 #: Fields that have a value for each epoch.
 EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_meta"
 
@@ -45,8 +48,8 @@ class ImageSeries:
     """
 
     data: np.ndarray
-    times: Time
-    wcs: WCS
+    times: Time = None
+    wcs: WCS = None
     unit: u.UnitBase = u.dimensionless_unscaled
     mask: np.ndarray = None
     beams: Sequence[Beam] | None = None
@@ -57,6 +60,11 @@ class ImageSeries:
     meta: dict = field(default_factory=dict)
 
     def __post_init__(self):
+        if self.times is None or self.wcs is None:
+            raise TypeError(
+                "an EpochCube needs data, times and wcs; EpochCube.from_arrays(data, "
+                "times, pixel_scale=...) makes it of arrays without a wcs"
+            )
         data, mask, unit = as_stack(self.data, self.mask, self.unit)
         n = len(data)
         times = as_times(self.times, n)
@@ -256,7 +264,7 @@ class ImageSeries:
     @property
     def facts(self) -> dict[str, Any]:
         """Name and position of the source, dates and beam, for the meta of tables."""
-        first, last = self.times[[0, -1]].strftime("%Y-%m-%d").tolist()
+        first, last = date_labels(self.times[[0, -1]])
         found = {"n_epochs": len(self), "first_epoch": first, "last_epoch": last}
         if name := self.meta.get("object"):
             found["object"] = str(name)
@@ -265,8 +273,8 @@ class ImageSeries:
             sky = SkyCoord(*place, unit="deg", frame=wcs_to_celestial_frame(self.wcs))
             found["position"] = sky.icrs.to_string("hmsdms", precision=5)
         if self.beams is not None:
-            beam, n = self.beams[0], len(set(self.beams))
-            several = f", that of the first of {len(self)} epochs" if n > 1 else ""
+            beam, differ = self.beams[0], different_beam(self.beams) is not None
+            several = f", that of the first of {len(self)} epochs" if differ else ""
             found["beam"] = f"{beam}{several}"
         return found
 
@@ -366,6 +374,8 @@ def as_stack(data, mask, unit):
         unit = u.Unit("" if unit is None else unit)
     except (TypeError, ValueError):
         raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
+    if problem := logarithm(unit):
+        raise ValueError(f"data: {problem}")
     try:
         if images is data and data:
             masked = any(isinstance(image, np.ma.MaskedArray) for image in data)
@@ -422,6 +432,11 @@ def as_times(times, n):
         raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
     if np.any(times.mask):
         raise ValueError("every epoch needs a date, times has missing values")
+    if times.scale == "local":
+        raise ValueError(
+            "times are of the scale 'local', which has no relation to others; give "
+            "them in UTC, Time(..., scale='utc')"
+        )
     return without_doubt(times)
 
 
@@ -436,14 +451,14 @@ def given_times(times, n):
 
 
 def warn_of_equal_dates(times):
-    """Warn of the first of dates in order that is that of the next, to the second."""
-    for k in np.flatnonzero(np.diff(times.jd) * 86400 < 1)[:1]:
+    """Warn of the first of dates in order that is that of the next."""
+    for k in np.flatnonzero(np.diff((times - times[0]).sec) == 0)[:1]:
         warn(f"two images are of {times.isot[k]}; leave one out, or average them")
 
 
 def order_of(times):
     """Return the order of dates, of which equal ones stay as they are."""
-    return np.argsort((times - times[0]).jd, kind="stable")
+    return np.argsort((times - times[0]).sec, kind="stable")
 
 
 def as_shape(shape):
@@ -457,6 +472,10 @@ def as_shape(shape):
 
 def as_beams(beams, n):
     """Return one beam per epoch, or None."""
+    if np.shape(getattr(beams, "major", None)):
+        # A radio_beam.Beams has arrays of the axes of all beams.
+        each = zip(beams.major, beams.minor, beams.pa, strict=True)
+        beams = [Beam(*one) for one in each]
     beams = [beams] * n if hasattr(beams, "major") else beams
     return as_epoch_tuple(beams, n, "beams", as_beam)
 
@@ -492,11 +511,24 @@ def epoch_index(epoch, n):
     return index % n
 
 
-def date_labels(times):
-    """Return dates as short text, with the time of day if two dates are equal."""
-    days = tuple(value[:10] for value in times.isot)
-    equal = len(set(days)) < len(days)
-    return tuple(value[:19] for value in times.isot) if equal else days
+def date_labels(times, *, clock=False):
+    """
+    Return dates as short text, with as much of the time of day as tells them apart.
+
+    With ``clock`` that is given unless all are of midnight.
+    """
+    gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
+    least = gaps[gaps > 0].min(initial=np.inf)
+    digits = next((n for n in DIGITS if 2 * 10.0**-n <= least), DIGITS[-1])
+    texts = Time(times, format="isot", precision=digits).isot
+    # A selection of dates some of which are missing is still masked.
+    texts = tuple(getattr(texts, "unmasked", texts).tolist())
+    # Days are not rounded.
+    days = Time(times, format="isot", precision=DIGITS[-1]).isot
+    days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
+    midnight = all(text[10:].startswith("T00:00:00") for text in texts)
+    told_apart = len(set(days)) == len(set(texts))
+    return days if told_apart and (not clock or midnight) else texts
 
 
 def numbers(column, unit, path, own_unit=None):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import wrap
@@ -14,6 +15,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.io.votable import from_table
+from astropy.io.votable.exceptions import W50
 from astropy.io.votable.tree import CooSys, Param, TimeSys
 from astropy.table import Column, MaskedColumn, QTable, Table
 from astropy.time import Time
@@ -342,7 +344,10 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
         # An empty array of dates does not have the type of text.
         texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
         plain[name] = Column(texts, description=values.info.description)
-    votable = from_table(plain)
+    with warnings.catch_warnings():
+        # Units that the Virtual Observatory lacks, such as DN, are written as they are.
+        warnings.simplefilter("ignore", W50)
+        votable = from_table(plain)
     resource, written = votable.resources[0], votable.get_first_table()
     written.description = " ".join(facts_of(table.meta)) or None
     for field in written.fields:
@@ -375,7 +380,9 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
     if len(table) > MANY_ROWS:
         written.format = "binary2"
     with writing.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
-        votable.to_xml(str(part))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", W50)
+            votable.to_xml(str(part))
 
 
 # -- published features beside those that were measured -----------------------------

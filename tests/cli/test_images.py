@@ -10,7 +10,8 @@ from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import EpochCube
-from astro_scc.epochs import Beam, read_components
+from astro_scc.cli import main
+from astro_scc.epochs import Beam, read_components, write_epochs
 from astro_scc.simulation import simulate_jet, simulate_two_fluid
 
 
@@ -173,3 +174,15 @@ def test_inspect_advises_an_alignment(done):
     assert said["dense"] == nobody
     assert said["two"].startswith(f"{nobody}\nThe core as it is fitted scatters by 0.")
     assert all(re.search(advice, said[name]) for name in ("bad", "two"))
+
+
+def test_dates_of_one_day_are_told_apart(tmp_path, capsys):
+    data = np.random.default_rng(1).normal(size=(2, 24, 32))
+    dates = ["2015-06-18T10:00:00", "2015-06-18T10:00:00.5"]
+    cube = EpochCube.from_arrays(data, dates, pixel_scale=1 * u.mas)
+    write_epochs(cube, tmp_path / "jet")
+    (tmp_path / "jet" / "x.fits").write_text("")
+    assert main(["inspect", f"{tmp_path}/jet/*.fits"]) == 0
+    out = capsys.readouterr().out
+    assert "2015-06-18T10:00:00.000" in out
+    assert "2015-06-18T10:00:00.500" in out

@@ -145,7 +145,11 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     ("changes", "options", "message"),
     [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
-        ({"epoch": None, "flux": None}, {}, "no column for epoch, flux; the table has"),
+        (
+            {"epoch": None, "flux": None},
+            {},
+            "no column for 'epoch', 'flux'; the",
+        ),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
         ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
@@ -316,7 +320,7 @@ BAD = [
     ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
     # Options of a FITS file with an AIPS CC table.
     ("a.fits", {"tables": 0}, {}, "no AIPS CC table"),
-    ("a.fits", {"drop": ("DELTAX",)}, {}, "no column for position_angle, sep"),
+    ("a.fits", {"drop": ("DELTAX",)}, {}, "no column for 'position_angle', 'sep"),
     ("a.fits", {"FLUX": [1, np.nan]}, {}, "component 2 of 2: flux is blank"),
     ("a.fits", {"header": {"DATE-OBS": "never"}}, {}, "'never' is no date"),
     ("a.fits", {"header": {"DATE-OBS": None}}, {}, "no DATE-OBS in the header"),

@@ -16,7 +16,7 @@ from astropy.wcs import WCS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import offset_wcs, readable_angle
@@ -125,7 +125,7 @@ def test_dates_are_taken_in_many_forms():
         ({"noise": -1 * JY_BEAM}, "finite and not negative"),
         ({"noise": 1 * u.K}, "noise must be a Quantity in Jy / beam"),
         ({"epoch_wcs": [celestial()]}, "3 epochs need 3 epoch_wcs"),
-        ({"wcs": None}, "wcs must be a WCS, or one sliced, got"),
+        ({"wcs": None}, "needs data, times and wcs; EpochCube.from_arrays"),
         ({"wcs": WCS(naxis=2)}, "wcs must have celestial axes"),
         ({"wcs": celestial(ctype=["DEC--SIN", "RA---SIN"])}, "latitude on its first"),
     ],
@@ -319,6 +319,64 @@ def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, wo
     assert re.search(words, said[0])
 
 
+USUAL = {"FILTER": "F502N", "WAVELNTH": 171, "WAVEUNIT": "angstrom", "BAND": "L",
+         "POLARIZ": "TOTAL", "BTYPE": "Intensity"}  # fmt: skip
+#: Changes of an image that belongs to other images, and how it is named.
+STRANGERS = [
+    ({"WAVELNTH": 193}, "is of the wavelength .WAVELNTH. 193 angstrom, others are of "
+     "171 angstrom; leave it out"),
+    ({"WAVELNTH": "17.1", "WAVEUNIT": "nm"}, "is of the wavelength .WAVELNTH. 17.1 nm"),
+    ({"WAVEUNIT": -9}, "is of the wavelength .WAVELNTH. 171 nm, others"),
+    ({"BAND": "X"}, "is of the band X, others are of L"),
+    ({"POLARIZ": 60.0}, "is of the polarisation .POLARIZ. 60.0, others are of TOTAL"),
+    ({"BTYPE": "Beam"}, "is of the type .BTYPE. Beam, others are of Intensity"),
+    ({"CRVAL4": 2.0}, "is of Stokes Q, others are of I"),
+    ({"CRVAL4": -3.0}, "is of Stokes RL, others are of I"),
+    ({"CTYPE4": None, "STOKES": "V"}, "is of Stokes V, others are of I"),
+    ({"FILTER": None, "FILTER1": "CLEAR1L", "FILTER2": "F658N"}, "is of the filter F6"),
+    ({"FILTER": None, "FILTER01": "HA", "FILTER02": "OIII"}, "the filter HA . OIII"),
+    ({"PUPIL": "F470N"}, "is of the filter F502N . F470N, others are of F502N"),
+    ({"FILTER": None, "HIERARCH FPA.FILTERID": "g"}, "is of the filter g, others are"),
+    ({"CTYPE3": None, "FREQ": 43e9}, "is at 43 GHz, others are at 15.4; leave"),
+    ({"CTYPE3": None, "RESTFRQ": 43e9}, "is at 43 GHz, others are at 15.4; leave"),
+]  # fmt: skip
+#: Changes that are named and not refused.
+NEIGHBOURS = [
+    ({"CRVAL3": 15.43e9}, "is at 15.43 GHz, others are at 15.4, in the same band"),
+    ({"CRVAL3": 15.401e9, "CDELT3": 1e6}, "is at 15.401 GHz, others are at 15.4, in "),
+    ({"CRPIX3": 0.0}, "is at 15.464 GHz, others are at 15.4, in the same band"),
+    ({"CRVAL4": -1.0}, "is of Stokes RR, others are of I; leave it out if it shows"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), NEIGHBOURS)
+def test_images_of_a_neighbouring_channel_are_named(make_fits, changes, words):
+    dates = [f"200{i}-01-01" for i in range(4)]
+    paths = [make_fits(f"{d}.fits", DATE_OBS=d) for d in dates[:3]]
+    paths.append(make_fits("odd.fits", DATE_OBS=dates[3], **changes))
+    with pytest.warns(EpochWarning, match=f"odd.fits: .*{words}") as caught:
+        assert len(EpochCube.read(paths)) == 4
+    assert len(caught) == 1
+    assert words.split(";")[0] in inspect_epochs(paths)["problem"][3]
+
+
+def test_small_differences_of_frequency_are_none(make_fits):
+    own = {"a": 15.4e9, "b": 15.402e9, "c": 15.398e9}
+    paths = [
+        make_fits(f"{k}.fits", DATE_OBS=f"200{i}-01-01", CRVAL3=value)
+        for i, (k, value) in enumerate(own.items())
+    ]
+    assert len(EpochCube.read(paths)) == 3
+    velocity = {"CTYPE3": "VRAD", "CUNIT3": "m/s", "CDELT3": 1e3}
+    paths = [
+        make_fits(f"{i}.fits", DATE_OBS=f"200{i}-01-01", CRVAL3=v, **velocity)
+        for i, v in enumerate((1e5, 1e5, 2e5))
+    ]
+    words = "2.fits: is of the channel VRAD 200000 m/s, others are of VRAD 100000 m/s"
+    with pytest.warns(EpochWarning, match=words):
+        EpochCube.read(paths)
+
+
 COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
 
 
@@ -329,6 +387,7 @@ COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
          "where others show 3C273; leave it out .in Python, check=False reads it.", 1),
         ({"CRVAL3": 43e9}, "offset", "is at 43 GHz, others are at 15.4; leave", 1),
         ({"FILTER": "F1"}, "offset", "is of the filter F1, others are of F502N", 1),
+        *((own, "offset", words, 1) for own, words in STRANGERS),
         ({"data": images(1, 16, 32) > 0}, "offset", "has no more than two diff", 1),
         ({"BMAJ": None}, "offset", "no beam where other epochs have one; wr", 1),
         ({"DATE_OBS": "2000-01-01"}, "offset", "is of 2000-01-01, as is 2000", 1),
@@ -339,10 +398,10 @@ COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
 )  # fmt: skip
 def test_files_of_something_else_are_named(make_fits, changes, frame, words, unchecked):
     dates = ["2000-01-01", "2001-01-01"]
-    paths = [make_fits(f"{d}.fits", DATE_OBS=d, FILTER="F502N") for d in dates]
+    paths = [make_fits(f"{d}.fits", DATE_OBS=d, **USUAL) for d in dates]
     data = changes.get("data", images(1, 16, 32)).astype(float)
-    odd = make_fits("odd.fits", **{"FILTER": "F502N", **changes, "data": data})
-    with pytest.raises(ValueError, match=f"odd.fits: {words}") as caught:
+    odd = make_fits("odd.fits", **{**USUAL, **changes, "data": data})
+    with pytest.raises(ValueError, match=f"odd.fits: .*{words}") as caught:
         EpochCube.read([*paths, odd], frame=frame)
     assert "\n" not in str(caught.value)
     if unchecked:

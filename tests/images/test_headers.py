@@ -10,12 +10,9 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import Beam
-from astro_scc.images.headers import (
-    celestial_wcs,
-    header_facts,
-    parse_unit,
-    read_header,
-)
+from astro_scc.images.brightness import parse_unit
+from astro_scc.images.facts import header_facts
+from astro_scc.images.headers import celestial_wcs, read_header
 from astro_scc.quantities import parse_date
 
 DAY = "2006-03-09T00:00:00.000"
@@ -221,3 +218,34 @@ def test_unusable_coordinates_are_refused_in_one_line(aips_header, changes, mess
     with pytest.raises(ValueError, match=message) as caught:
         celestial_wcs(aips_header(**changes))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "ERROR 5 in wcsset() at line 2 of file x.c:\nInvalid parameter value.\n",
+            "In",
+        ),
+        ("header parser:\n", "the values of CTYPE, CRVAL, PC, CD or PV do not go tog"),
+        ("NULL error object in wcslib", "the values of CTYPE, CRVAL, PC, CD or PV do"),
+        ("", "the values of CTYPE"),
+    ],
+)
+def test_what_wcslib_says_is_a_reason(monkeypatch, aips_header, text, expected):
+    def refuse(*args, **options):
+        raise ValueError(text)
+
+    monkeypatch.setattr("astro_scc.images.headers.WCS", refuse)
+    words = f"its coordinates cannot be read: {expected}"
+    with pytest.raises(ValueError, match=words):
+        celestial_wcs(aips_header())
+
+
+def test_left_over_distortions_are_none(aips_header, caplog):
+    sip = {"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-4, "B_0_2": 1e-4, "A_DMAX": 1.0}
+    plain = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN"}
+    found = celestial_wcs(aips_header(**plain, **sip))
+    assert found.wcs.compare(celestial_wcs(aips_header(**plain)).wcs)
+    assert not found.has_distortion
+    assert caplog.text == ""

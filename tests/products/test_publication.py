@@ -219,3 +219,10 @@ def test_latex_of_both_journals(printed, journal, rows):
         # What stands still is not tested.
         assert row["kind"] != "stationary" or r"\nodata" in line
     assert journal == "aastex" or r"\providecommand{\nodata}" in text
+
+
+@pytest.mark.parametrize("unit", ["DN", "electron", "DN / s"])
+def test_units_that_the_virtual_observatory_lacks_are_no_warning(tmp_path, unit):
+    path = tmp_path / "a.vot"
+    write_votable(QTable({"flux": [1.0] * u.Unit(unit)}), path)
+    assert f'unit="{unit}"' in path.read_text()

@@ -1,0 +1,265 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""When images were taken: the most precise date that agrees on the day."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.time import Time
+
+from astro_scc.epochs import EpochCube, inspect_epochs
+from astro_scc.exceptions import EpochWarning
+from astro_scc.images.dates import observing_time
+from astro_scc.images.headers import read_header
+
+#: 2015-06-18T14:24:00, and the middle of an exposure of 10 minutes from then on.
+MJD = 57191.6
+START, MIDDLE = "2015-06-18T14:24:00.000", "2015-06-18T14:29:00.000"
+MIDNIGHT = "2015-06-18T00:00:00.000"
+DAY = {"DATE-OBS": "2015-06-18"}
+CLOCK = {"DATE-OBS": "2015-06-18T14:24:00"}
+
+#: Cards, and the date that they tell.
+DATES = [
+    # The day alone, and the time of day elsewhere.
+    (DAY, MIDNIGHT),
+    (DAY | {"MJD-OBS": MJD}, START),
+    (DAY | {"MJD-OBS": 57191.0}, MIDNIGHT),
+    (DAY | {"MJD-OBS": 2457192.1}, START),
+    (DAY | {"JD": 2457192.1}, START),
+    ({"DATE-OBS": "2015-06-18T00:00:00.000", "MJD-OBS": MJD}, START),
+    ({"DATE-OBS": "18/06/15", "UT": "14:24:00"}, START),
+    ({"DATE-OBS": "18/06/2015", "UT": "14 24 00.0"}, START),
+    ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
+    *((DAY | {name: "14:24:00.0"}, START) for name in (
+        "TIME-OBS", "UT", "UTC-OBS", "UT-OBS", "UTC", "UTSTART", "TIME-BEG")),
+    *((DAY | {name: value}, START) for name in ("TIME-OBS", "UTC", "TM-START")
+      for value in (51840, 51840.0, "51840.000")),
+    (DAY | {"UT": ("14.4", "[h] start")}, START),
+    (DAY | {"TIME-OBS": "2015-06-18T14:24:00Z"}, START),
+    # Several: the most precise one.
+    (DAY | {"TIME-OBS": "14:24", "UT": "14:24:30"}, "2015-06-18T14:24:30.000"),
+    (DAY | {"TIME-OBS": "14:24:00", "MJD-OBS": MJD + 0.25 / 86400},
+     "2015-06-18T14:24:00.250"),
+    (CLOCK | {"MJD-OBS": MJD + 0.4 / 86400}, "2015-06-18T14:24:00.400"),
+    (CLOCK | {"MJD-OBS": 57191.0}, START),
+    ({"DATE-OBS": "2015-06-18T14:24:00", "DATE_OBS": "2015-06-18T14:24:00.125"},
+     "2015-06-18T14:24:00.125"),
+    (DAY | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
+    (DAY | {"TIME-OBS": 14.4}, "2015-06-18T00:00:14.400"),
+    # What is no time of the day, or is of another time, does not count.
+    (DAY | {"UT": "night"}, MIDNIGHT),
+    (DAY | {"UT": 90000.0}, MIDNIGHT),
+    (DAY | {"UT": "77:00:00"}, MIDNIGHT),
+    (CLOCK | {"UT": "09:00:00"}, START),
+    (CLOCK | {"MJD-OBS": MJD + 0.1}, START),
+    # The middle of the exposure.
+    (CLOCK | {"EXPTIME": 600.0}, MIDDLE),
+    (CLOCK | {"XPOSURE": 600.0}, MIDDLE),
+    (DAY | {"EXPTIME": 600.0}, MIDNIGHT),
+    (DAY | {"TIME-OBS": "14:24:00", "EXPTIME": 600.0}, MIDDLE),
+    (CLOCK | {"DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
+    ({"EXPSTART": MJD, "EXPEND": MJD + 600 / 86400}, MIDDLE),
+    ({"DATE-BEG": START, "DATE-AVG": MIDDLE, "DATE-END": "2015-06-18"}, MIDDLE),
+    (CLOCK | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
+    (CLOCK | {"DATE-AVG": "2015-06-18"}, START),
+    (DAY | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
+    (DAY | {"MJD-AVG": MJD + 300 / 86400, "EXPTIME": 99.0}, MIDDLE),
+    (CLOCK | {"DATE-AVG": "2015-06-20T14:29:00"}, START),
+    # The end alone.
+    (DAY | {"DATE-END": "2015-06-18T14:34:00", "EXPTIME": 600.0}, MIDDLE),
+    (DAY | {"MJD-END": MJD + 600 / 86400, "EXPTIME": 600.0}, MIDDLE),
+    (DAY | {"DATE-END": "2015-06-20T14:34:00", "EXPTIME": 600.0}, MIDNIGHT),
+    # Exposures that last beyond midnight.
+    ({"DATE-OBS": "2015-06-17T23:59:00", "DATE-AVG": "2015-06-18T00:04:00.5"},
+     "2015-06-18T00:04:00.500"),
+    # Other scales of time.
+    ({"T_OBS": "2015.06.18_14:24:35.00_TAI"}, START),
+    ({"DATE-OBS": "2015-06-18T14:23:55", "T_OBS": "2015.06.18_14:24:35_TAI"}, START),
+    (DAY | {"T_OBS": "2015-06-18T14:24:00.00Z", "TIMESYS": "TAI"}, START),
+    ({"DATE-OBS": "2015-06-18T14:24:35", "TIMESYS": "TAI"}, START),
+    ({"DATE-OBS": "2015-06-18T14:24:16", "TIMESYS": "GPS"}, START),
+    ({"DATE-OBS": "2015-06-18T14:24:00", "TIMESYS": "UT"}, START),
+    ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT"}, START),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cards", "expected"), DATES)
+def test_the_most_precise_date_counts(cards, expected):
+    header = fits.Header()
+    for key, value in cards.items():
+        header[key] = value
+    time, remark = observing_time(header)
+    assert abs((time - Time(expected)).to_value(u.s)) < 2e-5
+    assert (time.scale, remark) == ("utc", "")
+
+
+#: Cards of which no date is made, or one of which doubts are told.
+DOUBTS = [
+    ({"DATE-OBS": "soon"}, None, "DATE-OBS: 'soon' is no date"),
+    ({"DATE": "2015-06-18", "UT": "14:24:00"}, None, ""),
+    (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
+     "MJD-OBS is of 1995-10-10"),
+    (DAY | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is left"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cards", "expected", "words"), DOUBTS)
+def test_dates_of_which_there_are_doubts(cards, expected, words):
+    record = read_header(fits.Header(cards))
+    assert (record["time"] and record["time"].isot) == expected
+    assert words in record.get("date_problem", "") + record.get("date_remark", "")
+
+
+@pytest.mark.parametrize("step", [0.1, 0.25, 1, 12 * 60, 86400])
+def test_images_of_any_cadence_are_epochs(make_fits, step):
+    times = Time("2015-06-18T10:00:00") + np.arange(3) * step * u.s
+    own = enumerate(times.isot)
+    data = np.random.default_rng(1).normal(size=(3, 16, 32))
+    paths = [make_fits(f"{i}.fits", data[i], DATE_OBS=text) for i, text in own]
+    cube = EpochCube.read(paths)
+    assert np.diff((cube.times - cube.times[0]).to_value(u.s)) == pytest.approx(step)
+    assert len({*cube[:].labels}) == 3
+    assert inspect_epochs(paths)["problem"].tolist() == ["", "", ""]
+    plain = EpochCube.from_arrays(cube.data, cube.times, pixel_scale=1 * u.mas)
+    assert len(set(plain.labels)) == 3
+    assert plain.facts["first_epoch"] != plain.facts["last_epoch"]
+
+
+def test_the_same_date_and_the_same_exposure(make_fits):
+    data = np.random.default_rng(1).normal(size=(3, 16, 32))
+    clock = "2015-06-18T10:00:0{}"
+
+    def paths(dates, pixels=(0, 1, 2)):
+        every = enumerate(zip(dates, pixels, strict=True))
+        return [make_fits(f"{i}.fits", data[k], DATE_OBS=t) for i, (t, k) in every]
+
+    for clocks, pixels in (((1, 1, 9), (0, 1, 2)), ((1, 1.004, 9), (0, 0, 1))):
+        found = paths([clock.format(c) for c in clocks], pixels)
+        with pytest.raises(
+            ValueError, match=r"1.fits: is of 2015-06-18T10:00:01, as is .*0.f"
+        ):
+            EpochCube.read(found)
+    # Other pixels, or other dates.
+    for clocks, pixels in (((1, 1.004, 9), (0, 1, 2)), ((1, 3, 9), (0, 0, 0))):
+        found = paths([clock.format(c) for c in clocks], pixels)
+        assert len(EpochCube.read(found)) == 3
+    same = ["2015-06-18T10:00:01.5"] * 2
+    with pytest.warns(EpochWarning, match="two images are of 2015-06-18T10:00:0[12]"):
+        EpochCube.from_arrays(data[:2], same, pixel_scale=1 * u.mas)
+
+
+@pytest.mark.parametrize("kind", [Time, list])
+def test_local_times_are_refused(kind):
+    times = Time(["2000-01-01", "2001-01-01"], scale="local")
+    with pytest.raises(ValueError, match="scale 'local', which has no relation to ot"):
+        EpochCube.from_arrays(np.ones((2, 4, 4)), kind(times), pixel_scale=1 * u.mas)
+
+
+# -- cubes of images at many dates ---------------------------------------------------
+
+
+def cube(path, *, table=None, shape=(4, 16, 32), **changes):
+    """A cube with an axis of time, which starts at 10 h."""
+    header = fits.Header({
+        "DATE-OBS": "2015-06-18T10:00:00", "BUNIT": "DN", "CTYPE1": "HPLN-TAN",
+        "CTYPE2": "HPLT-TAN", "CDELT1": 1e-4, "CDELT2": 1e-4, "CRPIX1": 16.0,
+        "CRPIX2": 8.0, "CTYPE3": "TIME", "CRVAL3": 0.0, "CDELT3": 10.0, "CRPIX3": 1.0,
+        "CUNIT3": "s", **changes,
+    })  # fmt: skip
+    for key in [key for key, value in changes.items() if value is None]:
+        del header[key]
+    pixels = np.random.default_rng(1).normal(size=shape)
+    hdus = [fits.PrimaryHDU(pixels, header)]
+    if table is not None:
+        hdus.append(fits.BinTableHDU.from_columns([table], name="TIMES"))
+    fits.HDUList(hdus).writeto(path, overwrite=True)
+    return pixels
+
+
+SECONDS = [0.0, 10, 20, 30]
+HOURS = [0, 3600, 7200, 10800]
+DAYS = {"CRVAL3": 57191 + 10 / 24, "CDELT3": 1 / 24}
+UNEVEN = np.array([0.0, 10, 25, 31])
+#: Changes of the cube, and the seconds of its images after 10 h.
+CUBES = [
+    ({}, SECONDS),
+    ({"CTYPE3": "Time"}, SECONDS),
+    ({"CUNIT3": None}, SECONDS),
+    ({"CTYPE3": "UTC", "CUNIT3": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
+    ({"CUNIT3": "h", "CDELT3": 0.25}, [0, 900, 1800, 2700]),
+    ({"CUNIT3": "d", "CDELT3": 1.0}, [0, 86400, 172800, 259200]),
+    ({"CUNIT3": "ms", "CDELT3": 100.0}, [0, 0.1, 0.2, 0.3]),
+    ({"CRPIX3": 0.0}, [10, 20, 30, 40]),
+    ({"CRVAL3": 5.0}, [5, 15, 25, 35]),
+    ({"EXPTIME": 40.0}, SECONDS),
+    ({"MJDREF": 57191.0, "CRVAL3": 36000.0}, SECONDS),
+    ({"MJDREFI": 57191, "MJDREFF": 0.25, "CRVAL3": 14400.0}, SECONDS),
+    ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
+    ({"DATEREF": "2015-06-18T09:00:00", "CRVAL3": 3600.0}, SECONDS),
+    (DAYS | {"CUNIT3": "d"}, HOURS),
+    (DAYS | {"CTYPE3": "MJD", "CUNIT3": None, "DATE-OBS": None}, HOURS),
+    (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
+    ({"CRVAL3": 57191 * 86400.0 + 36000}, SECONDS),
+    ({"CTYPE3": "TAI", "CUNIT3": "s", "MJDREF": 57191.0, "CRVAL3": 36035.0}, SECONDS),
+    ({"CTYPE4": "STOKES", "CRVAL4": 1.0, "CDELT4": 1.0, "shape": (1, 4, 16, 32)},
+     SECONDS),
+    ({"CTYPE3": "FREQ", "CRVAL3": 1e9, "CUNIT3": "Hz", "CTYPE4": "TIME",
+      "CDELT4": 10.0, "shape": (4, 1, 16, 32)}, SECONDS),
+    # Tables of times.
+    ({"table": fits.Column("TIME", "1D", unit="s", array=UNEVEN)}, UNEVEN),
+    ({"table": fits.Column("time", "1D", unit="min", array=UNEVEN / 60)}, UNEVEN),
+    ({"table": fits.Column("MJD", "1D", array=57191 + (36000 + UNEVEN) / 86400)},
+     UNEVEN),
+    ({"table": fits.Column("DATE-OBS", "23A", array=[
+        f"2015-06-18T10:00:{s:06.3f}" for s in UNEVEN])}, UNEVEN),
+    ({"CTYPE3": "TIME-TAB", "PS3_0": "TIMES", "PS3_1": "FRAME", "CDELT3": None,
+      "table": fits.Column("FRAME", "1D", unit="s", array=UNEVEN)}, UNEVEN),
+    ({"table": fits.Column("TIME", "1D", unit="s", array=[1.0, 2])}, SECONDS),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "seconds"), CUBES)
+def test_an_axis_of_time_has_epochs(tmp_path, changes, seconds):
+    pixels = cube(tmp_path / "movie.fits", **changes).reshape(4, 16, 32)
+    found = EpochCube.read(tmp_path / "movie.fits")
+    after = (found.times - Time("2015-06-18T10:00:00")).to_value(u.s)
+    assert after == pytest.approx(np.asarray(seconds, dtype=float), abs=1e-4)
+    assert np.array_equal(found.data, pixels)
+    assert found.labels[3] == "movie.fits, image 4"
+    table = inspect_epochs(tmp_path / "movie.fits")
+    assert (len(table), set(table["problem"])) == (4, {""})
+
+
+def test_parts_and_single_images_of_movies(tmp_path):
+    pixels = cube(tmp_path / "movie.fits")
+    part = EpochCube.read(tmp_path / "movie.fits", region=(slice(2, 9), slice(3, 30)))
+    assert np.array_equal(part.data, pixels[:, 2:9, 3:30])
+    dates = ["2001-01-01", "2002-01-01", "2003-01-01", "2004-01-01"]
+    given = EpochCube.read(tmp_path / "movie.fits", times=dates)
+    assert given.times.isot[3][:10] == "2004-01-01"
+    # Images that were cut out of a movie have the dates of their axis.
+    for i in (2, 0):
+        cube(tmp_path / f"{i}.fits", shape=(1, 16, 32), CRPIX3=1.0 - i, seed=i)
+    found = EpochCube.read([tmp_path / "2.fits", tmp_path / "0.fits"], check=False)
+    assert (found.times[1] - found.times[0]).to_value(u.s) == pytest.approx(20)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"CDELT3": 0.0}, "has no step on axis TIME .CDELT3.; write it"),
+        (
+            {"CUNIT3": "m"},
+            "has the unit 'm' on axis TIME, which is no time; correct it",
+        ),
+        ({"DATE-OBS": None}, "has times on axis TIME and no date from which they coun"),
+        ({"CTYPE3": "TIME-TAB"}, "has times in a table on axis TIME-TAB, which is not"),
+        ({"CTYPE3": "WAVE"}, "has 4 planes on axis WAVE; write the one to use"),
+    ],
+)
+def test_axes_of_which_no_epochs_are_made(tmp_path, changes, words):
+    cube(tmp_path / "movie.fits", **changes)
+    with pytest.raises(ValueError, match=f"movie.fits: {words}"):
+        EpochCube.read(tmp_path / "movie.fits")
+    assert len(inspect_epochs(tmp_path / "movie.fits")["problem"][0]) > 20

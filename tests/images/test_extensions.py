@@ -1,0 +1,308 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Which image of a file is read, and which of its pixels are missing."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from astro_scc.cli import main
+from astro_scc.epochs import EpochCube, inspect_epochs
+from astro_scc.exceptions import EpochWarning
+from astro_scc.images.fits import find_files, read_plane
+from astro_scc.images.pixels import padding
+
+SHAPE = (24, 36)
+NOISE = np.random.default_rng(1).normal(size=(4, *SHAPE))
+IMAGE, OTHER, SMALL = NOISE[0], NOISE[1], NOISE[2, :12, :18]
+WEIGHT = np.abs(NOISE[3]) + 1
+
+
+def header(unit="JY/BEAM", wcs=True, **cards):
+    celestial = {"CTYPE1": "RA---SIN", "CTYPE2": "DEC--SIN", "CRVAL1": 83.0,
+                 "CRVAL2": 22.0, "CRPIX1": 18.0, "CRPIX2": 12.0, "CDELT1": -1e-6,
+                 "CDELT2": 1e-6}  # fmt: skip
+    own = celestial if wcs else {}
+    return fits.Header(own | ({"BUNIT": unit} if unit else {}) | cards)
+
+
+def write(path, *images, **cards):
+    """Write images, each (name, pixels, unit, whether it has coordinates, cards)."""
+    hdus = []
+    for k, (name, pixels, *more) in enumerate(images):
+        unit, wcs, own = (*more, *("JY/BEAM", True, {})[len(more) :])
+        head = header(unit, wcs, **own)
+        if pixels is None:
+            head = fits.Header({k: v for k, v in head.items() if k not in header()})
+        made = (fits.ImageHDU if k else fits.PrimaryHDU)(pixels, head)
+        if k:
+            made.name = name
+        hdus.append(made)
+    hdus[0].header.update({"DATE-OBS": "2015-06-18", **cards})
+    fits.HDUList(hdus).writeto(path, overwrite=True)
+    return path
+
+
+EMPTY = ("", None)
+SCI = ("SCI", IMAGE)
+ERR = ("ERR", np.full(SHAPE, 0.5), None, False)
+#: Images of a file; that of IMAGE is meant.
+FOUND = {
+    "one": [("", IMAGE)],
+    "weight first, SCI": [("", WEIGHT, "s", True, {"BTYPE": "exposure"}), SCI],
+    "weight first, no name": [("", WEIGHT, None), ("A", IMAGE)],
+    "exposure first by its unit": [("", WEIGHT, "s"), ("A", IMAGE)],
+    "exposure first by its type": [
+        ("", WEIGHT, "JY/BEAM", True, {"BTYPE": "Weight"}), ("A", IMAGE)],
+    "PSF first": [EMPTY, ("PSF", OTHER), ("IMAGE", IMAGE)],
+    "Herschel": [EMPTY, ("coverage", WEIGHT, None), ("image", IMAGE),
+                 ("stDev", WEIGHT)],
+    "without coordinates": [("", OTHER, "JY/BEAM", False), ("A", IMAGE)],
+    "another shape": [EMPTY, ("A", np.ones((5, *SHAPE))), ("B", IMAGE)],
+    "drizzled": [EMPTY, SCI, ("WHT", WEIGHT, None), ("CTX", OTHER, None)],
+    "preview": [EMPTY, ("PREVIEW", SMALL, None, False), ("MAP", IMAGE)],
+    "primary and others": [("", IMAGE), ("RESIDUAL", OTHER, None, False)],
+    "a name of science": [EMPTY, ("SCIENCE", IMAGE), ("RESID", OTHER)],
+    "CCDData": [("", IMAGE), ("MASK", np.zeros(SHAPE, "u1"), None, False),
+                ("UNCERT", np.full(SHAPE, 2.0), None, False)],
+    "HST": [EMPTY, SCI, ("ERR", WEIGHT), ("DQ", np.eye(24, 36, 99, int))],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_the_science_image_is_found(tmp_path, name):
+    path = write(tmp_path / "a.fits", *FOUND[name])
+    plane = read_plane(path)
+    assert np.array_equal(plane.data, IMAGE)
+    assert (plane.unit, plane.time.isot[:10]) == (u.Jy / u.beam, "2015-06-18")
+    assert not plane.mask.any()
+
+
+TWO = [EMPTY, ("SCI", IMAGE), ("DQ", np.zeros(SHAPE, int)), ("SCI", OTHER),
+       ("DQ", np.eye(*SHAPE, dtype=int))]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("images", "words"),
+    [
+        (TWO, r"has 2 images, \[SCI,1\], \[SCI,2\]; choose one .*'a.fits\[SCI,1\]'"),
+        ([("", IMAGE), ("RESIDUAL", OTHER)], r"\[PRIMARY\], \[RESIDUAL\]; choose one"),
+        (
+            [EMPTY, ("A", IMAGE), ("B", OTHER), ("C", OTHER)],
+            r"\[A\], \[B\], \[C\]; cho",
+        ),
+    ],
+)
+def test_images_of_which_several_may_be_meant(tmp_path, images, words):
+    path = write(tmp_path / "a.fits", *images)
+    with pytest.raises(ValueError, match=f"a.fits: .*{words}"):
+        EpochCube.read(path)
+    assert "choose one by its name" in inspect_epochs(path)["problem"][0]
+
+
+@pytest.mark.parametrize(
+    ("choice", "expected"),
+    [("SCI,2", OTHER), ("sci, 1", IMAGE), ("1", IMAGE), ("3", OTHER), ("SCI", IMAGE)],
+)
+@pytest.mark.parametrize("versions", [True, False])
+def test_an_image_is_chosen_behind_the_name(tmp_path, choice, expected, versions):
+    paths = []
+    for i in (1, 2):
+        date = f"201{i}-06-18"
+        paths.append(write(tmp_path / f"{i}.fits", *TWO, **{"DATE-OBS": date}))
+        with fits.open(paths[-1], mode="update") as hdus:
+            for k in range(1, 5 if versions else 0):
+                hdus[k].header["EXTVER"] = 1 + (k > 2)
+    plane = read_plane(f"{paths[0]}[{choice}]")
+    assert np.array_equal(plane.data, expected)
+    # The flags are those of the version.
+    assert plane.mask.sum() == (24 if expected is OTHER else 0)
+    names = f"{tmp_path}/*.fits[{choice}]"
+    assert [path.name for path in find_files(names)][1] == f"2.fits[{choice}]"
+    cube = EpochCube.read(names)
+    assert np.array_equal(cube.data[1][~cube.mask[1]], expected[~cube.mask[1]])
+    part = EpochCube.read(names, region=(slice(2, 9), slice(3, 30)))
+    assert np.array_equal(part.mask, cube.mask[:, 2:9, 3:30])
+    assert main(["inspect", names]) == 0
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        (
+            "SCI,3",
+            r"no image \[SCI,3\]; its images are: \[SCI,1\], \[DQ,1\], \[SCI,2\]",
+        ),
+        ("0", r"no image \[0\]"),
+        ("9", r"no image \[9\]"),
+        ("ERR", r"no image \[ERR\]"),
+    ],
+)
+def test_what_cannot_be_chosen(tmp_path, choice, words):
+    path = write(tmp_path / "a.fits", *TWO)
+    with pytest.raises(ValueError, match=f"a.fits: has {words}"):
+        EpochCube.read(f"{path}[{choice}]")
+    for name in (f"{tmp_path}/b.fits[1]", f"{tmp_path}/b*.fits[1]"):
+        with pytest.raises(FileNotFoundError, match="no (such file|file matches)"):
+            EpochCube.read(name)
+
+
+# -- pixels ----------------------------------------------------------------------
+
+BAD = np.zeros(SHAPE, dtype=bool)
+BAD[5, 7], BAD[:, 20] = True, True
+WILD = np.where(BAD, 99.0, IMAGE)
+LOST = np.where(BAD, np.nan, IMAGE)
+PADDED = np.zeros((40, 60))
+PADDED[8:32, 12:48] = IMAGE
+INSIDE = np.ones(PADDED.shape, dtype=bool)
+INSIDE[8:32, 12:48] = False
+HALF = PADDED.copy()
+HALF[:8] = np.nan
+GAP = PADDED.copy()
+GAP[18:22] = 0
+#: Pixels, extensions beside them, cards, and the pixels that are missing.
+MISSING = {
+    "flags": (WILD, [("DQ", 4096 * BAD)], {}, BAD),
+    "flags of several bits": (WILD, [("DQ", np.where(BAD, 4 + 16, 0))], {}, BAD),
+    "flags of no sign": (WILD, [("DQ", (4 * BAD).astype("u4"))], {}, BAD),
+    "flags of JWST": (WILD, [("DQ", np.where(BAD, 5, 4))], {"TELESCOP": "JWST"}, BAD),
+    "a mask": (WILD, [("MASK", BAD.astype("u1"))], {}, BAD),
+    "bad pixels": (WILD, [("BPM", BAD.astype("i2"))], {}, BAD),
+    "a mask of good pixels": (LOST, [("MASK", (~BAD).astype("u1"))], {}, BAD),
+    "weights": (WILD, [("WHT", np.where(BAD, 0.0, 7.0))], {}, BAD),
+    "inverse variances": (WILD, [("IVAR", np.where(BAD, 0.0, 7.0))], {}, BAD),
+    "weights that are NaN": (WILD, [("WHT", np.where(BAD, np.nan, 7.0))], {}, BAD),
+    "errors of 0": (WILD, [("ERR", np.where(BAD, 0.0, 0.5))], {}, BAD),
+    "errors that are NaN": (WILD, [("ERR", np.where(BAD, np.nan, 0.5))], {}, BAD),
+    "flags and errors": (WILD, [("ERR", np.full(SHAPE, 0.5)), ("DQ", 4 * BAD)], {},
+                         BAD),
+    "zeros": (PADDED, [], {}, INSIDE),
+    "zeros about a sky": (np.where(INSIDE, 0, PADDED + 20), [], {}, INSIDE),
+    "zeros about a negative sky": (np.where(INSIDE, 0, PADDED - 20), [], {}, INSIDE),
+    "zeros and NaN": (HALF, [], {}, INSIDE),
+    "a gap": (GAP, [], {}, GAP == 0),
+    "most is padding": (np.pad(IMAGE, 40), [], {}, np.pad(~BAD & False, 40,
+                        constant_values=True)),
+    "zeros and flags": (PADDED, [("DQ", np.where(PADDED > 2, 4, 0))], {},
+                        INSIDE | (PADDED > 2)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MISSING)
+def test_pixels_that_are_missing(tmp_path, name):
+    pixels, beside, cards, missing = MISSING[name]
+    own = [(key, values, None, False) for key, values in beside]
+    path = write(tmp_path / "a.fits", EMPTY, ("SCI", pixels), *own, **cards)
+    plane = read_plane(path)
+    plane.take_uncertainty()
+    assert np.array_equal(plane.mask, missing)
+    assert np.array_equal(plane.data, pixels, equal_nan=True)
+    if "errors" in name:
+        assert plane.noise == 0.5 * u.Jy / u.beam
+    said = "; ".join(plane.notes)
+    assert said == ("its extension MASK has 0 where there are no values: 1 is taken "
+                    "for good" if "good" in name else "")  # fmt: skip
+
+
+Y, X = np.indices((40, 60))
+BLOB = np.exp(-((X - 20) ** 2 + (Y - 20) ** 2) / 8)
+#: Images whose zeros are values.
+VALUES = {
+    "noise": np.where(NOISE[0] > 2, 0, NOISE[0]),
+    "counts": np.random.default_rng(1).poisson(0.05, (40, 60)).astype(float),
+    "more counts": np.random.default_rng(1).poisson(0.8, (80, 80)).astype(float),
+    "no noise": np.where(BLOB < 1e-30, 0, BLOB),
+    "single precision": np.float32(BLOB**9).astype(float),
+    "above a threshold": np.where(BLOB < 0.1, 0, BLOB),
+    "one component": np.where(BLOB == 1, 1.0, 0.0),
+    "nothing": np.zeros((8, 8)),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_zeros_that_are_values(name):
+    assert not padding(VALUES[name]).any()
+
+
+GOOD = (~BAD).astype("u1")
+ERRORS = np.linspace(0.1, 1, IMAGE.size).reshape(SHAPE)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "beside", "words"),
+    [
+        (
+            WILD,
+            [("MASK", GOOD)],
+            "its extension MASK marks 97% of the pixels, which ar",
+        ),
+        (
+            IMAGE,
+            [("DQ", np.ones(SHAPE, int))],
+            "its extension DQ marks 100% of the pix",
+        ),
+        (IMAGE, [("DQ", np.ones((3, 4), int))], r"extension DQ has shape \(3, 4\), it"),
+        (IMAGE, [("ERR", np.ones((3, 4)))], r"extension ERR has shape \(3, 4\), it \("),
+        (
+            IMAGE,
+            [("WHT", np.zeros(SHAPE))],
+            "no valid pixel by its extension WHT; leav",
+        ),
+    ],
+)
+def test_extensions_that_cannot_be_right(tmp_path, pixels, beside, words):
+    own = [(key, values, None, False) for key, values in beside]
+    path = write(tmp_path / "a.fits", EMPTY, ("SCI", pixels), *own)
+    with pytest.raises(ValueError, match=f"a.fits: .*{words}"):
+        EpochCube.read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "unit", "noise"),
+    [
+        ("ERR", np.full(SHAPE, 0.5), None, 0.5),
+        ("ERR", np.full(SHAPE, 500.0), "mJy/beam", 0.5),
+        ("ERR", np.full(SHAPE, 0.5), "furlong", 0.5),
+        ("VAR", np.full(SHAPE, 0.25), None, 0.5),
+        ("STDDEV", np.full(SHAPE, 0.5), None, 0.5),
+        ("ERR", np.zeros(SHAPE), None, None),
+        ("ERR", ERRORS, None, np.median(ERRORS)),
+    ],
+)
+def test_errors_are_the_noise(tmp_path, name, values, unit, noise):
+    path = write(tmp_path / "a.fits", EMPTY, SCI, (name, values, unit, False))
+    if values is ERRORS:
+        with pytest.warns(EpochWarning, match="its uncertainty differs from pixel to"):
+            cube = EpochCube.read(path)
+    else:
+        cube = EpochCube.read(path)
+    assert cube.noise is None if noise is None else cube.noise[0].value == noise
+    assert not cube.mask.any()
+
+
+LOGS = "mag MAG mag/arcsec^2 mag(AB) dex dex(Jy) dB log(Jy)".split()
+
+
+@pytest.mark.parametrize(
+    ("unit", "cards", "words"),
+    [
+        *((unit, {}, "its unit is .*, a logarithm of brightness") for unit in LOGS),
+        ("", {"BSOFTEN": 100.0, "BOFFSET": 3.0}, "its brightness is stretched by asin"),
+    ],
+)
+def test_brightness_that_does_not_add_up(tmp_path, unit, cards, words):
+    path = write(tmp_path / "a.fits", ("", IMAGE, unit), **cards)
+    with pytest.raises(ValueError, match=f"a.fits: {words}"):
+        EpochCube.read(path)
+
+
+@pytest.mark.parametrize("name", ["spots.csv", "spots.tbl", "spots.dat", "s.txt"])
+def test_lists_of_spots_are_told_how_to_become_tables(tmp_path, name, capsys):
+    (tmp_path / name).write_text("x,y,flux\n1,2,3\n")
+    assert main(["measure", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    words = "is a table and no image; ", "lay the ReadMe of CDS beside it, or "
+    assert f"{words['d' in name or 'txt' in name]}a list of spots or components" in line
+    assert "table.write('spots.ecsv')" in line
+    assert "no image" in inspect_epochs(tmp_path / name)["problem"][0]
