@@ -18,6 +18,7 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
+from astro_scc.images import local
 from astro_scc.images.fits import (
     CORRECT_BEAM,
     CUBE_CREATOR,
@@ -27,7 +28,14 @@ from astro_scc.images.fits import (
     open_fits,
     read_plane,
 )
-from astro_scc.images.grid import ONE_SHIFT, finest, in_frame, whole_step
+from astro_scc.images.grid import (
+    ONE_SHIFT,
+    finest,
+    in_frame,
+    north_in,
+    separation,
+    whole_step,
+)
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, as_times, order_of
 
@@ -153,7 +161,9 @@ def _row_of(path):
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    matrix = plane.wcs.pixel_scale_matrix * u.deg.to(u.mas)
+    plane.wcs = local.unwrapped(plane.wcs, plane.shape)
+    flat = _flat(plane)
+    matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
         row |= {k: getattr(plane.beam, k).value for k in ("major", "minor", "pa")}
@@ -166,11 +176,20 @@ def _row_of(path):
     y, x = np.unravel_index(np.argmax(values), values.shape)
     row["peak"] = float(values[y, x])
     del values
-    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
+    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - flat.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
     plane.data = plane.mask = None
     return row | {"plane": plane}
+
+
+def _flat(plane):
+    """Return the WCS of an image, or its tangent plane in the middle."""
+    shape = plane.shape
+    if local.is_flat(plane.wcs, shape) and not local.is_far(plane.wcs, shape):
+        return plane.wcs
+    middle = local.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
+    return middle if np.all(np.isfinite(middle.pixel_scale_matrix)) else plane.wcs
 
 
 @dataclass(frozen=True)
@@ -384,8 +403,11 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = [in_frame(plane.wcs, "offset") for plane in planes]
-    k = finest(frames)
+    frames = [
+        in_frame(plane.wcs, "offset", north_in(plane.wcs, planes[0].wcs))
+        for plane in planes
+    ]
+    k = finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
         if whole_step(frame, frames[k], plane.shape, ONE_SHIFT) is None:
@@ -448,10 +470,3 @@ def _minority(values):
     usual = count.most_common(1)[0][0]
     name = values[keys.index(usual)]
     return [(i, values[i], name) for i, key in enumerate(keys) if key and key != usual]
-
-
-def separation(one, other):
-    """Return the distance of the reference pixels of two WCS on the sky, in degrees."""
-    (lon, lat), (lon_0, lat_0) = one.wcs.crval, other.wcs.crval
-    east = (lon - lon_0 + 180) % 360 - 180
-    return np.hypot(east * np.cos(np.radians(lat_0)), lat - lat_0)

@@ -15,8 +15,8 @@ from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
-from astro_scc.images import fits, grid, series
-from astro_scc.images.beam import different_beam
+from astro_scc.images import fits, grid, local, series
+from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.headers import as_celestial, fits_wcs, get, read_header, some
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
@@ -41,14 +41,14 @@ def read_files(files, times, beams, frame, *, check, region, pad):
         names = [str(path) for path in files]
     windows = [None] * len(files)
     if region is not None:
-        planes = [fits.read_plane(path, pixels=False) for path in files]
+        planes = [_in_reach(fits.read_plane(path, pixels=False)) for path in files]
         dates = series.as_times(list(map(_observed, planes, given[0])), len(files))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
         for path, name, window in zip(files, names, windows, strict=True):
-            plane = fits.read_plane(path, window=window)
+            plane = _in_reach(fits.read_plane(path, window=window))
             plane.label, (ny, nx) = name, plane.data.shape
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -93,6 +93,13 @@ def _plane_of(i, image):
         kind = type(image).__name__
         raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
+    return _in_reach(plane)
+
+
+def _in_reach(plane):
+    """Return a plane whose coordinates have the sky in its middle."""
+    shape = plane.shape if plane.data is None else plane.data.shape
+    plane.wcs = local.unwrapped(plane.wcs, shape)
     return plane
 
 
@@ -233,6 +240,7 @@ def _assemble(planes, times, beams, frame, check, source):
         _refuse_strangers(planes)
     else:
         series.warn_of_equal_dates(times)
+    frame = _trusted(planes, frame)
     for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
         warn(f"{planes[k].name}: {what}; {advice}")
     unit = planes[0].unit
@@ -250,6 +258,8 @@ def _assemble(planes, times, beams, frame, check, source):
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
             "and the noise of all is measured; leave it out if you do not want that"
         )
+    line = _flatten(fields, planes, unit)
+    resampled = resampled or line.startswith("resampled")
     beams = _all_or_none(planes, "beam", NO_BEAM)
     advice = "that of all is measured; give every image an uncertainty"
     noise = _all_or_none(planes, "noise", advice)
@@ -259,10 +269,63 @@ def _assemble(planes, times, beams, frame, check, source):
     names = {plane.facts.get("object") for plane in planes} - {None}
     meta = {"object": names.pop()} if len(names) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
-    meta["history"] = [f"{source}, aligned on their {laid}"]
+    meta["history"] = [f"{source}, aligned on their {laid}", *filter(None, [line])]
     fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
     fields |= {"beams": beams, "noise": noise}
     return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
+
+
+def _trusted(planes, frame):
+    """Return "absolute" where reference pixels are not places in the images."""
+    for plane in planes if frame == "offset" else ():
+        y, x = (np.array(plane.data.shape) - 1) / 2
+        usual = plane.wcs.pixel_scale_matrix
+        if max(local.differences(plane.wcs, (x, x, y, y), usual)) > local.EVEN:
+            return "absolute"
+    return frame
+
+
+def _flatten(fields, planes, unit):
+    """
+    Make one matrix hold where the structure of the images is, and return how.
+
+    The coordinates are replaced in place, and the images if they must be resampled.
+    """
+    data, mask, wcs = (fields[name] for name in ("data", "mask", "wcs"))
+    far = local.is_far(wcs, np.max([plane.shape for plane in planes], axis=0))
+    if not far and local.is_flat(wcs, data.shape[1:]):
+        return ""
+    mean = series.mean_of(data, mask)
+    flat, turn = local.flat_wcs(wcs, mean, moved=far)
+    if flat is wcs:
+        return ""
+    if flat is not None:
+        place = flat.wcs.crpix - 1
+        own = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
+        line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
+        line = line.format(*place)
+    else:
+        with series.naming(f"{planes[0].name} and the other images"):
+            flat, turn = local.tangent_grid(wcs, mean)
+        shape, name = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
+        data, mask, _ = grid.regrid(data, mask, wcs, flat, shape=shape, unit=unit)
+        own = [flat] * len(planes)
+        line = (
+            f"resampled onto a tangent plane of {shape[1]} x {shape[0]} pixels at the "
+            "structure"
+        )
+        warn(
+            f"all images are {line}: their projection ({name}) changes the scale over "
+            "it; reproject them yourself if you want another grid"
+        )
+        fields |= {"data": data, "mask": mask}
+    if turn > local.EVEN:
+        warn(
+            f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
+            "structure to its edges; directions refer to north in the middle"
+        )
+    fields |= {"wcs": flat, "epoch_wcs": tuple(own)}
+    return line
 
 
 def _all_or_none(planes, what, advice):
@@ -283,7 +346,10 @@ def windows_of(planes, first, frame, region, pad=0):
     offsets, and slightly more if images are not whole pixels apart.  An image without
     a pixel in the region raises a ValueError.
     """
-    own, *frames = [grid.in_frame(plane.wcs, frame) for plane in (first, *planes)]
+    own, *frames = [
+        grid.in_frame(plane.wcs, frame, grid.north_in(plane.wcs, first.wcs))
+        for plane in (first, *planes)
+    ]
     copied = (
         grid.whole_step(own, wcs, first.shape, grid.ONE_SHIFT) is not None
         for wcs in frames
@@ -336,8 +402,12 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    frames, resampled = [grid.in_frame(plane.wcs, frame) for plane in planes], []
-    sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
+    norths, resampled = [grid.north_in(p.wcs, planes[0].wcs) for p in planes], []
+    frames = [
+        grid.in_frame(plane.wcs, frame, north)
+        for plane, north in zip(planes, norths, strict=True)
+    ]
+    sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     for plane, size, one in zip(planes, sizes, grids, strict=True):
@@ -360,9 +430,17 @@ def lay_on_one_grid(planes, frame, unit):
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
         own = [
-            grid.with_frame(new, w.ctype, **{n: getattr(w, n) for n in names})
-            for w in inner
+            grid.with_frame(
+                grid.turned(new, -north), w.ctype, **{n: getattr(w, n) for n in names}
+            )
+            for w, north in zip(inner, norths, strict=True)
         ]
+    else:
+        norths = [grid.north_in(plane.wcs, new) for plane in planes]
+    for plane, north in zip(planes, norths, strict=True):
+        if plane.beam is not None and north != 0:
+            pa = plane.beam.pa + north * u.rad
+            plane.beam = Beam(plane.beam.major, plane.beam.minor, pa)
     data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):

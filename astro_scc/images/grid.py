@@ -12,16 +12,18 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import FK5, ICRS, SkyCoord, angular_separation
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
 from astro_scc.exceptions import warn
+from astro_scc.images import local
 from astro_scc.images.beam import is_per
 from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series, as_shape, naming
+from astro_scc.images.series import ImageSeries, Series, as_shape, flat_wcs, naming
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -34,6 +36,10 @@ BAD_WEIGHT = 0.01
 SAMPLED = 2.0
 #: Coordinates in degrees with fewer decimal places were written by hand.
 DECIMALS = 5
+#: Headers of B1950 do not say whether the elliptic terms of aberration are in them.
+E_TERMS = 0.5 * u.arcsec
+#: Distance to the place that tells where north is: small, and far above rounding.
+NORTHWARDS = 1 * u.arcsec
 #: Rounding may move a region by this fraction of its size.
 MOVED = 0.02
 
@@ -169,10 +175,24 @@ def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXE
     moved = lay((filled, wcs), grid, **options)
     weight = linear((bad.astype(float), wcs), grid, **options)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
-    area = pixel_area(grid) / pixel_area(wcs)
-    if is_per(unit, "pix", "pixel") and not np.isclose(area, 1, rtol=1e-6):
-        moved *= area
+    if is_per(unit, "pix", "pixel"):
+        moved *= area_ratio(wcs, grid, shape)
     return np.where(mask, np.nan, moved), mask, False
+
+
+def area_ratio(wcs, grid, shape):
+    """Return the areas of the pixels (ny, nx) of a grid over those of a WCS there."""
+    ny, nx = shape
+    x, y = np.array([[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]) * [[nx - 1], [ny - 1]]
+
+    def ratio(x, y):
+        there = pixel_to_pixel(grid, wcs, x, y)
+        return local.local_area(grid, x, y) / local.local_area(wcs, *there)
+
+    few = ratio(x, y)
+    if np.allclose(few, few[0], rtol=1e-6):
+        return 1.0 if np.isclose(few[0], 1, rtol=1e-6) else few[0]
+    return ratio(*np.indices(shape)[::-1])
 
 
 def reproject_cube(
@@ -249,12 +269,16 @@ def reproject_cube(
             "the new wcs has another celestial frame, in which the position angles "
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
-    side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
+    side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
+    own = np.sqrt(pixel_area(cube.wcs)) * u.deg
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
     coarse = side > 1.01 * max(own, min(sampled, default=own))
     options = {"shape": shape, "unit": cube.unit, "averaged": coarse}
     data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
-    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy(), "epoch_wcs": None}
+    flat = wcs.deepcopy()
+    if not local.is_flat(wcs, shape):
+        flat = flat_wcs(wcs, data, mask)
+    fields = {"data": data, "mask": mask, "wcs": flat, "epoch_wcs": None}
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
@@ -266,16 +290,95 @@ def reproject_cube(
 
 
 def pixel_area(wcs):
-    """Return the solid angle of a pixel in square degrees."""
+    """Return the solid angle of the reference pixel in square degrees."""
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
-def in_frame(wcs, frame):
-    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
+def in_frame(wcs, frame, north=0.0):
+    """
+    Return a WCS; for offsets, one with its reference pixel at (0, 0).
+
+    It is turned by the position angle of its ``north``, in radians.
+    """
     if frame == "absolute":
         return wcs
-    return with_frame(
+    placed = with_frame(
         wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
+    )
+    return turned(placed, north)
+
+
+def turned(wcs, angle):
+    """Return a WCS whose offsets are turned through east by an angle in radians."""
+    if angle == 0:
+        return wcs
+    sin, cos = np.sin(angle), np.cos(angle)
+    changed, matrix = wcs.deepcopy(), wcs.pixel_scale_matrix
+    del changed.wcs.cd, changed.wcs.crota
+    changed.wcs.cdelt = 1, 1
+    changed.wcs.pc = np.array([[cos, sin], [-sin, cos]]) @ matrix
+    changed.wcs.set()
+    return changed
+
+
+def frame_of(wcs):
+    """
+    Return the celestial frame of a WCS, None if astropy does not know it.
+
+    FK5 of J2000 is taken for ICRS: headers of VLBI name either for the same positions.
+    """
+    try:
+        frame = wcs_to_celestial_frame(wcs)
+    except ValueError:
+        return None
+    return ICRS() if frame.is_equivalent_frame(FK5()) else frame
+
+
+def place_of(wcs, frame=None):
+    """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
+    own = frame_of(wcs)
+    place = SkyCoord(*wcs.wcs.crval, unit=u.deg, frame="icrs" if own is None else own)
+    return place if frame is None else place.transform_to(frame)
+
+
+def separation(one, other):
+    """
+    Return the distance of the reference points of two WCS on the sky, in degrees.
+
+    It is 0 if it may be due to the way in which B1950 was turned into J2000.
+    """
+    if is_one_frame(one, other):
+        return np.degrees(
+            angular_separation(*np.radians([*one.wcs.crval, *other.wcs.crval]))
+        )
+    found = place_of(other, frame_of(one)).separation(place_of(one))
+    return found.deg if found > E_TERMS else 0.0
+
+
+def is_one_frame(one, other):
+    """Return whether two WCS are of one celestial frame, as far as it is known."""
+    frames = frame_of(one), frame_of(other)
+    return None in frames or frames[0].is_equivalent_frame(frames[1])
+
+
+def north_in(wcs, other):
+    """
+    Return the position angle of the north of a WCS in the frame of another one.
+
+    It is that at the reference point, in radians, 0 in the same frame.
+    """
+    if is_one_frame(wcs, other):
+        return 0.0
+    return north_of(place_of(wcs), frame_of(other))
+
+
+def north_of(place, frame):
+    """Return the position angle in a frame of the north of a SkyCoord, in radians."""
+    ahead = place.directional_offset_by(0 * u.deg, NORTHWARDS)
+    return (
+        place.transform_to(frame)
+        .position_angle(ahead.transform_to(frame))
+        .to_value(u.rad)
     )
 
 
@@ -291,8 +394,8 @@ def with_frame(wcs, axes, **values):
 
 
 def finest(grids):
-    """Return the index of the first WCS among those with the smallest pixels."""
-    areas = np.array([pixel_area(wcs) for wcs in grids])
+    """Return the index of the first (shape, wcs) among those with smallest pixels."""
+    areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
     return int(np.argmax(areas <= areas.min() * (1 + 1e-6)))
 
 
@@ -334,8 +437,8 @@ def shared_grid(grids):
     >>> shape, grid.wcs.crpix.tolist()
     ((16, 20), [12.0, 8.0])
     """
-    areas = np.array([pixel_area(wcs) for _, wcs in grids])
-    fine = grids[finest([wcs for _, wcs in grids])][1]
+    areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
+    fine = grids[finest(grids)][1]
     edge = np.linspace(0, 1, 33)
     sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
     outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
@@ -447,7 +550,9 @@ def _combine(cube, items, name, places):
     for item, include in zip(items, wanted, strict=True):
         try:
             # Images are small enough for spherical regions to be flat in them.
-            pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
+            pixel = item
+            if not isinstance(item, PixelRegion):
+                pixel = in_frame_of(item, cube.wcs).to_pixel(cube.wcs)
             if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
                 continue
             mask = pixel.to_mask(mode="center")
@@ -463,6 +568,25 @@ def _combine(cube, items, name, places):
         target, source = mask.get_overlap_slices(shape)
         inside[include][target] |= mask.data[source] > 0
     return inside[True] & ~inside[False]
+
+
+def in_frame_of(region, wcs):
+    """
+    Return a region of the sky in the frame of a WCS.
+
+    Its angle refers to the north of the frame in which it was drawn, and regions would
+    take it for that of the image.
+    """
+    centre = getattr(region, "center", None)
+    if frame_of(wcs) is None or centre is None:
+        return region
+    frame = wcs_to_celestial_frame(wcs)
+    if centre.is_equivalent_frame(frame):
+        return region
+    changes = {"center": centre.transform_to(frame)}
+    if hasattr(region, "angle"):
+        changes["angle"] = region.angle + north_of(centre, frame) * u.rad
+    return region.copy(**changes)
 
 
 def _refuse_rounded(item, size, wcs, places, name):
