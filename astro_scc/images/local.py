@@ -12,9 +12,10 @@ import numpy as np
 from astropy.wcs import WCS
 
 from astro_scc.decomposition.wavelet import measure_noise
+from astro_scc.images.positions import PLANE
 
 #: Largest difference of scale (relative) or north (radians) that one matrix may have.
-SAME = 2e-3
+SAME = 1e-3
 #: The same where the matrix is that of the middle of the structure.
 EVEN = 0.02
 #: A reference pixel this many sizes of the image away is no origin of offsets.
@@ -83,7 +84,8 @@ def _axes(lon, lat):
 
 def local_area(wcs, x, y):
     """Return the solid angle of pixels (x, y) in square degrees."""
-    return np.abs(np.linalg.det(local_matrix(wcs, x, y)))
+    (a, b), (c, d) = np.moveaxis(local_matrix(wcs, x, y), (-2, -1), (0, 1))
+    return np.abs(a * d - b * c)
 
 
 def middle_area(wcs, shape):
@@ -130,13 +132,15 @@ def differences(wcs, box, matrix):
 
 def is_flat(wcs, shape):
     """Return whether the matrix at the reference pixel holds in a whole image."""
+    if wcs.wcs.name == PLANE:
+        return True
     return max(differences(wcs, _whole(shape), wcs.pixel_scale_matrix)) <= SAME
 
 
 def is_far(wcs, shape):
     """Return whether offsets from the reference pixel say little about an image."""
     away = np.abs(wcs.wcs.crpix - 1 - (np.array(shape[::-1]) - 1) / 2)
-    return bool(np.any(away > FAR * max(shape)))
+    return wcs.wcs.name != PLANE and bool(np.any(away > FAR * max(shape)))
 
 
 def structure(image):
@@ -318,7 +322,7 @@ def unwrapped(wcs, shape):
     for shift, turned in ((lon, lon), (360 * np.rint(lon / 360), 0.0)):
         moved = wcs.deepcopy()
         moved.wcs.crpix = wcs.wcs.crpix + np.linalg.solve(matrix, [shift, 0])
-        moved.wcs.crval = wcs.wcs.crval + [turned, 0]
+        moved.wcs.crval = (wcs.wcs.crval[0] + turned) % 360, wcs.wcs.crval[1]
         moved.wcs.set()
         found = _axes(*moved.pixel_to_world_values(*places))[2]
         if np.all(np.abs(found - sky) < 1e-9):
