@@ -89,7 +89,8 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
         ``date`` (masked where missing), ``nx``, ``ny``, ``pixel``,
         ``major``, ``minor``, ``pa``, ``peak``, ``noise``, ``peak_east`` and
         ``peak_north`` (offset of the brightest pixel from the reference
-        pixel), ``object``, ``frequency`` and ``problem``, empty if there is
+        pixel, or from the middle if that lies far away or the image is not
+        flat around it), ``object``, ``frequency`` and ``problem``, empty if there is
         none.  Unknown numbers are NaN or 0.
 
     Raises
@@ -107,6 +108,7 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     rows = [_row_of(path) for path in find_files(paths, missing_ok=True)]
     rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
     planes = [row.pop("plane") for row in rows]
+    origins = [row.pop("origin") for row in rows]
     read = [i for i, plane in enumerate(planes) if plane is not None]
     unit = planes[read[0]].unit if read else u.dimensionless_unscaled
     for i in read:
@@ -125,7 +127,9 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
     columns["date"] = Time(dates, format="iso")
-    return QTable(columns)
+    # Of images that are not flat around their reference pixel, it is the middle.
+    origin = " or ".join(sorted({*origins} - {None}, reverse=True))
+    return QTable(columns, meta={"origin": origin})
 
 
 def kind_of(path):
@@ -149,7 +153,7 @@ def _row_of(path):
     row = {"file": str(path), "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
     row |= {"object": "", "frequency": row.pop("frequency")}
-    row |= {"problem": [], "plane": None}
+    row |= {"problem": [], "plane": None, "origin": None}
     try:
         plane = read_plane(path)
         plane.take_uncertainty()
@@ -163,6 +167,7 @@ def _row_of(path):
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
     plane.wcs = local.unwrapped(plane.wcs, plane.shape)
     flat = _flat(plane)
+    row["origin"] = "the reference pixel" if flat is plane.wcs else "the middle"
     matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
