@@ -1,8 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Names of sources: common ones, those of the IAU, and the places these tell."""
+"""Names of sources, common ones and those of the IAU, and their places."""
 
 import csv
 import re
+from contextlib import suppress
 from functools import cache
 from importlib import resources
 
@@ -18,6 +19,15 @@ _IAU = re.compile(
 #: Names tell right ascensions to a minute, declinations to a tenth of a degree, and
 #: places of either equinox are told apart no better.
 NEAR = 0.5 * u.deg
+
+
+#: Labels of the position of a source, by preference.
+PLACES = (
+    ("radeg", "dedeg"), ("radeg", "decdeg"), ("raj2000", "dej2000"),
+    ("raj2000", "decj2000"), ("ra", "dec"), ("ra", "de"), ("rab1950", "deb1950"),
+    ("ra1950", "dec1950"), ("ra1950", "de1950"), ("rab1950", "decb1950"),
+)  # fmt: skip
+SEXAGESIMAL = "rah", "ram", "ras", "ded", "dem", "des"
 
 
 def plain(name):
@@ -114,3 +124,42 @@ def same_source(wanted, names):
 def _digits(match):
     """Return the coordinates of an IAU name, with a J if they are of J2000."""
     return ("J" if match[1] == "J" else "") + match[0][match.start(2) - match.start() :]
+
+
+def table_position(table):
+    """Return the position of the source that a table has, None if it has none."""
+    facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
+    units = {name: table[name].unit for name in table.colnames}
+    own = {re.sub(r"[^a-z0-9]", "", key.lower()): key for key in facts}
+    place = facts.get(own.get("position"))
+    if isinstance(place, SkyCoord):
+        return place.icrs
+    found = {label: facts[key] for label, key in own.items()}
+    pairs = [pair for pair in PLACES if found.keys() >= {*pair}]
+    # Words that are no angles are none of a position.
+    with suppress(TypeError, ValueError, u.UnitsError):
+        if isinstance(place, str):
+            return SkyCoord(place, unit=(u.hourangle, u.deg))
+        if found.keys() >= {*SEXAGESIMAL}:
+            words = [f"{float(found[label]):.12g}" for label in SEXAGESIMAL]
+            sign = "-" if str(found.get("de", "")).strip() == "-" else ""
+            lon, lat = " ".join(words[:3]), sign + " ".join(words[3:])
+            return SkyCoord(lon, lat, unit=(u.hourangle, u.deg))
+        for pair in pairs:
+            lon, lat = (_angle(found[label], units.get(own[label])) for label in pair)
+            old = "1950" in pair[0]
+            frame = FK4(equinox="B1950") if old else "icrs"
+            text = {"unit": (u.hourangle, u.deg)} if isinstance(lon, str) else {}
+            return SkyCoord(lon, lat, frame=frame, **text).icrs
+    return None
+
+
+def _angle(value, unit):
+    """Return an angle of a table, or the text of one in hours or degrees."""
+    if isinstance(value, str):
+        with suppress(TypeError, ValueError):
+            return u.Quantity(value, None if value.strip()[-1:].isalpha() else u.deg)
+        return value
+    if isinstance(value, u.Quantity):
+        return value
+    return float(value) * (u.hourangle if unit == u.hour else unit or u.deg)

@@ -9,13 +9,13 @@ from functools import lru_cache, partial
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import FK4, SkyCoord
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
-from astro_scc.components.names import also_named, place_of, same_source
+from astro_scc.components.names import also_named, place_of, same_source, table_position
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.fits import open_fits
 from astro_scc.images.headers import celestial_wcs, first_line, get, read_header, some
@@ -63,13 +63,6 @@ NO_IMAGE = (
     "is a list of components and no image; give lists alone to astro-scc measure or "
     "track, or make images of them with astro-scc restore"
 )
-#: Labels of the position of a source, by preference.
-PLACES = (
-    ("radeg", "dedeg"), ("radeg", "decdeg"), ("raj2000", "dej2000"),
-    ("raj2000", "decj2000"), ("ra", "dec"), ("ra", "de"), ("rab1950", "deb1950"),
-    ("ra1950", "dec1950"), ("ra1950", "de1950"), ("rab1950", "decb1950"),
-)  # fmt: skip
-SEXAGESIMAL = "rah", "ram", "ras", "ded", "dem", "des"
 #: Keys of the meta that name the source, and other keys that are kept.
 NAMES = ("source", "name", "object")
 FACTS = ("telescope", "filter", "stokes", "beam", "position_from")
@@ -292,7 +285,7 @@ def _meta(table, columns, path):
     names = [str(own[key]) for key in NAMES if key in own] + [str(name or "")]
     places = {one: place_of(one) for one in names}
     known = [one for one in names if places[one] is not None]
-    if (place := _position(table)) is not None:
+    if (place := table_position(table)) is not None:
         meta["position"] = place
     elif known:
         meta |= {"position": places[known[0]], "position_from": known[0]}
@@ -304,45 +297,6 @@ def _meta(table, columns, path):
     if "frequency" in own:
         meta["frequency"] = u.Quantity(own["frequency"], u.Hz).value
     return meta
-
-
-def _position(table):
-    """Return the position of the source that a table has, None if it has none."""
-    facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
-    units = {name: table[name].unit for name in table.colnames}
-    own = {re.sub(r"[^a-z0-9]", "", key.lower()): key for key in facts}
-    place = facts.get(own.get("position"))
-    if isinstance(place, SkyCoord):
-        return place.icrs
-    found = {label: facts[key] for label, key in own.items()}
-    pairs = [pair for pair in PLACES if found.keys() >= {*pair}]
-    # Words that are no angles are none of a position.
-    with suppress(TypeError, ValueError, u.UnitsError):
-        if isinstance(place, str):
-            return SkyCoord(place, unit=(u.hourangle, u.deg))
-        if found.keys() >= {*SEXAGESIMAL}:
-            words = [f"{float(found[label]):.12g}" for label in SEXAGESIMAL]
-            sign = "-" if str(found.get("de", "")).strip() == "-" else ""
-            lon, lat = " ".join(words[:3]), sign + " ".join(words[3:])
-            return SkyCoord(lon, lat, unit=(u.hourangle, u.deg))
-        for pair in pairs:
-            lon, lat = (_angle(found[label], units.get(own[label])) for label in pair)
-            old = "1950" in pair[0]
-            frame = FK4(equinox="B1950") if old else "icrs"
-            text = {"unit": (u.hourangle, u.deg)} if isinstance(lon, str) else {}
-            return SkyCoord(lon, lat, frame=frame, **text).icrs
-    return None
-
-
-def _angle(value, unit):
-    """Return an angle of a table, or the text of one in hours or degrees."""
-    if isinstance(value, str):
-        with suppress(TypeError, ValueError):
-            return u.Quantity(value, None if value.strip()[-1:].isalpha() else u.deg)
-        return value
-    if isinstance(value, u.Quantity):
-        return value
-    return float(value) * (u.hourangle if unit == u.hour else unit or u.deg)
 
 
 # Each returns a table and the date of the file: "" if it should have a date and has

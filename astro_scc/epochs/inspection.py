@@ -28,14 +28,8 @@ from astro_scc.images.fits import (
     open_fits,
     read_plane,
 )
-from astro_scc.images.grid import (
-    ONE_SHIFT,
-    finest,
-    in_frame,
-    north_in,
-    separation,
-    whole_step,
-)
+from astro_scc.images.frames import in_frame, north_in, separation
+from astro_scc.images.grid import ONE_SHIFT, finest, whole_step
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, as_times, order_of
 

@@ -17,6 +17,7 @@ from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, grid, local, series
 from astro_scc.images.beam import Beam, different_beam
+from astro_scc.images.frames import in_frame, north_in, turned, with_frame
 from astro_scc.images.headers import as_celestial, fits_wcs, get, read_header, some
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
@@ -258,7 +259,8 @@ def _assemble(planes, times, beams, frame, check, source):
             f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
             "and the noise of all is measured; leave it out if you do not want that"
         )
-    line = _flatten(fields, planes, unit)
+    whole = np.max([plane.shape for plane in planes], axis=0)
+    line = grid.flatten(fields, planes[0].name, whole, unit)
     resampled = resampled or line.startswith("resampled")
     beams = _all_or_none(planes, "beam", NO_BEAM)
     advice = "that of all is measured; give every image an uncertainty"
@@ -285,49 +287,6 @@ def _trusted(planes, frame):
     return frame
 
 
-def _flatten(fields, planes, unit):
-    """
-    Make one matrix hold where the structure of the images is, and return how.
-
-    The coordinates are replaced in place, and the images if they must be resampled.
-    """
-    data, mask, wcs = (fields[name] for name in ("data", "mask", "wcs"))
-    far = local.is_far(wcs, np.max([plane.shape for plane in planes], axis=0))
-    if not far and local.is_flat(wcs, data.shape[1:]):
-        return ""
-    mean = series.mean_of(data, mask)
-    flat, turn = local.flat_wcs(wcs, mean, moved=far)
-    if flat is wcs:
-        return ""
-    if flat is not None:
-        place = flat.wcs.crpix - 1
-        own = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
-        line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
-        line = line.format(*place)
-    else:
-        with series.naming(f"{planes[0].name} and the other images"):
-            flat, turn = local.tangent_grid(wcs, mean)
-        shape, name = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
-        data, mask, _ = grid.regrid(data, mask, wcs, flat, shape=shape, unit=unit)
-        own = [flat] * len(planes)
-        line = (
-            f"resampled onto a tangent plane of {shape[1]} x {shape[0]} pixels at the "
-            "structure"
-        )
-        warn(
-            f"all images are {line}: their projection ({name}) changes the scale over "
-            "it; reproject them yourself if you want another grid"
-        )
-        fields |= {"data": data, "mask": mask}
-    if turn > local.EVEN:
-        warn(
-            f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
-            "structure to its edges; directions refer to north in the middle"
-        )
-    fields |= {"wcs": flat, "epoch_wcs": tuple(own)}
-    return line
-
-
 def _all_or_none(planes, what, advice):
     """Return the beams or the noise of all images, None if some have none."""
     values = tuple(getattr(plane, what) for plane in planes)
@@ -347,7 +306,7 @@ def windows_of(planes, first, frame, region, pad=0):
     a pixel in the region raises a ValueError.
     """
     own, *frames = [
-        grid.in_frame(plane.wcs, frame, grid.north_in(plane.wcs, first.wcs))
+        in_frame(plane.wcs, frame, north_in(plane.wcs, first.wcs))
         for plane in (first, *planes)
     ]
     copied = (
@@ -402,9 +361,9 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    norths, resampled = [grid.north_in(p.wcs, planes[0].wcs) for p in planes], []
+    norths, resampled = [north_in(p.wcs, planes[0].wcs) for p in planes], []
     frames = [
-        grid.in_frame(plane.wcs, frame, north)
+        in_frame(plane.wcs, frame, north)
         for plane, north in zip(planes, norths, strict=True)
     ]
     sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
@@ -430,13 +389,13 @@ def lay_on_one_grid(planes, frame, unit):
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
         own = [
-            grid.with_frame(
-                grid.turned(new, -north), w.ctype, **{n: getattr(w, n) for n in names}
+            with_frame(
+                turned(new, -north), w.ctype, **{n: getattr(w, n) for n in names}
             )
             for w, north in zip(inner, norths, strict=True)
         ]
     else:
-        norths = [grid.north_in(plane.wcs, new) for plane in planes]
+        norths = [north_in(plane.wcs, new) for plane in planes]
     for plane, north in zip(planes, norths, strict=True):
         if plane.beam is not None and north != 0:
             pa = plane.beam.pa + north * u.rad

@@ -12,7 +12,6 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import FK5, ICRS, SkyCoord, angular_separation
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
@@ -21,9 +20,17 @@ from scipy import ndimage
 from astro_scc.exceptions import warn
 from astro_scc.images import local
 from astro_scc.images.beam import is_per
+from astro_scc.images.frames import region_in_frame
 from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series, as_shape, flat_wcs, naming
+from astro_scc.images.series import (
+    ImageSeries,
+    Series,
+    as_shape,
+    flat_wcs,
+    mean_of,
+    naming,
+)
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -36,10 +43,6 @@ BAD_WEIGHT = 0.01
 SAMPLED = 2.0
 #: Coordinates in degrees with fewer decimal places were written by hand.
 DECIMALS = 5
-#: Headers of B1950 do not say whether the elliptic terms of aberration are in them.
-E_TERMS = 0.5 * u.arcsec
-#: Distance to the place that tells where north is: small, and far above rounding.
-NORTHWARDS = 1 * u.arcsec
 #: Rounding may move a region by this fraction of its size.
 MOVED = 0.02
 
@@ -294,105 +297,6 @@ def pixel_area(wcs):
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
-def in_frame(wcs, frame, north=0.0):
-    """
-    Return a WCS; for offsets, one with its reference pixel at (0, 0).
-
-    It is turned by the position angle of its ``north``, in radians.
-    """
-    if frame == "absolute":
-        return wcs
-    placed = with_frame(
-        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
-    )
-    return turned(placed, north)
-
-
-def turned(wcs, angle):
-    """Return a WCS whose offsets are turned through east by an angle in radians."""
-    if angle == 0:
-        return wcs
-    sin, cos = np.sin(angle), np.cos(angle)
-    changed, matrix = wcs.deepcopy(), wcs.pixel_scale_matrix
-    del changed.wcs.cd, changed.wcs.crota
-    changed.wcs.cdelt = 1, 1
-    changed.wcs.pc = np.array([[cos, sin], [-sin, cos]]) @ matrix
-    changed.wcs.set()
-    return changed
-
-
-def frame_of(wcs):
-    """
-    Return the celestial frame of a WCS, None if astropy does not know it.
-
-    FK5 of J2000 is taken for ICRS: headers of VLBI name either for the same positions.
-    """
-    try:
-        frame = wcs_to_celestial_frame(wcs)
-    except ValueError:
-        return None
-    return ICRS() if frame.is_equivalent_frame(FK5()) else frame
-
-
-def place_of(wcs, frame=None):
-    """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
-    own = frame_of(wcs)
-    place = SkyCoord(*wcs.wcs.crval, unit=u.deg, frame="icrs" if own is None else own)
-    return place if frame is None else place.transform_to(frame)
-
-
-def separation(one, other):
-    """
-    Return the distance of the reference points of two WCS on the sky, in degrees.
-
-    It is 0 if it may be due to the way in which B1950 was turned into J2000.
-    """
-    if is_one_frame(one, other):
-        return np.degrees(
-            angular_separation(*np.radians([*one.wcs.crval, *other.wcs.crval]))
-        )
-    found = place_of(other, frame_of(one)).separation(place_of(one))
-    return found.deg if found > E_TERMS else 0.0
-
-
-def is_one_frame(one, other):
-    """Return whether two WCS are of one celestial frame, as far as it is known."""
-    frames = frame_of(one), frame_of(other)
-    return None in frames or frames[0].is_equivalent_frame(frames[1])
-
-
-def north_in(wcs, other):
-    """
-    Return the position angle of the north of a WCS in the frame of another one.
-
-    It is that at the reference point, in radians, 0 in the same frame.
-    """
-    if is_one_frame(wcs, other):
-        return 0.0
-    return north_of(place_of(wcs), frame_of(other))
-
-
-def north_of(place, frame):
-    """Return the position angle in a frame of the north of a SkyCoord, in radians."""
-    ahead = place.directional_offset_by(0 * u.deg, NORTHWARDS)
-    return (
-        place.transform_to(frame)
-        .position_angle(ahead.transform_to(frame))
-        .to_value(u.rad)
-    )
-
-
-def with_frame(wcs, axes, **values):
-    """Return a copy of a WCS with other axis names and frame values."""
-    changed = wcs.deepcopy()
-    codes = zip(axes, wcs.wcs.ctype, strict=True)
-    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
-    for name, value in values.items():
-        setattr(changed.wcs, name, value)
-    changed.wcs.set()
-    return changed
-
-
 def finest(grids):
     """Return the index of the first (shape, wcs) among those with smallest pixels."""
     areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
@@ -458,6 +362,51 @@ def shared_grid(grids):
     shared = moved_wcs(fine, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
+
+
+def flatten(fields, name, whole, unit):
+    """
+    Make one matrix hold where the structure of the images is, and return how.
+
+    The coordinates are replaced in place, and the images if they must be resampled.
+    ``name`` is that of an image, and ``whole`` the shape of files of which these may be
+    parts.
+    """
+    data, mask, wcs = (fields[name] for name in ("data", "mask", "wcs"))
+    far = local.is_far(wcs, whole)
+    if not far and local.is_flat(wcs, data.shape[1:]):
+        return ""
+    mean = mean_of(data, mask)
+    flat, turn = local.flat_wcs(wcs, mean, moved=far)
+    if flat is wcs:
+        return ""
+    if flat is not None:
+        place = flat.wcs.crpix - 1
+        own = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
+        line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
+        line = line.format(*place)
+    else:
+        with naming(f"{name} and the other images"):
+            flat, turn = local.tangent_grid(wcs, mean)
+        shape, code = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
+        data, mask, _ = regrid(data, mask, wcs, flat, shape=shape, unit=unit)
+        own = [flat] * len(data)
+        line = (
+            f"resampled onto a tangent plane of {shape[1]} x {shape[0]} pixels at the "
+            "structure"
+        )
+        warn(
+            f"all images are {line}: their projection ({code}) changes the scale over "
+            "it; reproject them yourself if you want another grid"
+        )
+        fields |= {"data": data, "mask": mask}
+    if turn > local.EVEN:
+        warn(
+            f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
+            "structure to its edges; directions refer to north in the middle"
+        )
+    fields |= {"wcs": flat, "epoch_wcs": tuple(own)}
+    return line
 
 
 def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
@@ -552,7 +501,7 @@ def _combine(cube, items, name, places):
             # Images are small enough for spherical regions to be flat in them.
             pixel = item
             if not isinstance(item, PixelRegion):
-                pixel = in_frame_of(item, cube.wcs).to_pixel(cube.wcs)
+                pixel = region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
             if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
                 continue
             mask = pixel.to_mask(mode="center")
@@ -568,25 +517,6 @@ def _combine(cube, items, name, places):
         target, source = mask.get_overlap_slices(shape)
         inside[include][target] |= mask.data[source] > 0
     return inside[True] & ~inside[False]
-
-
-def in_frame_of(region, wcs):
-    """
-    Return a region of the sky in the frame of a WCS.
-
-    Its angle refers to the north of the frame in which it was drawn, and regions would
-    take it for that of the image.
-    """
-    centre = getattr(region, "center", None)
-    if frame_of(wcs) is None or centre is None:
-        return region
-    frame = wcs_to_celestial_frame(wcs)
-    if centre.is_equivalent_frame(frame):
-        return region
-    changes = {"center": centre.transform_to(frame)}
-    if hasattr(region, "angle"):
-        changes["angle"] = region.angle + north_of(centre, frame) * u.rad
-    return region.copy(**changes)
 
 
 def _refuse_rounded(item, size, wcs, places, name):

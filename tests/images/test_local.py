@@ -23,7 +23,8 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images import local
-from astro_scc.images.grid import north_in, region_mask, separation, turned
+from astro_scc.images.frames import north_in, separation, turned
+from astro_scc.images.grid import region_mask
 from astro_scc.images.positions import offset_wcs
 
 NY, NX = 24, 32
@@ -103,7 +104,7 @@ def step_on_sky(wcs, x, y, dx, dy):
 places = st.tuples(st.floats(0, 360), st.floats(-80, 80))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 @given(
     code=st.sampled_from([*CYLINDERS, *OTHERS, *ZENITHAL]),
     place=places,
