@@ -255,8 +255,9 @@ def _assemble(planes, times, beams, frame, check, source):
     if resampled:
         ny, nx = fields["data"].shape[1:]
         warn(
-            f"{some(resampled)}: on another grid than the finest and therefore "
-            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
+            f"{some(resampled)}: on another grid than the finest (or turned, as those "
+            "of B1950 to those of J2000) and therefore resampled to it; all are "
+            f"{nx} x {ny} pixels, masked outside each image, "
             "and the noise of all is measured; leave it out if you do not want that"
         )
     whole = np.max([plane.shape for plane in planes], axis=0)

@@ -174,7 +174,8 @@ def flat_wcs(wcs, image, *, moved=False):
     """
     Return coordinates whose matrix holds where the structure of an image is.
 
-    They are those given if their matrix holds there.  Otherwise they are a tangent
+    They are those given if their matrix is that in the middle of the structure, and
+    holds all over it.  Otherwise they are a tangent
     plane at the brightest pixel, or in the middle of the structure if scale and north
     at the brightest pixel do not hold all over it.
 
@@ -197,9 +198,10 @@ def flat_wcs(wcs, image, *, moved=False):
     if not moved and is_flat(wcs, image.shape):
         return wcs, 0.0
     box, peak = structure(image)
-    if not moved and max(differences(wcs, box, usual)) <= SAME:
-        return wcs, 0.0
     middle = (box[0] + box[1]) / 2, (box[2] + box[3]) / 2
+    here = differences(wcs, (middle[0], middle[0], middle[1], middle[1]), usual)
+    if not moved and max(here) <= SAME and max(differences(wcs, box, usual)) <= EVEN:
+        return wcs, 0.0
     for place, limits in ((peak, (SAME, SAME)), (middle, (EVEN, np.inf))):
         matrix = local_matrix(wcs, *place)
         if not np.all(np.isfinite(matrix)):
