@@ -16,6 +16,7 @@ from astro_scc.cli.inputs import draw_seed, prepare
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
 from astro_scc.components.restoring import NO_BEAM
+from astro_scc.components.tables import source_list
 from astro_scc.epochs import (
     inspect_epochs,
     plan_intervals,
@@ -88,6 +89,13 @@ def _of_option(message):
 
 def restore(args, reporter):
     """Make images from lists of components according to the arguments."""
+    if args.list:
+        reporter.say(*_sources(args.tables))
+        return
+    needed = {"-o": args.output, "--pixel": args.pixel}
+    if missing := [option for option, value in needed.items() if value is None]:
+        options = " and ".join(missing)
+        raise ValueError(f"{options} must be given to make images (--list makes none)")
     how = images_of(args)
     found = read_components(
         args.tables, source=args.source, origin=args.origin, beams=how["beam"]
@@ -103,6 +111,22 @@ def restore(args, reporter):
     )
     drawn = "" if how["noise"] is None else f" (seed of the noise {how['seed']})"
     _say(reporter, args, len(cube), what, drawn)
+
+
+def _sources(tables):
+    """Return the sources of tables as lines."""
+    rows = [
+        {
+            "source": name,
+            "also": ", ".join(others) or "-",
+            "epochs": str(len(dates)),
+            "first": dates[0][:10],
+            "last": dates[-1][:10],
+        }
+        for path in find_files(tables)
+        for name, others, dates in source_list(path)
+    ]
+    return table_lines(rows)
 
 
 def images_of(args):
@@ -180,14 +204,17 @@ def inspect(args, reporter):
             for text in remarks
             if " ".join(text.split(": ")[-1].split()[:3]) not in known
         ]
-    cores, of_core = ({}, 0.0) if cube is None else _cores(cube)
+    angle = readable_angle(np.nanmin(facts["pixel"])).split()[1]
+    origin = facts.meta.get("origin") or "the reference pixel"
+    cores, of_core = ({}, 0.0) if cube is None else _cores(cube, angle)
     rows = [
-        _cells(name, date, row, facts["noise"].unit) | {"core": cores.get(name, "-")}
+        _cells(name, date, row, facts["noise"].unit, angle)
+        | {"core": cores.get(name, "-")}
         for name, date, row in zip(names, _dates(facts), facts, strict=True)
     ]
     reporter.say(
         *table_lines(rows),
-        "peak and core: (east, north) from the reference pixel in mas",
+        f"peak and core: (east, north) from {origin} in {angle}",
         "\n" + ("Problems:" if problems else "No problems."),
         *(f"  {problem}" for problem in problems),
     )
@@ -229,7 +256,7 @@ def _dates(facts):
     return texts.tolist()
 
 
-def _cells(name, date, row, unit):
+def _cells(name, date, row, unit, offsets):
     """Return a row of `inspect_epochs` as text under the headings of the table."""
     noise = f"noise ({unit})"
     heads = "date", "pixels", "pixel", "beam", noise, "peak"
@@ -245,11 +272,12 @@ def _cells(name, date, row, unit):
         cells["beam"] = f"{' x '.join(axes)} {angle} at {row['pa'].value:.0f} deg"
     if np.isfinite(row["noise"]):
         cells[noise] = f"{row['noise'].value:.2g}"
-    cells["peak"] = _offset(row["peak_east"].value, row["peak_north"].value)
+    peak = (row[f"peak_{axis}"].to_value(offsets) for axis in ("east", "north"))
+    cells["peak"] = _offset(*peak)
     return cells
 
 
-def _cores(cube):
+def _cores(cube, angle):
     """Return the core's offset at each epoch as text, and its scatter in beams."""
     try:
         found = core_positions(cube)
@@ -257,7 +285,8 @@ def _cores(cube):
         return {}, 0.0
     east, north = found["east"].value, found["north"].value
     width = np.mean([np.sqrt(b.major * b.minor).value for b in cube.beams])
-    cores = dict(zip(cube.labels, map(_offset, east, north), strict=True))
+    offsets = (u.Quantity(v, u.mas).to_value(angle) for v in (east, north))
+    cores = dict(zip(cube.labels, map(_offset, *offsets), strict=True))
     return cores, max(east.std(), north.std()) / width
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
+from astro_scc.components.names import plain
 from astro_scc.components.tables import UNITS, open_table, read_fields, source_names
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import Beam
@@ -342,7 +343,9 @@ def read_sources(
     """
     (path,), options = find_files(path), {"origin": origin, "beams": beams}
     if source is not None:
-        return {source: read_components(path, source=source, **options)}
+        own = read_components(path, source=source, **options)
+        same = plain(own.meta.get("object", source)) == plain(source)
+        return {source if same else own.meta["object"]: own}
     found, names = {}, source_names(open_table(path)[0])
     if names is None or len(names) == 0:
         # A table without rows is refused as any other.

@@ -156,6 +156,8 @@ def restore(
     facts = {name: components.meta[name] for name in FACTS if name in components.meta}
     added = "" if noise is None else ", noise added"
     line = f"restored {len(components)} components at {n_epochs} epochs{added}"
+    if name := components.meta.get("position_from"):
+        line += f", at the position that the name {name} tells, to some arcmin"
     return cls.from_arrays(
         data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
         reference_pixel=reference_pixel, position=components.meta.get("position"),

@@ -15,6 +15,7 @@ from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
+from astro_scc.components.names import also_named, place_of, same_source, table_position
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.fits import AS_TABLE, open_fits
 from astro_scc.images.headers import celestial_wcs, first_line, get, read_header, some
@@ -64,7 +65,7 @@ NO_IMAGE = (
 )
 #: Keys of the meta that name the source, and other keys that are kept.
 NAMES = ("source", "name", "object")
-FACTS = ("telescope", "filter", "stokes", "position", "beam")
+FACTS = ("telescope", "filter", "stokes", "beam", "position_from")
 #: Largest number of sources that a message lists.
 LISTED = 8
 FILE_DATE = re.compile(
@@ -204,12 +205,12 @@ def _select_source(table, columns, source, path):
         if source is None and len(names) > 1:
             raise ValueError(
                 f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
-                "say which, with --source NAME of astro-scc restore or source="
+                "say which, with --source NAME of astro-scc restore or source=; "
+                "astro-scc restore TABLE --list lists them"
             )
         if source is not None:
-            same = [name for name in names if _plain(name) == _plain(source)]
-            mine = np.isin(column, same)
-    if source is None or _plain(source) in map(_plain, names):
+            mine = np.isin(column, same_source(source, names))
+    if source is None or same_source(source, names):
         return table[mine]
     has = "it does not say of which source it is; leave --source out"
     near = get_close_matches(source, names, n=3, cutoff=0.7)
@@ -217,11 +218,33 @@ def _select_source(table, columns, source, path):
         has = f"did you mean {' or '.join(near)}?"
     elif names:
         has = f"it has {some(names, LISTED)}"
+    if len(names) > 1:
+        has = f"{has.rstrip('?')}; astro-scc restore TABLE --list lists all"
     raise ValueError(f"{path}: no source {source!r}; {has}")
 
 
-def _plain(name):
-    return "".join(name.split()).casefold()
+def source_list(path):
+    """
+    Return the sources of a table.
+
+    Returns
+    -------
+    list of (str, list of str, list of str)
+        The name, the common names, and the dates of each, in order.
+    """
+    table, date = open_table(path)
+    if date == "":
+        raise ValueError(f"{path}: {UNDATED}")
+    columns = _find_columns(table)
+    names = source_names(table, columns)
+    if names is None:
+        own = next((str(table.meta[k]) for k in NAMES if k in table.meta), path.stem)
+        names = np.array([own] * len(table))
+    dates = np.array(_dates(table, columns, date, path))
+    return [
+        (name, also_named(name), np.unique(dates[names == name]).tolist())
+        for name in dict.fromkeys(names.tolist())
+    ]
 
 
 def _offsets(values, path):
@@ -260,6 +283,13 @@ def _meta(table, columns, path):
         name = str(table[columns["source"]][0]).strip()
     if name is not None:
         meta["object"] = str(name)
+    names = [str(own[key]) for key in NAMES if key in own] + [str(name or "")]
+    places = {one: place_of(one) for one in names}
+    known = [one for one in names if places[one] is not None]
+    if (place := table_position(table)) is not None:
+        meta["position"] = place
+    elif known:
+        meta |= {"position": places[known[0]], "position_from": known[0]}
     if isinstance(text := own.get("beam"), str):
         with naming(f"{path}, beam in its meta"):
             meta["beam"] = parse_beam(text)

@@ -135,6 +135,20 @@ class EpochCube(ImageSeries):
         MemoryError
             If the images need more memory than this machine has.
 
+        Notes
+        -----
+        Scale and north are those of the sky where the structure is.  Where the
+        reference pixel lies far from the images, or the projection is not flat around
+        it, they get a tangent plane at the brightest pixel, or in the middle of the
+        structure; this pixel is then the origin of offsets, and such epochs are aligned
+        by their coordinates.  Where the scale differs by more than 2% over the
+        structure, the images are resampled onto a tangent plane with a warning, and
+        what covers too much of the sky for one is refused.  Directions refer to north
+        at the origin, and a warning says by how much it turns.
+
+        Regions may be drawn in any celestial frame; their angles are turned to the
+        north of the images.
+
         Examples
         --------
         >>> from astro_scc import EpochCube

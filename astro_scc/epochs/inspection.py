@@ -18,6 +18,7 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
+from astro_scc.images import local
 from astro_scc.images.extensions import is_visibilities
 from astro_scc.images.fits import (
     CORRECT_BEAM,
@@ -29,7 +30,8 @@ from astro_scc.images.fits import (
     open_fits,
     read_plane,
 )
-from astro_scc.images.grid import ONE_SHIFT, finest, in_frame, whole_step
+from astro_scc.images.frames import in_frame, north_in, separation
+from astro_scc.images.grid import ONE_SHIFT, finest, whole_step
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
 
@@ -97,7 +99,8 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
         ``date`` (masked where missing), ``nx``, ``ny``, ``pixel``,
         ``major``, ``minor``, ``pa``, ``peak``, ``noise``, ``peak_east`` and
         ``peak_north`` (offset of the brightest pixel from the reference
-        pixel), ``object``, ``frequency`` and ``problem``, empty if there is
+        pixel, or from the middle if that lies far away or the image is not
+        flat around it), ``object``, ``frequency`` and ``problem``, empty if there is
         none.  Unknown numbers are NaN or 0.
 
     Raises
@@ -116,6 +119,7 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     rows = [_row_of(path, k) for path in files for k in _frames(path)]
     rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
     planes = [row.pop("plane") for row in rows]
+    origins = [row.pop("origin") for row in rows]
     read = [i for i, plane in enumerate(planes) if plane is not None]
     unit = planes[read[0]].unit if read else u.dimensionless_unscaled
     for i in read:
@@ -134,7 +138,9 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
     columns["date"] = Time(dates, format="iso")
-    return QTable(columns)
+    # Of images that are not flat around their reference pixel, it is the middle.
+    origin = " or ".join(sorted({*origins} - {None}, reverse=True))
+    return QTable(columns, meta={"origin": origin})
 
 
 def kind_of(path):
@@ -167,7 +173,7 @@ def _row_of(path, frame):
     row = {"file": name, "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
     row |= {"object": "", "frequency": row.pop("frequency")}
-    row |= {"problem": [], "plane": None}
+    row |= {"problem": [], "plane": None, "origin": None}
     try:
         plane = read_plane(path, frame=frame)
         plane.take_uncertainty()
@@ -179,7 +185,10 @@ def _row_of(path, frame):
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    matrix = plane.wcs.pixel_scale_matrix * u.deg.to(u.mas)
+    plane.wcs = local.unwrapped(plane.wcs, plane.shape)
+    flat = _flat(plane)
+    row["origin"] = "the reference pixel" if flat is plane.wcs else "the middle"
+    matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
         row |= {k: getattr(plane.beam, k).value for k in ("major", "minor", "pa")}
@@ -192,11 +201,20 @@ def _row_of(path, frame):
     y, x = np.unravel_index(np.argmax(values), values.shape)
     row["peak"] = float(values[y, x])
     del values
-    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - plane.wcs.wcs.crpix + 1)
+    row["peak_east"], row["peak_north"] = matrix @ ([x, y] - flat.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
     plane.data = plane.mask = None
     return row | {"plane": plane}
+
+
+def _flat(plane):
+    """Return the WCS of an image, or its tangent plane in the middle."""
+    shape = plane.shape
+    if local.is_flat(plane.wcs, shape) and not local.is_far(plane.wcs, shape):
+        return plane.wcs
+    middle = local.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
+    return middle if np.all(np.isfinite(middle.pixel_scale_matrix)) else plane.wcs
 
 
 @dataclass(frozen=True)
@@ -410,8 +428,11 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = [in_frame(plane.wcs, "offset") for plane in planes]
-    k = finest(frames)
+    frames = [
+        in_frame(plane.wcs, "offset", north_in(plane.wcs, planes[0].wcs))
+        for plane in planes
+    ]
+    k = finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
         if whole_step(frame, frames[k], plane.shape, ONE_SHIFT) is None:
@@ -512,10 +533,3 @@ def _minority(values):
     usual = count.most_common(1)[0][0]
     name = values[keys.index(usual)]
     return [(i, values[i], name) for i, key in enumerate(keys) if key and key != usual]
-
-
-def separation(one, other):
-    """Return the distance of the reference pixels of two WCS on the sky, in degrees."""
-    (lon, lat), (lon_0, lat_0) = one.wcs.crval, other.wcs.crval
-    east = (lon - lon_0 + 180) % 360 - 180
-    return np.hypot(east * np.cos(np.radians(lat_0)), lat - lat_0)

@@ -15,10 +15,11 @@ from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
-from astro_scc.images import fits, grid, series
-from astro_scc.images.beam import different_beam
+from astro_scc.images import fits, grid, local, series
+from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.brightness import logarithm
 from astro_scc.images.cards import get
+from astro_scc.images.frames import in_frame, north_in, turned, with_frame
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
 from astro_scc.images.pixels import padding
 from astro_scc.images.positions import readable_angle
@@ -45,14 +46,16 @@ def read_files(files, times, beams, frame, *, check, region, pad):
         names = [_label(path, k) for path, k in images]
     windows = [None] * len(images)
     if region is not None:
-        planes = [fits.read_plane(path, pixels=False, frame=k) for path, k in images]
+        planes = [
+            _in_reach(fits.read_plane(path, pixels=False, frame=k)) for path, k in images
+        ]
         dates = series.as_times(list(map(_observed, planes, given[0])), len(images))
         first = planes[int(np.argmin((dates - dates[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
         for (path, k), name, window in zip(images, names, windows, strict=True):
-            plane = fits.read_plane(path, window=window, frame=k)
+            plane = _in_reach(fits.read_plane(path, window=window, frame=k))
             plane.label, (ny, nx) = name, plane.data.shape
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -110,6 +113,13 @@ def _plane_of(i, image):
         kind = type(image).__name__
         raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
+    return _in_reach(plane)
+
+
+def _in_reach(plane):
+    """Return a plane whose coordinates have the sky in its middle."""
+    shape = plane.shape if plane.data is None else plane.data.shape
+    plane.wcs = local.unwrapped(plane.wcs, shape)
     return plane
 
 
@@ -255,6 +265,7 @@ def _assemble(planes, times, beams, frame, check, source):
         _refuse_strangers(planes)
     else:
         series.warn_of_equal_dates(times)
+    frame = _trusted(planes, frame)
     for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
         warn(f"{planes[k].name}: {what}; {advice}")
     unit = planes[0].unit
@@ -268,10 +279,14 @@ def _assemble(planes, times, beams, frame, check, source):
     if resampled:
         ny, nx = fields["data"].shape[1:]
         warn(
-            f"{some(resampled)}: on another grid than the finest and therefore "
-            f"resampled to it; all are {nx} x {ny} pixels, masked outside each image, "
+            f"{some(resampled)}: on another grid than the finest (or turned, as those "
+            "of B1950 to those of J2000) and therefore resampled to it; all are "
+            f"{nx} x {ny} pixels, masked outside each image, "
             "and the noise of all is measured; leave it out if you do not want that"
         )
+    whole = np.max([plane.shape for plane in planes], axis=0)
+    line = grid.flatten(fields, planes[0].name, whole, unit)
+    resampled = resampled or line.startswith("resampled")
     beams = _all_or_none(planes, "beam", NO_BEAM)
     advice = "that of all is measured; give every image an uncertainty"
     noise = _all_or_none(planes, "noise", advice)
@@ -281,10 +296,20 @@ def _assemble(planes, times, beams, frame, check, source):
     names = {plane.facts.get("object") for plane in planes} - {None}
     meta = {"object": names.pop()} if len(names) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
-    meta["history"] = [f"{source}, aligned on their {laid}"]
+    meta["history"] = [f"{source}, aligned on their {laid}", *filter(None, [line])]
     fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
     fields |= {"beams": beams, "noise": noise}
     return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
+
+
+def _trusted(planes, frame):
+    """Return "absolute" where reference pixels are not places in the images."""
+    for plane in planes if frame == "offset" else ():
+        y, x = (np.array(plane.data.shape) - 1) / 2
+        usual = plane.wcs.pixel_scale_matrix
+        if max(local.differences(plane.wcs, (x, x, y, y), usual)) > local.EVEN:
+            return "absolute"
+    return frame
 
 
 def _all_or_none(planes, what, advice):
@@ -305,7 +330,10 @@ def windows_of(planes, first, frame, region, pad=0):
     offsets, and slightly more if images are not whole pixels apart.  An image without
     a pixel in the region raises a ValueError.
     """
-    own, *frames = [grid.in_frame(plane.wcs, frame) for plane in (first, *planes)]
+    own, *frames = [
+        in_frame(plane.wcs, frame, north_in(plane.wcs, first.wcs))
+        for plane in (first, *planes)
+    ]
     copied = (
         grid.whole_step(own, wcs, first.shape, grid.ONE_SHIFT) is not None
         for wcs in frames
@@ -358,8 +386,12 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    frames, resampled = [grid.in_frame(plane.wcs, frame) for plane in planes], []
-    sizes = [grid.pixel_area(plane.wcs) ** 0.5 for plane in planes]
+    norths, resampled = [north_in(p.wcs, planes[0].wcs) for p in planes], []
+    frames = [
+        in_frame(plane.wcs, frame, north)
+        for plane, north in zip(planes, norths, strict=True)
+    ]
+    sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     for plane, size, one in zip(planes, sizes, grids, strict=True):
@@ -382,9 +414,17 @@ def lay_on_one_grid(planes, frame, unit):
         names = ("crval", "radesys", "equinox", "lonpole", "latpole")
         inner = [plane.wcs.wcs for plane in planes]
         own = [
-            grid.with_frame(new, w.ctype, **{n: getattr(w, n) for n in names})
-            for w in inner
+            with_frame(
+                turned(new, -north), w.ctype, **{n: getattr(w, n) for n in names}
+            )
+            for w, north in zip(inner, norths, strict=True)
         ]
+    else:
+        norths = [north_in(plane.wcs, new) for plane in planes]
+    for plane, north in zip(planes, norths, strict=True):
+        if plane.beam is not None and north != 0:
+            pa = plane.beam.pa + north * u.rad
+            plane.beam = Beam(plane.beam.major, plane.beam.minor, pa)
     data = np.empty((len(planes), *shape))
     mask = np.empty(data.shape, dtype=bool)
     for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):

@@ -18,10 +18,19 @@ from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 from scipy import ndimage
 
 from astro_scc.exceptions import warn
+from astro_scc.images import local
 from astro_scc.images.beam import is_per
+from astro_scc.images.frames import region_in_frame
 from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series, as_shape, naming
+from astro_scc.images.series import (
+    ImageSeries,
+    Series,
+    as_shape,
+    flat_wcs,
+    mean_of,
+    naming,
+)
 
 # Pixels are copied if a shift is this near to whole pixels; sky coordinates in
 # degrees resolve pixels of microarcseconds to about 1e-4.
@@ -169,10 +178,24 @@ def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXE
     moved = lay((filled, wcs), grid, **options)
     weight = linear((bad.astype(float), wcs), grid, **options)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
-    area = pixel_area(grid) / pixel_area(wcs)
-    if is_per(unit, "pix", "pixel") and not np.isclose(area, 1, rtol=1e-6):
-        moved *= area
+    if is_per(unit, "pix", "pixel"):
+        moved *= area_ratio(wcs, grid, shape)
     return np.where(mask, np.nan, moved), mask, False
+
+
+def area_ratio(wcs, grid, shape):
+    """Return the areas of the pixels (ny, nx) of a grid over those of a WCS there."""
+    ny, nx = shape
+    x, y = np.array([[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]) * [[nx - 1], [ny - 1]]
+
+    def ratio(x, y):
+        there = pixel_to_pixel(grid, wcs, x, y)
+        return local.local_area(grid, x, y) / local.local_area(wcs, *there)
+
+    few = ratio(x, y)
+    if np.allclose(few, few[0], rtol=1e-6):
+        return 1.0 if np.isclose(few[0], 1, rtol=1e-6) else few[0]
+    return ratio(*np.indices(shape)[::-1])
 
 
 def reproject_cube(
@@ -249,12 +272,16 @@ def reproject_cube(
             "the new wcs has another celestial frame, in which the position angles "
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
-    side, own = (np.sqrt(pixel_area(grid)) * u.deg for grid in (wcs, cube.wcs))
+    side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
+    own = np.sqrt(pixel_area(cube.wcs)) * u.deg
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
     coarse = side > 1.01 * max(own, min(sampled, default=own))
     options = {"shape": shape, "unit": cube.unit, "averaged": coarse}
     data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
-    fields = {"data": data, "mask": mask, "wcs": wcs.deepcopy(), "epoch_wcs": None}
+    flat = wcs.deepcopy()
+    if not local.is_flat(wcs, shape):
+        flat = flat_wcs(wcs, data, mask)
+    fields = {"data": data, "mask": mask, "wcs": flat, "epoch_wcs": None}
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
@@ -266,33 +293,13 @@ def reproject_cube(
 
 
 def pixel_area(wcs):
-    """Return the solid angle of a pixel in square degrees."""
+    """Return the solid angle of the reference pixel in square degrees."""
     return abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
-def in_frame(wcs, frame):
-    """Return a WCS; for offsets, one with its reference pixel at (0, 0)."""
-    if frame == "absolute":
-        return wcs
-    return with_frame(
-        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
-    )
-
-
-def with_frame(wcs, axes, **values):
-    """Return a copy of a WCS with other axis names and frame values."""
-    changed = wcs.deepcopy()
-    codes = zip(axes, wcs.wcs.ctype, strict=True)
-    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
-    for name, value in values.items():
-        setattr(changed.wcs, name, value)
-    changed.wcs.set()
-    return changed
-
-
 def finest(grids):
-    """Return the index of the first WCS among those with the smallest pixels."""
-    areas = np.array([pixel_area(wcs) for wcs in grids])
+    """Return the index of the first (shape, wcs) among those with smallest pixels."""
+    areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
     return int(np.argmax(areas <= areas.min() * (1 + 1e-6)))
 
 
@@ -334,8 +341,8 @@ def shared_grid(grids):
     >>> shape, grid.wcs.crpix.tolist()
     ((16, 20), [12.0, 8.0])
     """
-    areas = np.array([pixel_area(wcs) for _, wcs in grids])
-    fine = grids[finest([wcs for _, wcs in grids])][1]
+    areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
+    fine = grids[finest(grids)][1]
     edge = np.linspace(0, 1, 33)
     sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
     outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
@@ -355,6 +362,51 @@ def shared_grid(grids):
     shared = moved_wcs(fine, -first)
     shared.array_shape = shape = tuple(size[::-1].astype(int).tolist())
     return shared, shape
+
+
+def flatten(fields, name, whole, unit):
+    """
+    Make one matrix hold where the structure of the images is, and return how.
+
+    The coordinates are replaced in place, and the images if they must be resampled.
+    ``name`` is that of an image, and ``whole`` the shape of files of which these may be
+    parts.
+    """
+    data, mask, wcs = (fields[name] for name in ("data", "mask", "wcs"))
+    far = local.is_far(wcs, whole)
+    if not far and local.is_flat(wcs, data.shape[1:]):
+        return ""
+    mean = mean_of(data, mask)
+    flat, turn = local.flat_wcs(wcs, mean, moved=far)
+    if flat is wcs:
+        return ""
+    if flat is not None:
+        place = flat.wcs.crpix - 1
+        own = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
+        line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
+        line = line.format(*place)
+    else:
+        with naming(f"{name} and the other images"):
+            flat, turn = local.tangent_grid(wcs, mean)
+        shape, code = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
+        data, mask, _ = regrid(data, mask, wcs, flat, shape=shape, unit=unit)
+        own = [flat] * len(data)
+        line = (
+            f"resampled onto a tangent plane of {shape[1]} x {shape[0]} pixels at the "
+            "structure"
+        )
+        warn(
+            f"all images are {line}: their projection ({code}) changes the scale over "
+            "it; reproject them yourself if you want another grid"
+        )
+        fields |= {"data": data, "mask": mask}
+    if turn > local.EVEN:
+        warn(
+            f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
+            "structure to its edges; directions refer to north in the middle"
+        )
+    fields |= {"wcs": flat, "epoch_wcs": tuple(own)}
+    return line
 
 
 def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
@@ -447,7 +499,9 @@ def _combine(cube, items, name, places):
     for item, include in zip(items, wanted, strict=True):
         try:
             # Images are small enough for spherical regions to be flat in them.
-            pixel = item if isinstance(item, PixelRegion) else item.to_pixel(cube.wcs)
+            pixel = item
+            if not isinstance(item, PixelRegion):
+                pixel = region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
             if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
                 continue
             mask = pixel.to_mask(mode="center")

@@ -129,6 +129,10 @@ def _repaired(header):
             with suppress(fits.VerifyError, ValueError):
                 cards[keyword] = fits.Card(keyword, value)
     clean = fits.Header(cards.values())
+    if not any("-SIP" in str(clean.get(f"CTYPE{axis}")) for axis in (1, 2)):
+        # Images that were resampled keep the coefficients of the distorted ones.
+        for keyword in [key for key in clean if _SIP.match(key)]:
+            del clean[keyword]
     if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
         clean["EQUINOX"] = epoch
     return clean
@@ -213,6 +217,10 @@ def as_celestial(wcs):
         wcs = wcs.celestial
     if wcs.wcs.lng > wcs.wcs.lat:
         raise ContentError("wcs has latitude on its first axis; transpose the images")
+    if wcs.sip is not None and not any("-SIP" in code for code in wcs.wcs.ctype):
+        # Left over from the image that was resampled.
+        wcs = wcs.deepcopy()
+        wcs.sip = None
     if wcs.has_distortion:
         raise ContentError("wcs has distortions (SIP); resample the images first")
     return wcs

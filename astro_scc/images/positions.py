@@ -28,6 +28,8 @@ LONGITUDE = {
     r"(\b|_)east(?=_|$)": r"\1lon_offset",
     r"(\b|_)north(?=_|$)": r"\1lat_offset",
 }
+#: Name of coordinates that are offsets in a plane, however large a pixel is.
+PLANE = "OFFSETS"
 #: Longitude and latitude of a source whose position is not known.
 UNKNOWN = (180.0, 0.0)
 #: Resolution of images without a beam, in pixels.
@@ -75,6 +77,7 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     wcs.wcs.crpix = np.asarray(reference_pixel, dtype=float) + 1
     wcs.wcs.cdelt = -step, step
     wcs.wcs.radesys = "ICRS"
+    wcs.wcs.name = PLANE
     wcs.wcs.set()
     return wcs
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
-from astro_scc.images import positions
+from astro_scc.images import local, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
 from astro_scc.images.brightness import logarithm
 from astro_scc.images.headers import as_celestial, epoch_header
@@ -78,6 +78,8 @@ class ImageSeries:
         vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=own)
         vars(self).update(meta=dict(self.meta))
         self._refuse_empty()
+        if not local.is_flat(self.wcs, data.shape[1:]):
+            vars(self).update(wcs=flat_wcs(self.wcs, data, self.mask))
         order = order_of(times)
         warn_of_equal_dates(times[order])
         if np.any(np.diff(order) < 0):
@@ -219,12 +221,9 @@ class ImageSeries:
         `~astropy.nddata.CCDData`
             Masked and NaN where no epoch has the pixel.
         """
-        count = np.sum(~self.mask, axis=0)
-        total = np.sum(self.data, axis=0, where=~self.mask)
-        mean = np.full(total.shape, np.nan)
-        np.divide(total, count, out=mean, where=count > 0)
+        mean = mean_of(self.data, self.mask)
         wcs, meta = self.wcs.deepcopy(), {"n_epochs": len(self)}
-        return CCDData(mean, unit=self.unit, mask=count == 0, wcs=wcs, meta=meta)
+        return CCDData(mean, unit=self.unit, mask=np.isnan(mean), wcs=wcs, meta=meta)
 
     def noise_rms(self) -> u.Quantity:
         """
@@ -284,7 +283,8 @@ class ImageSeries:
         Offsets (east, north) of one pixel step in (x, y), shape (2, 2).
 
         ``(east, north) = pixel_matrix @ (dx, dy)``.  It is the CD matrix of the
-        WCS in angles.
+        WCS in angles, which holds where the structure is: if that of the images does
+        not, ``wcs`` is a tangent plane there.
         """
         return (self.wcs.pixel_scale_matrix * u.deg).to(u.mas)
 
@@ -351,6 +351,22 @@ class ImageSeries:
         """
         y, x = np.indices(self.shape[1:])
         return self.pixel_to_offset(x, y)
+
+
+def flat_wcs(wcs, data, mask):
+    """Return coordinates with a matrix that holds in images, see `local.flat_wcs`."""
+    flat, _ = local.flat_wcs(wcs, mean_of(data, mask))
+    if flat is None:
+        raise ValueError(local.too_wide(wcs))
+    return flat
+
+
+def mean_of(data, mask):
+    """Return the mean of images, NaN where none has the pixel."""
+    count = np.sum(~mask, axis=0)
+    mean = np.full(count.shape, np.nan)
+    total = np.sum(data, axis=0, where=~mask)
+    return np.divide(total, count, out=mean, where=count > 0)
 
 
 @contextmanager

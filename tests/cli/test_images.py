@@ -82,6 +82,33 @@ def test_restore_and_inspect_components(done, here):
     assert "No problems." in out
 
 
+def test_restore_lists_the_sources_of_tables(done, refused, here):
+    words = "source epoch feature flux separation position_angle"
+    rows = [f"{s} 2006-0{k}-09 0 1 0 0" for s in ("0430+052", "x") for k in (1, 2)]
+    units = dict.fromkeys(words.split()[3:]) | {"flux": "Jy", "separation": "mas"}
+    units["position_angle"] = "deg"
+    table = QTable.read([words, *rows], format="ascii.basic")
+    for name, unit in units.items():
+        table[name].unit = unit
+    table.write(here / "t.ecsv")
+    out, err = done("restore", "t.ecsv", "--list")
+    assert err == ""
+    head, *lines = [line.split() for line in out.splitlines() if line]
+    assert head == ["source", "also", "epochs", "first", "last"]
+    assert lines == [
+        ["0430+052", "3C", "120", "2", "2006-01-09", "2006-02-09"],
+        ["x", "-", "2", "2006-01-09", "2006-02-09"],
+    ]
+    how = ["--beam", "1 mas", "--pixel", "0.2 mas", "-o", "images", "t.ecsv"]
+    assert "--list lists them" in refused("restore", *how)
+    assert "--list lists all" in refused("restore", *how, "--source", "3C 273")
+    done("restore", *how, "--source", "3C 120")
+    header = fits.getheader(min((here / "images").glob("*.fits")))
+    # 04h30m +05.2 of B1950.
+    assert header["CRVAL1"] == pytest.approx(68.164, abs=1e-3)
+    assert header["CRVAL2"] == pytest.approx(5.305, abs=1e-3)
+
+
 # -- inspect -------------------------------------------------------------------------
 
 

@@ -93,6 +93,11 @@ bad_2006-03-09.mod | bad_2006-03-09.mod, line 1:
     'restore MODELS -o out --beam "1 mas 0.5 mas 3 deg"': """
 --pixel "0.6 mas" | a pixel of 0.6 mas is larger than the beam of 0.5 mas; give a fifth
 """,
+    "restore MODELS": """
+-o out | error: --pixel must be given to make images (--list makes none)
+--pixel "0.1 mas" | error: -o must be given to make images
+--beam "1 mas" | error: -o and --pixel must be given to make images
+""",
     "restore -o out MODELS": """
 --pixel "0.1 mas" | 3c1_2006-03-09.mod: is a list of
 """,

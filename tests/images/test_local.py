@@ -1,0 +1,492 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Scale, north and offsets of images in all projections, as the sky has them."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import FK4, SkyCoord
+from astropy.io import fits
+from astropy.nddata import CCDData
+from astropy.wcs import WCS
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from regions import (
+    CircleAnnulusSkyRegion,
+    EllipseAnnulusSkyRegion,
+    EllipseSkyRegion,
+    PolygonSkyRegion,
+    RectangleAnnulusSkyRegion,
+    RectangleSkyRegion,
+)
+
+from astro_scc.epochs import Beam, EpochCube, inspect_epochs
+from astro_scc.exceptions import EpochWarning
+from astro_scc.images import local
+from astro_scc.images.frames import north_in, separation, turned
+from astro_scc.images.grid import region_mask
+from astro_scc.images.positions import offset_wcs
+
+NY, NX = 24, 32
+DATES = ["2010-01-01", "2011-01-01", "2012-01-01"]
+#: Projection -> the largest native latitude, or the largest distance from the centre,
+#: at which places are tried, and its parameters.
+CYLINDERS = {"CAR": {}, "CEA": {"PV2_1": 1.0}, "MER": {}, "CYP": {}}
+OTHERS = {"HPX": {}, "SFL": {}, "AIT": {}, "MOL": {}, "PAR": {}, "COE": {"PV2_1": 45.0}}
+ZENITHAL = {
+    "TAN": {}, "SIN": {}, "ARC": {}, "STG": {}, "ZEA": {},
+    "ZPN": {"PV2_1": 1.0, "PV2_3": 0.05},
+    "TPV": {"PV1_1": 1.002, "PV1_2": 0.003, "PV2_1": 0.998, "PV2_4": 1e-3},
+    "NCP": None,
+}  # fmt: skip
+
+
+def header(code, place=(0.0, 0.0), step=1e-4, turn=0.0, mirrored=False, kind="RA"):
+    """Return a header whose image shows a place (lon, lat) in its middle."""
+    made = fits.Header()
+    first = {"RA": ("RA---", "DEC--"), "GLON": ("GLON-", "GLAT-")}
+    first |= {"CRLN": ("CRLN-", "CRLT-"), "HPLN": ("HPLN-", "HPLT-")}
+    made["CTYPE1"], made["CTYPE2"] = (name + code for name in first[kind])
+    made["CUNIT1"] = made["CUNIT2"] = "deg"
+    made["CRVAL1"], made["CRVAL2"] = 120.0, 0.0
+    if code in ZENITHAL:
+        made["CRVAL1"], made["CRVAL2"] = place[0] + 1.5, np.clip(place[1] - 1, -88, 88)
+    if code == "COE":
+        made["CRVAL2"] = 45.0
+    made.update((CYLINDERS | OTHERS | ZENITHAL)[code] or {})
+    if code == "NCP":
+        made["CTYPE1"], made["CTYPE2"] = "RA---SIN", "DEC--SIN"
+        made["CRVAL2"] = np.where(abs(made["CRVAL2"]) < 20, 30.0, made["CRVAL2"]).item()
+        made["PV2_2"] = 1 / np.tan(np.radians(made["CRVAL2"]))
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    left = 1 if mirrored else -1
+    matrix = step * np.array([[left * c, -left * s], [s, c]])
+    for i in (0, 1):
+        for k in (0, 1):
+            made[f"CD{i + 1}_{k + 1}"] = matrix[i, k]
+    wcs = WCS(made)
+    wcs.wcs.bounds_check(False, False)
+    made["CRPIX1"], made["CRPIX2"] = 0.0, 0.0
+    x, y = WCS(made).world_to_pixel_values(*place)
+    made["CRPIX1"], made["CRPIX2"] = (NX - 1) / 2 - x, (NY - 1) / 2 - y
+    return made
+
+
+def images(speed=2.0, shape=(NY, NX), at=None):
+    """Return three images of a spot that moves along x, and one that stands still."""
+    y, x = np.indices(shape)
+    x0, y0 = ((shape[1] - 1) / 2, (shape[0] - 1) / 2) if at is None else at
+    made = []
+    for i in range(3):
+        image = np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 4)
+        image += 0.5 * np.exp(-((x - x0 - 4 - speed * i) ** 2 + (y - y0) ** 2) / 4)
+        made.append(image + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + i))
+    return made
+
+
+def read(head, own=None):
+    wcs = WCS(head)
+    own = images() if own is None else own
+    return EpochCube.from_ccddata(
+        [CCDData(image, unit="ct", wcs=wcs) for image in own], times=DATES
+    )
+
+
+def step_on_sky(wcs, x, y, dx, dy):
+    """Return length and position angle of a step on the sky, in mas and radians."""
+    wcs = wcs.deepcopy()
+    wcs.wcs.bounds_check(False, False)
+    lon, lat = wcs.pixel_to_world_values([x, x + dx], [y, y + dy])
+    one, other = SkyCoord(lon, lat, unit="deg")
+    return one.separation(other).to_value(u.mas), one.position_angle(other).rad
+
+
+places = st.tuples(st.floats(0, 360), st.floats(-80, 80))
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    code=st.sampled_from([*CYLINDERS, *OTHERS, *ZENITHAL]),
+    place=places,
+    turn=st.floats(0, 360),
+    mirrored=st.booleans(),
+    step=st.sampled_from([1e-8, 3e-5, 3e-4]),
+    angle=st.floats(0, 2 * np.pi),
+)
+def test_a_step_is_as_long_as_on_the_sky_and_of_the_same_direction(
+    code, place, turn, mirrored, step, angle
+):
+    head = header(code, place, step, turn, mirrored)
+    assume(np.all(np.isfinite([head["CRPIX1"], head["CRPIX2"]])))
+    x, y = (NX - 1) / 2, (NY - 1) / 2
+    dx, dy = 2 * np.cos(angle), 2 * np.sin(angle)
+    length, pa = step_on_sky(WCS(head), x, y, dx, dy)
+    assume(np.isfinite(length))
+    cube = read(head)
+    assert cube.shape == (3, NY, NX)
+    east, north = np.subtract(
+        u.Quantity(cube.pixel_to_offset(x + dx, y + dy)).value,
+        u.Quantity(cube.pixel_to_offset(x, y)).value,
+    )
+    assert_allclose(np.hypot(east, north), length, rtol=1e-3)
+    turn = (np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi
+    assert abs(turn) < 1e-3
+    # Pixels stay where they are on the sky, to a hundredth of their side.
+    found = cube.wcs.pixel_to_world(x, y).spherical
+    there = WCS(head)
+    there.wcs.bounds_check(False, False)
+    lon, lat = there.pixel_to_world_values(x, y)
+    off = SkyCoord(found.lon, found.lat).separation(SkyCoord(lon, lat, unit="deg"))
+    assert off.deg < 0.03 * step
+    assert np.hypot(*cube.pixel_to_offset(x, y)).value < 20 * length
+
+
+def assert_as_on_sky(cube, wcs, x, y, rtol=1e-3):
+    """Compare two steps on the cube's grid with those on the sky."""
+    for dx, dy in ((1.0, 0.0), (0.5, 1.0)):
+        length, pa = step_on_sky(wcs, x, y, dx, dy)
+        east, north = cube.pixel_matrix.value @ [dx, dy]
+        assert_allclose(np.hypot(east, north), length, rtol=rtol)
+        assert abs((np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi) < rtol
+
+
+@pytest.mark.parametrize("kind", ["GLON", "CRLN", "HPLN"])
+@pytest.mark.parametrize("turn", [0.0, 130.0])
+@pytest.mark.parametrize("code", ["CAR", "TAN", "CEA"])
+def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
+    head = header(code, (120.5, 55.0), 3e-4, turn, kind != "GLON", kind)
+    cube = read(head)
+    assert cube.wcs.wcs.ctype[0].startswith(kind)
+    assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2)
+
+
+@pytest.mark.parametrize("pole", [89.5, 89.9, -89.7])
+@pytest.mark.parametrize("code", ["TAN", "SIN", "ZEA", "CAR"])
+def test_images_near_a_pole(code, pole):
+    head = header(code, (200.0, pole), 5e-5)
+    head["CRVAL1"], head["CRVAL2"] = (120.0, 0.0 if code == "CAR" else 0.995 * pole)
+    head["CRPIX1"] = head["CRPIX2"] = 0.0
+    x, y = WCS(head).world_to_pixel_values(200.0, pole)
+    head["CRPIX1"], head["CRPIX2"] = (NX - 1) / 2 - x, (NY - 1) / 2 - y
+    cube = read(head)
+    assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2, 3e-3)
+
+
+@pytest.mark.parametrize("turns", [-1, 1, 2])
+@pytest.mark.parametrize("code", ["CAR", "CEA", "MER"])
+@pytest.mark.parametrize("lat", [0.0, -40.0, 60.0])
+def test_longitudes_that_were_counted_on_past_half_a_turn(code, turns, lat):
+    head = header(code, (100.0, lat), 1e-3)
+    straight = read(head)
+    wcs = WCS(head)
+    head["CRPIX1"] += turns * 360 / 1e-3
+    cube = read(head)
+    assert_allclose(cube.pixel_matrix.value, straight.pixel_matrix.value, atol=1)
+    there, here = (one.wcs.pixel_to_world_values(9, 9) for one in (straight, cube))
+    assert_allclose(here, there, atol=1e-5)
+    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
+
+
+def test_images_that_straddle_the_end_of_a_cylinder():
+    head = header("CAR", (120.0, 50.0), 0.001)
+    wcs = WCS(head)
+    # The meridian opposite to the reference point runs through the middle.
+    head["CRVAL1"] = 300.0
+    head["CRPIX1"] -= 180 / 0.001
+    assert_as_on_sky(read(head), wcs, (NX - 1) / 2, (NY - 1) / 2)
+
+
+def test_structure_far_from_the_reference_pixel_of_a_mosaic():
+    head = header("TAN", (120.0, 40.0), 0.03)
+    head.update({"CRPIX1": 150.0, "CRPIX2": 150.0, "CRVAL1": 120.0, "CRVAL2": 40.0})
+    wcs = WCS(head)
+    own = images(shape=(300, 300), at=(280, 275))
+    for x, y in ((280, 275), (150, 150)):
+        cube = read(head, images(shape=(300, 300), at=(x, y)))
+        assert_as_on_sky(cube, wcs, x, y, 3e-3)
+    # What is made of arrays has the same coordinates.
+    flat = read(head, own)
+    cube = EpochCube(np.array(own), DATES, wcs, "ct")
+    assert_allclose(cube.pixel_matrix.value, flat.pixel_matrix.value)
+    assert cube.reference_pixel == flat.reference_pixel
+    crop = flat.crop((slice(255, 300), slice(250, 300)))
+    assert_allclose(crop.pixel_matrix.value, flat.pixel_matrix.value)
+
+
+@pytest.mark.parametrize("code", ["CAR", "CEA", "MER", "HPX"])
+def test_images_are_resampled_where_one_matrix_does_not_hold(code):
+    shape = (80, 60)
+    # Beyond latitudes of 41 degrees, HPX has gaps.
+    head = header(code, (120.0, 28.0 if code == "HPX" else 55.0), 0.2)
+    for i, n in ((1, shape[1] - NX), (2, shape[0] - NY)):
+        head[f"CRPIX{i}"] += n / 2
+    wcs = WCS(head)
+    y, x = np.indices(shape)
+    spots = [(20, 15), (40, 60), (25, 45)]
+    own = [
+        sum(np.exp(-((x - a - i) ** 2 + (y - b) ** 2) / 4) for a, b in spots)
+        + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + i)
+        for i in range(3)
+    ]
+    with pytest.warns(EpochWarning, match=".") as said:
+        cube = EpochCube.from_ccddata(
+            [CCDData(image, unit="ct / pix", wcs=wcs) for image in own], times=DATES
+        )
+    said = " ".join(str(w.message) for w in said)
+    assert "all images are resampled onto a tangent plane" in said
+    assert "north turns by" in said
+    assert cube.noise is None
+    assert "resampled onto a tangent plane" in cube.meta["history"][-1]
+    assert cube.wcs.wcs.ctype[0] == "RA---ARC"
+    # Flux per pixel is kept, and each spot stays at its place and moves as on the sky.
+    assert_allclose(np.nansum(cube.data[0]), own[0].sum(), rtol=0.03)
+    for a, b in spots:
+        there = [
+            np.ravel(cube.wcs.world_to_pixel(wcs.pixel_to_world(a + i, b)))
+            for i in (0, 2)
+        ]
+        for i, (u0, v0) in zip((0, 2), there, strict=True):
+            near = cube.data[
+                i, round(v0) - 1 : round(v0) + 2, round(u0) - 1 : round(u0) + 2
+            ]
+            assert near.max() > 0.4 * np.nanmax(cube.data[i])
+        length, _ = step_on_sky(wcs, a, b, 2, 0)
+        step = cube.pixel_matrix.value @ np.subtract(*there)
+        assert_allclose(np.hypot(*step), length, rtol=0.02)
+
+
+def test_structure_over_much_of_the_sky_is_refused():
+    head = header("CAR", (120.0, 30.0), 5.0)
+    y, x = np.indices((NY, NX))
+    own = [image + (x % 5 == 0) * (y % 5 == 0) for image in images()]
+    with pytest.raises(
+        ValueError, match="image 0 and the other.*projection .CAR.*crop"
+    ):
+        read(head, own)
+    wide = header("CAR", (120.0, 0.0), 5.0)
+    with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
+        EpochCube(np.array(own), DATES, WCS(wide), "ct")
+    flat = EpochCube.from_arrays(own, DATES, pixel_scale=1 * u.deg)
+    wide["CRVAL1"] = 180.0
+    with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
+        flat.reproject_to(WCS(wide), (NY, NX))
+
+
+def test_a_new_grid_has_the_scale_of_the_sky():
+    head = header("CAR", (180.0, 60.0), 1e-3)
+    wcs = WCS(head)
+    cube = read(header("TAN", (180.0, 60.0), 1e-3)).reproject_to(wcs, (NY, NX))
+    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
+
+
+def test_far_reference_pixels_are_no_origin(tmp_path):
+    """Along the equator the matrix of a cylinder holds, but its offsets say nothing."""
+    paths = []
+    for i, (image, date) in enumerate(zip(images(), DATES, strict=True)):
+        for code, lat in (("CAR", 0.0), ("TAN", 30.0)):
+            head = header(code, (170.0 if code == "CAR" else 100.0, lat), 1e-3)
+            head["DATE-OBS"], head["BUNIT"] = date, "ct"
+            paths.append(tmp_path / f"{code}{i}.fits")
+            fits.writeto(paths[-1], image, head)
+    for code in ("CAR", "TAN"):
+        files = [path for path in paths if path.name.startswith(code)]
+        table = inspect_epochs(files)
+        offset = np.hypot(table["peak_east"], table["peak_north"]).to_value(u.deg)
+        assert np.all(offset < 0.05)
+        cube = EpochCube.read(files)
+        assert np.all(np.abs(np.array(cube.reference_pixel) - [15.5, 11.5]) < 1)
+        assert "offsets are from pixel" in cube.meta["history"][-1]
+        assert cube.align("wcs").meta["alignment"][-1]["shift_east_mas"] == 0
+
+
+@pytest.mark.parametrize("other", ["SIN", "CAR", "ZEA", "TPV", "HPX"])
+@pytest.mark.parametrize("turn", [0.0, 40.0])
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.filterwarnings("ignore:.*:astro_scc.exceptions.EpochWarning")
+def test_epochs_of_several_projections_lie_at_their_places(other, turn, mirrored):
+    place = (121.0, 35.0)
+    heads = header("TAN", place, 2e-4), header(other, place, 3e-4, turn, mirrored)
+    cube = EpochCube.from_ccddata(
+        [CCDData(images()[0], unit="ct", wcs=WCS(head)) for head in (*heads, heads[1])],
+        times=DATES,
+        frame="absolute",
+    )
+    middle = SkyCoord(*place, unit="deg")
+    x, y = cube.wcs.world_to_pixel(middle)
+    rows = slice(round(float(y)) - 3, round(float(y)) + 4)
+    columns = slice(round(float(x)) - 3, round(float(x)) + 4)
+    v, w = np.indices((7, 7))
+    for part in cube.data[:, rows, columns] ** 3:
+        centre = np.array([np.sum(part * w), np.sum(part * v)]) / part.sum()
+        assert_allclose(centre + [columns.start, rows.start], [x, y], atol=0.6)
+    assert_as_on_sky(cube, WCS(heads[0]), (NX - 1) / 2, (NY - 1) / 2)
+
+
+# -- equinoxes -----------------------------------------------------------------------
+
+
+def equinoxes(lat, frames=("B1950", "J2000")):
+    """Return the WCS of one place in B1950 and in J2000."""
+    place = SkyCoord(83.0, lat, unit="deg", frame="fk5")
+    old = place.transform_to(FK4(equinox="B1950"))
+    made = []
+    for where, equinox in ((old, 1950.0), (place, 2000.0)):
+        head = header("SIN", (83.0, lat), 0.1 / 3.6e6)
+        head.update(
+            {"CRVAL1": where.ra.deg, "CRVAL2": where.dec.deg, "EQUINOX": equinox}
+        )
+        head.update({"CRPIX1": 8.0, "CRPIX2": 12.0})
+        made.append(WCS(head))
+    return made
+
+
+@pytest.mark.parametrize("lat", [-70.0, 0.0, 62.0, 85.0])
+def test_one_place_is_one_place_in_either_equinox(lat):
+    old, new = equinoxes(lat)
+    assert separation(old, new) == separation(new, old) == 0
+    away = new.deepcopy()
+    away.wcs.crval = new.wcs.crval + [0, 0.01]
+    assert_allclose([separation(away, new), separation(old, away)], 0.01, rtol=0.01)
+    # The north of B1950 as J2000 has it, by two places on the sky.
+    turn = (north_in(old, new) + np.pi) % (2 * np.pi) - np.pi
+    step = SkyCoord(*old.wcs.crval, unit="deg", frame=FK4(equinox="B1950"))
+    ahead = step.directional_offset_by(0 * u.deg, 1 * u.arcmin)
+    wanted = step.icrs.position_angle(ahead.icrs).wrap_at(180 * u.deg).rad
+    assert_allclose(turn, wanted, atol=1e-5)
+
+
+@pytest.mark.filterwarnings("error", "ignore:.*on another grid")
+def test_epochs_of_both_equinoxes_have_one_north():
+    old, new = equinoxes(80.0)
+    turn = north_in(old, new)
+    beam = Beam(0.6 * u.mas, 0.3 * u.mas, 20 * u.deg)
+    # A spot in the frame of J2000, seen on the grid of B1950.
+    east, north = 1.2, 0.4
+    x, y = np.indices((NY, NX))[::-1]
+    own = []
+    for angle in (0.0, turn):
+        step = turned(new, angle).pixel_scale_matrix * 3.6e6
+        x0, y0 = np.linalg.solve(step, [east, north]) + [7, 11]
+        own.append(np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 8))
+    cube = EpochCube.from_ccddata(
+        [
+            CCDData(i, unit="Jy/beam", wcs=w)
+            for i, w in zip(own, (new, old), strict=True)
+        ],
+        times=DATES[:2],
+        beams=beam,
+    )
+    assert_allclose(np.nan_to_num(cube.data[0] - cube.data[1])[:, 3:-3], 0, atol=2e-3)
+    assert_allclose(cube.beams[0].pa.to_value(u.deg), 20)
+    turned_by = (cube.beams[1].pa - 20 * u.deg).to_value(u.rad)
+    assert_allclose(np.sin(turned_by - turn), 0, atol=1e-6)
+    # Each has the coordinates of its own file.
+    assert cube.epoch_wcs[1].wcs.equinox == 1950
+    assert_allclose(
+        cube.epoch_wcs[1].pixel_scale_matrix,
+        turned(new, -turn).pixel_scale_matrix,
+        atol=1e-12,
+    )
+
+
+# -- regions -------------------------------------------------------------------------
+
+MAS = u.mas
+
+
+@pytest.mark.parametrize(
+    "drawn", ["galactic", "fk4", "fk5", "icrs", "barycentricmeanecliptic"]
+)
+@pytest.mark.parametrize("image", ["RA", "GLON"])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
+    drawn, image, mirrored
+):
+    turn = 25.0
+    head = header("SIN", (83.0, 22.0), 0.1 / 3.6e6, turn, mirrored, image)
+    head.update({"CRVAL1": 83.0, "CRVAL2": 22.0, "CRPIX1": 40.0, "CRPIX2": 40.0})
+    wcs = WCS(head)
+    cube = EpochCube(np.ones((1, 80, 80)), DATES[:1], wcs)
+    own = SkyCoord(
+        83.0, 22.0, unit="deg", frame="icrs" if image == "RA" else "galactic"
+    )
+    centre = own.transform_to(drawn)
+    where = {"center": centre, "angle": 30 * u.deg}
+    # Places on the sky in the frame of the drawing, along and across the region.
+    for region in (
+        EllipseSkyRegion(width=6 * MAS, height=1 * MAS, **where),
+        RectangleSkyRegion(width=6 * MAS, height=1 * MAS, **where),
+        EllipseAnnulusSkyRegion(
+            inner_width=0.1 * MAS, outer_width=6 * MAS, inner_height=0.05 * MAS,
+            outer_height=1 * MAS, **where,
+        ),
+        RectangleAnnulusSkyRegion(
+            inner_width=0.1 * MAS, outer_width=6 * MAS, inner_height=0.05 * MAS,
+            outer_height=1 * MAS, **where,
+        ),
+    ):  # fmt: skip
+        inside = region_mask(cube, region)
+        # The angle runs from the axis of longitude, which is west in DS9's images.
+        pa = 30 * u.deg - 90 * u.deg
+        for away, expected in ((2.7, True), (3.3, False), (-2.7, True)):
+            place = centre.directional_offset_by(pa, away * MAS)
+            x, y = np.rint(wcs.world_to_pixel(place)).astype(int)
+            assert inside[y, x] == expected
+        for away in (0.9, -0.9):
+            place = centre.directional_offset_by(pa + 90 * u.deg, away * MAS)
+            x, y = np.rint(wcs.world_to_pixel(place)).astype(int)
+            assert not inside[y, x]
+    corners = [(2, 10), (2, 120), (3, 250)]
+    vertices = SkyCoord(
+        [centre.directional_offset_by(a * u.deg, r * MAS) for r, a in corners]
+    )
+    assert region_mask(cube, PolygonSkyRegion(vertices))[39, 39]
+    ring = CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
+    assert not region_mask(cube, ring)[39, 39]
+
+
+def test_places_of_no_frame_are_as_they_are():
+    """Coordinates of the Sun have no frame without sunpy."""
+    one, other = (WCS(header("TAN", (120.0, 10.0), 1e-3, kind="HPLN")) for _ in "ab")
+    other.wcs.crval = one.wcs.crval + [0, 0.5]
+    assert_allclose(separation(one, other), 0.5)
+    assert north_in(one, other) == 0
+
+
+def test_structure_is_where_most_bright_pixels_are():
+    image = images(shape=(60, 90), at=(60, 40))[0]
+    box, peak = local.structure(image)
+    assert peak == (60, 40)
+    assert 50 < box[0] < 60 < box[1] < 72
+    empty = np.full((6, 8), np.nan)
+    assert local.structure(empty) == ((0, 7, 0, 5), (3, 2))
+    assert local.structure(np.zeros((6, 8)))[0] == (0, 7, 0, 5)
+
+
+def test_pixels_without_sky():
+    wcs = WCS(header("SIN", (120.0, 0.0), 1.0))
+    wcs.wcs.crpix = [500, 500]
+    assert local.unwrapped(wcs, (NY, NX)) is wcs
+    with pytest.raises(ValueError, match="projection .SIN"):
+        EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
+    flat = offset_wcs(1 * u.mas, (3, 3))
+    assert local.middle_area(flat, (6, 6)) == pytest.approx((1 / 3.6e6) ** 2)
+    assert local.middle_area(wcs, (NY, NX)) == pytest.approx(1)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("code", ["TAN", "SIN"])
+def test_left_over_distortions_are_ignored(code, tmp_path, caplog, capfd):
+    head = header(code, (120.0, 30.0), 1e-5)
+    plain = read(head)
+    head.update(
+        {"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-5, "B_1_1": 7e-6, "AP_ORDER": 1}
+    )
+    head.update({"DATE-OBS": DATES[0], "BUNIT": "ct", "A_DMAX": 1.0, "BP_1_0": 1e-4})
+    fits.writeto(tmp_path / "a.fits", images()[0], head)
+    cube = EpochCube.read(tmp_path / "a.fits")
+    assert_allclose(cube.pixel_matrix.value, plain.pixel_matrix.value, rtol=1e-6)
+    assert "SIP" not in caplog.text + "".join(capfd.readouterr())
+    del head["DATE-OBS"]
+    made = EpochCube(np.array(images()), DATES, WCS(head), "ct")
+    assert_allclose(made.pixel_matrix.value, plain.pixel_matrix.value, rtol=1e-6)
