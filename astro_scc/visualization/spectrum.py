@@ -11,7 +11,7 @@ from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
 from astro_scc.visualization import images, style
 
 #: Width of a bin of distance in beams, at least, and number of bins, at most.
-BIN, MOST_BINS = 1.5, 12
+BIN, MOST_BINS = 2.0, 12
 #: The axis of speeds ends so far beyond what is shown, as a factor.
 BEYOND = 1.35
 
