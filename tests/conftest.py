@@ -54,14 +54,20 @@ def matched(jet_cube):
 
 
 @pytest.fixture(scope="session")
-def jet_stacked(matched):
-    """Measure the same matches with other settings."""
+def decomposed(jet_cube):
+    """The small jet, decomposed on three scales."""
+    return StackedCrossCorrelation(**OPTIONS).decompose(jet_cube)
+
+
+@pytest.fixture(scope="session")
+def jet_stacked(decomposed):
+    """Measure the same epochs with other settings."""
 
     def run(position_angle=None, **settings):
         scc = StackedCrossCorrelation(
             **{**OPTIONS, "position_angle": position_angle, **settings}
         )
-        return scc.stack(matched, n_trials=40, rng=1)
+        return scc.measure(decomposed, n_trials=200, rng=1)
 
     return run
 
@@ -80,13 +86,13 @@ class Results(dict):
 
 @pytest.fixture(scope="session")
 def jet_results(jet_stacked):
-    """Results of the same matches by the kind of their axes."""
+    """Results of the same epochs by the kind of their axes."""
     return Results(jet_stacked)
 
 
 @pytest.fixture(scope="session")
 def sky_result(jet_results):
-    """The small jet, stacked along east and north."""
+    """The small jet, measured along east and north."""
     return jet_results["sky"]
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import Column, vstack
+from astropy.table import Column, QTable, vstack
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,14 +17,21 @@ from astro_scc.columns import cell
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
-from astro_scc.report.answer import component_lines, feature_lines, headline, notes
+from astro_scc.report.answer import (
+    feature_lines,
+    headline,
+    notes,
+    paper_lines,
+    scale_lines,
+    stream_lines,
+)
 from astro_scc.report.page import acceleration_text, draw_figures, feature_rows
 from astro_scc.units import PM_UNIT
 
-CHANCE = "permuted epochs give as strong a peak (p_global 0.62)"
+CHANCE = "p_global 0.62 is above alpha"
 HOSTILE = "<script>alert('1')</script> & \"more\""
-MAIN = ("separation", "tracks", "diagram", "speeds")
-MORE = ("velocity_map", "significance", "members", "epochs", "sensitivity")
+MAIN = ("spectrum", "distance", "diagram", "separation", "tracks", "speeds")
+MORE = ("velocity_map", "significance", "epochs", "sensitivity")
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +41,13 @@ def result(jet_results):
     cube = measured.cube
     labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(len(cube) - 1)))
     cube = replace(cube, labels=labels).with_step(f"tested with {HOSTILE}")
-    return replace(measured, matched=replace(measured.matched, cube=cube))
+    decomposed = replace(measured.decomposed, cube=cube)
+    vars(decomposed)["features"] = measured.tracked_features
+    return replace(measured, decomposed=decomposed)
 
 
 def changed(table, **columns):
-    """Return a copy of components with other columns, of text of any length."""
+    """Return a copy of streams with other columns, of text of any length."""
     table = table.copy()
     if "caution" in columns:
         caution = np.broadcast_to(columns.pop("caution"), len(table))
@@ -49,24 +58,26 @@ def changed(table, **columns):
 
 
 @pytest.fixture(scope="module")
-def components(result):
-    """Three kinds of components."""
+def streams(result):
+    """Three kinds of streams."""
     table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())
-    assert list(table["kind"]) == ["moving", "stationary"]
+    assert list(table["kind"]) == ["moving"]
     kinds = ["moving", "stationary", "not significant"]
-    return changed(vstack([table, table[:1]]), kind=kinds, caution=["-", "-", CHANCE])
+    table = vstack([table] * 3, metadata_conflicts="silent")
+    table["stream"] = [1, 2, 3]
+    return changed(table, kind=kinds, caution=["-", "-", CHANCE])
 
 
 @pytest.fixture(scope="module")
-def folder(result, components, tmp_path_factory):
+def folder(result, streams, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report") / "new" / "folder"
     folder.mkdir(parents=True)
-    (folder / "components.ecsv").touch()
+    (folder / "streams.ecsv").touch()
     with pytest.MonkeyPatch.context() as patch:
         # What the page shows need not be sharp.
         patch.setattr("astro_scc.visualization.style.DPI", 20)
         path = write_report(
-            result, folder, components=components, title=f"3C {HOSTILE}",
+            result, folder, streams=streams, title=f"3C {HOSTILE}",
             warnings=[f"beware of {HOSTILE}"],
             left_out=[("late.fits", f"no date, {HOSTILE}"), f"bad.fits {HOSTILE}"],
             rerun=f"astro-scc measure {HOSTILE}", all_figures=True,
@@ -86,8 +97,8 @@ def words_of(tmp_path, monkeypatch, read_page):
     figures = {"velocity_map.png": b"PNG"}
     monkeypatch.setattr("astro_scc.report.page.draw_figures", lambda *_, **_k: figures)
 
-    def write(result, components=None, **more):
-        how = {"components": components, "title": "M87"} | more
+    def write(result, streams=None, **more):
+        how = {"streams": streams, "title": "M87"} | more
         return read_page(write_report(result, tmp_path, **how)).words
 
     return write
@@ -105,7 +116,7 @@ def test_the_page_stands_alone_for_every_reader(page, folder):
     assert set(heads) == {"data:image/png;base64"}
     beside = [(folder / f"{name}.png").read_bytes() for name in MAIN + MORE]
     assert [base64.b64decode(data) for data in inside] == beside
-    files = {"report.html", "components.ecsv", *(f"{name}.png" for name in MAIN + MORE)}
+    files = {"report.html", "streams.ecsv", *(f"{name}.png" for name in MAIN + MORE)}
     assert {path.name for path in folder.iterdir()} == files
     # Nothing that was given is code.
     assert page.words.count("<script>alert('1')</script>") >= 6
@@ -120,14 +131,15 @@ def test_the_page_stands_alone_for_every_reader(page, folder):
     assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 5
 
 
-def test_the_answer_comes_first(page, components):
-    said = headline(components).replace("+-", "±")
+def test_the_answer_comes_first(page, streams):
+    said = headline(streams).replace("+-", "±")
     assert said.startswith("Motion: ")
     order = [
-        said, "1: acceleration: ", "beware of", f"1 (not significant): {CHANCE}.",
-        "at any velocity; here it cannot be below 0.024.", "Separation against time.",
-        "More figures", "Velocity map.", "Main speed with other choices.",
-        "astro-scc measure", "Sensitivity to the choice of the data: no part in which",
+        said, "1: acceleration: ", "beware of", f"3 (not significant): {CHANCE}.",
+        "that were searched; here it cannot be below 0.005.", "Velocity spectrum.",
+        "Speed against distance.", "Displacement against interval.",
+        "Separation against time.", "More figures", "Velocity map.",
+        "Main speed with other choices.", "astro-scc measure", "Sensitivity to the cho",
         "2 epochs left out", "late.fits: no date", "max speed", "tested with", "numpy",
     ]  # fmt: skip
     places = [page.words.find(part) for part in order]
@@ -135,14 +147,14 @@ def test_the_answer_comes_first(page, components):
     assert places == sorted(places)
     kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
     # What the answer is made of, and the rest.
-    assert kinds[:4] == 2 * ["moving", "not-significant"]
+    assert kinds[:6] == 2 * ["moving", "stationary", "not-significant"]
     heads = {
-        "speed (mas/yr)", "speed (c)", "PA (deg)", "SSPs", "z-score (paper)",
-        "dispersion (mas/yr)", "paper's error of the speed (mas/yr)",
+        "speed (mas/yr)", "speed (c)", "PA (deg)", "share", "dispersion (mas/yr)",
+        "speed of features (mas/yr)", "speed of the spectrum (mas/yr)",
     }  # fmt: skip
     assert heads <= set(page.text)
     for words in (
-        cell(components[2], "p_global"), "speed (c): apparent speed, in units of c",
+        cell(streams[2], "p_global"), "speed (c): apparent speed, in units of c",
         # Descriptions speak of headings, not of names of columns.
         "part of the error of the speed by the alignment", "position angle 270 deg",
         "baseline not given", "scales 1, 2, 3", "small displacement correction no",
@@ -150,7 +162,7 @@ def test_the_answer_comes_first(page, components):
     ):  # fmt: skip
         assert words in page.words
     assert page.words.count(CHANCE) == 1
-    assert [a["href"] for a in page.all("a")] == ["components.ecsv"]
+    assert [a["href"] for a in page.all("a")] == ["streams.ecsv"]
 
 
 def test_each_feature_has_its_own_speed(result, page):
@@ -163,7 +175,7 @@ def test_each_feature_has_its_own_speed(result, page):
     assert n_secure == result.features["secure"].sum() > 0
     features = result.features[np.argsort(~result.features["secure"], kind="stable")]
     for cells, row in zip(rows, features, strict=True):
-        assert cells[:3] == [str(row[k]) for k in ("feature", "component", "n_epochs")]
+        assert cells[:3] == [str(row[k]) for k in ("feature", "stream", "n_epochs")]
         assert cells[3] == row["first"].strftime("%Y-%m-%d")
         assert cells[head.index("speed (mas/yr)")] == cell(row, "pm")
     # Of many, those that were seen longest are shown.
@@ -173,7 +185,7 @@ def test_each_feature_has_its_own_speed(result, page):
     _, said, _, *lines, _ = feature_lines(table, most=2)
     assert said.endswith("secure; the 2 that were seen in most epochs:")
     for line, row in zip(lines, table[longest], strict=True):
-        assert line.split()[:2] == [str(row["feature"]), str(row["component"])]
+        assert line.split()[:2] == [str(row["feature"]), str(row["stream"])]
         assert cell(row, "pm", "+-") in line
     _, shown, others = feature_rows(table, 2)
     assert [cells[0] for cells, _ in shown] == list(numbers[longest])
@@ -188,91 +200,60 @@ def test_the_same_files_each_time_and_as_pdf(result, tmp_path, monkeypatch):
     assert {k.stem for k in a.glob("*.pdf")} == set(MAIN)
 
 
-def test_figures_that_are_empty_or_not_wanted(result, monkeypatch, words_of):
-    empty = replace(result, maxima=(), velocities=(), jitters=())
-    words = words_of(empty, rerun="astro-scc measure again")
-    assert "No motion found: no pattern has a match in another epoch." in words
-    assert "p_global is" not in words
+def test_figures_that_are_empty_or_not_wanted(result, monkeypatch):
     monkeypatch.setattr(
         "astro_scc.visualization.style.figure_files", lambda figures, **_: set(figures)
     )
-    assert draw_figures(result, result.components) == set(MAIN)
-    drawn = draw_figures(empty, empty.components, every=True)
-    assert drawn == {*MAIN, *MORE} - {"members"}
+    assert draw_figures(result, result.streams) == set(MAIN)
+    still = replace(result, choices=[])
+    drawn = draw_figures(still, still.streams, every=True)
+    assert drawn == {*MAIN, *MORE} - {"sensitivity"}
 
 
 # -- what it says --------------------------------------------------------------------
 
-#: Columns of components, and what the page says of them and does not.
-FAST = "Stream 1 is as fast as anything that was searched: measure with a larger"
+#: Columns of streams, and what the page says of them and does not.
 SAID = [
     ({"kind": "not significant", "caution": CHANCE}, [
-        "which does not show",
-        f"Stream 1 (not significant): {CHANCE}. Stream 2 (not significant): {CHANCE}.",
+        "Nothing moves significantly: p_global 0.005, speeds of ",
+        f"Stream 1 (not significant): {CHANCE}.",
     ], "): -"),
-    ({"kind": "stationary"}, ["mas/yr: all features are stationary within"], FAST),
     # Small probabilities are not rounded to nothing, columns that are new are shown,
     # and text is no code.
     ({"p_local": 0.000123, "gamma_min": 1.2346, "caution": "<b>good</b>"},
-     [" 0.00012 ", "gamma_min", " 1.235 ", "<b>good</b>", FAST], "0.000123"),
+     [" 0.00012 ", "gamma_min", " 1.235 ", "<b>good</b>"], "0.000123"),
     ({"p_smallest": 1 / 11}, ["p_global cannot be below 0.091: with so few no"], "/N"),
-    # The core is no component of the jet.
-    ({}, ["Row 2 of components.ecsv is the core, the reference."], "2 stationary"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("columns", "said", "unsaid"), SAID)
-def test_what_the_page_says_of_components(
-    result, words_of, monkeypatch, columns, said, unsaid
-):
-    # The features move at 7.3 mas/yr of 30.
-    monkeypatch.setattr("astro_scc.report.page.EDGE", 0.2)
-    words = words_of(result, changed(result.components, **columns))
+def test_what_the_page_says_of_streams(result, words_of, columns, said, unsaid):
+    words = words_of(result, changed(result.streams, **columns))
     assert [text for text in said if text not in words] == []
     assert unsaid not in words
-
-
-def test_the_headline_names_each_stream(result):
-    table = result.components[[0, 0, 0]]
-    table["kind"] = ["moving", "moving", "not confirmed"]
-    said = headline(table)
-    assert said.count("towards PA") == 2
-    assert component_lines(table, result.features)[0] == said
 
 
 def test_choices_that_change_the_speed_are_named(result, words_of):
     choices = [dict(row) for row in result.choices]
     choices[1]["significant"] = True
     words = words_of(replace(result, choices=choices))
-    assert "Stream 1 (moving): differs with the data: " in words
+    assert "Stream 1 (moving): parts of the data have other speeds: " in words
     assert f"({choices[1]['choice']})" in words
     assert "Sensitivity to" not in words_of(replace(result, choices=[]))
-    assert FAST not in words
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
 def test_what_does_not_move_has_a_limit(result, share):
-    table, features = result.components.copy(), result.features
-    own = features[features["component"] == 1]
-    assert table["pm_limit"][1] == table["pm"][1] + 1.645 * table["pm_err"][1]
+    table, features = result.streams.copy(), result.features
+    own = features[features["stream"] == 1]
     table["pm_limit"][0] = share * own["pm"].max()
     named = ", ".join(map(str, own["feature"]))
-    # The core has none, and neither have features of which one is faster.
+    # There is none if a feature is faster.
     said = [line for line in notes(table, features) if "upper limit" in line]
     assert said == (share > 1) * [
         f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper limit (95%) "
         f"of the mean speed of its features ({named})"
     ]
-
-
-def test_a_core_is_known_by_its_beam(result, words_of):
-    table = result.components.copy()
-    assert table.meta["core"] == [2]
-    plain = replace(result.cube, beams=None)
-    plain = replace(result, matched=replace(result.decomposed, cube=plain))
-    assert plain.core == []
-    table.meta["core"] = []
-    assert "2 stationary" in words_of(result, table)
 
 
 def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of, read_page):
@@ -319,60 +300,76 @@ def features(jet_results):
 
 @pytest.fixture(scope="module")
 def radial(jet_results):
-    """Components away from a point, which have no direction on the sky."""
-    row = jet_results["radial"].components[:1]
-    return changed(
-        vstack([row] * 4, metadata_conflicts="silent"),
-        kind=["moving", "not significant", "stationary", "not significant"],
-        p_global=[0.00099, 0.5, 1.0, 0.3], caution=["-", "permuted", "-", "blends"],
-    )  # fmt: skip
+    """Streams away from a point, which have no direction on the sky."""
+    return jet_results["radial"].streams[:1]
 
 
-def test_lines_of_components(radial, features):
-    lines = component_lines(radial, features)
-    speed, n = cell(radial[0], "pm", "+-"), radial["n_features"][0]
-    assert lines[:2] == [f"Motion: {speed} mas/yr outward, {n} features.", ""]
-    assert {"stream", "proper motion (mas / yr)"} <= set(re.split("  +", lines[2]))
-    spread = f"{radial['dispersion'][0].value:.2g}"
-    row = ["1", "moving", speed, "-", spread, "0.00099", str(n)]
-    assert re.split("  +", lines[3]) == row
-    assert re.split("  +", lines[5])[1:6:4] == ["stationary", "-"]
-    assert lines[7].startswith("p_global: probability that epochs in permuted order")
-    assert [line.partition(": ")[2] for line in lines[9:11]] == ["permuted", "blends"]
-    low, high = (radial.meta[f"{k}_searched"].value for k in ("slowest", "fastest"))
-    assert 0 < low < 2 < 20 < high < 40
-    said = f"strongest peak between {low:.2g} and {high:.2g} mas/yr has"
-    assert said in headline(radial[1:2])
-    assert "larger region or --max-speed" in component_lines(radial[:0], features)[1]
+KINDS = "moving", "not confirmed", "stationary", "not significant"
 
 
-#: Changes of a row of components, and lines of what is said.
-LINES = [
-    ({"pm_parallel": -5 * PM_UNIT}, {0: " inward, "}),
-    ({"kind": "not confirmed", "caution": "rest is near"},
-     {0: "not confirmed: {speed} mas/yr with p_global {p}, but rest is near."}),
-    ({"kind": "not confirmed", "caution": "none is seen", "n_features": 0,
-      "pm": np.nan * PM_UNIT, "pm_limit": 3 * PM_UNIT},
-     {0: "Motion not confirmed: p_global {p}, but none is seen.",
-      3: "1       not confirmed                         -         -  "}),
-    ({"kind": "not significant", "caution": "permuted"},
-     {0: "mas/yr has p_global {p}, which does not show",
-      6: "Stream 1 (not significant): permuted"}),
-    ({"dispersion": 1 * PM_UNIT, "dispersion_err": 0.4 * PM_UNIT,
-      "pm_min": 0.14 * PM_UNIT, "pm_max": 0.58 * PM_UNIT},
-     {0: "Motion: 0.14 to 0.58 mas/yr, mean {speed} mas/yr outward, "}),
+@given(st.lists(st.sampled_from(KINDS), max_size=4))
+def test_headline_and_table_agree(radial, features, kinds):
+    order = sorted(kinds, key=KINDS.index)
+    rows = vstack([radial, *[radial] * len(order)], metadata_conflicts="silent")[1:]
+    table = changed(rows, kind=np.array(order, dtype="U15"), caution="why")
+    table["stream"] = np.arange(len(order)) + 1
+    table["pm"] = (1.1 * table["stream"] + 5) * PM_UNIT
+    said, *lines = stream_lines(table, features)
+    shown = [k for k, kind in enumerate(order) if kind in KINDS[:2]]
+    quoted = [f"{cell(table[k], 'pm', '+-')} mas/yr outward, " for k in shown]
+    places = [said.find(text) for text in quoted]
+    assert -1 not in places
+    assert places == sorted(places)
+    assert said.count("+-") == len(shown)
+    for kind, word in zip(KINDS, ("Motion: ", "Not confirmed: "), strict=False):
+        assert (word in said) == (kind in order)
+    nothing = said.startswith("Nothing moves significantly: ")
+    assert nothing == (not shown)
+    if nothing:
+        meta = [table.meta[k] for k in ("slowest", "fastest", "unambiguous")]
+        low, high, safe = (f"{v.value:.3g}" for v in meta)
+        assert said.endswith(
+            f"speeds of {low} to {high} mas/yr were searched, unambiguous to {safe}."
+        )
+    # Each row is a line, with its number, kind and speed; and its caution is said.
+    for k, kind in enumerate(order):
+        columns = re.split("  +", lines[2 + k])
+        assert columns[:2] == [str(k + 1), kind]
+        assert columns[3] == cell(table[k], "pm", "+-")
+        assert f"Stream {k + 1} ({kind}): why" in lines
+
+
+#: Changes of a row of streams, and what the headline says.
+SENTENCES = [
+    ({"pm_parallel": -5 * PM_UNIT}, " inward, "),
+    ({"n_features": 0}, "mas/yr outward, no features."),
+    ({"n_features": 1}, "mas/yr outward, 1 feature."),
+    ({"pm_min": 6.14 * PM_UNIT, "pm_max": 7.58 * PM_UNIT}, "features of 6.1 to 7.6."),
     ({"caution": "moves towards the core", "pm_pa": 90 * u.deg},
-     {0: "towards PA 90 deg, which is towards the core"}),
+     "towards PA 90 deg, which is towards the core"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("columns", "said"), LINES)
-def test_lines_of_one_component(radial, features, columns, said):
-    table = changed(radial[:1], **columns)
-    lines = component_lines(table, features)
-    known = {"speed": cell(table[0], "pm", "+-"), "p": f"{table['p_global'][0]:.2g}"}
-    for place, words in said.items():
-        assert words.format(**known) in lines[place]
+@pytest.mark.parametrize(("columns", "said"), SENTENCES)
+def test_the_headline_of_one_stream(radial, columns, said):
+    assert said in headline(changed(radial, **columns))
+
+
+def test_nothing_and_the_paper_and_scales_are_said(radial):
+    table = radial.copy()
+    table["z_score"] = [8.123]
+    lines = paper_lines(table, 4.61)
+    assert lines[0] == "Paper's method: 1 component above the level of z, 4.6."
+    assert "8.12" in lines[3]
+    assert paper_lines(table[:0], 4.6)[0].startswith("Paper's method: no components")
+    of_scales = QTable({"r_min": [0, 1] * u.mas, "r_max": [np.inf, 2] * u.mas})
+    for name in ("first_speed", "first_speed_err", "second_speed"):
+        of_scales[name] = [1.0, 2.0] * PM_UNIT
+    of_scales["second_speed_err"] = [0.1, 0.1] * PM_UNIT
+    of_scales["first"], of_scales["second"] = ["1", "1"], ["2", "2"]
+    of_scales["p_value"] = [np.nan, 0.5]
+    (line,) = scale_lines(of_scales)
+    assert line.startswith("1 to 2 mas: speeds of the 1 and 2 scales: ")
 
 
 def test_what_secure_features_would_need_is_said(features):

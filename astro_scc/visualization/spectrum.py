@@ -11,7 +11,7 @@ from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
 from astro_scc.visualization import images, style
 
 #: Width of a bin of distance in beams, at least, and number of bins, at most.
-BIN, MOST_BINS = 1.5, 12
+BIN, MOST_BINS = 2.0, 12
 #: The axis of speeds ends so far beyond what is shown, as a factor.
 BEYOND = 1.35
 
@@ -190,14 +190,13 @@ def _draw_test(ax, search, speeds):
 # -- against distance ----------------------------------------------------------------
 
 
-def spectra_of_bins(flow):
+def spectra_of_bins(search):
     """
     Return the velocity spectra of bins of distance.
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
-        Along one direction.
+    search : `~astro_scc.streams.finder.StreamSearch`
 
     Returns
     -------
@@ -206,8 +205,10 @@ def spectra_of_bins(flow):
     speed : `~numpy.ndarray`, shape (n_v,)
         In mas/yr.
     share : `~numpy.ndarray`, shape (n_v, n_bins)
-        The sum of each bin is one; zero where nothing moves.
+        The sum of each bin is one; zero where nothing moves, and at speeds that were
+        not searched.
     """
+    flow = search.flow
     inside = flow.planes[0].mask
     if flow.regions[0] is not None:
         inside = inside & (flow.regions[0] > 0)
@@ -219,8 +220,8 @@ def spectra_of_bins(flow):
     for ends in zip(edges[:-1], edges[1:], strict=True):
         part = flow.between(*ends)
         equations = set_up(part.diagram(0), fastest=flow.fastest)
-        own = deconvolve(equations)
-        own[len(own) // 2] = 0.0
+        own, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
+        own[(size < search.slowest) | (size > search.fastest)] = 0.0
         found.append(own / (own.sum() or 1.0))
     return edges, equations.speed * flow.beam, np.array(found).T
 
@@ -236,7 +237,7 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None):
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
     speeds, features = Speeds(result, unit), result.tracked_features
-    edges, speed, share = spectra_of_bins(result.flow)
+    edges, speed, share = spectra_of_bins(result.search)
     distance, secure = speeds.distance, features.secure
     far = max(edges[-1], distance[secure].max(initial=0.0))
     lengths = offset_unit(far)

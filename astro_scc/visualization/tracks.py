@@ -175,7 +175,8 @@ def _write_numbers(ax, features, ends, beta_per_pm=None, *, own):
         place, color = ends[k]
         name = f"{features.number[k]}"
         if beta_per_pm and features.secure[k] and len(ends) <= CROWDED:
-            name += f" ({beta_per_pm * features.motions[k].speed:.3g} c)"
+            speed = beta_per_pm * features.motions[k].speed
+            name += f" ({float(f'{speed:.2g}'):g} c)"
         text = ax.annotate(
             name, place, (0, 0), textcoords="offset points", fontsize="small",
             va="center", color=color, annotation_clip=True, zorder=4,

@@ -3,11 +3,11 @@
 
 from dataclasses import replace
 
-import astropy.units as u
 import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
+from astro_scc.simulation import simulate_static
 
 
 @pytest.fixture(scope="session")
@@ -21,21 +21,17 @@ def result(jet_results):
 
 
 @pytest.fixture(scope="session")
-def empty(result):
-    """A result without components."""
-    return replace(result, maxima=(), velocities=(), jitters=())
+def still():
+    """A result in which nothing moves."""
+    cube = simulate_static(n_epochs=8, rng=1).cube
+    return StackedCrossCorrelation(scales=[1, 2])(cube, n_trials=99, rng=1)
 
 
 @pytest.fixture(scope="session")
-def bare(cube):
-    """A result without SSPs, matches and components, of images of no beam."""
-    scc = StackedCrossCorrelation(
-        scales=[1, 2], max_speed=20 * u.mas / u.yr, detection=99, segmentation=98
-    )
-    rng = np.random.default_rng(1)
-    data = 1e-3 * rng.standard_normal((len(cube), 48, 64))
-    dull = replace(cube, data=data, mask=None, beams=None)
-    with pytest.MonkeyPatch.context() as patch:
-        # Refused where it is measured; files of matches may be of nothing.
-        patch.setattr("astro_scc.scc.require_ssps", lambda *args, **kwargs: None)
-        return scc(dull, n_trials=20, rng=1)
+def bare():
+    """A result without features and patterns, of images of no beam."""
+    cube, rng = simulate_static(n_epochs=8, rng=1).cube, np.random.default_rng(1)
+    data = cube.data + 0.3 * cube.data.max() * rng.standard_normal(cube.shape)
+    scc = StackedCrossCorrelation(scales=[1, 2], detection=99, segmentation=98)
+    dull = replace(cube, data=data, beams=None)
+    return scc.measure(scc.decompose(dull), n_trials=99, rng=1)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from astro_scc.measurement.result import velocity_hdus
-from astro_scc.streams.dispersion import random_effects
+from astro_scc.streams.spread import mean_speed
 from astro_scc.visualization import explore, images
 from astro_scc.visualization.velocity import axis_columns
 
@@ -32,7 +32,7 @@ PLACE = """([name, x, y]) => {
 
 
 def parts(result):
-    return result.components, result.features, velocity_hdus(result)
+    return result.streams, result.features, velocity_hdus(result)
 
 
 @pytest.fixture(scope="module")
@@ -78,22 +78,22 @@ def places(tab, name, *points):
 
 @pytest.mark.slow
 def test_a_reader_selects_and_looks(path, page, result):
-    component, own = result.components[0], result.features["component"]
+    stream, own = result.streams[0], result.features["stream"]
     rows = np.flatnonzero(own == 1).tolist()
     with browser(path) as tab:
         status = tab.get_by_role("status")
         assert status.inner_text().startswith(f"All {len(own)} features")
         # A click on the first stream selects its features in all panels.
         names = "pm_parallel", "pm_transverse"
-        peak = [component[k].to_value(page.pm_unit) for k in names]
+        peak = [stream[k].to_value(page.pm_unit) for k in names]
         tab.mouse.click(*places(tab, "velocity", peak)[0])
         assert selected(tab, rows)
         words = status.inner_text().split()
         assert words[:2] == [str(len(rows)), "selected"]
         assert tab.locator(".slick-row input:checked").count() == len(rows)
-        # Their mean and dispersion are those of a random-effects model.
-        data = (np.asarray(page.features.data[k])[rows] for k in ("pm", "error"))
-        model = random_effects(*data)
+        # Their mean and dispersion are those of the streams.
+        names = ("pm", "pm_err", "n_epochs")
+        model = mean_speed(*(np.asarray(page.features.data[k])[rows] for k in names))
         mean, spread = (
             float(words[words.index(w) + 1]) for w in ("motion", "dispersion")
         )
@@ -153,16 +153,16 @@ def test_features_are_those_of_the_tables(page, result):
 
 
 @pytest.mark.parametrize("name", ["sky", "radial"])
-def test_features_lie_around_their_component(name, jet_results):
+def test_features_lie_around_their_stream(name, jet_results):
     result = jet_results[name]
     page = explore.Page(*parts(result), result.cube)
-    columns, own = page.features.data, np.asarray(result.features["component"]) == 1
-    axes = axis_columns(result.components, on_sky=name == "sky")
+    columns, own = page.features.data, np.asarray(result.features["stream"]) == 1
+    axes = axis_columns(result.streams, on_sky=name == "sky")
     for k, axis in enumerate(axes, 1):
         speeds = columns[f"pm_axis{k}"][own]
-        speed = result.components[0][axis].to_value(page.pm_unit)
+        speed = result.streams[0][axis].to_value(page.pm_unit)
         assert speeds.min() - 0.1 <= speed <= speeds.max() + 0.1
-    # Their rays lie on the side of the diagram on which the component's is.
+    # Their rays lie on the side of the diagram on which the stream's is.
     ends = np.array([y[-1] for y in columns["ry"]])[own]
     assert np.all(np.sign(ends) == np.sign(page.slopes[0]))
     assert page._velocity().x_range.flipped == (name == "sky")
@@ -173,7 +173,7 @@ def test_large_images_are_binned_and_there_may_be_no_features(bare, monkeypatch)
     page = explore.Page(*parts(bare), bare.cube)
     roots = [root.name for root in page.document().roots]
     assert roots == ["choose", "velocity", "sky", "diagram", "time", "table"]
-    assert page.notes == ["the images are binned by 2 x 2 pixels"]
+    assert page.notes == ["the images are binned by 6 x 6 pixels"]
     assert len(page.features.data["pm"]) == 0
 
 

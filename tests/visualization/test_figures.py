@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from astro_scc.visualization import FIGURES, style
 
-ON_FIGURES = ["paper", "members", "epochs", "tracks"]
+ON_FIGURES = ["spectrum", "paper", "epochs", "tracks"]
 
 
 @pytest.mark.parametrize("kind", FIGURES)
@@ -33,7 +33,7 @@ def test_figures_draw_on_what_is_given_and_change_no_global_state(kind, jet_resu
 
 @pytest.mark.parametrize("kind", sorted({*FIGURES} - {"sensitivity"}))
 def test_no_component_no_ssps_and_no_beam_are_no_reason_to_fail(kind, bare):
-    assert len(bare.ssps) == len(bare.components) == 0
+    assert len(bare.ssps) == len(bare.features) == 0
     figure = bare.plot(kind)
     assert figure.axes
     assert figure.get_figwidth() <= 6
@@ -42,14 +42,14 @@ def test_no_component_no_ssps_and_no_beam_are_no_reason_to_fail(kind, bare):
 
 #: Figures of a result by their kind, and of its images by their number.
 REFUSED = [
-    ("map", {}, "unknown figure 'map': use one of velocity"),
+    ("map", {}, "unknown figure 'map': use one of spectrum"),
     ("diagram", {"unit": "yr"}, "unit must be an angle"),
     ("separation", {"unit": "s"}, "unit must be an angle"),
     ("tracks", {"unit": "s"}, "unit must be an angle"),
+    ("spectrum", {"unit": "mas"}, "unit must be an angle over a time"),
     ("velocity_map", {"unit": "mas"}, "unit must be an angle over a time"),
     ("velocity_map", {"which": "p"}, "unknown map 'p': use 'coefficient'"),
     ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
-    ("members", {"max_panels": 0}, "max_panels must be at least 1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
     (0, {"unit": "Jy"}, "unit must be an angle"),
     (8, {}, "epoch 8 of a cube with 8 epochs"),

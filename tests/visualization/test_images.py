@@ -184,17 +184,16 @@ def test_limits_are_a_part_of_the_image_that_is_not_empty(ssps):
 def test_the_sun_has_west_to_the_right(jet_results):
     sky, wcs = jet_results["sky"], jet_results["sky"].cube.wcs.deepcopy()
     wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
-    sun = replace(sky, matched=replace(sky.matched, cube=replace(sky.cube, wcs=wcs)))
+    decomposed = replace(sky.decomposed, cube=replace(sky.cube, wcs=wcs))
+    vars(decomposed)["features"] = sky.tracked_features
+    sun = replace(sky, decomposed=decomposed)
     ax = sun.cube.plot(0, sun.ssps).axes[0]
     assert labels(ax) == ("Offset to solar west (mas)", "Offset to solar north (mas)")
     assert not ax.xaxis_inverted()
     shown = np.concatenate([line.get_xdata() for line in ax.lines])
     own = sun.ssps["lon_offset"][sun.ssps["epoch"] == 0].value
     assert sorted(shown) == pytest.approx(sorted(own))
-    figure = sun.plot("members")
-    assert figure.get_supxlabel() == "Offset to solar west (mas)"
-    assert not figure.axes[0].xaxis_inverted()
-    ax, other = (result.plot().axes[0] for result in (sun, sky))
+    ax, other = (result.plot("velocity_map").axes[0] for result in (sun, sky))
     assert ax.get_xlabel() == "Proper motion to solar west (mas/yr)"
     assert (ax.xaxis_inverted(), other.xaxis_inverted()) == (False, True)
     # The arrow points where the features go.

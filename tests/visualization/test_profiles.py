@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
-from astro_scc.stacking.velocities import VelocityGrid
 from astro_scc.units import PM_UNIT as PM
 from astro_scc.visualization import speeds
 from astro_scc.visualization.speeds import plot_profile
@@ -60,20 +59,15 @@ def test_symbols_tell_kinds_and_what_has_no_speed(table):
     assert [line.get_markerfacecolor() for line in dots] == 2 * [BLUE]
     # Those that do not represent their bin are smaller.
     assert [line.get_markersize() for line in dots] == [5, 3]
-    table["n_features"][0] = 0
+    table["pm_parallel"][0] = np.nan * PM
     assert labels(plot_profile(table).axes[0]) == ["moving", "stationary"]
     plot_profile(table[:0]).draw_without_rendering()
+    table["scale_group"] = ["1, 2", "3", "3"]
+    said = ["moving, scales 3", "stationary, scales 3"]
+    assert labels(plot_profile(table).axes[0]) == said
 
 
-def test_of_scales_there_are_maps_with_peaks_and_shares_of_angles():
-    grid = VelocityGrid.covering(2.0, 0.5)
-    values = np.zeros(grid.shape)
-    values[1, 2] = 1.0
-    maps, axes = {"a": values, "b": values, "c": 0 * values}, ("parallel", "transverse")
-    figure = speeds.plot_scale_maps(maps, grid, axis_names=axes)
-    marks = [k for ax in figure.axes for k in ax.lines if k.get_marker() == "+"]
-    assert len(marks) == 2
-    assert marks[0].get_xydata()[0] == pytest.approx([grid.v1[2], grid.v2[1]])
+def test_shares_of_angles():
     angles = {"a": [240, 250, 251] * u.deg, "b": [] * u.deg}
     figure = speeds.plot_position_angles(angles)
     assert labels(figure.axes[0]) == ["a: 3 SSPs", "b: 0 SSPs"]

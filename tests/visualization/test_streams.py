@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Streams of a result: velocity map, z-score, diagram, matches and features' speeds."""
+"""Streams of a result: velocity map, z-score, diagram and speeds of features."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from astropy.table import vstack
 
 from astro_scc.flow import feature_profile
 from astro_scc.units import PM_UNIT
-from astro_scc.visualization.images import sky_place
 from astro_scc.visualization.velocity import longest_interval
 
 #: Labels of the velocities, and of the displacement, by the kind of axes.
@@ -41,18 +40,18 @@ def legend(figure):
 @pytest.mark.parametrize("frame", LABELS)
 def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, jet_results):
     result, grid = jet_results[frame], jet_results[frame].grid
-    ax = result.plot(unit="uas/yr", beta_per_pm=2.0).axes[0]
+    ax = result.plot("velocity_map", unit="uas/yr", beta_per_pm=2.0).axes[0]
     labels = [
         label.removesuffix(" (uas/yr)") for label in (ax.get_xlabel(), ax.get_ylabel())
     ]
     assert labels == [*LABELS[frame][:2]]
     assert ax.xaxis_inverted() == (frame == "sky")
-    assert numbers(ax) == [str(n) for n in result.components["component"]]
-    assert legend(ax.figure) == result.components["kind"].tolist()
-    for ellipse, velocity in zip(parts(ax, "error"), result.velocities, strict=True):
+    assert numbers(ax) == [str(n) for n in result.streams["stream"]]
+    assert legend(ax.figure) == result.streams["kind"].tolist()
+    for ellipse, stream in zip(parts(ax, "error"), result.search.streams, strict=True):
         size = ellipse.get_width(), ellipse.get_height()
-        assert ellipse.get_center() == pytest.approx(1000 * velocity.value)
-        assert size == pytest.approx(2000 * np.sqrt(np.diag(velocity.covariance)))
+        assert ellipse.get_center() == pytest.approx(1000 * stream.velocity, abs=1e-6)
+        assert size == pytest.approx(2000 * np.sqrt(np.diag(stream.covariance)))
     (axis,) = (own for own in ax.child_axes if own.get_xlabel())
     assert axis.get_xlabel() == "Apparent speed (c)"
     ax.figure.draw_without_rendering()
@@ -65,17 +64,20 @@ def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, jet_results
     assert bottom + (top - bottom) * (n2 - 0.5) / n2 == pytest.approx(grid.v2[-1])
 
 
-def test_kinds_that_are_not_significant_and_what_is_unknown(result, empty):
-    table = vstack([result.components, result.components[:1]])
-    table["kind"] = KINDS
-    figure = result.plot(components=table)
+def of_kinds(result, kinds=KINDS):
+    rows = vstack([result.streams[:1]] * len(kinds), metadata_conflicts="silent")
+    rows["stream"], rows["kind"] = np.arange(len(kinds)) + 1, kinds
+    return rows
+
+
+def test_kinds_that_are_not_significant_and_what_is_unknown(result):
+    table = of_kinds(result)
+    figure = result.plot("velocity_map", components=table)
     assert legend(figure) == KINDS
     assert [e.get_linestyle() for e in parts(figure, "error")] == ["-", "-", ":"]
     table["pm_parallel_err"][0] = np.nan * PM_UNIT
     figure = result.plot("paper", components=table)
     assert len(parts(figure.axes[0], "error")) == len(numbers(figure.axes[0])) - 1
-    nothing = replace(empty, coefficient=np.full(result.grid.shape, np.nan))
-    assert nothing.plot().axes[0].images[0].norm.vmax == 1
 
 
 def test_the_slice_is_the_middle_row_of_the_map(result):
@@ -85,20 +87,21 @@ def test_the_slice_is_the_middle_row_of_the_map(result):
     row = result.z_score[len(result.grid.v2) // 2]
     np.testing.assert_allclose(middle.get_ydata(), row)
     np.testing.assert_allclose(highest.get_ydata(), result.z_score.max(axis=0))
-    for bar, row in zip(ax.containers, result.components, strict=True):
+    for bar, row in zip(ax.containers, result.streams, strict=True):
         (place,) = bar.lines[0].get_xydata()
-        assert place == pytest.approx([row["pm_parallel"].value, row["z_score"]])
+        assert place[0] == pytest.approx(row["pm_parallel"].value)
+        assert place[1] in result.z_score
 
 
 def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(jet_results):
     sky, theta = jet_results["sky"], np.radians(33)
     along = sky.grid.v1 * np.sin(theta) + sky.grid.v2[:, None] * np.cos(theta)
     across = sky.grid.v1 * np.cos(theta) - sky.grid.v2[:, None] * np.sin(theta)
-    nothing = {"maxima": (), "velocities": (), "jitters": ()}
-    z_score, angle = along + 0.1 * across, 33 * u.deg
-    turned = replace(sky, z_score=z_score, position_angle=angle, **nothing)
+    velocities = replace(sky.search.velocities, z_score=along + 0.1 * across)
+    search = replace(sky.search, velocities=velocities)
+    turned = replace(sky, search=search, position_angle=33 * u.deg)
     # The arrow of the map points along it, and east is to the left.
-    (arrow,) = parts(turned.plot().axes[0], "jet")
+    (arrow,) = parts(turned.plot("velocity_map").axes[0], "jet")
     x, y = np.subtract(arrow.xy, arrow.get_position())
     assert np.arctan2(-x, y) == pytest.approx(theta)
     ax = turned.plot("significance").axes[0]
@@ -106,41 +109,8 @@ def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(jet_results):
     known = np.isfinite(z_score)
     assert known.sum() >= len(speed) - 2
     np.testing.assert_allclose(z_score[known], speed[known], atol=1e-6)
-    assert speed[-1] >= sky.grid.v_max[0] * 0.999
+    assert speed[-1] >= sky.grid.v1[-1] * 0.999
     assert "position angle 33 deg" in ax.get_xlabel()
-
-
-# -- matches of components -----------------------------------------------------------
-
-
-@pytest.mark.parametrize("frame", ["jet", "radial"])
-def test_members_are_arrows_from_ssps_to_their_next_match(frame, jet_results):
-    result = jet_results[frame]
-    figure = result.plot("members", max_panels=2)
-    assert sum(bool(ax.images) for ax in figure.axes) == len(result.components)
-    d, first = result.displacements, {}
-    for k in result.members(1)["match"]:
-        if d.target[k] > d.reference[k]:
-            first.setdefault(d.ssp[k], []).append((d.target[k], k))
-    member = [min(first[own])[1] for own in sorted(first)]
-    arrows = next(c for c in figure.axes[0].collections if hasattr(c, "U"))
-    start = sky_place(result.ssps[d.ssp[member]])
-    np.testing.assert_allclose([arrows.X, arrows.Y], start)
-    # Along the axes of the result they are the displacements.
-    axes = result.frame.matrix(*start)
-    moved = np.einsum("nai,in->an", axes, [arrows.U, arrows.V])
-    np.testing.assert_allclose(moved, [d.d1[member], d.d2[member]], atol=1e-9)
-
-
-def test_components_that_were_found_come_first(result, empty):
-    table = result.components.copy()
-    table["kind"] = ["not significant", "moving"]
-    figure = result.plot("members", components=table)
-    texts = [ax.texts[0].get_text() for ax in figure.axes if ax.texts]
-    assert [text.split(":")[0] for text in texts] == ["2", "1"]
-    assert ", not significant, " in texts[1]
-    (ax,) = empty.plot("members").axes
-    assert (ax.get_title(), len(ax.images)) == ("no stream", 1)
 
 
 # -- the diagram ---------------------------------------------------------------------
@@ -157,7 +127,7 @@ def test_the_ray_is_on_the_red_ridge(frame, jet_results):
     figure.draw_without_rendering()
     # The beam is 1 mas.
     np.testing.assert_allclose(beams.get_ylim(), ax.get_ylim(), rtol=0.01)
-    speed = jet_results[frame].components["pm"][0].to_value(PM_UNIT)
+    speed = jet_results[frame].streams["pm"][0].to_value(PM_UNIT)
     assert parts(figure, "ray")[0].get_slope() == pytest.approx(speed, rel=0.02)
     (mesh,) = parts(figure, "excess")
     assert mesh.norm.vmin == -mesh.norm.vmax < 0
@@ -171,9 +141,8 @@ def test_the_ray_is_on_the_red_ridge(frame, jet_results):
 
 
 def test_rays_have_the_slopes_and_lines_of_their_kinds(result):
-    rows = result.components[[0] * 4]
-    rows["component"], rows["kind"] = [1, 2, 3, 4], [*KINDS, "not confirmed"]
-    # The last one has no feature, so no speed.
+    rows = of_kinds(result, [*KINDS, "not confirmed"])
+    # The last one has no speed.
     velocities = [[6.0, 4.0], [0.1, 0.0], [-3.0, 0.0], [np.nan] * 2] * PM_UNIT
     # The axes are orthogonal, so their transpose leads back to the sky.
     rows["pm_ra_cosdec"], rows["pm_dec"] = result.frame.matrix().T @ velocities.T

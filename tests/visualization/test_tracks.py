@@ -69,7 +69,7 @@ def test_separations_fits_and_residuals(features):
     assert dots(lower)[1] == pytest.approx(np.array(left), abs=1e-6)
     # Secure features have their speeds beside their numbers.
     facts = zip(features.number, features.motions, features.secure, strict=True)
-    wanted = {f"{n} ({10 * m.speed:.2g} c)" if sure else f"{n}" for n, m, sure in facts}
+    wanted = {f"{n} ({10 * m.speed:.0f} c)" if sure else f"{n}" for n, m, sure in facts}
     assert set() < names(ax) <= wanted
     assert plot_separation(features, ax=Figure().add_subplot()).axes[1:] == []
 
@@ -94,7 +94,7 @@ def test_numbers_do_not_overlap_and_colours_are_of_the_components(
     plot, features, monkeypatch
 ):
     component = np.arange(len(features)) % 3
-    ax = plot(features, component=component).axes[0]
+    ax = plot(features, stream=component).axes[0]
     frame = ax.get_window_extent()
     boxes = [text.get_window_extent() for text in ax.texts if text.get_text()]
     assert all(frame.x0 < box.x0 < box.x1 < frame.x1 for box in boxes)
