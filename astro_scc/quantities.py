@@ -479,7 +479,7 @@ def check_scales(value):
 
 
 def check_scale_groups(value):
-    """Return groups of scales by their names, of text such as "1,2; 3,4" or a mapping."""
+    """Return groups of scales by their names, of text "1,2; 3,4" or a mapping."""
     wanted = "must be two groups of scales or more, such as '1,2; 3,4'"
     if isinstance(value, str):
         texts = [text.strip() for text in value.split(";")]

@@ -330,10 +330,11 @@ def completeness(
     n_trials, orders = require("n_trials", n_trials), factorial(max(len(cube) - 1, 0))
     smallest = max(1 / orders, 1 / (n_trials + 1))
     if smallest > scc.alpha:
-        more = "measure more epochs" if 1 / orders > scc.alpha else "give more n_trials"
+        few = 1 / orders > scc.alpha
+        more = "measure more epochs" if few else "give more n_trials"
         raise ValueError(
-            f"{len(cube)} epochs (1/(N-1)!) and {n_trials} trials allow no p_global below "
-            f"{smallest:.2g}, so nothing can be found at level {scc.alpha:g}: {more}"
+            f"{len(cube)} epochs (1/(N-1)!) and {n_trials} trials allow no p_global "
+            f"below {smallest:.2g}, so nothing can be found at level {scc.alpha:g}: {more}"
         )
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     if fwhm is None and cube.beams is None:

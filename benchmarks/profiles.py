@@ -19,7 +19,6 @@ from bent import bent_jets
 from common import (
     PM_UNIT,
     RESULTS,
-    feature_motions,
     measured,
     mojave_images,
     p_text,
@@ -32,15 +31,15 @@ from shells import two_rates
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.features.motion import fit_motion
 from astro_scc.flow import (
-    compare_speeds,
+    compare_scales,
     fit_profile,
     measure_acceleration,
     measure_profile,
-    scale_groups,
 )
+from astro_scc.flow.profile import angles_by_scale
 from astro_scc.kinematics import apparent_speed
-from astro_scc.matching import select_ssps
-from astro_scc.streams.dispersion import random_effects
+from astro_scc.streams.spread import mean_speed
+from astro_scc.visualization.speeds import plot_position_angles
 
 SOURCE = {source.name: source for source in SOURCES}
 #: Fewest epochs, error of a position and width of the beam of the survey's features,
@@ -75,9 +74,7 @@ def main():
 
 def settings(source):
     """Return the measurement of one of the paper's jets."""
-    return StackedCrossCorrelation(
-        scales=(1, 2, 3, 4), position_angle=source.position_angle * u.deg
-    )
+    return StackedCrossCorrelation(position_angle=source.position_angle * u.deg)
 
 
 def features_as_the_paper(folder, table, radii, *, before, half_width=2.0):
@@ -99,9 +96,10 @@ def features_as_the_paper(folder, table, radii, *, before, half_width=2.0):
                 error = np.full((own.sum(), 2), POSITION_ERROR)
                 fits.append(fit_motion(years[own], place[own], error, BEAM_FWHM))
         if fits:
-            mean = random_effects(
-                np.array([fit.velocity[0] for fit in fits]),
-                np.array([fit.velocity_err[0] for fit in fits]),
+            mean = mean_speed(
+                [fit.velocity[0] for fit in fits],
+                [fit.velocity_err[0] for fit in fits],
+                np.ones(len(fits)),
             )
             speed[k], speed_err[k], n_features[k] = mean.mean, mean.error, len(fits)
     return speed, speed_err, n_features
@@ -121,10 +119,10 @@ def acceleration_of_3c120(args):
         args.folder, source.table, source.beam, before=BEFORE, seed=args.seed
     )
     scc = settings(source)
-    matched = scc.match(cube)
+    decomposed = scc.decompose(cube)
     edges = np.arange(0.5, 11.0) * u.mas
     profile = measure_profile(
-        scc, matched, edges, n_trials=args.n_trials, rng=args.seed
+        scc, decomposed, edges, n_trials=args.n_trials, rng=args.seed
     )
     radii = np.arange(1.0, 11.0)
     speed, error, n = features_as_the_paper(
@@ -133,102 +131,82 @@ def acceleration_of_3c120(args):
     beside = [f"{measured(k * v, k * e, 1)} ({m})"
               for v, e, m in zip(speed, error, n, strict=True)]  # fmt: skip
     bins_of_3c120(profile, beside, k)
-    features_of_3c120(args)
-    accelerations(scc, matched, k, args)
+    slopes_of_3c120(profile, scc, decomposed, k, args)
+    figure_3c120(profile, cube, radii, speed, error, n, k)
+
+
+def bins_of_3c120(profile, beside, k):
+    """Write the main stream of each bin, compared with features and paper."""
+    main_rows = {round(float(r["r_mid"].value)): r for r in profile.main}
+    own, beam = profile.speeds["all"], profile.flow.beam
     rows = []
-    inside = profile.main[profile.main["r_mid"] < 7.6 * u.mas]
-    for what, table in (("0.5 to 10.5", profile.main), ("0.5 to 7.5", inside)):
-        r, v, e = (table[c] for c in ("r_mid", "pm_parallel", "pm_parallel_err"))
+    for radius, features in enumerate(beside, 1):
+        row, v, e = main_rows.get(radius), own.speed[radius - 1], own.error[radius - 1]
+        ours = [""] * 5
+        if row is not None:
+            pm = [plain(row[c], PM_UNIT) for c in ("pm_parallel", "pm_parallel_err")]
+            ours = [measured(k * pm[0], k * pm[1], 1), row["pm_from"],
+                    p_text(row["p_global"]), p_text(row["p_fdr"]),
+                    row["kind"]]  # fmt: skip
+        rows.append([radius, measured(k * beam * v, k * beam * e, 1), *ours, features,
+                     PAPER_3C120.get(radius, "")])  # fmt: skip
+    header = ["distance (mas)", "spectrum (c)", "row (c)", "from", "p_global", "p_fdr",
+              "kind", "features ± 2 mas (c)", "paper (c)"]  # fmt: skip
+    write_table("profile_3c120", header, rows)
+
+
+def slopes_of_3c120(profile, scc, decomposed, k, args):
+    """Write fits to the bins with their covariance, and the acceleration of parts."""
+    own, beam = profile.speeds["all"], profile.flow.beam
+    r, v, e = own.place * beam * u.mas, own.speed * beam, own.error * beam
+    covariance = profile.covariance.value
+    rows = []
+    for low, high in ((0.5, 10.5), (0.5, 7.5), (1.5, 7.5), (5.5, 10.5)):
+        use = (r.value > low) & (r.value < high)
+        square = covariance[np.ix_(use, use)]
         for model in ("linear", "power-law", "broken"):
-            try:
-                fit = fit_profile(r, v, e, model=model)
-            except ValueError:
-                continue
+            fit = fit_profile(r[use], v[use], e[use], model=model, covariance=square)
             text = ", ".join(
                 f"{name} {measured(fit.parameters[name].value, fit.errors[name].value)}"
                 for name in fit.parameters
             )
-            rows.append([f"stack, {what}", model, text,
+            gradient = ""
+            if model == "linear":
+                g, g_err = (x["gradient"].value for x in (fit.parameters, fit.errors))
+                gradient = f"{measured(k * g, k * g_err, 2)}, {g / g_err:.1f} sigma"
+            rows.append([f"{low:g} to {high:g}", model, text, gradient,
                          f"{fit.chi2:.1f} / {fit.n_free}",
                          p_text(fit.p_constant)])  # fmt: skip
-    header = ["speeds", "model", "parameters (mas, yr)", "chi2 / free",
-              "p of a constant"]  # fmt: skip
+    header = ["distance (mas)", "model", "parameters (mas, yr)", "gradient (c/mas)",
+              "chi2 / free", "p of a constant"]  # fmt: skip
     write_table("profile_3c120_fits", header, rows)
-    figure_3c120(profile, matched, radii, speed, error, n, k)
-
-
-def bins_of_3c120(profile, beside, k):
-    """Write the main component of each bin, compared with features and paper."""
-    main_rows = {round(float(r["r_mid"].value)): r for r in profile.main}
+    whole = scc.measure(decomposed, n_trials=args.n_trials, rng=args.seed)
     rows = []
-    for radius, features in enumerate(beside, 1):
-        row = main_rows.get(radius)
-        ours = [""] * 6
-        if row is not None:
-            v, e = (plain(row[c], PM_UNIT) for c in ("pm_parallel", "pm_parallel_err"))
-            ours = [measured(k * v, k * e, 1), row["n_ssp"], f"{row['z_score']:.1f}",
-                    p_text(row["p_global"]), p_text(row["p_fdr"]),
-                    row["kind"]]  # fmt: skip
-        rows.append([radius, *ours, features, PAPER_3C120.get(radius, "")])
-    header = ["distance (mas)", "speed (c)", "SSPs", "z", "p_global", "p_fdr", "kind",
-              "features ± 2 mas (c)", "paper (c)"]  # fmt: skip
-    write_table("profile_3c120", header, rows)
-
-
-def features_of_3c120(args, half_width=2.0):
-    """Write the speeds of the survey's features, averaged in two ways."""
-    source = SOURCE["3C 120"]
-    k = source.per_c
-    radii = np.arange(1.0, 11.0)
-    speed, error, n = features_as_the_paper(
-        args.folder, source.table, radii, before=BEFORE, half_width=half_width
-    )
-    whole = feature_motions(
-        args.folder, source.table, source.position_angle, before=BEFORE, epochs=5
-    )
-    rows = []
-    for i, radius in enumerate(radii):
-        own = whole["speed"][np.abs(whole["distance"] - radius) <= half_width]
-        spread = k * own.std(ddof=1) / np.sqrt(len(own))
+    found = {"ten bins": profile.acceleration, "the whole": measure_acceleration(whole)}
+    for name, of in found.items():
         rows.append([
-            int(radius), f"{measured(k * speed[i], k * error[i], 1)} ({n[i]})",
-            f"{measured(k * own.mean(), spread, 1)} ({len(own)})",
-            PAPER_3C120.get(int(radius), ""),
+            name, of.n_parts, measured(k * of.speed.value, np.nan, 1),
+            f"{of.centre.value:.1f}",
+            measured(of.gradient.value, of.gradient_err.value, 3),
+            measured(of.acceleration.value, of.acceleration_err.value, 3),
+            p_text(of.p_value),
         ])  # fmt: skip
-    header = ["distance (mas)", "fits within 2 mas (c)", "fits of whole tracks (c)",
-              "paper (c)"]  # fmt: skip
-    write_table("profile_3c120_features", header, rows)
-
-
-def accelerations(scc, matched, k, args):
-    """Write the acceleration of the features in several parts of 3C 120."""
-    rows = []
-    for low, high in ((0.5, 10.5), (0.5, 7.5), (1.5, 7.5), (5.5, 10.5)):
-        part = select_ssps(matched, r_min=low * u.mas, r_max=high * u.mas)
-        found = measure_acceleration(scc.stack(part, n_trials=200, rng=args.seed))
-        rows.append([
-            f"{low:g} to {high:g}", found.n_features,
-            measured(k * found.speed.value, np.nan, 1), f"{found.centre.value:.1f}",
-            measured(found.gradient.value, found.gradient_err.value, 3),
-            measured(found.acceleration.value, found.acceleration_err.value, 3),
-            p_text(found.p_value),
-        ])  # fmt: skip
-    header = ["distance (mas)", "features", "speed (c)", "at (mas)", "dv/dx (1/yr)",
+    header = ["of", "parts", "speed (c)", "at (mas)", "dv/dx (1/yr)",
               "acceleration (mas/yr^2)", "p"]  # fmt: skip
     write_table("profile_3c120_acceleration", header, rows)
 
 
-def figure_3c120(profile, matched, radii, speed, error, n, k):
+def figure_3c120(profile, cube, radii, speed, error, n, k):
     """Draw the paper's figure: speed against distance, with the jet above it."""
     use = n > 0
     others = [("features within 2 mas", radii[use] * u.mas, speed[use] * PM_UNIT,
                error[use] * PM_UNIT)]  # fmt: skip
     angle = SOURCE["3C 120"].position_angle
-    figure = figure_along(profile, matched, angle, k, others=others)
+    figure = figure_along(profile, cube, angle, k, others=others)
     figure.savefig(RESULTS / "profile_3c120.png", dpi=110)
 
 
-def figure_along(profile, matched, position_angle, k, **kwargs):
+def figure_along(profile, cube, position_angle, k, **kwargs):
     """Draw speed against distance along a position angle, with the jet above it."""
     from astro_scc.kinematics import RidgeLine
     from astro_scc.visualization import plot_profile
@@ -236,7 +214,7 @@ def figure_along(profile, matched, position_angle, k, **kwargs):
     angle = np.radians(position_angle)
     s = u.Quantity([0 * u.mas, profile.bins.max()])
     return plot_profile(
-        profile.components, cube=matched.cube, beta_per_pm=k,
+        profile.components, cube=cube, beta_per_pm=k,
         line=RidgeLine(s * np.sin(angle), s * np.cos(angle)), **kwargs,
     )  # fmt: skip
 
@@ -248,36 +226,30 @@ def streams_of_3c273(args):
     cube = mojave_images(
         args.folder, source.table, source.beam, before=BEFORE, seed=args.seed
     )
-    scc = settings(source)
-    matched = scc.match(cube)
-    groups = scale_groups(matched, {"1, 2": [1, 2], "3, 4": [3, 4]})
+    edges = u.Quantity([1, 6, 11, 16] * u.mas)
+    parts = edges, edges[[0, -1]]
+    profiles = [
+        measure_profile(
+            settings(source), cube, part, scale_groups="1,2; 3,4",
+            n_trials=args.n_trials, rng=args.seed,
+        )
+        for part in parts
+    ]  # fmt: skip
     rows = []
-    for low, high in ((1, 6), (6, 11), (11, 16), (1, 16)):
-        part = select_ssps(matched, r_min=low * u.mas, r_max=high * u.mas)
-        result = scc.stack(part, n_trials=200, rng=args.seed)
-        (row,) = compare_speeds(result, groups)
+    for row in (row for profile in profiles for row in compare_scales(profile)):
         cells = [
             measured(k * plain(row[c], PM_UNIT), k * plain(row[f"{c}_err"], PM_UNIT), 1)
-            + n
-            for c, n in (
-                ("first_speed", f" ({row['first_n_features']})"),
-                ("second_speed", f" ({row['second_n_features']})"),
-                ("difference", ""),
-            )
+            for c in ("first_speed", "second_speed", "difference")
         ]
-        rows.append([f"{low} to {high}", *cells, p_text(row["p_value"]),
-                     "about 7.5 and 9 c"])  # fmt: skip
+        rows.append([f"{row['r_min'].value:g} to {row['r_max'].value:g}", *cells,
+                     p_text(row["p_value"]), "about 7.5 and 9 c"])  # fmt: skip
     header = ["distance (mas)", "scales 1, 2 (c)", "scales 3, 4 (c)", "difference (c)",
               "p", "paper"]  # fmt: skip
     write_table("stratification_3c273", header, rows)
-    from astro_scc.flow.profile import ssp_angles
-    from astro_scc.visualization.speeds import plot_position_angles
-
-    angle = ssp_angles(matched, scc.position_angle)
-    inner = select_ssps(matched, r_min=1 * u.mas, r_max=6 * u.mas).select
-    figure = plot_position_angles(
-        {f"scales {name}": angle[inner & g] for name, g in groups.items()}
+    inner = measure_profile(
+        settings(source), cube, edges[:2], scale_groups="1,2; 3,4", n_trials=20, rng=1
     )
+    figure = plot_position_angles(angles_by_scale(inner, inner.results["1, 2"][0]))
     figure.savefig(RESULTS / "stratification_3c273.png", dpi=110)
 
 
@@ -290,10 +262,9 @@ def limit_of_m87(args):
         position_angle=-72 * u.deg,
         baseline=[1.0, 4.0] * u.yr,
     )
-    matched = scc.match(cube)
     k = float(apparent_speed(1 * PM_UNIT, distance=M87_DISTANCE))
     profile = measure_profile(
-        scc, matched, [0.5, 2, 4, 8, 16] * u.mas, n_trials=args.n_trials, rng=args.seed
+        scc, cube, [0.5, 2, 4, 8, 16] * u.mas, n_trials=args.n_trials, rng=args.seed
     )
     rows = []
     for row in profile.components:

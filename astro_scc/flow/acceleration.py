@@ -23,9 +23,6 @@ from astro_scc.units import PM_UNIT, offset_unit
 CORE, LENGTH = 2.0, 2.0
 #: Fewest and most parts.
 FEWEST, MOST = 3, 10
-#: Relative gradient of the speed, per beam, of steady jets: their ends, and patterns
-#: that change on their way.
-STEADY = 0.009
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,6 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
     `FlowAcceleration`
     """
     centre, speed, slope, error, number = slope_of(parts)
-    error = np.hypot(error, STEADY * speed)
     length, time = unit.bases
     speed = (speed * beam * PM_UNIT).to(unit)
     gradient, gradient_err = (
@@ -144,8 +140,8 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.flow import measure_acceleration
     >>> from astro_scc.simulation import simulate_jet
-    >>> jet = simulate_jet(n_epochs=30, n_features=10, acceleration=3.0, dispersion=0.05,
-    ...                    rng=1)
+    >>> jet = simulate_jet(n_epochs=30, n_features=10, acceleration=3.0,
+    ...                    dispersion=0.05, rng=1)
     >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     >>> found = measure_acceleration(scc(jet.cube, n_trials=199, rng=1))
     >>> bool(found.acceleration > 0 * u.mas / u.yr**2), found.p_value < 0.05

@@ -33,8 +33,9 @@ class FlowField:
     Attributes
     ----------
     table : `~astropy.table.QTable`
-        A row for each cell: ``r_min``, ``r_max``; ``offset_min``, ``offset_max``, across
-        the flow to its left, seen along it, or position angles of radial flows;
+        A row for each cell: ``r_min``, ``r_max``; ``offset_min``, ``offset_max``,
+        across the flow, positive to larger position angles, or, of radial flows, the
+        position angles themselves;
         ``pm_parallel`` with ``pm_parallel_err``; ``p_global`` and, adjusted for all
         cells, ``p_fdr``.  What is unknown is NaN.
     along, across : `~astropy.units.Quantity`
@@ -99,8 +100,8 @@ def measure_field(
     along : `~astropy.units.Quantity` or str, optional
         Edges of the cells: increasing distances, by default every two beams.
     across : `~astropy.units.Quantity`, optional
-        Increasing offsets or, of radial and expanding flows, position angles; by default
-        three cells over what is seen.
+        Increasing offsets or, of radial and expanding flows, position angles; by
+        default three cells over what is seen.
     n_trials : int, optional
     rng : None, int or `~numpy.random.Generator`, optional
 

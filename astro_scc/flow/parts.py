@@ -220,6 +220,9 @@ def slope_of(parts):
     """
     Return the slope of speeds with distance by generalised least squares.
 
+    Speeds that scatter by more than their errors about the line, as where two streams
+    are seen as one, enlarge the error of the slope.
+
     Parameters
     ----------
     parts : `PartSpeeds`
@@ -241,8 +244,10 @@ def slope_of(parts):
     centre = float(np.average(x, weights=1 / np.diag(square)))
     design = np.stack([np.ones(number), x - centre], axis=1)
     covariance = np.linalg.inv(design.T @ inverse @ design)
-    speed, slope = covariance @ design.T @ inverse @ y
-    return centre, speed, slope, float(np.sqrt(covariance[1, 1])), number
+    best = covariance @ design.T @ inverse @ y
+    left = y - design @ best
+    scatter = max(left @ inverse @ left / (number - 2), 1.0)
+    return centre, *best.tolist(), float(np.sqrt(scatter * covariance[1, 1])), number
 
 
 def two_sided(sigma):

@@ -293,64 +293,67 @@ def measure_profile(
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
     cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
     rng, seed = seeded(rng)
-    generator = random_generator(rng)
+    generator, of_scales = random_generator(rng), groups is not None
     search = {
         "misaligned": alignment_errors(cube, scc.alignment_error), "alpha": scc.alpha,
         "outward": scc.outward, "intervals": used_intervals(cube, scc.baseline),
+        "n_trials": n_trials,
     }  # fmt: skip
+    meta = {
+        "settings": scc.to_dict(), "n_trials": n_trials, "seed": seed,
+        "versions": versions(),
+    }  # fmt: skip
+    # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
         flow = scc.flow(decomposed)
         if len(flow.grids) > 1:
             # Bins need one direction, that of the whole flow.
-            flow = find_streams(
-                flow, features, n_trials=n_trials, rng=generator, **search
-            ).flow  # fmt: skip
-        flows = {ALL: flow} if groups is None else _by_scale(cube, flow, groups)
-        distance = feature_distances(flow, features)
-        meta = {
-            "settings": scc.to_dict(), "n_trials": n_trials, "seed": seed,
-            "versions": versions(),
-        }  # fmt: skip
-        results, limits = {}, bins.to_value(u.mas)
+            flow = find_streams(flow, features, rng=generator, **search).flow
+        flows = _by_scale(cube, flow, groups) if of_scales else {ALL: flow}
         total = len(flows) * len(bins)
         with progress(total, "Searching", show=progress_bar) as done:
-            for name, own in flows.items():
-                results[name] = []
-                for (low, high), own_rng in zip(
-                    limits, generator.spawn(len(bins)), strict=True
-                ):
-                    inside = (distance >= low) & (distance < high)
-                    part, found = own.between(low, high), None
-                    if has_flow(part):
-                        found = find_streams(
-                            part, features, inside=inside & (groups is None),
-                            root=groups is None, n_trials=n_trials, rng=own_rng, **search
-                        )  # fmt: skip
-                        found = SCCResult(
-                            decomposed, found, flow_direction(decomposed, flow.frame),
-                            meta=dict(meta),
-                        )  # fmt: skip
-                    results[name].append(found)
-                    done(1)
+            results = {
+                name: _search_bins(
+                    own, bins, decomposed, root=not of_scales, search=search, meta=meta,
+                    rngs=generator.spawn(len(bins)), done=done,
+                )
+                for name, own in flows.items()
+            }  # fmt: skip
         if not any(result for found in results.values() for result in found):
             raise ValueError(
-                f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from the "
-                "core: choose others"
+                f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from "
+                "the core: choose others"
             )
-        sign = _sign_of(results)
+        sign, intervals = _sign_of(results), search["intervals"]
         fits = {
             name: tuple(
-                _fit_again(result, sign, search["intervals"], root=groups is None)
-                for result in found
+                _fit_again(one, sign, intervals, root=not of_scales) for one in found
             )
             for name, found in results.items()
         }
+        limits = bins.to_value(u.mas)
         places = [place_of(flow.between(low, high)) for low, high in limits]
         speeds = {name: speeds_in_parts(own, places) for name, own in fits.items()}
-    return Profile(
-        bins, {name: tuple(found) for name, found in results.items()}, fits, speeds,
-        flow, "ridge" if isinstance(flow.frame, RidgeLine) else "radius",
-    )  # fmt: skip
+    along = "ridge" if isinstance(flow.frame, RidgeLine) else "radius"
+    return Profile(bins, results, fits, speeds, flow, along)
+
+
+def _search_bins(flow, bins, decomposed, *, root, search, meta, rngs, done):
+    """Return the result of each bin, or None; groups of scales have no features."""
+    features = decomposed.features
+    distance = feature_distances(flow, features)
+    direction, found = flow_direction(decomposed, flow.frame), []
+    for (low, high), rng in zip(bins.to_value(u.mas), rngs, strict=True):
+        part, result = flow.between(low, high), None
+        if has_flow(part):
+            inside = root & (distance >= low) & (distance < high)
+            streams = find_streams(
+                part, features, inside=inside, root=root, rng=rng, **search
+            )
+            result = SCCResult(decomposed, streams, direction, meta=dict(meta))
+        found.append(result)
+        done(1)
+    return tuple(found)
 
 
 def _by_scale(cube, flow, groups):

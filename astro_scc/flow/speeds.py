@@ -143,16 +143,17 @@ def flow_by_scale(flow, scales):
 
 
 def compare_scales(
-    measured: SCCResult | Profile, scale_groups: Mapping[str, Sequence[float]] | None = None
-) -> QTable | None:  # fmt: skip
+    measured: SCCResult | Profile,
+    scale_groups: Mapping[str, Sequence[float]] | None = None,
+) -> QTable | None:
     """
     Compare the speeds of groups of scales.
 
-    One stream is fitted to each group, with the variance of the images normalised along
-    the flow only, as what differs across it belongs to the scales.  The same clusters
-    and epochs are seen by both groups, so that the error of a difference is smaller than
-    those of the speeds; in simulated jets without layers it is too small by a factor of
-    1.5, by which it is multiplied.
+    One stream is fitted to each group, with the variance of the images normalised
+    along the flow only, as what differs across it belongs to the scales.  What the same
+    clusters and epochs add to both groups cancels in a difference, and so does not
+    count in its error; in simulated jets that error is too small by a factor of 1.5, by
+    which it is multiplied.
 
     Parameters
     ----------
@@ -166,9 +167,9 @@ def compare_scales(
     -------
     `~astropy.table.QTable` or None
         A row for each pair of groups, and bin: ``r_min`` and ``r_max`` (0 and infinity
-        for the whole); ``first`` and ``second``, their names; the speed of each with its
-        error; ``difference`` with its error, and ``p_value``.  What is unknown is NaN.
-        None with one scale.
+        for the whole); ``first`` and ``second``, their names; the speed of each with
+        its error; ``difference`` with its error, and ``p_value``.  What is unknown is
+        NaN.  None with one scale.
 
     Raises
     ------
