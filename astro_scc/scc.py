@@ -45,7 +45,6 @@ from astro_scc.settings import (
 from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
-from astro_scc.streams.parts import part_rows
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:

@@ -6,8 +6,13 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
-from astro_scc.kinematics import ExpansionFrame, PositionAngleFrame, RadialFrame
-from astro_scc.kinematics import RidgeLine, SkyFrame
+from astro_scc.kinematics import (
+    ExpansionFrame,
+    PositionAngleFrame,
+    RadialFrame,
+    RidgeLine,
+    SkyFrame,
+)
 from astro_scc.kinematics.frames import axes_along
 
 #: Points of a grid in a beam, at most.

@@ -20,8 +20,8 @@ from astro_scc.images.positions import beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.frames import mean_width
 from astro_scc.settings import MeasurementSettings, require
-from astro_scc.stacking import velocities
 from astro_scc.spectrum.permutations import fastest_speed
+from astro_scc.stacking import velocities
 from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 """Measurement: the result and its tables."""
 
 from astro_scc.measurement.result import SCCResult
-from astro_scc.measurement.tables import stream_table as stream_table
 from astro_scc.measurement.tables import false_discovery_rate
+from astro_scc.measurement.tables import stream_table as stream_table
 
 __all__ = ["SCCResult", "false_discovery_rate"]

@@ -16,7 +16,7 @@ from astropy.nddata import NDData
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.columns import build_table, cell, describe, round_to_errors
+from astro_scc.columns import build_table, cell, round_to_errors
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features

@@ -30,7 +30,10 @@ BEYOND = 2.0
 #: The test compares displacements up to this share of the largest; this share of the
 #: mean is added to standard deviations.
 TESTED, FLOOR = 0.8, 0.1
-#: Memories, in median intervals and in the whole time, and white shares, that are tried.
+#: Part of the largest z from which directions are alike.
+NEARLY = 0.8
+TINY = np.finfo(float).tiny
+#: Memories, in median intervals and in the whole time, and white shares that are tried.
 SHORTEST, LONGEST, N_MEMORIES = 0.3, 2.0, 24
 WHITE = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
 #: Share of the permutations below the level that figures show.
@@ -57,6 +60,8 @@ class MotionTest:
         Smallest p-value that permutations and epochs allow.
     level : float
         The largest z of 99% of the permutations.
+    amplitude : `~numpy.ndarray`, shape (n_directions, n_v)
+        Share of the variance of the images that moves with each speed.
     memory, white : float
         Time over which the images are correlated, in years, and the share of their
         variance without memory, in the direction of the largest z.
@@ -71,13 +76,19 @@ class MotionTest:
     level: float
     memory: float
     white: float
+    amplitude: np.ndarray
     gram: np.ndarray
     scores: np.ndarray
 
     @property
     def best(self) -> tuple[int, int]:
-        """The direction and the speed of the largest z."""
-        return tuple(int(k) for k in np.unravel_index(self.z.argmax(), self.z.shape))
+        """
+        The direction and the speed of the motion.
+
+        Of directions with nearly the largest z, that in which most of the images
+        moves: structures that are elongated look alike in several.
+        """
+        return _best(self.z, self.amplitude)
 
     def beside(self, speed, least):
         """
@@ -107,6 +118,15 @@ class MotionTest:
         z = standardised((scores[:, ~near] - scores[:, near] @ take) / left)
         k = int(z[0].argmax())
         return float(v[~near][k]), share_of_larger(z.max(axis=1))
+
+
+def _best(z, amplitude):
+    """Return the direction and the speed of the motion, see `MotionTest.best`."""
+    speed = z.argmax(axis=1)
+    every = np.arange(len(z))
+    top, moved = z[every, speed], amplitude[every, speed]
+    direction = int(np.where(top >= NEARLY * top.max(), moved, -np.inf).argmax())
+    return direction, int(speed[direction])
 
 
 def memory_of(years, zero):
@@ -253,12 +273,13 @@ def test_motion(
     speed = tested_speeds(years, fastest, intervals)
     tau = years - years[:, None]
     orders = orders_of(len(years) - 1, n_trials, rng)
-    found, memories, grams = [], [], []
+    found, memories, grams, shares = [], [], [], []
     for diagram in diagrams:
-        scores, gram, *memory = _scores(diagram, speed, tau, orders, intervals)
+        scores, gram, share, *memory = _scores(diagram, speed, tau, orders, intervals)
         found.append(scores)
         memories.append(memory)
         grams.append(gram)
+        shares.append(share)
     z = np.array([standardised(scores) for scores in found])
     both = np.concatenate([z, -z], axis=2)
     weight = np.repeat([1.0, inward], len(speed))
@@ -267,7 +288,8 @@ def test_motion(
     both = both[:, :, np.repeat([True, inward > 0], len(speed))]
     signs = (1, -1) if inward > 0 else (1,)
     largest = both.max(axis=(0, 2))
-    k = int(np.unravel_index(both[:, 0].argmax(), both[:, 0].shape)[0])
+    amplitude = np.concatenate([s * np.array(shares) for s in signs], axis=1)
+    k, _ = _best(both[:, 0], amplitude)
     scores = np.concatenate([s * found[k] for s in signs], axis=1)
     gram = np.kron(np.outer(signs, signs), grams[k])
     return MotionTest(
@@ -280,6 +302,7 @@ def test_motion(
         level=float(np.quantile(largest[1:], LEVEL)),
         memory=memories[k][0],
         white=memories[k][1],
+        amplitude=amplitude,
         gram=gram,
         scores=scores,
     )
@@ -340,7 +363,9 @@ def _scores(diagram, speed, tau, orders, intervals):
         some = orders[low : low + piece]
         rows = some[:, first] * (n - 1) + some[:, second]
         scores[low : low + piece] = flat[rows].reshape(len(some), -1) @ filters.T
-    return scores, (filters @ filters.T).astype(float), time, white
+    power = max(float(sums[np.arange(n), np.arange(n), zero].mean()), TINY)
+    share = scores[0] / np.where(norm > 0, norm, np.inf) / power
+    return scores, (filters @ filters.T).astype(float), share, time, white
 
 
 def _sandwich(matrix, values):

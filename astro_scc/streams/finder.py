@@ -39,8 +39,8 @@ ASIDE = 0.4
 #: Without a known direction, that of the flow is found in so many turns, of at most
 #: and at least so many radians.
 MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
-#: Two streams are one broad one if as many features are less separate, unless the speeds
-#: differ by such a factor; if they are more separate, two streams need explain less.
+#: Two streams are one broad one if as many features are less separate, unless the
+#: speeds differ by such a factor; if they are more separate, two need explain less.
 #: Features tell if such a share of them is on either side of the middle.
 FEWEST, SEPARATE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.9, 6.0, 0.03, 0.2
 #: Features speak for a flow if they are this share of all detections.
@@ -300,7 +300,8 @@ def _are_two(equations, one, two, moving, beam):
     """Return whether spectrum and features show two streams rather than a broad one."""
     slow, fast = np.abs(two.mean) * beam
     speed, middle = np.abs(moving.along), np.sqrt(slow * fast)
-    known = len(speed) >= FEWEST and LEAST_SIDE <= (speed > middle).mean() <= 1 - LEAST_SIDE
+    side = min((speed > middle).mean(), (speed < middle).mean()) if len(speed) else 0
+    known = len(speed) >= FEWEST and side >= LEAST_SIDE
     apart = separation(speed) if known else np.nan
     if known and apart < SEPARATE and fast < BROAD * slow:
         return False
