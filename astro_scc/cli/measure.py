@@ -110,10 +110,12 @@ def _as_in_paper(epochs, folder, args, reporter):
 
 def require_epochs(cube):
     """Refuse so few epochs that nothing could be shown to move."""
-    if len(cube) < FEWEST_EPOCHS:
+    n = len(cube)
+    if n < FEWEST_EPOCHS:
         raise ValueError(
-            f"too few epochs: {len(cube)} images, {FEWEST_EPOCHS} are needed to show "
-            "that anything moves; astro-scc track follows features in four or more"
+            f"too few epochs: {n} image{'' if n == 1 else 's'}, {FEWEST_EPOCHS} are "
+            "needed to show that anything moves; astro-scc track follows features in "
+            "four or more"
         )
 
 

@@ -15,8 +15,7 @@ from astropy.table import QTable
 from regions import Regions
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.cli.measure import STALE, WORK
-from astro_scc.correlation.correlate import match_block
+from astro_scc.cli.measure import STALE
 from astro_scc.report.page import PRODUCTS
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
@@ -34,7 +33,7 @@ def config_of(folder):
 def test_tables_maps_and_settings(measured, jet):
     # Nothing is left of an old measurement.
     assert {path.name for path in measured.iterdir()} == {*PRODUCTS, "notes.txt"}
-    table = QTable.read(measured / "components.ecsv")
+    table = QTable.read(measured / "streams.ecsv")
     assert table["pm"].unit == u.mas / u.yr
     assert table["beta_app"].unit == u.one
     config = config_of(measured)
@@ -54,12 +53,12 @@ def test_tables_maps_and_settings(measured, jet):
 
 @pytest.mark.slow
 def test_the_same_from_python_and_from_the_configuration(measured, jet, done, here):
-    seed = QTable.read(measured / "components.ecsv").meta["seed"]
+    seed = QTable.read(measured / "streams.ecsv").meta["seed"]
     how = {"scales": [2], "max_speed": 30 * u.mas / u.yr}
     scc = StackedCrossCorrelation(position_angle=-90 * u.deg, **how)
     cube = EpochCube.read(jet).align("none")
-    expected = scc(cube, n_trials=20, rng=seed).components
-    table = QTable.read(measured / "components.ecsv")
+    expected = scc(cube, n_trials=20, rng=seed).streams
+    table = QTable.read(measured / "streams.ecsv")
     for name in expected.colnames:
         np.testing.assert_array_equal(table[name], expected[name], err_msg=name)
     again = ["measure", "--config", measured / "config.toml", "--no-report"]
@@ -75,27 +74,25 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
         assert len(Regions.read(file)) == np.sum(ssps["epoch"] == i)
     # The command line comes before the file.
     other = ["--distance", "16.7 Mpc", "--n-trials", "30", "--seed", "5"]
-    other += ["--common-beam", "--before", "2000-05-15"]
+    other += ["--common-beam", "--before", "2001-05-15"]
     assert done(*again, "-o", "new", *other)[1] == ""
-    meta = QTable.read(here / "new" / "components.ecsv").meta
+    meta = QTable.read(here / "new" / "streams.ecsv").meta
     wanted = {"n_trials": 30, "seed": 5, "common_beam": True}
     assert wanted.items() <= meta["configuration"].items()
     assert not {"redshift", "cosmology"} & set(meta["configuration"])
     assert meta["distance"] == 16.7 * u.Mpc
-    assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {0, 1, 2, 3, 4}
+    assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {*range(6)}
 
 
 @pytest.mark.slow
 def test_regions_and_a_distance_that_gives_way_to_a_redshift(jet, done, here):
-    (here / "corner.reg").write_text("image\ncircle(3,3,2)\n")
-    (here / "jet.toml").write_text("distance = '16.7 Mpc'\nregion = 'corner.reg'\n")
-    words = ["measure", *jet[:5], *QUICK, "-o", "out", "--no-report"]
+    (here / "box.reg").write_text("image\nbox(51,33,90,50,0)\n")
+    (here / "jet.toml").write_text("distance = '16.7 Mpc'\nregion = 'box.reg'\n")
+    words = ["measure", *jet, *QUICK, "-o", "out", "--no-report"]
     source = ["--redshift", "0.1", "--cosmology", "Planck18"]
     out, _ = done(*words, "--config", "jet.toml", *source)
-    assert out.startswith("No motion found: no pattern has a match in another epoch")
     assert "speeds in c: redshift 0.1, Planck18, FlatLambdaCDM with H0 = 67.66" in out
-    table = QTable.read(here / "out" / "components.ecsv")
-    assert len(table) == 0
+    table = QTable.read(here / "out" / "streams.ecsv")
     assert {"pm", "beta_app"} <= set(table.colnames)
     assert table.meta["configuration"]["cosmology"] == "Planck18"
     assert "distance" not in table.meta["configuration"]
@@ -124,58 +121,49 @@ def test_images_without_beams_have_none_for_a_core(series, refused):
 
 @pytest.mark.slow
 def test_a_report_tells_warnings_and_epochs_left_out(series, done, here, no_figures):
-    paths = series([1] * 6, OBJECT="3C <273>")
+    paths = series([1] * 7, OBJECT="3C <273>")
     how = ["--after", "2000-01-15", "--max-speed", "900 mas/yr"]
     out, err = done("measure", *paths, *QUICK, "-o", "out", *how)
     assert out.splitlines()[-1] == "Report: out/report.html"
-    assert "warning: --max-speed moves" in err
+    assert "warning: 20 trials allow no p_global" in err
     page = (here / "out" / "report.html").read_text()
     for words in (
-        "3C &lt;273&gt;", "--max-speed moves", paths[0].name,
+        "3C &lt;273&gt;", "20 trials allow no p_global", paths[0].name,
         "before 2000-01-15", "astro-scc measure --config out/config.toml -o FOLDER",
     ):  # fmt: skip
         assert words in page
 
 
-# -- interrupted and resumed -----------------------------------------------------------
+# -- the method of the paper -----------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_goes_on_and_ends_the_same(jet, astro_scc, done, here, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
+def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
+    words = ["measure", *jet, *QUICK, "--method", "paper", "--position-angle", "270deg"]
+    out, _ = done(*words, "-o", "out", "--seed", 1, "--redshift", 0.1)
+    assert out.startswith("Paper's method: ")
+    assert {"z_score", "coefficient"} <= set(out.split())
+    kept = "streams.ecsv components.ecsv ssps.ecsv scc.fits config.toml publication"
+    assert {path.name for path in (here / "out").iterdir()} == {*kept.split()}
+    table = QTable.read(here / "out" / "streams.ecsv")
+    scc = StackedCrossCorrelation(
+        scales=[2], max_speed=30 * u.mas / u.yr, position_angle=270 * u.deg,
+        method="paper",
+    )  # fmt: skip
+    own = scc(EpochCube.read(jet).align("none"), n_trials=20, rng=1)
+    for name in own.streams.colnames:
+        np.testing.assert_array_equal(table[name], own.streams[name], err_msg=name)
+    assert {"pm_err_jitter", "n_ssp", "n_pairs", "beta_app"} <= {*table.colnames}
+    np.testing.assert_array_equal(table["pm_err_jitter"], table["pm_err"])
+    ssps = (QTable.read(folder / "ssps.ecsv") for folder in (here / "out", measured))
+    assert len({len(one) for one in ssps}) == 1
+    assert config_of(here / "out")["method"] == "paper"
 
-    def resume(*argv):
-        status, _, err = astro_scc(*words, "-o", "out", "--resume", *argv)
-        return status, err
 
-    words, blocks = ["measure", *jet[:4], *QUICK, "--no-report"], []
-    place = "astro_scc.correlation.correlate"
-    monkeypatch.setattr(f"{place}.BLOCK_WORK", 1)
-    monkeypatch.setattr(
-        f"{place}.match_block", lambda own: blocks.append(own) or match_block(own)
-    )
-    with monkeypatch.context() as patch:
-        patch.setattr("astro_scc.scc.prepared_search", interrupt)
-        status, err = resume()
-    assert status == 130
-    assert err.endswith("interrupted; the same command goes on from what is done\n")
-    assert [p.name for p in (here / "out").iterdir()] == [WORK]
-    # Then it is done already: to the bit, with the seed that was drawn.
-    for _ in range(2):
-        assert resume()[0] == 0
-        assert len(blocks) == 4
-    kept = sorted(p.name for p in (here / "out" / WORK).iterdir())
-    assert kept == ["matches.fits", "seed.txt"]
-    seed = (here / "out" / WORK / "seed.txt").read_text().strip()
-    done(*words, "-o", "plain", "--seed", seed)
-    assert same(here / "out", here / "plain")
-    # Matches of other settings are not used.
-    status, err = resume("--kappa", "0.7")
-    (line,) = [line for line in err.splitlines() if "matches" in line]
-    assert line.startswith("warning: out/.astro_scc-work/matches.fits: is of other ")
-    assert line.endswith("not used, the epochs are matched again")
-    assert (status, len(blocks)) == (0, 12)
+def test_so_few_epochs_show_no_motion(jet, refused, here):
+    for words in (["measure"], ["profile", "--bins", "1 2 mas"]):
+        line = refused(*words, *jet[:5], *QUICK, "-o", "out")
+        assert "too few epochs: 5 images, 6 are needed" in line
+        assert line.endswith("astro-scc track follows features in four or more")
 
 
 # -- the demo --------------------------------------------------------------------------
@@ -185,16 +173,16 @@ def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
     monkeypatch.setattr("astro_scc.cli.measure.N_TRIALS", 20)
     monkeypatch.setattr("astro_scc.cli.measure.LAST", 110)
     monkeypatch.setattr(
-        "astro_scc.cli.measure.simulate_two_fluid", lambda rng: make_jet(4)
+        "astro_scc.cli.measure.simulate_two_fluid", lambda rng: make_jet(6)
     )
     out, err = done("demo")
     assert out.startswith("Simulated:\nstream")
     assert "Report: astro_scc_demo/report.html" in out
-    table = QTable.read(here / "astro_scc_demo" / "components.ecsv")
+    table = QTable.read(here / "astro_scc_demo" / "streams.ecsv")
     assert table.meta["configuration"]["region"] == "astro_scc_demo/region.reg"
     # What is warned of is in the report, too.
     (line,) = err.splitlines()
-    assert line.startswith("warning: 4 epochs allow no p_global below 0.08")
+    assert line.startswith("warning: 20 trials allow no p_global below 0.04")
     page = (here / "astro_scc_demo" / "report.html").read_text()
     assert line.removeprefix("warning: ") in page
 
@@ -211,7 +199,7 @@ def test_demo(done, here):
     found = {path.name for path in folder.iterdir()}
     needed = {*PRODUCTS, "report.html", "epochs", "region.reg"}
     assert needed <= found <= {*needed, *STALE}
-    table = QTable.read(folder / "components.ecsv")
+    table = QTable.read(folder / "streams.ecsv")
     step = (0.1 * u.mas / (30 * u.day)).to(u.mas / u.yr)
     assert list(table["kind"][:2]) == ["moving", "moving"]
     for truth in (5, 20):

@@ -18,16 +18,14 @@ REFUSED = {
 --baseline -1yr,1yr | --baseline '-1yr,1yr' must be a shortest and
 --cosmology Planck18 | --cosmology needs a redshift
 --before 1990-01-01 | no epoch is left between --after and --before
---before 2000-01-15 | velocities need at least two epochs
+--before 2000-01-15 | too few epochs: 1 image, 6 are needed to show that
+--method sum | --method 'sum' must be one of spectrum, paper
 --align coer | --align 'coer' is none of
 --region no.reg | no.reg: No such file or directory
 --region odd.reg | odd.reg:
 --config no.toml | no.toml: No such file or directory
 -o file | file: is a file
 -o full | full: exists and is not empty
--o full --resume | full: exists and is not of a run with --resume; choose another
--o file --resume | file: cannot be made or used
--o taken --resume --overwrite | taken: taken/.astro_scc-work is a file; choose another
 """,
     "measure": """
 -o out | no epochs were given
@@ -102,7 +100,7 @@ bad_2006-03-09.mod | bad_2006-03-09.mod, line 1:
 --pixel "0.1 mas" | 3c1_2006-03-09.mod: is a list of
 """,
     "explore": """
-full | components.ecsv: does not exist; name a folder that astro-scc
+full | streams.ecsv: does not exist; name a folder that astro-scc
 """,
 }
 FILES = {
@@ -112,7 +110,6 @@ FILES = {
     "note.fits": "no image",
     "more.fits": "no image",
     "extra.xyz": "",
-    "taken/.astro_scc-work": "",
     "bad_2006-03-09.mod": "1 2\n",
     **dict.fromkeys(
         ("3c1_2006-03-09.mod", "3c1_2007-03-09.mod", "model.mod"),

@@ -17,7 +17,6 @@ from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_source, run_survey
 from astro_scc.cli.survey_sources import Outcome, folder_names, read_survey
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.matching import select_ssps
 from astro_scc.matching.plan import choose_direction
 from astro_scc.quantities import with_error
 from astro_scc.report.page import write_overview
@@ -57,7 +56,7 @@ def folder(tmp_path_factory):
     """A survey of two small cubes, and of one that is not there."""
     folder = tmp_path_factory.mktemp("in")
     for seed, name in enumerate(("one", "two")):
-        cube = simulate_two_fluid(n_epochs=4, rng=seed).cube
+        cube = simulate_two_fluid(n_epochs=6, rng=seed).cube
         cube = cube.crop((slice(70, 186), slice(20, 170)))
         cube.write(folder / f"{name}.fits")
     (folder / "left.reg").write_text("image\nbox(40,58,80,116,0)\n")
@@ -118,12 +117,11 @@ def test_every_source_region_and_group_has_a_row(serial):
 def test_rows_are_those_of_single_measurements(serial, folder):
     cube = EpochCube.read(folder / "two.fits")
     how = {"max_speed": 30 * u.mas / u.yr, "position_angle": choose_direction(cube)[0]}
-    scc = StackedCrossCorrelation(scales=[1, 2], **how)
-    coarse = select_ssps(scc.match(cube), scales=[2])
+    scc = StackedCrossCorrelation(scales=[2], **how)
     with warnings.catch_warnings():
-        # That four epochs are few.
+        # That the trials are few.
         warnings.simplefilter("ignore", MeasurementWarning)
-        single = scc.stack(coarse, n_trials=20, rng=1).components
+        single = scc(cube, n_trials=20, rng=1).streams
     table, _ = serial
     rows = table[(table["source"] == "Two") & (table["scale_group"] == "coarse")]
     np.testing.assert_array_equal(u.Quantity(rows["pm"].unmasked), single["pm"])
@@ -143,7 +141,7 @@ def test_the_overview_has_a_row_for_every_part(serial):
     speed = with_error(first["pm"].value, first["pm_err"].value)
     assert f'<span class="pm">{speed}</span>' in rows[2]
     assert '"published">18.0 ± 2.0</span>' in rows[2]
-    assert "2000-01-01 to 2000-03-31</span>" in rows[2]
+    assert "2000-01-01 to 2000-05-30</span>" in rows[2]
     assert "nan" not in page
     assert "gone/*.fits" in rows[-1]
     # No reports were wanted.
@@ -229,9 +227,9 @@ def test_interrupted_and_started_again(serial, folder, here, astro_scc, monkeypa
     assert not list(out.rglob(".partial-*"))
 
 
-def small_page(result, folder, *, components, title, **options):
+def small_page(result, folder, *, streams, title, **options):
     """As a report, without the time that figures take."""
-    assert len(components) == len(result.components)
+    assert len(streams) == len(result.streams)
     page = {"title": title, **options}
     (folder / "report.html").write_text(json.dumps(page), encoding="utf-8")
 
@@ -278,6 +276,18 @@ def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
     assert coarse.status in ("measured", "empty")
     text = (tmp_path / "sources" / "Two" / "error.txt").read_text()
     assert "AssertionError: odd" in text
+
+
+def test_what_a_survey_does_not_measure(folder, tmp_path):
+    *_, two, _ = read_survey(folder / "survey.toml").sources
+    for changes, words in (
+        ({"method": "paper"}, "method is 'paper', which astro-scc measure has"),
+        ({"before": "2000-02-15"}, "too few epochs: 2 images, 6 are needed"),
+    ):
+        other = replace(two, settings=two.settings.changed(**changes))
+        for part in measure_source(other, tmp_path):
+            assert part.status == "failed"
+            assert words in part.message
 
 
 def test_when_nothing_could_be_measured(here, astro_scc):

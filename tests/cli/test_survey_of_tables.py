@@ -74,7 +74,7 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
     assert not list(out.rglob("report.html"))
     assert not list((out / "sources").rglob("publication"))
     folder = out / "publication"
-    for name, file in (("components", "survey"), ("features", "features")):
+    for name, file in (("streams", "survey"), ("features", "features")):
         ecsv = QTable.read(out / f"{file}.ecsv")
         rows = [row for row in ecsv if file == "features" or row["status"] != "failed"]
         assert set(ecsv["redshift"][ecsv["source"] == "0003+380"]) == {0.229}
@@ -105,12 +105,12 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
 def test_folders_of_images(done, refused, here):
     folder, out, z = here / "images", here / "out", here / "z.txt"
     for name in ("one [1]", "two"):
-        cube = simulate_two_fluid(n_epochs=4, rng=1).cube
+        cube = simulate_two_fluid(n_epochs=6, rng=1).cube
         write_epochs(cube.crop((slice(70, 186), slice(20, 170))), folder / name)
     (folder / "notes").mkdir()
     # A measurement beside its images is no source.
     measured = shutil.copytree(folder / "two", folder / "two-measured")
-    (measured / "components.ecsv").touch()
+    (measured / "streams.ecsv").touch()
     argv = ["survey", folder, "-o", out, "--quiet"]
     done(*argv)
     table = QTable.read(out / "survey.ecsv")

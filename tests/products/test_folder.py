@@ -13,7 +13,6 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement.result import velocity_hdus
 from astro_scc.products import write_products
 from astro_scc.products.folder import product_folder
@@ -27,23 +26,25 @@ def result(sky_result):
     """As of a jet to the west, whose epochs have a history."""
     meta = {"object": "Größe", "history": ["simulated: here"]}
     cube = replace(sky_result.cube, meta=meta)
-    matched = replace(sky_result.decomposed, cube=cube)
-    vars(matched)["features"] = sky_result.tracked_features
-    return replace(sky_result, matched=matched, position_angle=270 * u.deg)
+    decomposed = replace(sky_result.decomposed, cube=cube)
+    vars(decomposed)["features"] = sky_result.tracked_features
+    return replace(sky_result, decomposed=decomposed, position_angle=270 * u.deg)
 
 
 @pytest.fixture(scope="module")
-def components(result):
+def streams(result):
     return result.components_in_c(redshift=0.158, cosmology=Planck18)
 
 
 @pytest.fixture(scope="module")
-def written(result, components, tmp_path_factory):
+def written(result, streams, tmp_path_factory):
     folder = tmp_path_factory.mktemp("out")
     how = {"configuration": SETTINGS, "text": "# Größe\nscales = [2]\n"}
-    paths = write_products(result, components, folder, **how)
+    paths = write_products(result, streams, folder, **how)
     assert all(path.is_file() for path in paths)
-    names = "components features positions sensitivity epochs ssps".split()
+    names = (
+        "streams components spectrum features positions sensitivity epochs ssps".split()
+    )
     kept = [f"{name}.ecsv" for name in names] + ["config.toml", "scc.fits"]
     assert [path.name for path in paths if path.parent == folder] == kept
     return folder
@@ -151,8 +152,11 @@ def test_an_interrupt_while_files_are_moved_comes_too_late(tmp_path, monkeypatch
 # -- tables and maps ---------------------------------------------------------------
 
 
-def test_tables_are_the_ones_of_the_result(written, result, components):
-    for name, own in (("components", components), ("features", result.features)):
+def test_tables_are_the_ones_of_the_result(written, result, streams):
+    own = (written / name for name in ("streams.ecsv", "components.ecsv"))
+    assert len({path.read_text() for path in own}) == 1
+    every = {"streams": streams, "spectrum": result.spectrum}
+    for name, own in (every | {"features": result.features}).items():
         table = QTable.read(written / f"{name}.ecsv")
         more = ["beta_app", "beta_app_err"] if name == "features" else []
         assert table.colnames == own.colnames + more
@@ -161,11 +165,11 @@ def test_tables_are_the_ones_of_the_result(written, result, components):
             np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
             assert getattr(one, "unit", None) == getattr(other, "unit", None)
     meta, ratio = table.meta, (table["beta_app"] / table["pm"]).value
-    wanted = (components["beta_app"] / components["pm"])[0].value
+    wanted = (streams["beta_app"] / streams["pm"])[0].value
     np.testing.assert_allclose(ratio, wanted)
     assert meta["configuration"] == SETTINGS
     assert "settings" not in meta
-    assert (meta["seed"], meta["n_trials"], meta["redshift"]) == (1, 40, 0.158)
+    assert (meta["seed"], meta["n_trials"], meta["redshift"]) == (1, 200, 0.158)
     assert meta["history"] == ["simulated: here"]
     assert meta["cosmology"]["name"] == "Planck18"
 
@@ -184,7 +188,7 @@ def test_maps_satisfy_the_standard(written, result):
             np.testing.assert_allclose(v2[0], result.grid.v2, atol=1e-9)
         header, seen = hdus[0].header, QTable.read(hdus["FEATURES"])
     assert not {"LATPOLE", "MJDREF", "DATE"} & {*header}
-    assert (header["SEED"], header["NTRIALS"], header["NEPOCHS"]) == (1, 40, 8)
+    assert (header["SEED"], header["NTRIALS"], header["NEPOCHS"]) == (1, 200, 8)
     assert (header["OBJECT"], header["JETPA"]) == ("Gr??e", 270)
     assert header["DATE-BEG"].startswith("2000-01-01")
     assert header["CREATOR"].startswith("astro_scc ")
@@ -198,9 +202,8 @@ def test_maps_satisfy_the_standard(written, result):
 
 
 @pytest.mark.parametrize("radial", [True, False])
-def test_the_fits_file_holds_the_diagram(result, radial):
-    if radial:
-        result = replace(result, frame=RadialFrame())
+def test_the_fits_file_holds_the_diagram(result, jet_results, radial):
+    result = jet_results["radial"] if radial else result
     image, hdus = result.diagram(), velocity_hdus(result)
     header, wcs = hdus["DIAGRAM"].header, WCS(hdus["DIAGRAM"].header)
     names = ["radial", "transverse"] if radial else ["east", "north"]

@@ -23,17 +23,16 @@ from astro_scc.products.publication import (
     write_publication,
 )
 
-NAMES = ("components", "features", "positions")
+NAMES = ("streams", "features", "positions")
 
 
 @pytest.fixture(scope="module")
 def printed(sky_result):
     """Tables of a measurement with speeds in units of c and the name of a source."""
-    components = sky_result.components_in_c(redshift=0.158)
-    features = table_in_c_as(sky_result.features, components)
-    meta = components.meta | {"object": "3C_1 50%", "position": "1h00m00s +30d00m00s"}
-    assert meta["core"] == [2]
-    found = components, features, sky_result.feature_positions
+    streams = sky_result.components_in_c(redshift=0.158)
+    features = table_in_c_as(sky_result.features, streams)
+    meta = streams.meta | {"object": "3C_1 50%", "position": "1h00m00s +30d00m00s"}
+    found = streams, features, sky_result.feature_positions
     made = {name: table.copy() for name, table in zip(NAMES, found, strict=True)}
     for table in made.values():
         table.meta = meta
@@ -64,7 +63,7 @@ def test_archives_read_the_numbers(folder, printed, name, form):
         path, how = f"{name}.dat", {"format": "cds", "readme": str(folder / "ReadMe")}
     found, table = ascii.read(str(folder / path), **how), printed[name]
     # The core is the reference, and in no paper.
-    table = tables.printed(table) if name == "components" else table
+    table = tables.printed(table) if name == "streams" else table
     assert len(found) == len(table)
     for own, column in zip(found.colnames, table.colnames, strict=True):
         stem = column.removesuffix("_err").replace("_err_", "_")
@@ -95,11 +94,11 @@ def test_tables_without_rows_and_speeds(printed, tmp_path):
     assert "features.dat" in text
     assert max(map(len, text.splitlines())) <= 80
     # What has no features has no speed in print.
-    table = printed["components"].copy()
+    table = printed["streams"].copy()
     for name in table.colnames:
         if name.startswith(("pm", "beta_app", "dispersion")):
             table[name][0] = np.nan
-    for text in latex_texts_of(tables.printed(table), "components").values():
+    for text in latex_texts_of(tables.printed(table), "streams").values():
         (row,) = (line for line in text.splitlines() if line.startswith("1 & moving"))
         heads = next(line for line in text.splitlines() if "beta" in line).split("&")
         cells = dict(zip(heads, row.split(" & "), strict=True))
@@ -119,7 +118,7 @@ def test_votables_hold_the_numbers(sky_result, printed, folder, tmp_path):
     for path, table in every.items():
         read = QTable.read(path, format="votable")
         assert read.colnames == table.colnames
-        for column in set(table.colnames) - {"component"}:
+        for column in set(table.colnames) - {"stream"}:
             one, other = table[column], read[column]
             # VOTable has a unit for each real number.
             unit, same = (getattr(k, "unit", None) or u.one for k in (one, other))
@@ -166,19 +165,19 @@ def test_a_votable_says_of_what_it_is(folder, name, capsys):
     assert params["ra"].ref == frame.ID
     assert "epochs from" in str(table.description)
     dates = [field for field in table.fields if field.ref]
-    assert len(dates) == {"components": 0, "features": 3, "positions": 1}[name]
+    assert len(dates) == {"streams": 0, "features": 3, "positions": 1}[name]
     assert [k.timescale for k in times] == ["UTC"] * bool(dates)
 
 
 def test_columns_are_described_and_have_ucds_of_the_vocabulary(sky_result):
-    for own in ("components", "features", "positions", "ssps", "added"):
+    for own in ("streams", "features", "positions", "ssps", "added"):
         for name in columns_of(own):
             ucd = column_of(name).ucd
             assert check_ucd(ucd, check_controlled_vocabulary=True), name
             assert ucd.startswith("stat.error;") == ("_err" in name)
     assert column_of("unheard_of").ucd == ""
-    names = "components features feature_positions ssps sensitivity".split()
-    for table in (*(getattr(sky_result, k) for k in names), sky_result.members(1)):
+    names = "streams features feature_positions ssps sensitivity spectrum".split()
+    for table in (getattr(sky_result, k) for k in names):
         assert [n for n in table.colnames if not table[n].info.description] == []
 
 
@@ -188,11 +187,11 @@ def test_columns_are_described_and_have_ucds_of_the_vocabulary(sky_result):
 @pytest.mark.parametrize("rows", [2, ONE_PAGE + 1])
 @pytest.mark.parametrize("journal", ["aastex", "aa"])
 def test_latex_of_both_journals(printed, journal, rows):
-    table, long = printed["components"], rows > ONE_PAGE
+    table, long = printed["streams"], rows > ONE_PAGE
     meta = table.meta
-    table = vstack([table] * (rows // 2 + 1), metadata_conflicts="silent")[:rows]
+    table = vstack([table] * rows, metadata_conflicts="silent")[:rows]
     table.meta = meta
-    text = latex_texts_of(table, "components")[journal]
+    text = latex_texts_of(table, "streams")[journal]
     plain = re.sub(r"\\[{}]", "", text)
     assert plain.count("{") == plain.count("}")
     begun, ended = (re.findall(rf"\\{k}\{{(.*?)\}}", text) for k in ("begin", "end"))
@@ -201,7 +200,7 @@ def test_latex_of_both_journals(printed, journal, rows):
     assert begun == (["longtable"] if long and journal == "aa" else wanted)
     assert (r"\startlongtable" in text) == (long and journal == "aastex")
     for words in (
-        r"\label{tab:components}", r"Velocity components of 3C\_1 50\%.",
+        r"\label{tab:streams}", r"Velocities of the streams of 3C\_1 50\%.",
         "redshift of 0.158", "H0 = 71 km/s/Mpc", " epochs from ",
     ):  # fmt: skip
         assert words in text
