@@ -16,7 +16,7 @@ from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
-from astro_scc.spectrum.permutations import test_motion
+from astro_scc.spectrum.permutations import permutation_test
 from astro_scc.units import PM_UNIT
 
 #: Length of a cell along the flow in beams, and number across it, if none are given.
@@ -171,7 +171,7 @@ def _measure_cell(cell, sign, n_trials, rng):
     unknown = np.nan, np.nan, np.nan
     if not has_flow(cell):
         return unknown
-    test = test_motion(
+    test = permutation_test(
         [cell.diagram(0)], fastest=cell.fastest, n_trials=n_trials, rng=rng,
         inward=0.1 if cell.outward else 1.0,
     )  # fmt: skip

@@ -196,7 +196,7 @@ def fastest_speed(years, intervals=EVERY):
     return FASTEST / np.quantile(gaps, 0.25) if len(gaps) else FASTEST / np.ptp(years)
 
 
-def tested_speeds(years, fastest=None, intervals=EVERY):
+def speeds_tested(years, fastest=None, intervals=EVERY):
     """
     Return the speeds that are tested, in beams/yr.
 
@@ -232,7 +232,7 @@ def autocorrelation(diagram):
     return np.where(np.abs(diagram.displacement) <= ALIKE, own / peak, 0.0)
 
 
-def test_motion(
+def permutation_test(
     diagrams, *, fastest=None, intervals=EVERY, n_trials=1000, inward=INWARD, rng
 ):
     """
@@ -270,7 +270,7 @@ def test_motion(
     `MotionTest`
     """
     years = diagrams[0].years
-    speed = tested_speeds(years, fastest, intervals)
+    speed = speeds_tested(years, fastest, intervals)
     tau = years - years[:, None]
     orders = orders_of(len(years) - 1, n_trials, rng)
     found, memories, grams, shares = [], [], [], []

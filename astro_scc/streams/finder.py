@@ -18,7 +18,7 @@ from astro_scc.spectrum.gaussians import (
     two_streams,
 )
 from astro_scc.spectrum.maps import VelocityMap, velocity_map
-from astro_scc.spectrum.permutations import EVERY, MotionTest, test_motion
+from astro_scc.spectrum.permutations import EVERY, MotionTest, permutation_test
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.spread import chance_of_separation, mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
@@ -220,7 +220,7 @@ def find_streams(
     map_rng = rng.spawn(1)[0]
     prefer = flow.directed and flow.outward
     inward = 0.0 if outward and flow.directed else (0.1 if prefer else 1.0)
-    test = test_motion(
+    test = permutation_test(
         diagrams,
         fastest=flow.fastest,
         intervals=intervals,
@@ -233,7 +233,7 @@ def find_streams(
         # Along the direction of the largest z, outward.
         direction, best = test.best
         flow = _turned(flow, direction, test.speed[best], intervals)
-        found = test_motion(
+        found = permutation_test(
             [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
             n_trials=n_trials, inward=0.0, rng=rng,
         )  # fmt: skip

@@ -8,7 +8,7 @@ from astro_scc.spectrum.diagram import correlate
 
 def p_of(flow, seed=0, **how):
     rng = np.random.default_rng(seed)
-    return permutations.test_motion([correlate(flow)], rng=rng, **how)
+    return permutations.permutation_test([correlate(flow)], rng=rng, **how)
 
 
 def test_innovations_have_no_memory():
@@ -37,11 +37,11 @@ def test_orders_begin_with_the_observed_one():
 
 def test_speeds_that_are_promised_are_tested():
     years = np.array([0.0, 0.1, 0.3, 0.4, 1.0])
-    speed = permutations.tested_speeds(years)
+    speed = permutations.speeds_tested(years)
     assert speed[0] == pytest.approx(0.5)
     assert speed[-1] >= 2 / np.quantile(np.diff(years), 0.25)
-    assert permutations.tested_speeds(years, 50.0)[-1] == 50.0
-    limited = permutations.tested_speeds(years, None, (0.25, 1.0))
+    assert permutations.speeds_tested(years, 50.0)[-1] == 50.0
+    limited = permutations.speeds_tested(years, None, (0.25, 1.0))
     assert limited[-1] >= 2 / np.quantile([0.6], 0.25)
     assert limited[-1] < speed[-1]
     # No interval between consecutive dates, but one between others.
