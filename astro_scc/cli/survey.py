@@ -406,9 +406,8 @@ def _measure(source, output, part, report, said):
     """Match a source and measure its parts."""
     cube, settings, left_out, *_ = read_epochs(source.settings)
     published = source.compare and published_positions(source.compare, cube)
-    if settings.crop is not None:
-        for path in filter(None, source.regions.values()):
-            refuse_pixels(path)
+    for path in filter(None, source.regions.values()):
+        refuse_pixels(path, settings.crop is not None, cube)
     masks = {path: path and cube.region_mask(path) for path in source.regions.values()}
     inside = None if None in masks else np.any([*masks.values()], axis=0)
     matched = StackedCrossCorrelation.from_settings(settings).match(cube, region=inside)
