@@ -147,10 +147,12 @@ def read_epochs(settings, args=None, *, note=None, features=False):
     """
     files = find_files(settings.epochs)
     frame = "absolute" if settings.align == "wcs" else "offset"
-    if settings.crop is not None and settings.region is not None:
-        refuse_pixels(settings.region)
+    if settings.region is not None:
+        refuse_pixels(settings.region, settings.crop is not None)
     beam = settings.beam and parse_beam(settings.beam)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
+    if settings.region is not None:
+        refuse_pixels(settings.region, False, cube)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     cube, found, chosen = prepare(cube, settings, note=note, features=features)
     found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}

@@ -409,9 +409,8 @@ def _measure(source, output, part, report, said):
         )
     require_epochs(cube)
     published = source.compare and published_positions(source.compare, cube)
-    if settings.crop is not None:
-        for path in filter(None, source.regions.values()):
-            refuse_pixels(path)
+    for path in filter(None, source.regions.values()):
+        refuse_pixels(path, settings.crop is not None, cube)
     masks = {path: path and cube.region_mask(path) for path in source.regions.values()}
     every, decomposed = StackedCrossCorrelation.from_settings(settings), {}
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))

@@ -286,7 +286,7 @@ def _assemble(planes, times, beams, frame, check, source):
         )
     whole = np.max([plane.shape for plane in planes], axis=0)
     line = grid.flatten(fields, planes[0].name, whole, unit)
-    resampled = resampled or line.startswith("resampled")
+    resampled = resampled or line.startswith(grid.RESAMPLED)
     beams = _all_or_none(planes, "beam", NO_BEAM)
     advice = "that of all is measured; give every image an uncertainty"
     noise = _all_or_none(planes, "noise", advice)

@@ -118,13 +118,16 @@ def region_in_frame(region, wcs):
     Its angle refers to the north of the frame in which it was drawn, and regions would
     take it for that of the image.
     """
-    centre = getattr(region, "center", None)
-    if frame_of(wcs) is None or centre is None:
+    # It imports matplotlib.
+    from regions import CompoundSkyRegion
+
+    if isinstance(region, CompoundSkyRegion):
+        parts = (region_in_frame(one, wcs) for one in (region.region1, region.region2))
+        return region.copy(**dict(zip(("region1", "region2"), parts, strict=True)))
+    if frame_of(wcs) is None or not hasattr(region, "angle"):
         return region
-    frame = wcs_to_celestial_frame(wcs)
+    frame, centre = wcs_to_celestial_frame(wcs), region.center
     if centre.is_equivalent_frame(frame):
         return region
-    changes = {"center": centre.transform_to(frame)}
-    if hasattr(region, "angle"):
-        changes["angle"] = region.angle + north_of(centre, frame) * u.rad
-    return region.copy(**changes)
+    angle = region.angle + north_of(centre, frame) * u.rad
+    return region.copy(center=centre.transform_to(frame), angle=angle)

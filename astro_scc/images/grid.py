@@ -41,6 +41,8 @@ ONE_SHIFT = 0.01
 BAD_WEIGHT = 0.01
 # Pixels per full width at half maximum with which a beam is sampled.
 SAMPLED = 2.0
+#: Beginning of the line of history about images that were not flat.
+RESAMPLED = "resampled onto a tangent plane"
 #: Coordinates in degrees with fewer decimal places were written by hand.
 DECIMALS = 5
 #: Rounding may move a region by this fraction of its size.
@@ -391,10 +393,7 @@ def flatten(fields, name, whole, unit):
         shape, code = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
         data, mask, _ = regrid(data, mask, wcs, flat, shape=shape, unit=unit)
         own = [flat] * len(data)
-        line = (
-            f"resampled onto a tangent plane of {shape[1]} x {shape[0]} pixels at the "
-            "structure"
-        )
+        line = f"{RESAMPLED} of {shape[1]} x {shape[0]} pixels at the structure"
         warn(
             f"all images are {line}: their projection ({code}) changes the scale over "
             "it; reproject them yourself if you want another grid"
@@ -657,18 +656,25 @@ def crop_line(window):
     return f"cropped to pixels x {x}, y {y}"
 
 
-def refuse_pixels(path):
+def refuse_pixels(path, cropped, cube=None):
     """
-    Refuse a region file in pixels if only a part of the images is read.
+    Refuse a region file in pixels if these are not those of the files.
 
-    Pixels are counted from the corner of that part.
+    Pixels are others if only a part of the images is read (``cropped``), or if the
+    images of the cube have been resampled.
     """
     from regions import PixelRegion
 
+    lines = () if cube is None else cube.meta.get("history", ())
+    why = (
+        "in a part of the images (crop)" if cropped else "in images that are resampled"
+    )
+    if not (cropped or any(line.startswith(RESAMPLED) for line in lines)):
+        return
     if any(isinstance(item, PixelRegion) for item in _read(path)[0]):
         raise ValueError(
-            f"{path}: is in pixels, which are others in a part of the images (crop); "
-            "give it in celestial coordinates"
+            f"{path}: is in pixels, which are others {why}; give it in celestial "
+            "coordinates"
         )
 
 

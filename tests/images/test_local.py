@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from regions import (
     CircleAnnulusSkyRegion,
+    CircleSkyRegion,
     EllipseAnnulusSkyRegion,
     EllipseSkyRegion,
     PolygonSkyRegion,
@@ -24,7 +25,7 @@ from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images import local
 from astro_scc.images.frames import north_in, separation, turned
-from astro_scc.images.grid import region_mask
+from astro_scc.images.grid import refuse_pixels, region_mask
 from astro_scc.images.positions import offset_wcs
 
 NY, NX = 24, 32
@@ -214,7 +215,7 @@ def test_structure_far_from_the_reference_pixel_of_a_mosaic():
 
 
 @pytest.mark.parametrize("code", ["CAR", "CEA", "MER", "HPX"])
-def test_images_are_resampled_where_one_matrix_does_not_hold(code):
+def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     shape = (80, 60)
     # Beyond latitudes of 41 degrees, HPX has gaps.
     head = header(code, (120.0, 28.0 if code == "HPX" else 55.0), 0.2)
@@ -236,6 +237,12 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code):
     assert "all images are resampled onto a tangent plane" in said
     assert "north turns by" in said
     assert cube.noise is None
+    (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
+    refuse_pixels(tmp_path / "a.reg", cropped=False)
+    with pytest.raises(
+        ValueError, match="a.reg: is in pixels, .* images that are resam"
+    ):
+        refuse_pixels(tmp_path / "a.reg", False, cube)
     assert "resampled onto a tangent plane" in cube.meta["history"][-1]
     assert cube.wcs.wcs.ctype[0] == "RA---ARC"
     # Flux per pixel is kept, and each spot stays at its place and moves as on the sky.
@@ -276,6 +283,20 @@ def test_a_new_grid_has_the_scale_of_the_sky():
     head = header("CAR", (180.0, 60.0), 1e-3)
     wcs = WCS(head)
     cube = read(header("TAN", (180.0, 60.0), 1e-3)).reproject_to(wcs, (NY, NX))
+    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
+
+
+@pytest.mark.parametrize("code", ["CAR", "CEA"])
+def test_coordinates_of_the_sun_that_follow_its_rotation(code):
+    """The reference point moves from epoch to epoch, the structure stays."""
+    head = header(code, (122.0, 40.0), 0.01, mirrored=True, kind="CRLN")
+    wcs, own = WCS(head), []
+    for i, image in enumerate(images()):
+        own.append(CCDData(image, unit="G", wcs=WCS(head)))
+        head["CRVAL1"] += 0.5 * (i + 1)
+        head["CRPIX1"] += 0.5 * (i + 1) / 0.01
+    cube = EpochCube.from_ccddata(own, times=DATES)
+    assert_allclose(cube.data, images(), atol=1e-6)
     assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
 
 
@@ -436,6 +457,11 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
             place = centre.directional_offset_by(pa + 90 * u.deg, away * MAS)
             x, y = np.rint(wcs.world_to_pixel(place)).astype(int)
             assert not inside[y, x]
+    both = EllipseSkyRegion(width=6 * MAS, height=1 * MAS, **where)
+    both = both & CircleSkyRegion(centre, 2 * MAS)
+    alone = region_mask(cube, EllipseSkyRegion(width=6 * MAS, height=1 * MAS, **where))
+    ball = region_mask(cube, CircleSkyRegion(centre, 2 * MAS))
+    assert np.array_equal(region_mask(cube, both), alone & ball)
     corners = [(2, 10), (2, 120), (3, 250)]
     vertices = SkyCoord(
         [centre.directional_offset_by(a * u.deg, r * MAS) for r, a in corners]
