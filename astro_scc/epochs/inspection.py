@@ -29,7 +29,7 @@ from astro_scc.images.fits import (
 )
 from astro_scc.images.grid import ONE_SHIFT, finest, in_frame, whole_step
 from astro_scc.images.positions import readable_angle, resolution
-from astro_scc.images.series import ImageSeries, as_times, order_of
+from astro_scc.images.series import ImageSeries, as_times, equal_dates, order_of
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
 # apart.
@@ -395,13 +395,13 @@ def _warned(planes):
 
 
 def _same_dates(planes):
-    """Yield images of the date of another one, to the second."""
+    """Yield images of the date of another one."""
     dated = [i for i, plane in enumerate(planes) if plane.time is not None]
     if not dated:
         return
     times = as_times([planes[i].time for i in dated], len(dated))
     order = order_of(times)
-    for k in np.flatnonzero(np.diff((times - times[0]).sec[order]) < 1):
+    for k in equal_dates(times[order]):
         one, other = (dated[order[n]] for n in (k, k + 1))
         date = times[order[k]].to_value("iso", subfmt="date")
         what = f"is of {date}, as is {Path(planes[one].name).name}"

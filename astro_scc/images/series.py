@@ -435,9 +435,21 @@ def given_times(times, n):
     return times
 
 
+#: Dates are equal if they differ by less than this part of the median interval, and by
+#: less than a second, to which headers round them.
+EQUAL_DATES = 0.01
+
+
+def equal_dates(times):
+    """Return the numbers of the dates in order that are those of the next."""
+    gaps = np.diff((times - times[0]).sec)
+    usual = np.median(gaps[gaps > 0]) if np.any(gaps > 0) else np.inf
+    return np.flatnonzero((gaps == 0) | (gaps < min(1.0, EQUAL_DATES * usual)))
+
+
 def warn_of_equal_dates(times):
-    """Warn of the first of dates in order that is that of the next, to the second."""
-    for k in np.flatnonzero(np.diff(times.jd) * 86400 < 1)[:1]:
+    """Warn of the first of dates in order that is that of the next."""
+    for k in equal_dates(times)[:1]:
         warn(f"two images are of {times.isot[k]}; leave one out, or average them")
 
 
