@@ -157,7 +157,9 @@ def _move(cube, method, shifts, covariance, what):
     )
     whole = np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL)
     matrix = cube.pixel_matrix.to_value(u.mas)
-    sky = (shifts @ matrix.T + 0.0).round(9)
+    # To a billionth of a pixel.
+    digits = 9 - int(np.floor(np.log10(cube.pixel_scale.to_value(u.mas))))
+    sky = (shifts @ matrix.T + 0.0).round(digits)
     errors = np.sqrt(np.einsum("ij,njk,ik->ni", matrix, covariance, matrix))
     values = np.concatenate([sky, np.where(np.isfinite(errors), errors, None)], axis=1)
     names = [f"shift_{axis}{err}_mas" for err in ("", "_err") for axis in AXES]
@@ -290,7 +292,7 @@ def offsets_from_table(table, times, labels):
                 f"{name}: no row within {TOLERANCE:g} d of {where}; add one, or leave "
                 "the epoch out"
             )
-        nearest = np.flatnonzero(apart <= apart.min() + 1e-6)
+        nearest = np.flatnonzero(np.isclose(apart, apart.min(), rtol=1e-9, atol=0))
         found = values[nearest]
         if not np.all(np.isfinite(found)):
             raise ValueError(f"{name}: the row for {where} has no numbers")

@@ -41,6 +41,9 @@ class Detections:
         Covariance of the beam on the two axes, in mas^2.
     number : `~numpy.ndarray` of int, shape (n,), optional
         Number of each within its epoch.
+    group : `~numpy.ndarray` of int, shape (n,), optional
+        Of alternatives in an epoch: detections of one number may be parts of the one
+        with its negative; zero for others.
 
     Examples
     --------
@@ -62,8 +65,11 @@ class Detections:
     years: np.ndarray
     beam: np.ndarray
     number: np.ndarray | None = None
+    group: np.ndarray | None = None
 
     def __post_init__(self):
+        if self.group is None:
+            object.__setattr__(self, "group", np.zeros(len(self), dtype=int))
         if self.number is None:
             first = np.searchsorted(self.epoch, self.epoch)
             object.__setattr__(self, "number", np.arange(len(self.epoch)) - first)
@@ -162,6 +168,62 @@ class Detections:
         core[first] = distance[first] <= radius
         return core
 
+    def parts(self, k: int) -> np.ndarray:
+        """
+        Return the detections that may be parts of one.
+
+        Parameters
+        ----------
+        k : int
+            Number of a detection.
+
+        Returns
+        -------
+        `~numpy.ndarray` of int
+            Empty if it has none.
+        """
+        same = (self.epoch == self.epoch[k]) & (self.group == -self.group[k])
+        return np.flatnonzero(same & (self.group > 0))
+
+    def elongation(self, k: int) -> np.ndarray:
+        """
+        Return how far the parts of a detection are apart, and in which direction.
+
+        Parameters
+        ----------
+        k : int
+            Number of a detection with parts.
+
+        Returns
+        -------
+        `~numpy.ndarray`, shape (2, 2)
+            Twice the scatter of the parts along its axis, in beams, times the square of
+            the unit vector along the axis.
+        """
+        own = self.parts(k)
+        share = self.flux[own] / self.flux[own].sum()
+        off = self.in_beams[own] - share @ self.in_beams[own]
+        variance, axes = np.linalg.eigh((share * off.T) @ off)
+        return 2 * np.sqrt(variance[-1]) * np.outer(axes[:, -1], axes[:, -1])
+
+    def chosen(self, whole: ArrayLike) -> Detections:
+        """
+        Return the detections without alternatives.
+
+        Parameters
+        ----------
+        whole : array_like of bool, shape (n,)
+            Which of the detections with parts replace them.
+
+        Returns
+        -------
+        `Detections`
+        """
+        left = np.zeros(len(self), dtype=bool)
+        for k in np.flatnonzero(self.group < 0).tolist():
+            left[self.parts(k) if whole[k] else k] = True
+        return self.select(~left)
+
     def aligned(self) -> Detections:
         """
         Return the detections with offsets from the core of their own epoch.
@@ -220,9 +282,9 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         for model in in_order(_fit, work, n_workers):
             models.append(model)
             done(1)
-    y, x, y_err, x_err, flux, size = (
+    y, x, y_err, x_err, flux, size, group = (
         np.concatenate([getattr(model, name) for model in models])
-        for name in ("y", "x", "y_err", "x_err", "flux", "size")
+        for name in ("y", "x", "y_err", "x_err", "flux", "size", "group")
     )
     x0, y0 = cube.reference_pixel
     errors = np.stack([y_err, x_err], axis=1)
@@ -231,6 +293,7 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         place=np.stack([y - y0, x - x0], axis=1) @ matrix.T,
         place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T), flux=flux,
         size=size * cube.pixel_scale.value, years=_years(cube), beam=beams.mean(axis=0),
+        group=group.astype(int),
     )  # fmt: skip
 
 

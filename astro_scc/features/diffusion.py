@@ -79,9 +79,12 @@ def measure_diffusion(features: Features) -> Diffusion:
     span = np.array([motion.span for _, motion in long])
     speed = np.array([motion.velocity for _, motion in long])
     mean = np.average(speed, axis=0, weights=span)
-    along = mean / max(np.hypot(*mean), 1e-12)
+    length = np.hypot(*mean)
+    along = mean / length if length > 0 else np.array([1.0, 0.0])
     axes = np.stack([along, along[::-1] * (-1, 1)], axis=1)
-    variance = np.maximum(span @ ((speed - mean) @ axes) ** 2, 1e-30)
+    variance = span @ ((speed - mean) @ axes) ** 2
+    if not np.all(variance > 0):
+        return Diffusion(len(long))
     difference = 0.0
     for years, (own, _) in zip(span, long, strict=True):
         half = len(own) // 2

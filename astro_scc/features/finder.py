@@ -207,12 +207,72 @@ def find_features(
     else:
         found = gaussians_of(cube, n_workers=n_workers, progress_bar=progress_bar)
     found = found.aligned()
+    if region is not None:
+        found = found.select(found.core(settings.core) | _inside(found, cube, region))
+    found = _without_alternatives(found, settings, seed)
     is_core = found.core(settings.core)
     jet = found.select(~is_core)
-    if region is not None:
-        jet = jet.select(_inside(jet, cube, region))
-    tracks = tuple(find_tracks(jet, settings, seed=seed))
-    return Features(cube, jet, found.select(is_core), tracks)
+    tracks = distinct_tracks(jet, find_tracks(jet, settings, seed=seed))
+    return Features(cube, jet, found.select(is_core), tuple(tracks))
+
+
+#: Two tracks are of the same emission if half of the epochs of one are common and they
+#: are so many beams apart there.
+SAME_PLACE = 0.3
+#: Parts of one elongated feature keep their distance and direction: in so many epochs
+#: or more, with a scatter of less than so many beams beyond their errors.
+ELONGATED_EPOCHS, STEADY = 3, 0.2
+
+
+def distinct_tracks(detections, tracks):
+    """
+    Return tracks without those that are at the place of a longer or brighter one.
+
+    Parameters
+    ----------
+    detections : ``Detections``
+    tracks : list of ``Track``
+
+    Returns
+    -------
+    list of ``Track``
+    """
+    d, kept = detections, []
+    rank = [(-len(t), -np.median(d.flux[t.detection])) for t in tracks]
+    for k in sorted(range(len(tracks)), key=rank.__getitem__):
+        own = tracks[k].detection
+        for n in kept:
+            same = tracks[n].detection
+            _, one, other = np.intersect1d(
+                d.epoch[own], d.epoch[same], assume_unique=True, return_indices=True
+            )
+            off = d.in_beams[own[one]] - d.in_beams[same[other]]
+            if 2 * len(one) >= len(own) and np.median(np.hypot(*off.T)) < SAME_PLACE:
+                break
+        else:
+            kept.append(k)
+    return [tracks[k] for k in sorted(kept)]
+
+
+def _without_alternatives(found, settings, seed):
+    """Return detections of which those with parts are features that are elongated."""
+    whole, every = np.zeros(len(found), dtype=bool), np.arange(len(found))
+    if not np.any(found.group < 0):
+        return found
+    one = found.group <= 0
+    joined, every = found.select(one), every[one]
+    is_core = joined.core(settings.core)
+    jet = np.flatnonzero(~is_core)
+    tracks = find_tracks(joined.select(jet), settings, seed=seed)
+    for own in (np.flatnonzero(is_core), *(jet[track.detection] for track in tracks)):
+        own = every[own]
+        own = own[found.group[own] < 0]
+        if len(own) >= ELONGATED_EPOCHS:
+            each = np.array([found.elongation(k) for k in own.tolist()])
+            parts = np.concatenate([found.parts(k) for k in own.tolist()])
+            error = 2 * (found.place_error[parts] ** 2).mean() / found.fwhm**2
+            whole[own] = each.var(axis=0).sum() < STEADY**2 + error
+    return found.chosen(whole)
 
 
 def _inside(detections, cube, region):

@@ -13,8 +13,10 @@ from scipy.linalg.lapack import dgesv
 # Full width at half maximum of a Gaussian in standard deviations.
 _FWHM = np.sqrt(8 * np.log(2))
 # Columns of the parameters of components: convolved peak, position, and variance
-# before the convolution, which unlike a width has a gradient at zero.
-_PEAK, _Y, _X, _VARIANCE = range(4)
+# before the convolution, which unlike a width has a gradient at zero.  Elliptical ones
+# have a variance of the mean of both axes, half of the difference of those along y and
+# x, and a covariance; of round ones the last two are zero.
+_PEAK, _Y, _X, _VARIANCE, _STRETCH, _TILT = range(6)
 #: All samples of an image.
 EVERYWHERE = slice(None)
 #: Least residual for a new component, and its least peak, in errors of the image there.
@@ -22,6 +24,15 @@ THRESHOLD = 5.0
 #: Error of an image relative to its largest value within half a beam, for what is
 #: neither Gaussian nor well calibrated; added to the noise in quadrature.
 RELATIVE_ERROR = 0.001
+#: Components of which the nearest are so many beams away may be parts of one ellipse,
+#: at most so many of them, if it lowers chi^2 by so many penalties of a component.
+JOINED, MOST_JOINED, BETTER = 1.6, 5, 1.0
+#: A model with such ellipses must fit the image with at most this mean chi^2.
+GOOD = 1.5
+#: An ellipse is at least as wide as so many beams: those of headers may be off.
+NARROWEST = 0.9
+#: Components are added again after some have been joined, at most so often.
+ROUNDS = 3
 #: Greatest number of components.
 MOST_COMPONENTS = 20
 
@@ -45,6 +56,9 @@ class Gaussians:
         point.
     y_err, x_err : `~numpy.ndarray`, shape (n,)
         Standard errors of the position in pixels.
+    group : `~numpy.ndarray` of int, shape (n,)
+        Where one ellipse fits as well as several components, these have a number, and
+        the ellipse that can replace them has its negative; others have zero.
 
     Examples
     --------
@@ -63,6 +77,7 @@ class Gaussians:
     size: np.ndarray
     y_err: np.ndarray
     x_err: np.ndarray
+    group: np.ndarray
 
     def __len__(self) -> int:
         return len(self.y)
@@ -120,11 +135,17 @@ def fit_gaussians(
     (array([20.3, 30. ]), array([30.6, 40. ]), array([0.  , 7.06]))
     """
     data = _Data.of(image, beam, noise, mask)
-    p = [] if data is None else _grown(data)
+    p, wholes = (np.empty((0, 6)), []) if data is None else _model(data)
     if len(p) == 0:
         return Gaussians(*(np.empty(0) for _ in fields(Gaussians)))
-    p = _pruned(_least_squares(p, data, EVERYWHERE, 0.0), data)
-    y_err, x_err = _position_errors(p, data)
+    errors, group = _position_errors(p, data), np.zeros(len(p), dtype=int)
+    each = [(p, *errors, group)]
+    for number, (parts, ellipse) in enumerate(wholes, start=1):
+        group[parts] = number
+        model = np.vstack([ellipse, np.delete(p, parts, axis=0)])
+        errors = (error[:1] for error in _position_errors(model, data))
+        each.append((ellipse, *errors, [-number]))
+    p, y_err, x_err, group = map(np.concatenate, zip(*each, strict=True))
     order = np.argsort(-p[:, _PEAK], kind="stable")
     # Their peaks are compared with the error beside them: fainter ones are needed by
     # the model, but their places mean little.
@@ -132,12 +153,13 @@ def fit_gaussians(
     square += np.subtract.outer(p[order, _X], data.x) ** 2
     beside = data.weight[square.argmin(axis=1)]
     order = order[p[order, _PEAK] * beside >= THRESHOLD]
-    p, y_err, x_err = p[order], y_err[order], x_err[order]
+    p, y_err, x_err, group = p[order], y_err[order], x_err[order], group[order]
     peak = p[:, _PEAK] * noise
     return Gaussians(
         y=p[:, _Y] + data.origin[0], x=p[:, _X] + data.origin[1], peak=peak,
         flux=peak * np.sqrt(_areas(p, beam) / np.linalg.det(beam)),
-        size=_FWHM * np.sqrt(p[:, _VARIANCE]), y_err=y_err, x_err=x_err,
+        size=_FWHM * np.sqrt(p[:, _VARIANCE].clip(0)), y_err=y_err, x_err=x_err,
+        group=group,
     )  # fmt: skip
 
 
@@ -209,10 +231,22 @@ class _Data:
         return left @ left * self.independent
 
 
+def _covariances(p, beam):
+    """Return the (y, y), (x, x) and (y, x) covariances of convolved components."""
+    v, stretch = p[:, _VARIANCE], p[:, _STRETCH]
+    along_y, along_x = beam[0, 0] + v + stretch, beam[1, 1] + v - stretch
+    return along_y, along_x, beam[0, 1] + p[:, _TILT]
+
+
 def _areas(p, beam):
     """Return the determinants of the covariances of the convolved components."""
-    v = p[:, _VARIANCE]
-    return (beam[0, 0] + v) * (beam[1, 1] + v) - beam[0, 1] ** 2
+    along_y, along_x, cross = _covariances(p, beam)
+    return along_y * along_x - cross**2
+
+
+def _is_round(p):
+    """Return which components are round."""
+    return (p[:, _STRETCH] == 0) & (p[:, _TILT] == 0)
 
 
 def _shapes(p, y, x, beam):
@@ -221,12 +255,13 @@ def _shapes(p, y, x, beam):
 
     All have the shape (n, number of positions).
     """
-    v, area = p[:, _VARIANCE, None], _areas(p, beam)[:, None]
+    along_y, along_x, cross = (
+        value[:, None] for value in _covariances(p, beam) / _areas(p, beam)
+    )
     dy, dx = y - p[:, _Y, None], x - p[:, _X, None]
-    cross = beam[0, 1] / area
-    gy = (beam[1, 1] + v) / area * dy
+    gy = along_x * dy
     gy -= cross * dx
-    gx = (beam[0, 0] + v) / area * dx
+    gx = along_y * dx
     gx -= cross * dy
     # These arrays are small, and new ones take longer than the numbers.
     dy *= gy
@@ -236,17 +271,18 @@ def _shapes(p, y, x, beam):
     return np.exp(dy, out=dy), gy, gx
 
 
-def _derivatives(p, shape, gy, gx):
-    """Return the derivatives of the components, shape (n, 4, number of positions)."""
+def _derivatives(p, shape, gy, gx, n=6):
+    """Return derivatives of components by the first n parameters, (n_c, n, n_pos)."""
     value = p[:, _PEAK, None] * shape
-    found = np.empty((len(p), 4, shape.shape[1]))
+    found = np.empty((len(p), n, shape.shape[1]))
     found[:, _PEAK] = shape
     np.multiply(value, gy, out=found[:, _Y])
     np.multiply(value, gx, out=found[:, _X])
-    square = gy * gy
-    square += gx * gx
-    square *= 0.5
-    np.multiply(value, square, out=found[:, _VARIANCE])
+    along_y, along_x = 0.5 * gy * gy, 0.5 * gx * gx
+    np.multiply(value, along_y + along_x, out=found[:, _VARIANCE])
+    if n > _STRETCH:
+        np.multiply(value, along_y - along_x, out=found[:, _STRETCH])
+        np.multiply(value, gy * gx, out=found[:, _TILT])
     return found
 
 
@@ -258,12 +294,20 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     are solved, which takes less time than the decomposition of the whole Jacobian
     by `scipy.optimize.least_squares`.
     """
+    if len(p) == 0:
+        return p
     y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight
-    largest_step = np.array([np.inf, *np.sqrt(np.diag(data.beam)), np.inf])
+    is_round = _is_round(p)
+    n = _STRETCH if is_round.all() else p.shape[1]
+    free = np.ones((len(p), n), dtype=bool)
+    free[is_round, _STRETCH:] = False
+    free = np.flatnonzero(free)
+    variance = np.flatnonzero((free % n == _VARIANCE) & is_round[free // n])
+    largest_step = np.full((len(p), n), np.inf)
+    largest_step[:, [_Y, _X]] = np.sqrt(np.diag(data.beam))
+    largest_step = largest_step.flat[free]
     widest = np.ptp(data.y) ** 2 + np.ptp(data.x) ** 2
-    lowest = np.array([0.0, -np.inf, -np.inf, 0.0])
-    highest = np.array([np.inf, np.inf, np.inf, widest])
 
     def state(p):
         shape, gy, gx = _shapes(p, y, x, data.beam)
@@ -274,23 +318,26 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     parts, left, cost = state(p)
     damping = 1e-3
     for _ in range(iterations):
-        jacobian = _derivatives(p, *parts).reshape(p.size, -1)
+        jacobian = _derivatives(p, *parts, n).reshape(len(p) * n, -1)
+        if len(free) < len(jacobian):
+            jacobian = jacobian[free]
         normal, gradient = jacobian @ jacobian.T, jacobian @ left
         scale = np.sqrt(normal.diagonal())
         # A component without samples stays as it is, and so does a variance of zero
         # that would become negative.
         scale[scale <= 1e-9 * scale.max()] = 1.0
-        stays = (p[:, _VARIANCE] <= 0) & (gradient[_VARIANCE::4] <= 0)
-        scale[_VARIANCE::4][stays] = np.inf
+        stays = (p[is_round, _VARIANCE] <= 0) & (gradient[variance] <= 0)
+        scale[variance[stays]] = np.inf
         normal /= scale
         normal /= scale[:, None]
         gradient /= scale
         for _ in range(6):
             damped = normal.copy()
-            damped.flat[:: p.size + 1] += damping
+            damped.flat[:: len(free) + 1] += damping
             step = dgesv(damped, gradient)[2] / scale
-            step = step.reshape(p.shape).clip(-largest_step, largest_step)
-            new = (p + step).clip(lowest, highest)
+            new = p[:, :n].copy()
+            new.flat[free] += step.clip(-largest_step, largest_step)
+            new = _allowed(np.hstack([new, p[:, n:]]), is_round, data.beam, widest)
             after = state(new)
             if after[2] < cost:
                 break
@@ -302,6 +349,28 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
         damping = max(damping / 5, 1e-7)
         if done:
             break
+    return p
+
+
+def _allowed(p, is_round, beam, widest):
+    """Return components with positive peaks, and with variances that are possible."""
+    p[:, _PEAK] = p[:, _PEAK].clip(0)
+    p[is_round, _VARIANCE] = p[is_round, _VARIANCE].clip(0, widest)
+    if not is_round.all():
+        along_y, along_x, cross = _covariances(p[~is_round], beam)
+        covariance = np.stack([along_y, cross, cross, along_x], axis=-1)
+        root = np.linalg.cholesky(beam)
+        inverse = np.linalg.inv(root)
+        ratio, axes = np.linalg.eigh(inverse @ covariance.reshape(-1, 2, 2) @ inverse.T)
+        axes = (
+            root
+            @ axes
+            * np.sqrt(ratio.clip(NARROWEST**2, 1 + widest / beam.trace()))[:, None]
+        )
+        own = axes @ axes.swapaxes(1, 2) - beam
+        p[~is_round, _VARIANCE] = (own[:, 0, 0] + own[:, 1, 1]) / 2
+        p[~is_round, _STRETCH] = (own[:, 0, 0] - own[:, 1, 1]) / 2
+        p[~is_round, _TILT] = own[:, 0, 1]
     return p
 
 
@@ -318,16 +387,15 @@ def _refitted(p, data, at):
     return p, where
 
 
-def _grown(data):
+def _grown(p, data):
     """Return components, added one after the other at the largest residual."""
-    p, tried = np.empty((0, 4)), 0
-    residual = data.value * data.weight
+    tried, residual = 0, (data.value - data.model(p, EVERYWHERE)) * data.weight
     while len(p) < MOST_COMPONENTS and tried < 3:
         k = np.argmax(residual)
         if residual[k] < THRESHOLD:
             break
         at = data.y[k], data.x[k]
-        first = residual[k] / data.weight[k], *at, data.beam.trace() / 32
+        first = residual[k] / data.weight[k], *at, data.beam.trace() / 32, 0, 0
         new, where = _refitted(np.vstack([p, first]), data, at)
         if data.chi2(p, where) - data.chi2(new, where) > data.penalty:
             p, tried = new, 0
@@ -348,6 +416,79 @@ def _pruned(p, data):
     return p
 
 
+def _model(data):
+    """Return components, and ellipses that can replace some of them, see `_joined`."""
+    p = plain = _fitted(np.empty((0, 6)), data)
+    for _ in range(ROUNDS):
+        before = len(p)
+        p, wholes = _joined(p, data, BETTER * data.penalty)
+        if len(p) == before:
+            break
+        p = _fitted(p, data)
+    else:
+        p, wholes = _joined(p, data, np.inf)
+    left = (data.value - data.model(p, EVERYWHERE)) * data.weight
+    # Where no model is good, ellipses that seem better may cover several sources.
+    if not _is_round(p).all() and np.mean(left**2) > GOOD:
+        return _joined(plain, data, np.inf)
+    return p, wholes
+
+
+def _fitted(p, data):
+    """Return components with those that are missing, and without needless ones."""
+    p = _least_squares(_grown(p, data), data, EVERYWHERE, 0.0)
+    return _pruned(p, data)
+
+
+def _joined(p, data, least):
+    """
+    Return components of which one ellipse replaces neighbours where it is better.
+
+    Then it lowers chi^2 by ``least``.  Where it is only as good, it is returned beside
+    them: the numbers of the components, and the ellipse.
+    """
+    wholes, seen = [], np.zeros(len(p), dtype=bool)
+    for one in p[np.argsort(-p[:, _PEAK], kind="stable")]:
+        k = np.argmin(np.abs(p - one).sum(axis=1))
+        at = p[k, [_Y, _X]]
+        away = np.where(seen, np.inf, data.distance(p[:, _Y], p[:, _X], at))
+        near = np.argsort(away, kind="stable")
+        whole = None
+        for n in range(2, 1 + min(MOST_JOINED, np.sum(away < JOINED))):
+            parts, others = np.sort(near[:n]), np.delete(p, near[:n], axis=0)
+            new = np.vstack([others, _moments(p[parts], data.beam)])
+            new, where = _refitted(new, data, at)
+            gain = data.chi2(p, where) - data.chi2(new, where)
+            if gain > least:
+                moved = np.cumsum(np.isin(np.arange(len(p)), parts))
+                wholes = [(own - moved[own], whole) for own, whole in wholes]
+                seen = np.append(np.delete(seen, parts), False)
+                p = new
+                break
+            # Each of the components has four parameters, the ellipse six.
+            if gain > -(n - 1.5) * data.penalty:
+                whole = parts, new[-1:]
+        else:
+            if whole:
+                wholes.append(whole)
+                seen[whole[0]] = True
+    return p, wholes
+
+
+def _moments(p, beam):
+    """Return the ellipse with the flux and the moments of some components."""
+    flux = p[:, _PEAK] * np.sqrt(_areas(p, beam))
+    share = flux / flux.sum()
+    dy, dx = (p[:, [_Y, _X]] - share @ p[:, [_Y, _X]]).T
+    cross = share @ (p[:, _TILT] + dy * dx)
+    along_y = share @ (p[:, _VARIANCE] + p[:, _STRETCH] + dy**2)
+    along_x = share @ (p[:, _VARIANCE] - p[:, _STRETCH] + dx**2)
+    found = np.array([0, *(share @ p[:, [_Y, _X]]), (along_y + along_x) / 2,
+                      (along_y - along_x) / 2, cross])  # fmt: skip
+    found[_PEAK] = flux.sum() / np.sqrt(_areas(found[None], beam)[0])
+    return found
+
+
 def _position_errors(p, data):
     """
     Return the standard errors of y and x.
@@ -361,12 +502,22 @@ def _position_errors(p, data):
     smooth = _derivatives(p, *_shapes(p, data.y, data.x, 2 * beam)) * weight
     area, wide = _areas(p, beam), _areas(p, 2 * beam)
     # The convolution lowers the peak, the less the wider the component.
-    v = p[:, _VARIANCE]
-    change = (beam.trace() / 2 + v) / area - (beam.trace() + v) / wide
-    smooth[:, _VARIANCE] += (change * p[:, _PEAK])[:, None] * smooth[:, _PEAK]
+    (yy, xx, yx), (wide_yy, wide_xx, wide_yx) = (
+        _covariances(p, b) / _areas(p, b) for b in (beam, 2 * beam)
+    )
+    changes = (
+        (_VARIANCE, (yy + xx - wide_yy - wide_xx) / 2),
+        (_STRETCH, (xx - yy - wide_xx + wide_yy) / 2),
+        (_TILT, wide_yx - yx),
+    )
+    for column, change in changes:
+        smooth[:, column] += (change * p[:, _PEAK])[:, None] * smooth[:, _PEAK]
     smooth *= np.sqrt(area / wide)[:, None, None]
-    plain, smooth = plain.reshape(p.size, -1), smooth.reshape(p.size, -1)
+    free = np.ones(p.shape, dtype=bool)
+    free[_is_round(p), _STRETCH:] = False
+    plain, smooth = plain[free], smooth[free]
     inverse = np.linalg.pinv(plain @ plain.T)
     spread = inverse @ smooth
-    variance = (spread**2).sum(axis=1) / data.independent
-    return np.sqrt(variance[_Y::4]), np.sqrt(variance[_X::4])
+    variance = np.full(p.shape, np.nan)
+    variance[free] = (spread**2).sum(axis=1) / data.independent
+    return np.sqrt(variance[:, _Y]), np.sqrt(variance[:, _X])

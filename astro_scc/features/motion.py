@@ -293,7 +293,10 @@ _Fit = namedtuple("_Fit", "coefficients errors residual weight cost")
 
 def _robust(dt, place, scatter, degree):
     """Fit a polynomial with residuals distributed as Student's t."""
-    design = np.stack([dt**k / (1 if k < 2 else 2) for k in range(degree + 1)], axis=1)
+    # Powers of the span, so that the matrix does not depend on the unit of time.
+    span = np.ptp(dt) ** np.arange(degree + 1)
+    powers = (dt[:, None] / span[1]) ** np.arange(degree + 1)
+    design = powers / (1, 1, 2)[: degree + 1]
     weight = np.ones(len(dt))
     for _ in range(10):
         w = weight / scatter**2
@@ -311,4 +314,5 @@ def _robust(dt, place, scatter, degree):
     inverse = np.linalg.pinv(design.T @ (w[:, None] * design))
     errors = np.sqrt(inverse.diagonal()[:, None] * variance)
     cost = (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM).sum()
-    return _Fit(solution, errors, residual, weight, float(cost))
+    each = solution / span[:, None], errors / span[:, None]
+    return _Fit(*each, residual, weight, float(cost))

@@ -33,7 +33,8 @@ class TrackSettings:
     far : float
         Distance from the core from which the scatter grows no more.
     wander : float
-        Variance of the velocity per year, in beam^2/yr^3: features bend.
+        Variance of the velocity per median interval, in beams per median interval:
+        features bend.
     speed : float
         Standard deviation of the prior of the speed, in beams per median interval.
     freedom : float
@@ -76,7 +77,7 @@ class TrackSettings:
     size_scatter: float = 0.08
     far_scatter: float = 0.02
     far: float = 5.0
-    wander: float = 0.0025
+    wander: float = 5e-5
     speed: float = 0.6
     freedom: float = 4.0
     flux_step: float = 0.35
@@ -326,14 +327,14 @@ class _Filter:
     """Kalman filter of position and velocity, equal on both axes, in one direction."""
 
     def __init__(self, d, o):
-        self.o, self.u, self.time = o, d.in_beams, d.time
+        # Times are in median intervals.
+        step = np.median(np.diff(np.unique(d.time)))
+        self.o, self.u, self.time = o, d.in_beams, (d.time - d.time.min()) / step
         self.scatter = position_scatter(d, o)
         self.light = np.log(d.flux)
         width = self.light.std() + 0.3
         self.light_density = -0.5 * ((self.light - self.light.mean()) / width) ** 2
         self.light_density -= np.log(width * np.sqrt(2 * np.pi))
-        step = np.median(np.diff(np.unique(self.time)))
-        self.speed = o.speed / max(step, 1e-3)
         self.entry = np.log(o.detected / o.density)
         # Each node is a detection after another node; hypotheses share them.
         self.detection, self.parent, self.n_nodes = [], [], 0
@@ -355,7 +356,7 @@ class _Filter:
         state = {"x": self.u[own], "light": self.light[own], "score": self.entry}
         tracks = self._tracks(own, -1, root=own, length=1, **state)
         tracks["variance"][:, 0] = self.scatter[own] ** 2
-        tracks["variance"][:, 2] = self.speed**2
+        tracks["variance"][:, 2] = self.o.speed**2
         return tracks
 
     def continued(self, h, own):

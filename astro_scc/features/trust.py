@@ -43,7 +43,8 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
     d, own = detections, track.detection
     epoch, place = d.epoch[own], d.in_beams
     distance = np.hypot(*motion.place)
-    cosine = motion.velocity @ motion.place / max(distance * motion.speed, 1e-9)
+    length = distance * motion.speed
+    cosine = motion.velocity @ motion.place / length if length > 0 else 0.0
     nearest = []
     for k in own.tolist():
         same = np.arange(*np.searchsorted(d.epoch, (d.epoch[k], d.epoch[k] + 1)))

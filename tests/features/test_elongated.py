@@ -1,0 +1,190 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""Knots are longer than wide, beams of headers are off, and units are arbitrary."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from astropy.time import Time
+from scipy.ndimage import gaussian_filter
+
+from astro_scc.cli import main
+from astro_scc.epochs import Beam, EpochCube
+from astro_scc.features import find_features
+from astro_scc.features.finder import distinct_tracks
+from astro_scc.features.gaussians import fit_gaussians
+from astro_scc.features.tracks import Track
+from astro_scc.images.series import equal_dates
+
+FWHM = np.sqrt(8 * np.log(2))
+BEAM, STEP, CORE = 6.0, 2.0, (30.0, 40.0)
+#: Offsets along the jet and across it in pixels, and fluxes.
+KNOTS = [(14, -3, 0.5), (32, 4, 0.35), (50, -4, 0.3), (69, 2, 0.25), (88, -2, 0.2)]
+
+
+def images(widths=(BEAM, BEAM), noise=1e-3, n_epochs=7):
+    """Return images of a core and of knots with full widths along y and x."""
+    rng, (y, x) = np.random.default_rng(4), np.indices((80, 150), dtype=float)
+    wy, wx = np.array(widths) / FWHM
+    found = []
+    for k in range(n_epochs):
+        error = gaussian_filter(rng.normal(size=y.shape), BEAM / FWHM)
+        image = noise * error / error.std()
+        for dx, dy, flux in [(-STEP * k, 0, 1.0), *KNOTS]:
+            x0, y0 = CORE[0] + dx + STEP * k, CORE[1] + dy
+            own = flux * (1 if flux == 1 else rng.normal(1, 0.1))
+            image += own * np.exp(-(((x - x0) / wx) ** 2 + ((y - y0) / wy) ** 2) / 2)
+        found.append(image)
+    return np.array(found)
+
+
+def cube_of(data, interval=1 * u.yr, pixel=0.1 * u.mas, beam=BEAM):
+    times = Time("1960-01-01T00:00:00", scale="utc") + np.arange(len(data)) * interval
+    return EpochCube.from_arrays(
+        data, Time(times, format="isot"), pixel_scale=pixel, reference_pixel=CORE,
+        unit=u.Jy / u.beam, beams=Beam(beam * pixel, beam * pixel),
+    )  # fmt: skip
+
+
+# -- elongated ones --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("widths", [(1, 1.15), (1, 1.4), (1.4, 1), (1, 2)])
+def test_an_elongated_knot_is_one_feature(widths, noise):
+    features = find_features(cube_of(images(BEAM * np.array(widths), noise)))
+    assert features.secure.sum() == len(KNOTS)
+    for motion, secure in zip(features.motions, features.secure, strict=True):
+        off = abs(motion.speed - 0.1 * STEP)
+        assert not secure or off < max(0.01 * STEP, 2 * motion.speed_err)
+
+
+@pytest.mark.parametrize("ratio", [0.96, 1.04])
+def test_a_beam_that_is_off_makes_no_features(ratio):
+    features = find_features(cube_of(images(noise=2e-4), beam=ratio * BEAM))
+    assert features.secure.sum() == len(KNOTS)
+
+
+def gaussian(y0, x0, covariance, peak=1.0):
+    offset = np.indices((80, 90)) - np.array([y0, x0])[:, None, None]
+    inverse = np.linalg.inv(covariance)
+    return peak * np.exp(-np.einsum("iyx,ij,jyx->yx", offset, inverse, offset) / 2)
+
+
+def test_an_ellipse_is_found_with_its_place_and_flux():
+    beam = np.array([[16.0, 2.0], [2.0, 9.0]])
+    covariance = beam + np.array([[6.0, -8.0], [-8.0, 14.0]])
+    found = fit_gaussians(gaussian(40.3, 45.6, covariance), beam, 1e-3)
+    assert len(found) == 1
+    assert found.y == pytest.approx(40.3, abs=1e-3)
+    assert found.x == pytest.approx(45.6, abs=1e-3)
+    assert found.peak == pytest.approx(1, rel=1e-3)
+    ratio = np.linalg.det(covariance) / np.linalg.det(beam)
+    assert found.flux == pytest.approx(np.sqrt(ratio), rel=1e-3)
+    assert found.size == pytest.approx(FWHM * np.sqrt(10), rel=1e-3)
+
+
+@pytest.mark.parametrize("apart", [0.6, 0.8, 1.2])
+def test_two_bright_points_stay_two(apart):
+    beam = 9 * np.eye(2)
+    image = sum(
+        gaussian(40, 45 + dx * apart * 3 * FWHM, beam, peak)
+        for dx, peak in ((-0.5, 1.0), (0.5, 0.6))
+    )
+    found = fit_gaussians(image, beam, 1e-3)
+    assert np.sum(found.group >= 0) == 2
+
+
+def test_errors_of_ellipses_are_those_of_noise():
+    rng, beam = np.random.default_rng(2), 6.25 * np.eye(2)
+    image, noise = gaussian(40.3, 45.2, beam + np.diag([0, 15.0])), 0.02
+    off = []
+    for _ in range(40):
+        error = gaussian_filter(rng.normal(size=image.shape), 2.5)
+        found = fit_gaussians(image + noise * error / error.std(), beam, noise)
+        whole = np.flatnonzero(found.group <= 0)
+        if len(whole) == 1:
+            (k,) = whole
+            off.append([(found.y[k] - 40.3) / found.y_err[k],
+                        (found.x[k] - 45.2) / found.x_err[k]])  # fmt: skip
+    assert len(off) >= 30
+    np.testing.assert_allclose(np.std(off, axis=0), 1, atol=0.35)
+
+
+# -- two features are two --------------------------------------------------------------
+
+
+def test_no_two_tracks_are_of_the_same_emission(series):
+    d = series([(t, 0.3 * t + dx, 0.0, flux) for t in range(6)
+                for dx, flux in ((3, 1.0), (3.2, 2.0), (3.6, 1.0))])  # fmt: skip
+    tracks = [Track(np.flatnonzero(d.number == k), 1.0, True) for k in range(3)]
+    assert distinct_tracks(d, tracks) == tracks[1:]
+    longer = [tracks[0], Track(tracks[1].detection[1:], 1.0, True)]
+    assert distinct_tracks(d, longer) == tracks[:1]
+
+
+# -- units -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def data():
+    return images()
+
+
+@pytest.fixture(scope="module")
+def usual(data):
+    return find_features(cube_of(data))
+
+
+UNITS = [
+    (0.1 * u.s, 1 * u.uas, 1.0),
+    (1 * u.min, 1 * u.mas, 1e-9),
+    (1 * u.day, 1 * u.arcsec, 1e6),
+    (10 * u.yr, 1 * u.deg, 1.0),
+    (0.1 * u.s, 1 * u.deg, 1e6),
+    (10 * u.yr, 1 * u.uas, 1e-9),
+]
+
+
+@pytest.mark.filterwarnings("ignore:.*dubious year")
+@pytest.mark.parametrize(("interval", "pixel", "brightness"), UNITS)
+def test_units_change_nothing_else(data, usual, interval, pixel, brightness):
+    found = find_features(cube_of(brightness * data, interval, pixel))
+    years, mas = interval.to_value(u.yr), pixel.to_value(u.mas) / 0.1
+    assert found.number.tolist() == usual.number.tolist()
+    assert found.secure.tolist() == usual.secure.tolist() == [True] * len(KNOTS)
+    np.testing.assert_allclose(found.p_false, usual.p_false, rtol=1e-3)
+    for new, old in zip(found.motions, usual.motions, strict=True):
+        for name, unit in (("place", mas), ("velocity", mas / years)):
+            was, error = (getattr(old, name + err) for err in ("", "_err"))
+            np.testing.assert_allclose(
+                getattr(new, name) / unit, was, rtol=0, atol=0.01 * error.min()
+            )
+            np.testing.assert_allclose(
+                getattr(new, name + "_err") / unit, error, rtol=1e-3
+            )
+    flux = found.detections.flux / brightness
+    np.testing.assert_allclose(flux, usual.detections.flux, rtol=1e-4)
+
+
+def test_fast_and_small_ones_on_the_command_line(data, tmp_path):
+    cube = cube_of(data, 0.1 * u.s, 1 * u.uas)
+    cube.write(tmp_path / "cube.fits")
+    options = ["-o", str(tmp_path / "out"), "--quiet"]
+    assert main(["track", str(tmp_path / "cube.fits"), *options]) == 0
+    table = QTable.read(tmp_path / "out" / "features.ecsv")
+    assert table["secure"].sum() == len(KNOTS)
+    speed = (table["pm"] * 0.1 * u.s / u.uas).to_value(1)
+    np.testing.assert_allclose(speed, STEP, rtol=0.02)
+
+
+def test_dates_are_equal_by_their_intervals():
+    start = Time("2010-01-01T00:00:00", scale="utc")
+    for seconds, expected in (
+        ([0, 0.1, 0.2, 0.2, 0.3], [2]),
+        ([0, 0.1, 0.2, 0.3], []),
+        ([0, 86400, 86400.4, 172800], [1]),
+        ([0, 60, 63, 120], []),
+        ([0, 0], [0]),
+    ):
+        assert equal_dates(start + seconds * u.s).tolist() == expected
