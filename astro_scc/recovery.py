@@ -378,8 +378,8 @@ def completeness(
         # Features are injected even if the region has no SSP.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         decomposed = scc.decompose(cube, region=region)
+        area = area_for_features(decomposed, region)
         bare = measure(decomposed, own_rng)
-    area = area_for_features(decomposed, region)
     own = np.reshape([s.velocity for s in moving_streams(bare)], (-1, 2))
     axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
     flow = {"position_angle": position_angle, "n_features": n_features}
