@@ -36,6 +36,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import astropy.units as u
 import numpy as np
+from astro_scc.streams.diagram import DEFAULT
 from astropy.table import QTable
 from common import write_table
 from scipy.optimize import minimize
@@ -45,7 +46,6 @@ from astro_scc.cli import main as astro_scc
 from astro_scc.features import find_features
 from astro_scc.features.tracks import find_tracks
 from astro_scc.features.trust import is_secure, properties
-from astro_scc.streams.diagram import DEFAULT
 
 TABLE = "data/mojave_xviii/apjac230ft4_mrt.txt"
 KNOWN = (

@@ -47,7 +47,8 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     windows = [None] * len(images)
     if region is not None:
         planes = [
-            _in_reach(fits.read_plane(path, pixels=False, frame=k)) for path, k in images
+            _in_reach(fits.read_plane(path, pixels=False, frame=k))
+            for path, k in images
         ]
         dates = series.as_times(list(map(_observed, planes, given[0])), len(images))
         first = planes[int(np.argmin((dates - dates[0]).jd))]

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Grids along and across the flow: straight, along a ridge line, radial, and in ln r."""
+"""Grids along and across a flow: straight, along a ridge line, radial, in ln r."""
 
 from dataclasses import dataclass
 

@@ -13,7 +13,7 @@ from astro_scc.decomposition.wavelet import (
 )
 from astro_scc.spectrum.planes import REACH, flow_planes
 
-#: Faintest flow, in noises of an epoch: the mean of the brightest quarter of the epochs.
+#: Faintest flow, in noises of an epoch: the mean of the brightest quarter of epochs.
 THRESHOLD = 5.0
 #: Distance from the core from which the flow is looked at, in beams.
 CORE = 1.2
@@ -142,7 +142,7 @@ def sample_planes(
 
 
 def sample_mask(mask, grid):
-    """Return the weight of a grid's points inside a region, shape (n_along, n_across)."""
+    """Return the weight of the points of a grid inside a region."""
     where = np.array([grid.y, grid.x])
     return map_coordinates(np.asarray(mask, float), where, order=1, mode="constant")
 

@@ -373,17 +373,17 @@ class SCCResult(tables.Components):
             the correlation along all velocities with the streams; ``"significance"``,
             its z-score along the jet; ``"paper"``, both as in Fig. 2 of Mertens &
             Lobanov (2016); ``"diagram"``, the displacement-interval diagram with the
-            rays of the streams; ``"speeds"``, ``"tracks"`` and ``"separation"`` of the features;
-            ``"epochs"``, the images with their SSPs; ``"sensitivity"``, the speed
-            with other choices of the data.
+            rays of the streams; ``"speeds"``, ``"tracks"`` and ``"separation"`` of the
+            features; ``"epochs"``, the images with their SSPs; ``"sensitivity"``, the
+            speed with other choices of the data.
         **options
             ``ax``, the axes to draw on, or for "paper", "tracks" and
             "epochs" ``figure``; ``unit`` of the axes, but for "speeds" and
             "sensitivity".  Of figures with components: their table
             ``components``; of figures with speeds: ``beta_per_pm``, the apparent speed
             in units of c of 1 mas/yr, for a second axis.  Also ``which``, the map
-            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "epochs"; ``profile`` of "speeds", see `astro_scc.flow.feature_profile`;
-            ``published`` features of "tracks" and "separation"; and what
+            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "epochs"; ``profile``
+            of "speeds", see `astro_scc.flow.feature_profile`; ``published`` features of "tracks" and "separation"; and what
             `EpochCube.plot <astro_scc.epochs.EpochCube.plot>` takes for "epochs".
 
         Returns

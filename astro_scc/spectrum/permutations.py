@@ -222,7 +222,7 @@ def orders_of(n, n_trials, rng):
 
 
 def autocorrelation(diagram):
-    """Return the images' own correlation at each displacement, zero beyond 2.2 beams."""
+    """Return the images' own correlation at each displacement, to 2.2 beams."""
     epochs = np.arange(len(diagram.years))
     own = diagram.means[epochs, epochs].mean(axis=0).astype(float)
     own = (own + own[::-1]) / 2
@@ -321,7 +321,7 @@ def share_of_larger(values):
 
 
 def _scores(diagram, speed, tau, orders, intervals):
-    """Return the sums over the filter of each speed, (n_orders, n_v), and their gram."""
+    """Return the sums over the filter of each speed for all orders, and their gram."""
     n, zero = len(diagram.years), diagram.zero
     x = diagram.displacement[zero:]
     overlap = np.maximum(diagram.overlap[zero:], LEAST_NORM)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-#: Largest value of a plane, in standard deviations over time: one flare does not decide.
+#: Largest value of a plane, in standard deviations over time: no flare decides.
 CLIP = 4.0
-#: Noises that are added to the variance over time, so that places where noise dominates
+#: Noises that are added to the variance over time, so that places where it dominates
 #: weigh little; between 3 and 12 the power of the test is the same.
 NOISES = 4.0
 #: Width of the window in which the variance over time is averaged, in sizes of the

@@ -6,18 +6,18 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-
-from astro_scc import StackedCrossCorrelation
-from astro_scc.features.diffusion import measure_diffusion, random_walk
-from astro_scc.matching import select_ssps
-from astro_scc.measurement.axes import AxisProjection
 from astro_scc.measurement.search import (
     FollowedFeatures,
     largest_difference,
     with_choices,
 )
-from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 from astro_scc.streams.dispersion import StreamVelocity
+
+from astro_scc import StackedCrossCorrelation
+from astro_scc.features.diffusion import measure_diffusion, random_walk
+from astro_scc.matching import select_ssps
+from astro_scc.measurement.axes import AxisProjection
+from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 
 SCC = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from astro_scc.streams.chains import Feature
+from astro_scc.streams.dispersion import Population, velocity_of
+from astro_scc.streams.search import Stream
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import simulate_static
-from astro_scc.streams.chains import Feature
-from astro_scc.streams.dispersion import Population, velocity_of
-from astro_scc.streams.search import Stream
 
 PM = u.mas / u.yr
 #: Speed of the features of the jet, 0.6 beam of 1 mas in 30 days.

@@ -15,7 +15,6 @@ from astro_scc.spectrum.gaussians import (
 from astro_scc.spectrum.maps import velocity_map
 from astro_scc.spectrum.permutations import LENGTH
 
-
 X = np.arange(-40, 41) / 8
 OWN = np.where(np.abs(X) <= 2.2, np.exp(-4 * np.log(2) * X**2 / 2), 0)
 

@@ -8,6 +8,7 @@ from math import exp
 
 import numpy as np
 import pytest
+from astro_scc.streams.permutations import permutations_of_epochs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
@@ -27,7 +28,6 @@ from astro_scc.stacking.velocities import (
     baseline_pairs,
     consecutive_pairs,
 )
-from astro_scc.streams.permutations import permutations_of_epochs
 
 COARSE = VelocityGrid.covering((4.0, 3.0), (0.5, 0.6))
 

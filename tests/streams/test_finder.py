@@ -21,7 +21,9 @@ def fixture_two():
 def test_both_streams_of_the_paper_are_found(two):
     streams = two.streams[two.streams["kind"] == "moving"]
     assert streams["pm"].value == pytest.approx([6.09, 24.35], rel=0.12)
-    assert np.all(np.abs(streams["pm"].value - [6.09, 24.35]) < 2.5 * streams["pm_err"].value)
+    assert np.all(
+        np.abs(streams["pm"].value - [6.09, 24.35]) < 2.5 * streams["pm_err"].value
+    )
     assert np.all(streams["p_distinct"] <= 0.01)
     assert streams["share"].sum() == pytest.approx(1.0)
     assert streams["pm_pa"].value == pytest.approx([270, 270], abs=8)

@@ -27,7 +27,9 @@ def test_long_features_weigh_more():
 
 def test_separation_of_known_distributions():
     rng = np.random.default_rng(2)
-    assert separation(np.exp(rng.normal(size=4000))) == pytest.approx(2 / np.pi, abs=0.03)
+    assert separation(np.exp(rng.normal(size=4000))) == pytest.approx(
+        2 / np.pi, abs=0.03
+    )
     assert separation(np.exp(rng.uniform(size=4000))) == pytest.approx(0.75, abs=0.03)
     assert separation([1.0, 1.01, 3.0, 3.02]) > 0.99
     assert separation([1.0, 1.0]) == 0.0
