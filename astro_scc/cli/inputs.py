@@ -20,6 +20,7 @@ from astro_scc.matching import plan
 from astro_scc.products.publication import published_positions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
+from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.writing import versions
 
 #: Pixels of all epochs from which on more processes save more time than they take to
@@ -120,7 +121,7 @@ def settings_of(args, reporter, **defaults):
     return settings
 
 
-def read_epochs(settings, args=None, *, note=None, features=False):
+def read_epochs(settings, args=None, *, note=None, features=False, moving=False):
     """
     Read the epochs of a measurement.
 
@@ -133,6 +134,8 @@ def read_epochs(settings, args=None, *, note=None, features=False):
         Called with a line of text on beams.
     features : bool, optional
         See `prepare`.
+    moving : bool, optional
+        Whether it shall be shown that something moves, which needs six epochs.
 
     Returns
     -------
@@ -154,6 +157,8 @@ def read_epochs(settings, args=None, *, note=None, features=False):
     if settings.region is not None:
         refuse_pixels(settings.region, False, cube)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
+    if moving:
+        require_epochs(cube)
     cube, found, chosen = prepare(cube, settings, note=note, features=features)
     found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = settings.changed(**found)
@@ -162,6 +167,17 @@ def read_epochs(settings, args=None, *, note=None, features=False):
         args.compare, cube
     )
     return Inputs(cube, settings, left_out, chosen, n_workers, published)
+
+
+def require_epochs(cube):
+    """Refuse so few epochs that nothing could be shown to move."""
+    n = len(cube)
+    if n < FEWEST_EPOCHS:
+        raise ValueError(
+            f"too few epochs: {n} image{'' if n == 1 else 's'}, {FEWEST_EPOCHS} are "
+            "needed to show that anything moves; astro-scc track follows features in "
+            "four or more"
+        )
 
 
 def prepare(cube, settings, *, note=None, features=False):

@@ -26,7 +26,6 @@ from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
 from astro_scc.simulation import simulate_two_fluid, write_simulation
-from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style
 from astro_scc.writing import versions
@@ -51,12 +50,13 @@ def measure(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
-        epochs = inputs.read_epochs(settings, args, note=reporter.note)
+        epochs = inputs.read_epochs(
+            settings, args, note=reporter.note, moving=settings.method != "paper"
+        )
         if settings.method == "paper":
             lines = _as_in_paper(epochs, folder, args, reporter)
             reporter.say(*lines, *epochs.found, f"\nTables and maps: {output}")
             return
-        require_epochs(epochs.cube)
         result = _measured(epochs, reporter)
         streams = write_measurement(
             result, epochs.settings, folder, output=output, published=epochs.published,
@@ -106,17 +106,6 @@ def _as_in_paper(epochs, folder, args, reporter):
         plot = partial(result.plot, beta_per_pm=beta_per_pm(streams))
         write_files(style.figure_files({"paper": plot}, pdf=args.pdf), folder)
     return answer.paper_lines(streams, result.level)
-
-
-def require_epochs(cube):
-    """Refuse so few epochs that nothing could be shown to move."""
-    n = len(cube)
-    if n < FEWEST_EPOCHS:
-        raise ValueError(
-            f"too few epochs: {n} image{'' if n == 1 else 's'}, {FEWEST_EPOCHS} are "
-            "needed to show that anything moves; astro-scc track follows features in "
-            "four or more"
-        )
 
 
 def write_measurement(
@@ -179,8 +168,7 @@ def profile(args, reporter):
     bins_of(settings.bins, window=settings.window)
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PROFILE) as folder:
-        epochs = inputs.read_epochs(settings, args, note=reporter.note)
-        require_epochs(epochs.cube)
+        epochs = inputs.read_epochs(settings, args, note=reporter.note, moving=True)
         streams, lines = _profile(epochs, folder, reporter)
         write_publication({"profile": streams}, folder)
     lines = [*answer.profile_lines(streams), "", *lines, *epochs.found]

@@ -25,7 +25,7 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.inputs import read_epochs, read_table, workers_of
-from astro_scc.cli.measure import require_epochs, write_measurement
+from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
 from astro_scc.columns import round_to_errors, table_lines
@@ -402,12 +402,11 @@ def measure_source(source, output, report=False, parts=None):
 
 def _measure(source, output, part, report, said):
     """Measure the parts of a source."""
-    cube, settings, left_out, *_ = read_epochs(source.settings)
+    cube, settings, left_out, *_ = read_epochs(source.settings, moving=True)
     if settings.method != "spectrum":
         raise ValueError(
             f"method is {settings.method!r}, which astro-scc measure has: leave it out"
         )
-    require_epochs(cube)
     published = source.compare and published_positions(source.compare, cube)
     for path in filter(None, source.regions.values()):
         refuse_pixels(path, settings.crop is not None, cube)

@@ -382,8 +382,9 @@ class SCCResult(tables.Components):
             "sensitivity".  Of figures with components: their table
             ``components``; of figures with speeds: ``beta_per_pm``, the apparent speed
             in units of c of 1 mas/yr, for a second axis.  Also ``which``, the map
-            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "epochs"; ``profile``
-            of "speeds", see `astro_scc.flow.feature_profile`; ``published`` features of "tracks" and "separation"; and what
+            "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "epochs";
+            ``profile`` of "speeds", see `astro_scc.flow.feature_profile`; ``published``
+            features of "tracks" and "separation"; and what
             `EpochCube.plot <astro_scc.epochs.EpochCube.plot>` takes for "epochs".
 
         Returns

@@ -14,7 +14,6 @@ from astro_scc.features import find_features
 from astro_scc.features.finder import distinct_tracks
 from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.features.tracks import Track
-from astro_scc.images.series import equal_dates
 
 FWHM = np.sqrt(8 * np.log(2))
 BEAM, STEP, CORE = 6.0, 2.0, (30.0, 40.0)
@@ -176,15 +175,3 @@ def test_fast_and_small_ones_on_the_command_line(data, tmp_path):
     assert table["secure"].sum() == len(KNOTS)
     speed = (table["pm"] * 0.1 * u.s / u.uas).to_value(1)
     np.testing.assert_allclose(speed, STEP, rtol=0.02)
-
-
-def test_dates_are_equal_by_their_intervals():
-    start = Time("2010-01-01T00:00:00", scale="utc")
-    for seconds, expected in (
-        ([0, 0.1, 0.2, 0.2, 0.3], [2]),
-        ([0, 0.1, 0.2, 0.3], []),
-        ([0, 86400, 86400.4, 172800], [1]),
-        ([0, 60, 63, 120], []),
-        ([0, 0], [0]),
-    ):
-        assert equal_dates(start + seconds * u.s).tolist() == expected
