@@ -23,8 +23,8 @@ _PUBLIC = {
 _FOLDERS = frozenset(
     """
     alignment components correlation decomposition epochs expansion features flow images
-    kinematics matching measurement paper products recovery report simulation stacking
-    streams tracking visualization
+    kinematics matching measurement paper products recovery report simulation streams
+    tracking visualization
     """.split()
 )
 

@@ -16,7 +16,7 @@ from astro_scc.kinematics import ExpansionFrame
 from astro_scc.matching import DecomposedEpochs, MatchedEpochs
 from astro_scc.matching.matched import centroids_inside
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.axes import alignment_errors
+from astro_scc.measurement.axes import alignment_errors, matched_displacements
 from astro_scc.measurement.tables import stack_tables
 from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
@@ -161,18 +161,20 @@ def _samples_of(scc, parts, limit):
     sky = replace(scc, position_angle=None)
     columns = []
     for k, (name, part) in enumerate(parts.items()):
-        displacements, _ = sky.displacements(part)
-        s = displacements.within(scc.plan(part.cube).pairs, (limit, limit))
-        columns.append(
-            (s.position[s.ssp] + 0.5 * s.motion, s.motion * (1 / s.interval)[:, None],
-             np.abs(s.interval), np.sqrt(s.s1 * s.s2), np.full(len(s), k),
-             part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
-             np.minimum(s.reference, s.target), s.weight)
+        samples, _ = matched_displacements(part, sky)
+        use, s = samples.within(scc.plan(part.cube).pairs, limit), samples.displacements
+        n, motion = np.count_nonzero(use), samples.motion
+        of_each = (
+            samples.position + 0.5 * motion, motion / samples.interval[:, None],
+            np.abs(samples.interval), np.sqrt(s.s1 * s.s2), np.full(len(s), k),
+            part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
+            np.minimum(s.reference, s.target), s.weight,
         )  # fmt: skip
-        if len(s) < FEWEST:
+        columns.append([values[use] for values in of_each])
+        if n < FEWEST:
             raise ValueError(
                 f"an expansion needs {FEWEST} velocity samples of each group or more, "
-                f"{name} has {len(s)}: choose more SSPs or other scales"
+                f"{name} has {n}: choose more SSPs or other scales"
             )
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
     return Samples(*joined[:5], _kinds(*joined[4:7])), *joined[7:]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,6 @@ from astro_scc.matching.plan import flow_direction, pairs_of_dates, scale_number
 from astro_scc.measurement.axes import matched_displacements
 from astro_scc.measurement.tables import Components, ssp_table, velocity_columns
 from astro_scc.paper import (
-    Displacements,
     draw_orders,
     image_pairs,
     stack_patterns,
@@ -317,14 +316,12 @@ def measure_as_in_paper(
         correlator=correlator, reach=reach,
     )  # fmt: skip
     samples, frame = matched_displacements(matched, settings)
-    names = (field.name for field in fields(Displacements))
-    displacements = Displacements(**{name: getattr(samples, name) for name in names})
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
     with progress(n_trials, "Permuting", show=progress_bar) as done:
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1, "blas"):
             stack = stack_patterns(
-                displacements, pairs, orders,
+                samples.displacements, pairs, orders,
                 fwhm=resolved(axes).mean(axis=0), max_speed=speed, rng=generator,
                 alpha=settings.alpha, correlated=matches.pairs, progress=done,
                 shift_beams=SMALL_SHIFT * settings.small_displacement_correction,

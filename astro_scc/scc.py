@@ -29,7 +29,6 @@ from astro_scc.matching.plan import flow_beam, flow_direction, scale_numbers
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import (
     alignment_errors,
-    matched_displacements,
     velocity_frame,
 )
 from astro_scc.measurement.parts import parts_of
@@ -42,7 +41,6 @@ from astro_scc.settings import (
     in_unit,
     require,
 )
-from astro_scc.stacking.velocities import VelocitySamples
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
 from astro_scc.writing import versions
@@ -390,22 +388,6 @@ class StackedCrossCorrelation(MeasurementSettings):
                 "misalignment_beams": cube.misalignment,
             },
         )
-
-    def displacements(self, matched: MatchedEpochs) -> tuple[VelocitySamples, Any]:
-        """
-        Return the matches as displacements along the velocity axes, and the axes.
-
-        Parameters
-        ----------
-        matched : `~astro_scc.matching.MatchedEpochs`
-
-        Returns
-        -------
-        displacements : ``VelocitySamples``
-            In mas, for the selected SSPs.
-        frame : frame of `astro_scc.kinematics`
-        """
-        return matched_displacements(matched, self)
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,

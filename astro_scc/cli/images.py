@@ -29,11 +29,11 @@ from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import date_labels
+from astro_scc.paper.trials import baseline_pairs
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.report.answer import misalignment_text
 from astro_scc.settings import Settings, check_setting
-from astro_scc.stacking.velocities import baseline_pairs
 
 #: Options of the jet "jet", and their other names in `simulate_jet`.
 (FLOW,) = COMMANDS["simulate"]["groups"].values()

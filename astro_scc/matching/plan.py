@@ -19,9 +19,9 @@ from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
 from astro_scc.images.positions import beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.frames import mean_width
+from astro_scc.paper.trials import DatePairs, baseline_pairs, consecutive_pairs
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.spectrum.permutations import fastest_speed
-from astro_scc.stacking import velocities
 from astro_scc.units import PM_UNIT
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class SearchPlan:
     """
 
     scales: tuple[float, ...]
-    pairs: velocities.DatePairs
+    pairs: DatePairs
     intervals: tuple[float, float]
     radius: float
     fwhm: float
@@ -258,12 +258,12 @@ def pairs_of_dates(cube, baseline):
             "other dates (a file that is given twice counts once)"
         )
     if baseline is None:
-        pairs = velocities.consecutive_pairs(years)
+        pairs = consecutive_pairs(years)
         why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
         why += "velocities need different dates"
     else:
         shortest, longest = baseline.to_value(u.yr)
-        pairs = velocities.baseline_pairs(years, shortest, longest)
+        pairs = baseline_pairs(years, shortest, longest)
         least, most = np.diff(years).min(), np.ptp(years)
         why = f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
         why += f"separations go from {least:.3g} to {most:.3g} yr; choose another "

@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Matches as velocity samples along the axes of a frame, with their errors."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
@@ -9,106 +9,55 @@ import numpy as np
 from astro_scc import kinematics
 from astro_scc.correlation.correlate import target_ssps
 from astro_scc.images import positions
-from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.kinematics.frames import frame_displacements
-from astro_scc.stacking.velocities import VelocitySamples
+from astro_scc.paper.stack import Displacements
 
 
-class AxisProjection:
+@dataclass(frozen=True, eq=False, repr=False)
+class VelocitySamples:
     """
-    Project the matches of a cube onto axes of the sky, in units of the beam.
+    Matches as displacements along two axes, and where on the sky they are.
 
-    Parameters
+    Attributes
     ----------
-    displacements : ``VelocitySamples``
-        In mas, along the axes of the frame.
-    cube : `~astro_scc.epochs.EpochCube`
-    frame : frame of `astro_scc.kinematics`
-    first : int, optional
-        Epoch of the cube that is the first one of the displacements.
+    displacements : `~astro_scc.paper.Displacements`
+        In mas.
+    position, motion : `~numpy.ndarray`, shape (n, 2)
+        Place of the SSP of each match, and its displacement, east and north in mas.
+    years : `~numpy.ndarray`, shape (n_epochs,)
+        Dates in years, ascending.
     """
 
-    def __init__(self, displacements, cube, frame, first=0):
-        d = displacements
-        self.displacements, self.frame = d, frame
-        self._covariance = positions.beam_covariance(cube, d.epoch + first, d.scale)
-        east, north = np.ascontiguousarray(displacements.position.T)
-        self._position = frame_positions(frame, east, north)
-        self._axes = np.asarray(frame.matrix(east, north))
+    displacements: Displacements
+    position: np.ndarray
+    motion: np.ndarray
+    years: np.ndarray
 
-    def beam(self, angle):
+    @property
+    def interval(self) -> np.ndarray:
+        """Time from the SSP's epoch to that of its match, in years, signed."""
+        d = self.displacements
+        return self.years[d.target] - self.years[d.reference]
+
+    def within(self, pairs, limit):
         """
-        Return the mean width of the beam along an axis and across it.
+        Return which samples are of pairs of dates, in any direction, and slow enough.
 
         Parameters
         ----------
-        angle : float
-            Angle of the axis from the first axis of the frame, in radians.
+        pairs : `~astro_scc.paper.DatePairs`
+        limit : float
+            Largest velocity along either axis, included.
 
         Returns
         -------
-        `~numpy.ndarray`, shape (2,)
-            In mas.
+        `~numpy.ndarray` of bool, shape (n,)
         """
-        axes = turned(angle) @ self._axes
-        known = np.isfinite(axes).all(axis=(-2, -1))
-        keep = np.broadcast_to(known, len(self._covariance))
-        if not keep.any():
-            return np.ones(2)
-        axes = axes if axes.ndim == 2 else axes[keep]
-        return np.mean(positions.widths_along(self._covariance[keep], axes), axis=0)
-
-    def __call__(self, angle):
-        """
-        Return the displacements along an axis.
-
-        Parameters
-        ----------
-        angle : float
-            In radians from the first axis of the frame.
-
-        Returns
-        -------
-        ``VelocitySamples``
-        """
-        d, turn, beam = self.displacements, turned(angle), self.beam(angle)
-        along, across = (turn @ np.stack([d.d1, d.d2])) / beam[:, None]
-        place = (self._position @ turn.T) / beam
-        unknown = {"s1": None, "s2": None, "motion": None}
-        return replace(d, d1=along, d2=across, position=place, **unknown)
-
-
-def projection_of(result):
-    """Return the projection of a result's displacements onto axes of the sky."""
-    return AxisProjection(result.displacements, result.cube, result.frame)
-
-
-def turned(angle):
-    """Return the matrix that turns two axes by an angle in radians."""
-    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-
-
-def frame_positions(frame, east, north):
-    """Return positions along the axes of a frame, in mas, shape (n, 2)."""
-    if isinstance(frame, RidgeLine):
-        s, n = frame.coordinates(east * u.mas, north * u.mas)
-        return np.stack([s.to_value(u.mas), n.to_value(u.mas)], axis=1)
-    if frame.uniform:
-        return np.stack([east, north], axis=1) @ np.asarray(frame.matrix()).T
-    origin = frame.centre if isinstance(frame, ExpansionFrame) else frame.origin
-    x, y = np.stack([east, north]) - origin.to_value(u.mas)[:, None]
-    distance = np.maximum(np.hypot(x, y), np.finfo(float).tiny)
-    if isinstance(frame, ExpansionFrame):
-        # Homologous expansion is uniform in the logarithm of the radius.
-        length = frame.radius.to_value(u.mas)
-        distance = length * np.log(distance / length)
-    else:
-        length = distance.sum() / max(len(distance), 1)
-    # Radial motion keeps the angle, not the arc length.
-    angle = np.arctan2(x, y)
-    # Angles wrap opposite to where most SSPs are.
-    angle = (angle - np.angle(np.exp(1j * angle).sum()) + np.pi) % (2 * np.pi)
-    return np.stack([distance, length * angle], axis=1)
+        d, paired = self.displacements, np.zeros((len(self.years),) * 2, dtype=bool)
+        paired[pairs.first, pairs.second] = paired[pairs.second, pairs.first] = True
+        way = limit * np.abs(self.interval)
+        slow = (np.abs(d.d1) <= way) & (np.abs(d.d2) <= way)
+        return paired[d.reference, d.target] & slow
 
 
 def matched_displacements(matched, settings):
@@ -122,8 +71,8 @@ def matched_displacements(matched, settings):
 
     Returns
     -------
-    displacements : ``VelocitySamples``
-        In mas, for the selected SSPs.  SSPs at which the frame has no axes count as
+    samples : `VelocitySamples`
+        Of the selected SSPs.  SSPs at which the frame has no axes count as
         SSPs without a match.
     frame : frame of `astro_scc.kinematics`
         Gives the two axes at the position of each SSP.
@@ -148,7 +97,7 @@ def matched_displacements(matched, settings):
     ends = (ssps.snr[owner], here), (matches.target_snr, there)
     first, second = (positions.position_errors(*end, fraction) for end in ends)
     s = np.sqrt(first**2 + second**2)
-    samples = VelocitySamples(
+    displacements = Displacements(
         d1=d[:, 0],
         d2=d[:, 1],
         s1=s[:, 0],
@@ -159,12 +108,9 @@ def matched_displacements(matched, settings):
         ssp=owner.astype(np.int32),
         target_ssp=target_ssps(matches, ssps).astype(np.int32),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
-        position=np.stack([east, north], axis=-1),
-        motion=sky,
-        epoch=ssps.epoch,
-        scale=ssps.scale,
-        years=cube.years.to_value(u.yr),
     )
+    years = cube.years.to_value(u.yr)
+    samples = VelocitySamples(displacements, position, sky, years)
     return samples, frame
 
 
