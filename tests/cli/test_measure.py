@@ -159,6 +159,12 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     assert config_of(here / "out")["method"] == "paper"
 
 
+def test_profiles_are_of_the_spectrum(jet, refused, here):
+    (here / "p.toml").write_text("method = 'paper'\nbins = '1 2 mas'\n")
+    line = refused("profile", *jet, "--config", here / "p.toml", "-o", "out")
+    assert "method is 'paper', which astro-scc measure has: leave it out" in line
+
+
 def test_so_few_epochs_show_no_motion(jet, refused, here):
     for words in (["measure"], ["profile", "--bins", "1 2 mas"]):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
