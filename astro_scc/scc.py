@@ -472,7 +472,7 @@ def measure_velocities(
     >>> from astro_scc import measure_velocities
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(rng=1).cube
-    >>> table = measure_velocities(cube, scales=[1, 2, 3], n_trials=50, rng=1)
+    >>> table = measure_velocities(cube, scales=[1, 2, 3], n_trials=100, rng=1)
     >>> table["pm"].unit
     Unit("mas / yr")
     """

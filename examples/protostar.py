@@ -98,7 +98,7 @@ def measure(n_trials=200):
     table["true_speed"] = SPEEDS.mean()
     columns = "pm", "pm_err", "speed", "speed_err", "true_speed", "p_global"
     table = brief(table, "method", "n_epochs", "n_features", *columns, digits=0)
-    return table, result.plot("members", max_panels=1)
+    return table, result.plot("tracks")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ def measure(data, n_trials=1000):
     result = scc(cube, region=ring, n_trials=n_trials, rng=1)
     table = result.components_in_c(redshift=0.229, cosmology=paper_cosmology())
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
-    return brief(table, "kind", *columns, "n_features"), result.plot("members")
+    return brief(table, "kind", *columns, "n_features"), result.plot("distance")
 
 
 if __name__ == "__main__":

@@ -74,7 +74,7 @@ def measure(n_trials=200):
         table[f"speed{name}"] = table[f"v_app{name}"]
     columns = "west", "north", "speed", "speed_err", "p_global", "n_features"
     table = brief(table, "kind", *columns)
-    return table, result.plot("members", max_panels=1)
+    return table, result.plot("tracks")
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def measure(n_trials=200):
         table[f"{name}_err"] = found[f"{column}_err"].to(true.unit)
     columns = "true_west", "west", "west_err", "true_north", "north", "north_err"
     table = brief(table, "kind", *columns, "p_global", "n_features", digits=3)
-    return table, result.plot("members", max_panels=1)
+    return table, result.plot("tracks")
 
 
 if __name__ == "__main__":

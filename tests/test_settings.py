@@ -18,7 +18,7 @@ PM = u.mas / u.yr
 FULL = {
     "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
     "align": "core", "beam": "1.0 mas 0.5 mas -7 deg", "common_beam": True,
-    "crop": "part.reg", "region": "jet.reg", "scales": "0.2 mas, 0.4 mas",
+    "crop": "part.reg", "region": "jet.reg", "method": "paper", "scales": "0.2 mas, 0.4 mas",
     "max_speed": "2 mas/yr", "position_angle": "-112 deg", "baseline": "70 d 1.0 yr",
     "min_error_beams": 0.2, "kappa": 0.6, "target": "plane", "min_overlap": 0.8,
     "wavelet": "b3", "detection": 4, "segmentation": 3.0, "noise": "local",
@@ -29,7 +29,7 @@ FULL = {
 #: Of other commands than `measure`, and what does not go with a redshift.
 OTHERS = {
     "distance": "16.7 Mpc", "bins": "0.5 1.5 2.5 mas", "window": "1 mas",
-    "detections": "ssp",
+    "detections": "ssp", "scale_groups": "1,2; 3",
 }  # fmt: skip
 
 

@@ -686,7 +686,7 @@ def run(case, folder):
         status = main(argv)
     velocity = None
     if status == 0:
-        table = QTable.read(out / "components.ecsv")
+        table = QTable.read(out / "streams.ecsv")
         if len(table):
             velocity = tuple(
                 float(table[name][0].value) for name in ("pm_ra_cosdec", "pm_dec")

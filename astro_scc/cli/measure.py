@@ -164,6 +164,10 @@ def profile(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
+    if settings.method != "spectrum":
+        raise ValueError(
+            f"method is {settings.method!r}, which astro-scc measure has: leave it out"
+        )
     # Wrong --bins are refused before the images are read.
     bins_of(settings.bins, window=settings.window)
     output = inputs.output_of(args, settings)

@@ -196,7 +196,7 @@ def write_products(
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(n_epochs=6, rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(cube, n_trials=20, rng=1)
+    >>> result = scc(cube, n_trials=100, rng=1)
     >>> Path("out").mkdir()
     >>> paths = write_products(result, result.streams, "out")
     >>> [path.name for path in paths if path.parent.name == "out"][:3]

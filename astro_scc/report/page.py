@@ -319,7 +319,7 @@ def write_report(
     >>> from astro_scc.report import write_report
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(scales=[1, 2], max_speed=36 * u.mas / u.yr)
-    >>> result = scc(simulate_two_fluid(n_epochs=6, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=6, rng=1).cube, n_trials=100, rng=1)
     >>> path = write_report(result, "out", title="Two fluids")
     >>> path.name
     'report.html'

@@ -9,7 +9,7 @@ from astro_scc.cli import main
 from astro_scc.cli.measure import STALE
 from astro_scc.simulation import JetSimulation, Stream, write_simulation
 
-QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "20"]
+QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "99"]
 
 
 def small_jet(n_epochs=6):

@@ -111,13 +111,13 @@ WEST = ["--position-angle", "270 deg"]
 
 
 @pytest.mark.slow
-def test_the_whole_stretch(profile, done, refused, here, no_figures):
+def test_the_whole_stretch(profile, done, here, no_figures):
     """Its acceleration, and the speeds of its scales."""
-    out, _ = done(*profile, *WEST, "--bins", "0 20 30 mas", "--scales", "1,2")
+    out, _ = done(*profile, *WEST, "--bins", "0 20 30 mas", "--scale-groups", "1; 2")
     for words in (
         "acceleration: ",
-        "20 to 30 mas: no matches",
-        "Speeds of the finest and coarser scales: ",
+        "20 to 30 mas: nothing is seen",
+        "0 to 20 mas: speeds of the 1 and 2 scales: ",
     ):
         assert words in out
     table = QTable.read(here / "out" / "profile.ecsv")
@@ -125,16 +125,15 @@ def test_the_whole_stretch(profile, done, refused, here, no_figures):
     uncertain["r_min"], uncertain["r_max"] = [20] * u.mas, [30] * u.mas
     uncertain["kind"], uncertain["main"] = ["not significant"], False
     lines = profile_lines(vstack([table, uncertain], metadata_conflicts="silent"))
-    assert "20 to 30 mas: no velocity exceeds its error" in lines
-    found = table.meta["acceleration"]
+    assert "20 to 30 mas: no speed exceeds its error" in lines
+    found = table.meta["acceleration"]["1"]
     assert found["acceleration"].unit == u.mas / u.yr**2
-    assert 0 <= found["p_value"] <= 1
-    (row,) = QTable.read(here / "out" / "scales.ecsv")
-    assert (row["first"], row["second"]) == ("finest", "coarser")
+    rows = QTable.read(here / "out" / "scales.ecsv")
+    assert set(rows["first"]) | set(rows["second"]) == {"1", "2"}
     (here / "r.reg").write_text("image\ncircle(3,3,2)\n")
     own = ["--overwrite", "--region", "r.reg"]
-    line = refused(*profile, *WEST, "--bins", "0 10 mas", *own)
-    assert "no SSP lies in the bins" in line
+    out, _ = done(*profile, *WEST, "--bins", "0 10 mas", *own)
+    assert out.startswith("No speed could be tested in any bin.")
 
 
 @pytest.mark.slow
@@ -146,7 +145,7 @@ def test_profile(profile, done, here):
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc" in out
     assert {path.name for path in (here / "out").iterdir()} == {
         "config.toml", "position_angles.png", "profile.ecsv", "profile.png",
-        "publication", "velocity_maps.png",
+        "publication",
     }  # fmt: skip
     table = QTable.read(here / "out" / "profile.ecsv")
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
