@@ -171,7 +171,10 @@ def later(matched):
     ("call", "words"),
     [
         (lambda *of: measure_expansion(*of, *WHERE, sectors=0), "sectors = 0 must be"),
-        (lambda scc, m: measure_expansion(scc, none_of(m), *WHERE), "nothing to measure"),
+        (
+            lambda scc, m: measure_expansion(scc, none_of(m), *WHERE),
+            "nothing to measure",
+        ),
         (lambda scc, m: fit_shell(scc, none_of(m)), "of each group or more, all has 0"),
         (lambda scc, m: fit_shell(scc, {"a": m, "b": none_of(m)}), "or more, b has 0"),
         (lambda scc, m: fit_shell(scc, {"a": m, "b": later(m)}), "of the same dates"),

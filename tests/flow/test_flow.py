@@ -104,7 +104,10 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     # The meta has the covariance of the bins that are known, and is written.
     table.write(tmp_path / "profile.ecsv")
     kept = QTable.read(tmp_path / "profile.ecsv").meta["covariance"]["all"]
-    assert kept["bins"] == np.flatnonzero(np.isfinite(np.diag(profile.covariance))).tolist()
+    assert (
+        kept["bins"]
+        == np.flatnonzero(np.isfinite(np.diag(profile.covariance))).tolist()
+    )
     known = np.ix_(kept["bins"], kept["bins"])
     assert_allclose(kept["covariance"].value, profile.covariance[known].value)
     assert profile.covariance.unit == PM**2
@@ -340,7 +343,10 @@ REFUSED = [
     (lambda *_: bins_of([1.0, 2.0] * u.mas, window=0 * u.mas), "window = 0.0 mas must"),
     (lambda d, _: measure_profile(SCC, d, [80, 90] * u.mas), "nothing is seen in the"),
     (lambda d, _: measure_profile(SCC, d, BINS, scale_groups="1"), "two groups of"),
-    (lambda d, _: measure_profile(SCC, d, BINS, scale_groups="1,2; 2"), "share scale 2"),
+    (
+        lambda d, _: measure_profile(SCC, d, BINS, scale_groups="1,2; 2"),
+        "share scale 2",
+    ),
     (lambda *_: fit_profile(R, V, V, model="cubic"), "unknown model 'cubic'"),
     (lambda *_: fit_profile(R[:2], V[:2], V[:2], model="broken"), "at 4 distances or"),
     (lambda *_: fit_profile(R, -V, V, model="power-law"), "above 0"),
