@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -19,9 +19,6 @@ from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import moving_features
 from astro_scc.streams.spread import mean_speed
 from astro_scc.units import PM_UNIT
-
-if TYPE_CHECKING:
-    from astro_scc.flow.profile import Profile
 
 #: Features of a bin: with fewer a dispersion has an error of half its size.
 LEAST = 5
@@ -143,7 +140,7 @@ def flow_by_scale(flow, scales):
 
 
 def compare_scales(
-    measured: SCCResult | Profile,
+    measured: SCCResult | Any,
     scale_groups: Mapping[str, Sequence[float]] | None = None,
 ) -> QTable | None:
     """
