@@ -334,8 +334,8 @@ def completeness(
         more = "measure more epochs" if few else "give more n_trials"
         raise ValueError(
             f"{len(cube)} epochs (1/(N-1)!) and {n_trials} trials allow no p_global "
-            f"below {smallest:.2g}, so nothing can be found at level "
-            f"{scc.alpha:g}: {more}"
+            f"below {smallest:.2g}, so nothing can be found at level {scc.alpha:g}: "
+            f"{more}"
         )
     position_angle, largest_part = _direction(position_angle, scc.position_angle)
     if fwhm is None and cube.beams is None:

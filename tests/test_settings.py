@@ -29,7 +29,7 @@ FULL = {
 #: Of other commands than `measure`, and what does not go with a redshift.
 OTHERS = {
     "distance": "16.7 Mpc", "bins": "0.5 1.5 2.5 mas", "window": "1 mas",
-    "detections": "ssp", "scale_groups": "1,2; 3",
+    "detections": "ssp", "scale_groups": "1,2; 3.5",
 }  # fmt: skip
 
 
@@ -141,6 +141,7 @@ def test_dates(tmp_path):
         ("redshift", [0.1, 0.2], "must be one redshift"),
         ("distance", "0.158", "no unit at its end; it must be a length with a unit"),
         ("distance", "16 7 Mpc", "must be one distance"),
+        ("scale_groups", "1,2", "must be two groups of scales or more"),
         ("bins", "2 1 mas", "must be increasing distances"),
         ("alignment_error", "-0.1 mas", "0 or above"),
         *(("alignment_error", value * u.mas, "must be an angle or a list of them")

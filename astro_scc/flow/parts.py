@@ -9,7 +9,7 @@ from scipy.special import ndtr, stdtrit
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import ONE_SIGMA, fit_errors
-from astro_scc.spectrum.gaussians import FLOOR, StreamFit, fit_streams, one_stream
+from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
 from astro_scc.spectrum.permutations import EVERY
 from astro_scc.spectrum.planes import FlowPlanes
 
@@ -128,7 +128,7 @@ def speeds_in_parts(fits, places, *, stream=0):
 
     What a cluster of ejection adds to the speeds of several parts, it adds to all: the
     clusters move at one speed, the median of the parts, from one beginning.  The same
-    holds for what each epoch adds, and for features of unequal weight.
+    holds for what each epoch adds.
 
     Parameters
     ----------
@@ -153,15 +153,10 @@ def speeds_in_parts(fits, places, *, stream=0):
     errors = [fits[k].errors(np.median(means)) for k in known]
     epochs = np.array([own.epochs[stream] for own in errors])
     total = epochs @ epochs.T
-    floor = (FLOOR * means) ** 2
-    sd = np.array([fits[k].fit.sd[stream] for k in known])
-    spread = np.sqrt(np.maximum(sd**2 - floor, 0))
     for half in (0, 1):
         clusters = np.array([own.clusters[stream][half] for own in errors])
-        shares = np.array([own.shares[stream][half] for own in errors])
         m = np.count_nonzero(clusters.any(axis=0))
         total += clusters @ clusters.T * m / max(m - 1, 1) / 2
-        total += np.outer(spread, spread) * (shares @ shares.T) / 2
     speed[known] = np.abs(means)
     covariance[np.ix_(known, known)] = total
     return PartSpeeds(np.array(places), speed, covariance)

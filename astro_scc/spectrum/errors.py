@@ -29,8 +29,6 @@ class SpeedErrors:
     clusters : list of `~numpy.ndarray`
         For each stream, what the clusters add to its mean speed, by their number from
         the first in time, for two divisions: shape (2, n_clusters).
-    shares : list of `~numpy.ndarray`
-        Shares of the same clusters in the amplitude of each stream.
     epochs : `~numpy.ndarray`, shape (k, n_epochs)
         What each epoch adds to each mean speed.
     """
@@ -39,7 +37,6 @@ class SpeedErrors:
     amplitude: np.ndarray
     number: np.ndarray
     clusters: list
-    shares: list
     epochs: np.ndarray
 
 
@@ -82,8 +79,7 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
     all_rows = np.concatenate([own, standing_columns(equations)])
     model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows
     model = np.tensordot(model, equations.design, 1)
-    found = {"mean": [], "amplitude": [], "number": [], "clusters": [], "shares": []}
-    found["epochs"] = []
+    found = {"mean": [], "amplitude": [], "number": [], "clusters": [], "epochs": []}
     for i in range(k):
         speed = fit.mean[i] if travel is None else travel
         of_speed = function_of(equations, weights[k + i])
@@ -105,13 +101,10 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
         found["amplitude"].append(errors[1])
         found["number"].append(number)
         found["clusters"].append([factor * v for v in sums])
-        found["shares"].append([_shares(part) for part in parts])
         found["epochs"].append(epochs[0])
     arrays = {name: np.array(found[name]) for name in ("mean", "amplitude", "number")}
     epochs = np.reshape(found["epochs"], (k, -1))
-    return SpeedErrors(
-        **arrays, clusters=found["clusters"], shares=found["shares"], epochs=epochs
-    )
+    return SpeedErrors(**arrays, clusters=found["clusters"], epochs=epochs)
 
 
 def function_of(equations, weights):
@@ -172,16 +165,11 @@ def _variance(sums):
     return float(((used - used.mean()) ** 2).sum() * m / (m - 1))
 
 
-def _shares(parts):
-    """Return the shares of clusters in an amplitude."""
-    parts = np.maximum(parts, 0)
-    return parts / max(parts.sum(), np.finfo(float).tiny)
-
-
 def _effective(parts):
-    """Return the effective number of clusters from their parts of an amplitude."""
-    square = (_shares(parts) ** 2).sum()
-    return 1 / square if square > 0 else 1.0
+    """Return the effective number of clusters from their shares of an amplitude."""
+    parts = np.maximum(parts, 0)
+    square = (parts**2).sum()
+    return parts.sum() ** 2 / square if square > 0 else 1.0
 
 
 def _of_epochs(function, residual):

@@ -29,7 +29,7 @@ import numpy as np
 from astro_scc import StackedCrossCorrelation
 from astro_scc import simulation as sim
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.flow import compare_speeds, measure_acceleration, scale_groups
+from astro_scc.flow import compare_scales, measure_acceleration
 from astro_scc.simulation import Flow, Stream
 
 RESULTS = Path(__file__).parent / "results"
@@ -161,13 +161,12 @@ FLOW_COLUMNS = ("seed", "rows", "gradient", "gradient_err", "p_acceleration", "f
 def measure_flow(kind, seed, n_trials):
     """Return a jet's gradient in 1/yr, and speeds by scale in beams per interval."""
     cube = KINDS[kind](seed).cube
-    scc = StackedCrossCorrelation(scales=[1, 2, 3, 4], position_angle=270 * u.deg)
+    scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
         result = scc(cube, n_trials=n_trials, rng=seed)
     found = measure_acceleration(result)
-    groups = {"fine": [1], "coarse": [2, 3, 4]}
-    (row,) = compare_speeds(result, scale_groups(result.decomposed, groups))
+    (row,) = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
     fine, coarse = ((row[f"{k}_speed"] / unit).value for k in ("first", "second"))
