@@ -101,8 +101,8 @@ def fit_gaussians(
     together, and those that the criterion does not need any more are left out, as
     are those whose peak is below five errors.
 
-    One ellipse then replaces neighbours where it lowers :math:`\chi^2` by five times what
-    a component must, and the whole model fits the image; where it is only as good by
+    One ellipse then replaces neighbours where it lowers :math:`\chi^2` by five times
+    what a component must, and the whole model fits the image; where it is as good by
     the criterion, it is returned beside them.  It may be narrower than the beam by a
     tenth, as beams of headers may be off.
 
