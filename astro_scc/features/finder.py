@@ -155,10 +155,12 @@ def find_features(
     """
     Find the features of a cube and follow them through its epochs.
 
-    Each image is modelled by circular Gaussians convolved with its beam, see
-    ``fit_gaussians``, or described by its SSPs.  These detections are assigned to
-    tracks, each to one at most, see ``find_tracks``.  What stands at the reference
-    pixel is the core, and all offsets are from it.
+    Each image is modelled by Gaussians convolved with its beam, see
+    ``fit_gaussians``, or described by its SSPs.  Where one ellipse would do as well as
+    several of them, they are one detection if they keep their distance from epoch to
+    epoch.  Detections are assigned to tracks, each to one at most, see
+    ``find_tracks``; of two tracks of the same emission one is kept.  What stands at
+    the reference pixel is the core, and all offsets are from it.
 
     Parameters
     ----------
@@ -220,7 +222,8 @@ def find_features(
 #: are so many beams apart there.
 SAME_PLACE = 0.3
 #: Parts of one elongated feature keep their distance and direction: in so many epochs
-#: or more, with a scatter of less than so many beams beyond their errors.
+#: or more, with a scatter of less than so many beams, or such a share of the distance,
+#: beyond their errors.
 ELONGATED_EPOCHS, STEADY = 3, 0.2
 
 
@@ -271,7 +274,8 @@ def _without_alternatives(found, settings, seed):
             each = np.array([found.elongation(k) for k in own.tolist()])
             parts = np.concatenate([found.parts(k) for k in own.tolist()])
             error = 2 * (found.place_error[parts] ** 2).mean() / found.fwhm**2
-            whole[own] = each.var(axis=0).sum() < STEADY**2 + error
+            size = max(1.0, np.trace(each.mean(axis=0)))
+            whole[own] = each.var(axis=0).sum() < (STEADY * size) ** 2 + error
     return found.chosen(whole)
 
 

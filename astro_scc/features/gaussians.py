@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Model of an image: circular Gaussians, each convolved with the beam."""
+"""Model of an image: Gaussians, round ones where they suffice, with the beam."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ THRESHOLD = 5.0
 RELATIVE_ERROR = 0.001
 #: Components of which the nearest are so many beams away may be parts of one ellipse,
 #: at most so many of them, if it lowers chi^2 by so many penalties of a component.
-JOINED, MOST_JOINED, BETTER = 1.6, 5, 1.0
+JOINED, MOST_JOINED, BETTER = 1.6, 5, 5.0
 #: A model with such ellipses must fit the image with at most this mean chi^2.
 GOOD = 1.5
 #: An ellipse is at least as wide as so many beams: those of headers may be off.
@@ -40,7 +40,7 @@ MOST_COMPONENTS = 20
 @dataclass(frozen=True, eq=False)
 class Gaussians:
     """
-    Circular Gaussians that make up a model of one image, brightest first.
+    Gaussians that make up a model of one image, brightest first.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def fit_gaussians(
     image: ArrayLike, beam: np.ndarray, noise: float, *, mask: ArrayLike = False
 ) -> Gaussians:
     r"""
-    Fit circular Gaussians, convolved with the beam, to an image.
+    Fit Gaussians, convolved with the beam, to an image.
 
     A component is added where the residual is largest, and fitted together with
     its neighbours, as long as the residual there exceeds five errors and the
@@ -100,6 +100,11 @@ def fit_gaussians(
     :math:`4 \pi \sqrt{\det B}` (Condon 1997).  Then all components are fitted
     together, and those that the criterion does not need any more are left out, as
     are those whose peak is below five errors.
+
+    One ellipse then replaces neighbours where it lowers :math:`\chi^2` by five times
+    what a component must, and the whole model fits the image; where it is as good by
+    the criterion, it is returned beside them.  It may be narrower than the beam by a
+    tenth, as beams of headers may be off.
 
     The errors of the positions are those of this fit in noise that is correlated
     as the beam.  For an isolated point they are :math:`\sqrt{2} b / \mathrm{SNR}`
