@@ -18,7 +18,8 @@ PM = u.mas / u.yr
 FULL = {
     "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
     "align": "core", "beam": "1.0 mas 0.5 mas -7 deg", "common_beam": True,
-    "crop": "part.reg", "region": "jet.reg", "method": "paper", "scales": "0.2 mas, 0.4 mas",
+    "crop": "part.reg", "region": "jet.reg", "method": "paper",
+    "scales": "0.2 mas, 0.4 mas",
     "max_speed": "2 mas/yr", "position_angle": "-112 deg", "baseline": "70 d 1.0 yr",
     "min_error_beams": 0.2, "kappa": 0.6, "target": "plane", "min_overlap": 0.8,
     "wavelet": "b3", "detection": 4, "segmentation": 3.0, "noise": "local",

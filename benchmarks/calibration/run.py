@@ -178,7 +178,7 @@ def measure_flow(kind, seed, n_trials):
 
 def measure_sensitivity(kind, seed, n_trials):
     """Return the changes of a jet's main speed with parts of the data."""
-    scc = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
+    scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
         table = scc(KINDS[kind](seed).cube, n_trials=n_trials, rng=seed).sensitivity
@@ -206,7 +206,7 @@ def measure(kind, seed, n_trials):
     if kind.endswith("region") or kind == "unrelated":
         region = np.zeros(cube.shape[1:], dtype=bool)
         region[:, 60:160] = True
-    scc = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
+    scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
         result = scc(cube, region=region, n_trials=n_trials, rng=seed)

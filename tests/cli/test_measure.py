@@ -114,7 +114,7 @@ def test_other_versions_are_noted(measured, astro_scc, here):
 
 
 def test_images_without_beams_have_none_for_a_core(series, refused):
-    words = ["measure", *series([None] * 2), "-o", "out"]
+    words = ["measure", *series([None] * 6), "-o", "out"]
     assert "the epochs have no beams" in refused(*words, "--common-beam")
     assert "epochs have none" in refused(*words, "--align", "core")
 

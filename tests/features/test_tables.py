@@ -60,7 +60,7 @@ def test_each_column_has_a_unit_or_type_and_a_meaning(request, name):
 
 def test_the_motion_of_a_radial_feature(features):
     row = features.table[0]
-    assert (row["feature"], row["n_epochs"], row["component"]) == (101, N, 0)
+    assert (row["feature"], row["n_epochs"], row["stream"]) == (101, N, 0)
     assert (row["secure"], row["flux"], row["t_ej_err"] > 0) == (True, 2 * u.Jy, True)
     wanted = {
         "ra_offset": 2.4, "dec_offset": 0, "separation": 2.4, "motion": 2.8, "pm": 0.4,

@@ -16,13 +16,11 @@ from astro_scc import Beam, EpochCube
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.kinematics import (
-    ExpansionFrame,
     PositionAngleFrame,
     RadialFrame,
     SkyFrame,
 )
 from astro_scc.measurement.axes import (
-    AxisProjection,
     alignment_errors,
     matched_displacements,
 )
@@ -50,135 +48,16 @@ def ssps_of(cube, east, north, epoch, scale=1.0):
     )  # fmt: skip
 
 
-def matches_of(ssps, pairs):
-    """Matches that lead exactly from one SSP to another."""
-    here, there = np.transpose(pairs)
-    one = np.ones(len(here))
-    columns = (
-        here, ssps.epoch[there], ssps.y[there] - ssps.y[here],
-        ssps.x[there] - ssps.x[here], 0.8 * one, one, 20 * one,
-    )  # fmt: skip
-    return Matches.from_columns([columns], [[0, 1], [1, 2]])
-
-
 def displacements_of(matches, ssps, cube, frame):
     select = np.ones(len(ssps), bool)
     of = SimpleNamespace(matches=matches, ssps=ssps, cube=cube, select=select)
     settings = SimpleNamespace(position_angle=frame, min_error_beams=0.2)
-    return matched_displacements(of, settings)[0]
-
-
-def projected(cube, ssps, pairs, frame):
-    matches = matches_of(ssps, pairs)
-    d = displacements_of(matches, ssps, cube, frame)
-    return AxisProjection(d, cube, frame)
-
-
-EAST = np.array([0.5, -1.0, 1.5, 0.7, -0.6, 1.4])
-NORTH = np.array([2.0, 1.5, -1.0, 2.3, 1.1, -1.7])
-EPOCH = np.array([0, 0, 0, 1, 1, 2])
-PAIRS = [(0, 3), (1, 4), (2, 5), (3, 0)]
+    return matched_displacements(of, settings)[0].displacements
 
 
 def direction(pa):
     """(east, north) of a position angle."""
     return np.array([np.sin(pa), np.cos(pa)])
-
-
-# First axis, and the way in which its second one turns: north through east.
-UNIFORM = {
-    "sky": (SkyFrame(), np.pi / 2, -1),
-    "position angle": (PositionAngleFrame(200 * u.deg), np.radians(200), 1),
-}
-
-
-@pytest.mark.parametrize("name", UNIFORM)
-@pytest.mark.parametrize("angle", [-2.5, 0.7])
-def test_axes_that_are_the_same_everywhere(name, angle):
-    frame, first, sense = UNIFORM[name]
-    cube = cube_of()
-    project = projected(cube, ssps_of(cube, EAST, NORTH, EPOCH), PAIRS, frame)
-    d = project(angle)
-    along = first + sense * angle
-    across = along + sense * np.pi / 2
-    for values, pa, part in ((d.d1, along, 0), (d.d2, across, 1)):
-        width = BEAM.fwhm_along(pa * u.rad).to_value(u.mas)
-        assert project.beam(angle)[part] == pytest.approx(width)
-        place = np.stack([EAST, NORTH], axis=1) @ direction(pa) / width
-        here, there = np.transpose(PAIRS)
-        np.testing.assert_allclose(values, (place[there] - place[here]), atol=1e-6)
-        np.testing.assert_allclose(d.position[:, part], place, atol=1e-6)
-
-
-def test_beams_of_epochs_and_scales_are_averaged_over_ssps():
-    beams = [Beam(b * u.mas, b * u.mas) for b in (0.5, 0.8, 1.1)]
-    cube = cube_of(beams)
-    ssps = ssps_of(cube, EAST, NORTH, EPOCH)
-    project = projected(cube, ssps, PAIRS, SkyFrame())
-    np.testing.assert_allclose(project.beam(1.0), (3 * 0.5 + 2 * 0.8 + 1.1) / 6)
-    # Later epochs have their own.
-    later = project.displacements.of_epochs(slice(1, None))
-    project = AxisProjection(later, cube, SkyFrame(), first=1)
-    np.testing.assert_allclose(project.beam(0.3), (2 * 0.8 + 1.1) / 3)
-    # Without beams, twice the scale: 4 and 8 pixels.
-    cube = cube_of(None)
-    ssps = ssps_of(cube, EAST, NORTH, EPOCH, scale=[1, 1, 2, 1, 1, 2])
-    project = projected(cube, ssps, PAIRS, SkyFrame())
-    np.testing.assert_allclose(project.beam(1.0), (4 * 0.4 + 2 * 0.8) / 6)
-
-
-@pytest.mark.parametrize("pa", [180.0, 291.0])
-def test_away_from_a_point_what_moves_outward_keeps_its_direction(pa):
-    """Three features that move by 0.5 and 1 mas, in any direction, also south."""
-    cube = cube_of(Beam(0.5 * u.mas, 0.5 * u.mas))
-    angle = np.radians(pa + np.array([-20, 0.5, 10]))
-    r = np.concatenate([[1.0, 2.0, 1.5] + 0.5 * k for k in np.arange(3)])
-    east, north = r * direction(np.tile(angle, 3))
-    ssps = ssps_of(cube, east, north, np.repeat([0, 1, 2], 3))
-    pairs = [(k, k + 3) for k in range(6)]
-    project = projected(cube, ssps, pairs, RadialFrame())
-    np.testing.assert_allclose(project.beam(0.0), 0.5)
-    d = project(0.0)
-    np.testing.assert_allclose(d.d1, 1.0)
-    np.testing.assert_allclose(d.d2, 0.0, atol=1e-6)
-    place = d.position.reshape(3, 3, 2)
-    np.testing.assert_allclose(place[..., 0], r.reshape(3, 3) / 0.5)
-    # Each keeps its place around the point, as far apart as at the mean distance.
-    np.testing.assert_allclose(place[1:, :, 1], place[:-1, :, 1], atol=1e-6)
-    apart = np.diff(angle) * r.mean() / 0.5
-    np.testing.assert_allclose(np.diff(place[0, :, 1]), apart)
-
-
-def test_in_homologous_expansion_all_features_move_alike():
-    """Distances grow by a tenth in each step, whatever they are."""
-    cube = cube_of(None)
-    centre, radius, rate = [0.2, -0.1] * u.mas, 2 * u.mas, 0.1
-    r0, angle = np.array([1.0, 1.5, 2.2]), np.radians([200, 20, 110])
-    r = np.outer(np.exp(rate * np.arange(3)), r0)
-    east, north = r * direction(angle)[:, None] + centre.value[:, None, None]
-    ssps = ssps_of(cube, east.ravel(), north.ravel(), np.repeat([0, 1, 2], 3))
-    frame = ExpansionFrame(centre, radius)
-    pairs = [(k, k + 3) for k in range(6)]
-    project = projected(cube, ssps, pairs, frame)
-    d = project(0.0)
-    # The resolution, 0.4 mas, as it is at the radius.
-    assert project.beam(0.0)[0] == pytest.approx(0.4 * np.mean(2.0 / r))
-    step = rate * 2.0 / project.beam(0.0)[0]
-    # Midway between two places, in place of the exponential.
-    np.testing.assert_allclose(d.d1, step, rtol=1e-3)
-    np.testing.assert_allclose(d.d2, 0.0, atol=1e-6)
-    place = d.position.reshape(3, 3, 2)
-    np.testing.assert_allclose(np.diff(place[..., 0], axis=0), step)
-    np.testing.assert_allclose(np.diff(place[..., 1], axis=0), 0.0, atol=1e-6)
-
-
-def test_no_ssps_no_displacements():
-    matches, cube = Matches.from_columns([], [[0, 1]]), cube_of()
-    for frame in SkyFrame(), ExpansionFrame([0, 0] * u.mas, 1 * u.mas):
-        d = displacements_of(matches, SSPs.empty(), cube, frame)
-        project = AxisProjection(d, cube, frame)
-        assert len(project(0.3)) == 0
-        np.testing.assert_array_equal(project.beam(0.3), 1.0)
 
 
 def test_errors_of_the_alignment_are_given_or_those_that_it_found():

@@ -2,7 +2,6 @@
 """Tables that keep their columns and units, on disk too, and adjusted p-values."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -16,13 +15,12 @@ from hypothesis import strategies as st
 from astro_scc import StackedCrossCorrelation
 from astro_scc.columns import columns_of
 from astro_scc.decomposition import SSPs
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
+from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import (
-    component_table,
-    components_of,
     paper_table,
     ssp_table,
+    stream_table,
     velocity_columns,
 )
 from astro_scc.products.publication import latex_texts_of
@@ -44,13 +42,14 @@ def same(read, written):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
-def test_components_have_all_columns_with_units_and_descriptions():
-    row = dict.fromkeys(columns_of("components"), 1.0) | {"kind": "few", "caution": "-"}
+def test_streams_have_all_columns_with_units_and_descriptions():
+    row = dict.fromkeys(columns_of("streams"), 1.0)
+    row |= {"kind": "few", "caution": "-", "pm_from": "spectrum"}
     for n in (0, 3):
-        table = component_table([row] * n, meta={"seed": 1})
+        table = stream_table([row] * n, meta={"seed": 1})
         assert (len(table), table.meta) == (n, {"seed": 1})
         assert all(table[name].info.description for name in table.colnames)
-        assert table["pm"].unit == table["pm_err_jitter"].unit == PM
+        assert table["pm"].unit == table["pm_spectrum"].unit == PM
         assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
 
 
@@ -62,7 +61,7 @@ def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_
         table.write(tmp_path / f"{name}.ecsv")
         same(QTable.read(tmp_path / f"{name}.ecsv"), table)
     meta = QTable.read(tmp_path / "c.ecsv").meta
-    assert (meta["seed"], meta["n_trials"]) == (1, 40)
+    assert (meta["seed"], meta["n_trials"]) == (1, 200)
     assert meta["versions"] == versions()
     assert meta["versions"]["numpy"] == np.__version__
     again = StackedCrossCorrelation(**meta["settings"])
@@ -164,96 +163,6 @@ def test_errors_that_are_not_known_are_nan_and_the_velocity_is_not(unknown):
         assert np.isnan(value) == name.endswith("_err")
 
 
-# Features and their components -----------------------------------------------------
-
-
-def motion(velocity, place=(3.0, 0.0), error=0.05):
-    speed = float(np.hypot(*velocity))
-    return SimpleNamespace(
-        velocity=np.array(velocity), velocity_err=np.full(2, error), speed=speed,
-        speed_err=error, place=np.array(place),
-    )  # fmt: skip
-
-
-def moving(*motions):
-    """Features of which only the motions are known, with two detections each."""
-
-    class Moving(list):
-        pass
-
-    made = Moving(motions)
-    made.motions = motions
-    every = range(len(motions))
-    made.tracks = [SimpleNamespace(detection=[2 * k, 2 * k + 1]) for k in every]
-    return made
-
-
-def part(track=None):
-    """A chain of matches, or a feature that was followed."""
-    detection = () if track is None else (2 * track, 2 * track + 1)
-    return SimpleNamespace(detection=detection, followed=track is not None)
-
-
-def streams(*each, frame):
-    """A result with components: kind, velocity, dispersion and, if given, features."""
-    own, velocities = [], []
-    for kind, velocity, dispersion, *features in each:
-        angle = np.arctan2(*velocity[::-1])
-        features = features or [part()]
-        own.append(SimpleNamespace(kind=kind, angle=angle, features=features))
-        known = {"value": np.array(velocity), "covariance": 0.03**2 * np.eye(2)}
-        velocities.append(SimpleNamespace(**known, dispersion=dispersion))
-    search = SimpleNamespace(streams=own)
-    return SimpleNamespace(search=search, velocities=velocities, frame=frame)
-
-
-ALONG = (
-    ("moving", (2.0, 0.0), 0.3),
-    ("moving", (4.0, 0.0), np.nan),
-    ("stationary", (0.0, 0.0), np.nan),
-    ("not significant", (8.0, 0.0), np.nan),
-)
-
-
-@pytest.mark.parametrize(
-    ("velocity", "component"),
-    [
-        ((2.5, 0.0), 1),  # within the dispersion
-        ((2.0, 0.1), 1),
-        ((2.0, 0.5), 1),  # which is that across as well
-        ((2.0, 0.7), 0),
-        ((2.7, 0.0), 0),
-        ((4.1, 0.0), 2),
-        ((4.2, 0.0), 0),
-        ((0.05, 0.05), 3),
-        ((0.11, 0.11), 0),  # within two errors on both axes, but it moves
-        ((8.0, 0.0), 0),
-    ],
-)
-def test_a_feature_is_of_the_component_with_its_velocity(velocity, component):
-    speed, across = velocity
-    sky = SkyFrame(), motion((speed, across))
-    west = PositionAngleFrame(270 * u.deg), motion((-speed, across))
-    # At north of the origin, a radial motion is to the north.
-    radial = RadialFrame(), motion((across, speed), place=(0.0, 5.0))
-    for frame, own in (sky, west, radial):
-        result = streams(*ALONG, frame=frame)
-        assert components_of(result, moving(own)).tolist() == [component]
-
-
-def test_the_nearest_component_in_units_of_the_errors_or_that_which_they_make():
-    wide, narrow = ("moving", (2.0, 0.0), 1.0), ("moving", (3.0, 0.0), 0.0)
-    result = streams(wide, narrow, frame=SkyFrame())
-    features = moving(motion((2.85, 0.0)), motion((3.02, 0.0)))
-    assert components_of(result, features).tolist() == [1, 2]
-    features = moving(*(motion((v, 0.0)) for v in (2.9, 2.0, 4.0, 4.0)))
-    slow = "moving", (2.0, 0.0), 0.3, part(0)
-    fast = "moving", (4.0, 0.0), 0.3, part(3), part()
-    result = streams(slow, fast, frame=SkyFrame())
-    # A chain of the second stream may be the third feature.
-    assert components_of(result, features).tolist() == [1, 0, 2, 2]
-
-
 # Adjusted p-values ----------------------------------------------------------------
 
 
@@ -279,7 +188,7 @@ def test_is_the_procedure_over_all_tables_together(groups):
 
 def test_empty_tables_are_searches_and_what_stands_still_is_none():
     own = {"a": table([0.01, 1.0], kind=["moving", "stationary"]), "b": table([0.02])}
-    own |= {f"none {k}": component_table([]) for k in range(18)}
+    own |= {f"none {k}": stream_table([]) for k in range(18)}
     once = false_discovery_rate(own)
     assert once["a"]["p_fdr"].tolist() == pytest.approx([0.2, 1.0])
     assert once["b"]["p_fdr"].tolist() == pytest.approx([0.2])
