@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
     """A survey of two small cubes, and of one that is not there."""
     folder = tmp_path_factory.mktemp("in")
     for seed, name in enumerate(("one", "two")):
-        cube = simulate_two_fluid(n_epochs=6, rng=seed).cube
+        cube = simulate_two_fluid(n_epochs=8, rng=seed).cube
         cube = cube.crop((slice(70, 186), slice(20, 170)))
         cube.write(folder / f"{name}.fits")
     (folder / "left.reg").write_text("image\nbox(40,58,80,116,0)\n")
@@ -141,7 +141,7 @@ def test_the_overview_has_a_row_for_every_part(serial):
     speed = with_error(first["pm"].value, first["pm_err"].value)
     assert f'<span class="pm">{speed}</span>' in rows[2]
     assert '"published">18.0 ± 2.0</span>' in rows[2]
-    assert "2000-01-01 to 2000-05-30</span>" in rows[2]
+    assert "2000-01-01 to 2000-07-29</span>" in rows[2]
     assert "nan" not in page
     assert "gone/*.fits" in rows[-1]
     # No reports were wanted.
