@@ -267,10 +267,10 @@ def find_streams(
     passes = test.p_global <= (WITH_FEATURES if with_features else alpha)
     if passes and one is not None:
         second, p_distinct = test.beside(test.speed[best], least / 2)
-        if len(moving.along) >= FEWEST:
+        if p_distinct > alpha and len(moving.along) >= FEWEST:
+            # A second test where the first does not reject.
             chance = chance_of_separation(np.abs(moving.along), n_trials, map_rng)
-            # The smaller p of two tests.
-            p_distinct = min(1.0, 2 * min(p_distinct, chance))
+            p_distinct = min(p_distinct, 2 * chance)
         two = None
         if p_distinct <= alpha:
             two = two_streams(equations, one, least, (test.speed[best], second))

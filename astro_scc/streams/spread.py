@@ -104,8 +104,8 @@ def mean_speed(speed, error, weight):
     --------
     >>> from astro_scc.streams.spread import mean_speed
     >>> found = mean_speed([0.9, 1.0, 1.1], [0.02] * 3, [5, 10, 5])
-    >>> round(found.mean, 2), round(found.error, 2)
-    (1.0, 0.12)
+    >>> float(found.mean.round(2)), float(found.error.round(2))
+    (1.0, 0.14)
     """
     speed, error, weight = (np.asarray(v, float) for v in (speed, error, weight))
     share, n = weight / weight.sum(), len(speed)
