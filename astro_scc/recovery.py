@@ -315,12 +315,12 @@ def completeness(
     >>> from astro_scc import StackedCrossCorrelation
     >>> from astro_scc.recovery import completeness
     >>> from astro_scc.simulation import simulate_static
-    >>> cube = simulate_static(n_epochs=5, shape=(64, 128), extent=(10, 120), axis=32,
+    >>> cube = simulate_static(n_epochs=7, shape=(64, 128), extent=(10, 120), axis=32,
     ...                        rng=1).cube
     >>> scc = StackedCrossCorrelation(scales=[2], max_speed=20 * u.mas / u.yr,
     ...                               position_angle=270 * u.deg)
     >>> table = completeness(cube, scc, speeds=12 * u.mas / u.yr, fluxes=2 * u.Jy,
-    ...                      n_injections=3, n_trials=30, rng=1)
+    ...                      n_injections=3, n_trials=100, rng=1)
     >>> table["speed", "flux", "n_injected"].pprint()
      speed     flux   n_injected
     mas / yr Jy / beam

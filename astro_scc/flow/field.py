@@ -121,7 +121,7 @@ def measure_field(
     >>> from astro_scc.flow import measure_field
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
-    >>> result = scc(simulate_two_fluid(n_epochs=8, rng=1).cube, n_trials=50, rng=1)
+    >>> result = scc(simulate_two_fluid(n_epochs=8, rng=1).cube, n_trials=100, rng=1)
     >>> field = measure_field(
     ...     result, along=[2, 10, 18] * u.mas, across=[-2, 0, 2] * u.mas, n_trials=20)
     >>> len(field.table), [hdu.name for hdu in field.to_fits()]
