@@ -15,9 +15,8 @@ values = planes.values[-1].mean(axis=2)
 distance = grid.along * grid.beam
 
 figure, ax = plt.subplots(figsize=(7, 3.2), layout="constrained")
-drawn = ax.pcolormesh(
-    distance, planes.years, values, cmap="RdBu_r", vmin=-0.8, vmax=0.8, shading="nearest"
-)
+colours = {"cmap": "RdBu_r", "vmin": -0.8, "vmax": 0.8, "shading": "nearest"}
+drawn = ax.pcolormesh(distance, planes.years, values, **colours)
 ax.set(xlabel="distance along the jet (mas)", ylabel="years since the first epoch")
 ax.set_xlim(0, distance[planes.mask.any(axis=1)].max())
 figure.colorbar(drawn, label="change of the plane")
