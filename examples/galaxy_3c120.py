@@ -32,7 +32,7 @@ def measure(data, before="2011-01-01", n_trials=200):
         baseline=[0.1, 0.6] * u.yr,
     )
     edges = [0.5, 1.5, 2.5, 3.5, 5.5, 7.5, 10.5] * u.mas
-    profile = measure_profile(scc, scc.match(cube), edges, n_trials=n_trials, rng=1)
+    profile = measure_profile(scc, cube, edges, n_trials=n_trials, rng=1)
     distance = {"redshift": 0.033, "cosmology": paper_cosmology()}
     table = profile.components_in_c(**distance)
     table = table[table["main"]]

@@ -33,7 +33,7 @@ def measure(data, before=None, n_trials=200):
         baseline=[1, 4] * u.yr,
     )
     edges = [0.5, 2, 4, 8, 16] * u.mas
-    profile = measure_profile(scc, scc.match(cube), edges, n_trials=n_trials, rng=1)
+    profile = measure_profile(scc, cube, edges, n_trials=n_trials, rng=1)
     table = printed(profile.components_in_c(distance=16.7 * u.Mpc))
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
     figure = plot_profile(

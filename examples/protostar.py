@@ -87,7 +87,7 @@ def measure(n_trials=200):
     single = features["pm"][np.abs(features["dec_offset"]) < WIDTH / 2 * PIXEL]
     error = single.std(ddof=1) / len(single) ** 0.5
     table = QTable({
-        "method": ["stack", "features"],
+        "method": ["streams", "features"],
         "n_epochs": [len(cube), len(three)],
         "n_features": [stream["n_features"], len(single)],
         "pm": u.Quantity([stream["pm"], single.mean()]),
@@ -98,7 +98,7 @@ def measure(n_trials=200):
     table["true_speed"] = SPEEDS.mean()
     columns = "pm", "pm_err", "speed", "speed_err", "true_speed", "p_global"
     table = brief(table, "method", "n_epochs", "n_features", *columns, digits=0)
-    return table, result.plot("members", max_panels=1)
+    return table, result.plot("tracks")
 
 
 if __name__ == "__main__":

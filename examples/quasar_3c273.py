@@ -5,20 +5,17 @@ Measure small and large scales of 3C 273, restored from the features of MOJAVE.
     python examples/quasar_3c273.py ../shared/data
 """
 
-from dataclasses import replace
-
 import astropy.units as u
-from astropy.table import vstack
 from common import brief, run
 
 from astro_scc import Beam, StackedCrossCorrelation
-from astro_scc.epochs import distance_mask, read_components, restore
-from astro_scc.flow import scale_groups
+from astro_scc.epochs import read_components, restore
+from astro_scc.flow import measure_profile
 from astro_scc.kinematics import paper_cosmology
 
 
 def measure(data, before="2011-01-01", n_trials=200):
-    """Return the speeds of small and of large patterns 1 to 6 mas from the core."""
+    """Return the speeds on small and on large scales 1 to 6 mas from the core."""
     components = read_components(data / "mojave_xviii" / "1226+023.ecsv")
     cube = restore(
         components.select(before=before),
@@ -33,19 +30,13 @@ def measure(data, before="2011-01-01", n_trials=200):
         position_angle=-138 * u.deg,
         baseline=[0.25, 1.2] * u.yr,
     )
-    matched = scc.match(cube, region=distance_mask(cube, 1 * u.mas, 6 * u.mas))
-    groups = scale_groups(matched, {"1, 2": [1, 2], "3, 4": [3, 4]})
-    tables = []
-    for name, members in groups.items():
-        chosen = replace(matched, select=matched.select & members)
-        result = scc.stack(chosen, n_trials=n_trials, rng=1)
-        table = result.components_in_c(redshift=0.158, cosmology=paper_cosmology())
-        table["scales"] = name
-        tables.append(table)
+    profile = measure_profile(
+        scc, cube, [1, 6] * u.mas, scale_groups="1, 2; 3, 4", n_trials=n_trials, rng=1
+    )
+    table = profile.components_in_c(redshift=0.158, cosmology=paper_cosmology())
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
-    table = vstack(tables, metadata_conflicts="silent")
-    figure = result.plot("members", max_panels=1)
-    return brief(table, "scales", "kind", *columns, "n_features"), figure
+    table = brief(table, "scale_group", "kind", *columns)
+    return table, profile.results["1, 2"][0].plot("spectrum")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, re
 
 PM = u.mas / u.yr
 FULL = {
-    "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
+    "method": "spectrum", "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
     "align": "core", "beam": "1.0 mas 0.5 mas -7 deg", "common_beam": True,
     "crop": "part.reg", "region": "jet.reg", "scales": "0.2 mas, 0.4 mas",
     "max_speed": "2 mas/yr", "position_angle": "-112 deg", "baseline": "70 d 1.0 yr",
@@ -29,7 +29,7 @@ FULL = {
 #: Of other commands than `measure`, and what does not go with a redshift.
 OTHERS = {
     "distance": "16.7 Mpc", "bins": "0.5 1.5 2.5 mas", "window": "1 mas",
-    "detections": "ssp",
+    "detections": "ssp", "scale_groups": "1,2; 3,4",
 }  # fmt: skip
 
 
