@@ -22,9 +22,9 @@ _PUBLIC = {
 }
 _FOLDERS = frozenset(
     """
-    alignment components correlation decomposition epochs expansion features flow images
-    kinematics matching measurement paper products recovery report simulation stacking
-    streams tracking visualization
+    alignment components correlation decomposition epochs expansion features flow grid
+    images kinematics matching measurement paper products recovery report simulation
+    spectrum stacking streams tracking visualization
     """.split()
 )
 

@@ -215,20 +215,20 @@ NO_SSP = (
 )
 
 
-def test_flat_images_have_no_components(result, tmp_path):
-    scc, flat = make_scc(position_angle="radial"), make_cube(np.ones((5, 48, 48)))
+def test_in_flat_images_nothing_moves(result, tmp_path):
+    scc, flat = make_scc(position_angle="radial"), make_cube(np.ones((6, 48, 48)))
     with pytest.raises(ValueError, match=NO_SSP):
-        scc(flat, n_trials=20)
-    found = scc.stack(scc.match(flat), n_trials=20, rng=1)
-    np.testing.assert_array_equal(found.coefficient, 0.0)
-    assert found.search.streams == found.velocities == ()
-    # The products have all columns and units, and no row but those of the epochs.
+        scc(flat, n_trials=119)
+    found = scc.measure(scc.decompose(flat), n_trials=119, rng=1)
+    assert list(found.streams["kind"]) == ["not significant"]
+    assert len(found.features) == len(found.ssps) == 0
+    # The products have all columns and units.
     paths = write_products(found, found.components_in_c(distance=1 * u.Mpc), tmp_path)
     read = {p.stem: QTable.read(p) for p in paths if p.suffix == ".ecsv"}
-    assert {name for name, table in read.items() if len(table)} == {"epochs"}
-    for name in result.components.colnames:
-        unit = getattr(result.components[name], "unit", None)
-        assert getattr(read["components"][name], "unit", None) == unit
+    assert not any(len(read[name]) for name in ("features", "positions", "ssps"))
+    for name in result.streams.colnames:
+        unit = getattr(result.streams[name], "unit", None)
+        assert getattr(read["streams"][name], "unit", None) == unit
 
 
 # Seeds and records ---------------------------------------------------------------
@@ -246,12 +246,11 @@ def test_without_a_seed_one_is_drawn():
 
 
 def test_one_call_gives_the_table(cube, result):
-    region = np.ones(cube.shape[1:], bool)
-    table = measure_velocities(
-        cube, region=region, scales=[1, 2], max_speed=8 * PIXEL, n_trials=119, rng=1,
-        n_workers=2,
-    )  # fmt: skip
-    same_tables(table, result.components)
+    options = {"scales": [1, 2], "max_speed": 8 * PIXEL, "n_trials": 119, "rng": 1}
+    same_tables(measure_velocities(cube, n_workers=2, **options), result.streams)
+    # A region of the whole is no more than another way to the same.
+    whole = measure_velocities(cube, region=np.ones(cube.shape[1:], bool), **options)
+    np.testing.assert_allclose(in_pixels(whole), in_pixels(result.streams), rtol=1e-3)
 
 
 # The paper's jets ----------------------------------------------------------------

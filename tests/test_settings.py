@@ -16,7 +16,8 @@ from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, re
 
 PM = u.mas / u.yr
 FULL = {
-    "method": "spectrum", "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
+    "method": "spectrum",
+    "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
     "align": "core", "beam": "1.0 mas 0.5 mas -7 deg", "common_beam": True,
     "crop": "part.reg", "region": "jet.reg", "scales": "0.2 mas, 0.4 mas",
     "max_speed": "2 mas/yr", "position_angle": "-112 deg", "baseline": "70 d 1.0 yr",
