@@ -72,10 +72,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         1.5 x 2^j) or by size, as angles; by default from a quarter of the beam
         to two beams or, without a beam, up to half of the size of structures.
     max_speed : `~astropy.units.Quantity`, optional
-        Largest proper motion along either axis.  By default the search
-        includes motions of up to 1.5 beams in the shorter quarter of the
-        intervals between epochs, and of up to four beams in the median
-        interval if there are at most 20 epochs.
+        Largest proper motion, by default two beams in the shorter quarter of the
+        intervals between consecutive epochs.
     position_angle : `~astropy.units.Quantity`, str or frame, optional
         Direction of the jet, north through east, for velocity axes along
         and across it, or "fit" for the direction of the jet in the mean
@@ -83,9 +81,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         axes along and across the ridge line of the mean image; or a frame of
         `astro_scc.kinematics`.  By default the axes are east and north.
     baseline : `~astropy.units.Quantity`, shape (2,), optional
-        Shortest and longest time between two epochs that are compared.
-        By default each speed is searched in all intervals in which it moves
-        0.2 to 1 beam.
+        Shortest and longest time between two epochs that are compared, by
+        default all.
     min_error_beams : float, optional
         Smallest standard error of a displacement, in beams.
     kappa, target, min_overlap

@@ -13,8 +13,8 @@ from common import PM_UNIT, measured, plain, write_table
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import add_gaussians
+from astro_scc.epochs import distance_mask
 from astro_scc.kinematics import find_ridge_line
-from astro_scc.matching import select_ssps
 
 RADIUS, SPEEDS = 16.0, (0.5, 1.4)
 NAMES = ("ridge line", "position angle")
@@ -26,19 +26,15 @@ def bent_jets(args):
     for seed in range(args.seed, args.seed + args.n_jets):
         cube = bent_images(seed)
         scc = StackedCrossCorrelation(scales=[1, 2], max_speed=2.2 * PM_UNIT)
-        matched = scc.match(cube)
         line = find_ridge_line(
             cube, position_angle=270 * u.deg, half_width=2 * u.mas,
             smoothing=3 * u.mas,
         )  # fmt: skip
-        part = select_ssps(matched, r_min=2 * u.mas, r_max=17 * u.mas)
+        part = distance_mask(cube, 2 * u.mas, 17 * u.mas)
         cells = [seed]
         for name, axes in zip(NAMES, (line, 300 * u.deg), strict=True):
-            table = (
-                replace(scc, position_angle=axes)
-                .stack(part, n_trials=args.n_trials, rng=seed)
-                .components
-            )
+            own = replace(scc, position_angle=axes)
+            table = own(cube, region=part, n_trials=args.n_trials, rng=seed).streams
             moving = table[table["kind"] == "moving"]
             each = [_nearest(moving, speed) for speed in SPEEDS]
             found[name].append(each)

@@ -12,6 +12,7 @@ from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from io import StringIO
+from itertools import pairwise
 
 import astropy.units as u
 import numpy as np
@@ -107,8 +108,8 @@ def whole(cube, along, across):
 # -- astro_scc ---------------------------------------------------------------------
 
 
-def stacked(cube):
-    """Return speeds of moving and stationary components, and their displacements."""
+def streams(cube):
+    """Return speeds of streams, and displacements of the features."""
     from astro_scc import StackedCrossCorrelation
 
     step = pixel_an_epoch(cube)
@@ -116,24 +117,22 @@ def stacked(cube):
         scales=(1, 2, 3), max_speed=LARGEST * step, position_angle=270 * u.deg
     )
     result = scc(cube, n_trials=1000, rng=1)
-    found = result.components[
-        np.isin(result.components["kind"], ("moving", "stationary"))
-    ]
+    found = result.streams[np.isin(result.streams["kind"], ("moving", "stationary"))]
     speeds = np.sort((found["pm_parallel"] / step).to_value(u.one))
-    return speeds, members(result, found["component"])
+    return speeds, displacements(result)
 
 
-def members(result, numbers):
-    """Return the displacements of components between consecutive epochs."""
-    cube, d, ssps = result.cube, result.displacements, result.decomposed.ssps
-    scale = cube.pixel_scale.to_value(u.mas)
-    parts = []
-    for number in numbers:
-        for k in result.members(int(number))["match"]:
-            if d.target[k] == d.reference[k] + 1:
-                x, y = ssps.x_centroid[d.ssp[k]], ssps.y_centroid[d.ssp[k]]
-                # Along the jet is west, which is +x, so that across is north.
-                parts.append((d.reference[k], x, y, d.d1[k] / scale, d.d2[k] / scale))
+def displacements(result):
+    """Return the displacements of the features between consecutive epochs."""
+    seen = result.feature_positions
+    x, y = result.cube.offset_to_pixel(seen["ra_offset"], seen["dec_offset"])
+    feature, epoch = np.asarray(seen["feature"]), np.asarray(seen["epoch"])
+    order = np.lexsort([epoch, feature])
+    parts = [
+        (epoch[i], x[i], y[i], x[j] - x[i], y[j] - y[i])
+        for i, j in pairwise(order)
+        if feature[i] == feature[j] and epoch[j] == epoch[i] + 1
+    ]
     return Sample.of(parts)
 
 
@@ -299,7 +298,7 @@ def flct(cube, *, sigma, kr):
 
 
 PACKAGES = (
-    Package("astro_scc, stack", "astro_scc", "BSD-3-Clause", stacked,
+    Package("astro_scc, streams", "astro_scc", "BSD-3-Clause", streams,
             about="scales 1 to 3, 1000 trials"),
     Package("astro_scc, tracks", "astro_scc", "BSD-3-Clause", tracked,
             about="scales 1 to 3"),

@@ -33,9 +33,9 @@ from common import (
 )
 
 from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.epochs import distance_mask
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import apparent_speed, paper_cosmology
-from astro_scc.matching import select_ssps
 
 #: The paper uses the images of 3C 273 and 3C 120 before this date.
 BEFORE = "2011-01-01"
@@ -125,8 +125,7 @@ def measure(source, args):
     scc = StackedCrossCorrelation(position_angle="fit")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
-        matched = scc.match(cube)
-        whole = scc.stack(matched, n_trials=args.n_trials, rng=args.seed)
+        whole = scc(cube, n_trials=args.n_trials, rng=args.seed)
     angle = whole.position_angle.to_value(u.deg)
     motions = feature_motions(args.folder, source.table, angle, epochs=EPOCHS)
     cost = f"{sum(watch.lap('whole')[:1]):.0f}", f"{watch.peak_memory():.1f}"
@@ -137,10 +136,10 @@ def measure(source, args):
         if inside.sum() < FEATURES:
             continue
         own = {k: motions[k][inside] for k in ("speed", "error")}
-        ring = select_ssps(matched, r_min=low * u.mas, r_max=high * u.mas)
+        ring = distance_mask(cube, low * u.mas, high * u.mas)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeasurementWarning)
-            result = scc.stack(ring, n_trials=args.n_trials, rng=args.seed)
+            result = scc(cube, region=ring, n_trials=args.n_trials, rng=args.seed)
         rows += rows_of(source, cube, f"{low:g} to {high:g}", result, own, ("", ""))
     return rows
 

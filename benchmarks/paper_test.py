@@ -19,7 +19,6 @@ import numpy as np
 from common import PM_UNIT, measured, p_text, plain, write_table
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.stacking.stack import stack
 
 JETS = {
     "two_fluid": {"slow, 5 px": 5.0, "fast, 20 px": 20.0},
@@ -38,8 +37,9 @@ SCALES = (1, 2, 3)
 REGION = (60, 160)
 #: Largest difference of a component from its stream, in pixels per epoch.
 NEAR = 3.0
+METHODS = ("paper", "spectrum")
 AXES = ("parallel", "transverse")
-HEADER = ["jet", "what", "paper", "authors' program", "astro_scc"]
+HEADER = ["jet", "what", "paper", "authors' program", "--method paper", "streams"]
 
 
 def main():
@@ -53,72 +53,64 @@ def main():
     for name, streams in JETS.items():
         folder = args.folder / name
         cube = EpochCube.read(str(folder / "*.fits"))
-        result, step = measure(cube, args.n_trials, args.seed)
-        rows += rows_of(name, streams, folder, result, step, args.seed)
+        step = (cube.pixel_scale / np.diff(cube.years).mean()).to(PM_UNIT)
+        results = [measure(cube, step, method, args.n_trials, args.seed)
+                   for method in METHODS]  # fmt: skip
+        rows += rows_of(name, streams, folder, results, step)
     write_table("paper_test", HEADER, rows)
 
 
-def rows_of(name, streams, folder, result, step, seed):
-    """Return rows that compare what the three found in one jet."""
-    own, theirs = components(result, step), program_components(folder)
-    rows = [("SSPs on scales 1, 2, 3", program_ssps(folder), ssp_counts(result))]
-    rest = list(range(len(own)))
+def measure(cube, step, method, n_trials, seed):
+    """Measure with the paper's settings."""
+    region = np.zeros(cube.shape[1:], dtype=bool)
+    region[:, REGION[0] : REGION[1] + 1] = True
+    scc = StackedCrossCorrelation(
+        method=method, scales=SCALES, max_speed=40 * step, position_angle=270 * u.deg
+    )
+    return scc(cube, region=region, n_trials=n_trials, rng=seed)
+
+
+def rows_of(name, streams, folder, results, step):
+    """Return rows that compare what was found in one jet."""
+    theirs = program_components(folder)
+    found = [components(result, step) for result in results]
+    rows = [("SSPs on scales 1, 2, 3", program_ssps(folder), *map(ssp_counts, results))]
+    rest = [list(own) for own in found]
     for stream, speed in streams.items():
-        mine = nearest(own, speed)
-        rows.append(
-            (
-                stream,
-                of_program(theirs, speed),
-                "not found" if mine is None else text(own[mine]),
-            )
-        )
-        if mine is not None:
-            rest.remove(mine)
-            z = z_without_successors(result, mine, seed)
-            rows.append((f"{stream}, z if no successor is kept", "", f"z {z:.1f}"))
+        cells = []
+        for own, others in zip(found, rest, strict=True):
+            mine = nearest(own, speed)
+            cells.append("not found" if mine is None else text(mine))
+            if mine is not None:
+                others.remove(mine)
+        rows.append((stream, of_program(theirs, speed), *cells))
     others = [
         peak
         for peak in theirs
         if all(abs(peak["v"][0] - speed) > NEAR for speed in streams.values())
     ]
-    strongest = max(rest, key=lambda i: own[i]["z"], default=None)
-    rows.append(
-        (
-            "strongest other",
-            program_text(others[0]) if others else "none",
-            "none" if strongest is None else text(own[strongest]),
-        )
-    )
-    return [
-        [name, what, PAPER.get((name, what), ""), program, package]
-        for what, program, package in rows
-    ]
-
-
-def measure(cube, n_trials, seed):
-    """Measure with the paper's settings; return the result and a pixel per epoch."""
-    step = (cube.pixel_scale / np.diff(cube.years).mean()).to(PM_UNIT)
-    region = np.zeros(cube.shape[1:], dtype=bool)
-    region[:, REGION[0] : REGION[1] + 1] = True
-    scc = StackedCrossCorrelation(
-        scales=SCALES, max_speed=40 * step, position_angle=270 * u.deg
-    )
-    return scc(cube, region=region, n_trials=n_trials, rng=seed), step
+    strongest = [text(own[0]) if own else "none" for own in rest]
+    program = program_text(others[0]) if others else "none"
+    rows.append(("strongest other", program, *strongest))
+    return [[name, what, PAPER.get((name, what), ""), *cells] for what, *cells in rows]
 
 
 def components(result, step):
-    """Return the components in pixels per epoch."""
-    return [
+    """Return what may move, in pixels per epoch, the most significant first."""
+    table = result.components
+    strength = "z_score" if "z_score" in table.colnames else "share"
+    found = [
         {
             "v": tuple(plain(row[f"pm_{a}"] / step, u.one) for a in AXES),
             "e": tuple(plain(row[f"pm_{a}_err"] / step, u.one) for a in AXES),
-            "z": float(row["z_score"]),
+            "strength": (strength.removesuffix("_score"), float(row[strength])),
             "p": float(row["p_global"]),
             "kind": str(row["kind"]),
-            "jitter": plain(row["pm_err_jitter"] / step, u.one),
         }
-        for row in result.components
+        for row in table
+        if row["kind"] != "stationary"
     ]
+    return sorted(found, key=lambda c: -c["strength"][1])
 
 
 def text(c):
@@ -126,19 +118,17 @@ def text(c):
     along, across = (
         measured(v, e, d) for v, e, d in zip(c["v"], c["e"], (2, 1), strict=True)
     )
+    name, value = c["strength"]
     return (
-        f"({along}, {across}), ± {c['jitter']:.2f} by jitter; z {c['z']:.1f}; "
-        f"p_global {p_text(c['p'])}; {c['kind']}"
+        f"({along}, {across}); {name} {value:.2g}; p_global {p_text(c['p'])}; "
+        f"{c['kind']}"
     )
 
 
 def nearest(found, speed):
-    """Return the index of the strongest component near (speed, 0), or None."""
-    near = [
-        i for i, c in enumerate(found)
-        if np.hypot(c["v"][0] - speed, c["v"][1]) < NEAR
-    ]  # fmt: skip
-    return max(near, key=lambda i: found[i]["z"], default=None)
+    """Return the strongest component near (speed, 0), or None."""
+    near = (c for c in found if np.hypot(c["v"][0] - speed, c["v"][1]) < NEAR)
+    return next(near, None)
 
 
 def ssp_counts(result):
@@ -186,29 +176,6 @@ def program_text(peak):
         measured(v, e, d) for v, e, d in zip(peak["v"], errors, (2, 1), strict=True)
     )
     return f"({along}, {across}); z {peak['z']:.1f}"
-
-
-def z_without_successors(result, index, seed, n_orders=300):
-    """
-    Return the z-score from permutations in which no epoch follows its predecessor.
-
-    These are the permutations of the authors' program.
-    """
-    rng = np.random.default_rng(seed)
-    orders = []
-    while len(orders) < n_orders:
-        order = rng.permutation(len(result.cube))
-        if not np.any(np.diff(order) == 1):
-            orders.append(order)
-    peak = result.maxima[index]
-    here = peak.row, peak.column
-    trials = np.array(
-        [
-            stack(result.displacements, result.pairs, result.grid, order=order)[here]
-            for order in orders
-        ]
-    )
-    return (result.coefficient[here] - trials.mean()) / trials.std()
 
 
 if __name__ == "__main__":

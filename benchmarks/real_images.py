@@ -24,8 +24,7 @@ from common import (
 )
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.epochs import plan_intervals
-from astro_scc.matching import select_ssps
+from astro_scc.epochs import distance_mask, plan_intervals
 
 SOURCE = "0003+380"
 #: Direction from the core to the patterns of the jet, in degrees.
@@ -46,7 +45,7 @@ HEADER = [
     "pairs of epochs",
     "SSPs",
     "components: along, across",
-    "largest of the stack",
+    "largest of the map",
 ]
 FIT_HEADER = ["feature", "epochs", "distance", "along the jet"]
 
@@ -93,14 +92,13 @@ def rows_of(cube, args):
             **changes,
         }
         scc = StackedCrossCorrelation(**settings)
-        matched = scc.match(cube)
         for r_min, r_max in RINGS:
-            ring = select_ssps(matched, r_min=r_min * u.mas, r_max=r_max * u.mas)
-            result = scc.stack(ring, n_trials=args.n_trials, rng=args.seed)
+            ring = distance_mask(cube, r_min * u.mas, r_max * u.mas)
+            result = scc(cube, region=ring, n_trials=args.n_trials, rng=args.seed)
             found[r_min, name] = [
                 f"{r_min} to {r_max} mas",
                 name,
-                int(ring.select.sum()),
+                int(result.ssps["in_region"].sum()),
                 "; ".join(map(component_text, result.components)) or "none",
                 largest(result),
             ]
@@ -114,13 +112,13 @@ def component_text(row):
         for name in ("pm_parallel", "pm_transverse")
     )
     return (
-        f"{along}, {across} (z {row['z_score']:.1f}, p {p_text(row['p_global'])}, "
+        f"{along}, {across} (share {row['share']:.2f}, p {p_text(row['p_global'])}, "
         f"{row['kind']})"
     )
 
 
 def largest(result):
-    """Return the maximum of the stack, significant or not, as text."""
+    """Return the maximum of the velocity map, significant or not, as text."""
     k = np.unravel_index(result.coefficient.argmax(), result.coefficient.shape)
     v1, v2 = result.grid.v1[k[1]], result.grid.v2[k[0]]
     return f"{v1 + 0.0:.2f}, {v2 + 0.0:.2f} ({result.coefficient[k]:.2f})"

@@ -50,11 +50,11 @@ def main():
     inside = np.zeros(jet.cube.shape[1:], dtype=bool)
     inside[:, REGION] = True
     for where, region in (("region", inside), ("whole image", None)):
-        matched = scc.match(jet.cube, region=region)
-        n_ssps = int(matched.select.sum())
-        watch.lap(f"{where}: decompose, correlate {n_ssps} SSPs with nine epochs each")
-        scc.stack(matched, n_trials=args.n_trials, rng=1)
-        watch.lap(f"{where}: stack, significance and errors by {args.n_trials} trials")
+        decomposed = scc.decompose(jet.cube, region=region)
+        n_features = len(decomposed.follow().table)
+        watch.lap(f"{where}: decompose, follow {n_features} features")
+        scc.measure(decomposed, n_trials=args.n_trials, rng=1)
+        watch.lap(f"{where}: velocity spectrum, streams, {args.n_trials} trials")
     rows = [
         [stage, f"{cpu:.2f}", f"{wall:.2f}"]
         for stage, (cpu, wall) in watch.stages.items()

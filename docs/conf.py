@@ -45,7 +45,7 @@ nitpick_ignore_regex = [
     # Parts of what public functions return, explained where it is returned, and types.
     (
         "py:class",
-        r"astro_scc\.(paper|stacking|streams|tracking|settings|epochs|images|matching|measurement|kinematics)"
+        r"astro_scc\.(paper|spectrum|grid|stacking|streams|tracking|settings|epochs|images|matching|measurement|kinematics)"
         r"\..*|tuple\[.*|dict\[.*|list\[.*",
     ),
     ("py:obj", "astro_scc"),
@@ -180,7 +180,7 @@ def write_explore(app):
         scales=[1, 2, 3], max_speed=36 * u.mas / u.yr, position_angle=270 * u.deg
     )
     try:
-        scc(simulate_two_fluid(rng=1).cube, n_trials=100, rng=1).explore(path)
+        scc(simulate_two_fluid(rng=1).cube, n_trials=200, rng=1).explore(path)
     except ImportError as error:
         # It is among the requirements of the documentation, but not of a test of it.
         LOGGER.info("%s: left out: %s", path, error)

@@ -87,7 +87,7 @@ def measure(n_trials=200):
     single = features["pm"][np.abs(features["dec_offset"]) < WIDTH / 2 * PIXEL]
     error = single.std(ddof=1) / len(single) ** 0.5
     table = QTable({
-        "method": ["stack", "features"],
+        "method": ["streams", "features"],
         "n_epochs": [len(cube), len(three)],
         "n_features": [stream["n_features"], len(single)],
         "pm": u.Quantity([stream["pm"], single.mean()]),

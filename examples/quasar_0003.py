@@ -14,7 +14,7 @@ from astro_scc.kinematics import paper_cosmology
 
 
 def measure(data, n_trials=1000):
-    """Return the speed of the jet 1 to 3 mas from the core, and its matches."""
+    """Return the speed of the jet 1 to 3 mas from the core, and its features."""
     folder = data / "0003+380"
     cube = EpochCube.read(f"{folder}/*.fits").to_common_beam()
     cube = cube.align("table", table=folder / "core_offsets.csv")
@@ -25,7 +25,7 @@ def measure(data, n_trials=1000):
     result = scc(cube, region=ring, n_trials=n_trials, rng=1)
     table = result.components_in_c(redshift=0.229, cosmology=paper_cosmology())
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
-    return brief(table, "kind", *columns, "n_features"), result.plot("distance")
+    return brief(table, "kind", *columns, "n_features"), result.plot("tracks")
 
 
 if __name__ == "__main__":

@@ -12,11 +12,10 @@ from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
 from astro_scc.flow import measure_profile
 from astro_scc.kinematics import paper_cosmology
-from astro_scc.visualization import plot_profile
 
 
 def measure(data, before="2011-01-01", n_trials=200):
-    """Return the speeds of small and of large patterns 1 to 6 mas from the core."""
+    """Return the speeds on small and on large scales 1 to 6 mas from the core."""
     components = read_components(data / "mojave_xviii" / "1226+023.ecsv")
     cube = restore(
         components.select(before=before),
@@ -32,12 +31,12 @@ def measure(data, before="2011-01-01", n_trials=200):
         baseline=[0.25, 1.2] * u.yr,
     )
     profile = measure_profile(
-        scc, cube, [1, 6] * u.mas, scale_groups="1,2; 3,4", n_trials=n_trials, rng=1
+        scc, cube, [1, 6] * u.mas, scale_groups="1, 2; 3, 4", n_trials=n_trials, rng=1
     )
     table = profile.components_in_c(redshift=0.158, cosmology=paper_cosmology())
     columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
-    figure = plot_profile(profile.components)
-    return brief(table, "scale_group", "kind", *columns), figure
+    table = brief(table, "scale_group", "kind", *columns)
+    return table, profile.results["1, 2"][0].plot("spectrum")
 
 
 if __name__ == "__main__":

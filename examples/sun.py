@@ -56,7 +56,7 @@ def write_images(folder, rng, n_epochs=10, n_features=160):
 
 
 def measure(n_trials=200):
-    """Return the drift in arcsec per hour and in km/s."""
+    """Return the drift in arcsec per hour and in km/s, and a figure of the features."""
     with TemporaryDirectory() as folder:
         write_images(Path(folder), np.random.default_rng(4))
         cube = EpochCube.read(f"{folder}/sun_*.fits", frame="absolute")

@@ -36,7 +36,7 @@ def simulate(rng, n_epochs=6):
 
 
 def measure(n_trials=200):
-    """Return the motion beside the true one, and a figure of the matches."""
+    """Return the motion beside the true one, and a figure of all velocities."""
     # No part of the images is empty, so their noise is not measured in them.
     scc = StackedCrossCorrelation(
         scales=[2], max_speed=3 * PIXEL / CADENCE, noise="propagated"
@@ -54,7 +54,7 @@ def measure(n_trials=200):
         table[f"{name}_err"] = found[f"{column}_err"].to(true.unit)
     columns = "true_west", "west", "west_err", "true_north", "north", "north_err"
     table = brief(table, "kind", *columns, "p_global", "n_features", digits=3)
-    return table, result.plot("tracks")
+    return table, result.plot("velocity_map")
 
 
 if __name__ == "__main__":

@@ -21,8 +21,9 @@ def measure(n_trials=200):
     )
     result = scc(jet.cube, n_trials=n_trials, rng=1)
     table = result.components_in_c(redshift=0.033, cosmology=paper_cosmology())
-    columns = "pm_parallel", "pm_parallel_err", "beta_app", "z_score", "p_global"
-    return brief(table, "kind", *columns, "n_features", digits=1), result.plot()
+    columns = "pm_parallel", "pm_parallel_err", "beta_app", "share", "p_global"
+    table = brief(table, "kind", *columns, "n_features", digits=1, share=2)
+    return table, result.plot("spectrum")
 
 
 if __name__ == "__main__":

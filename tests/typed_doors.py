@@ -27,6 +27,7 @@ from astro_scc import (
     flow,
     kinematics,
     matching,
+    paper_method,
     products,
     recovery,
     report,
@@ -34,7 +35,7 @@ from astro_scc import (
     simulation,
     tracking,
 )
-from astro_scc.matching import MatchedEpochs
+from astro_scc.matching import DecomposedEpochs, MatchedEpochs
 from astro_scc.measurement import SCCResult
 
 MAS_PER_YEAR = u.mas / u.yr
@@ -47,12 +48,20 @@ def measure(cube: EpochCube, path: Path) -> QTable:
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
     StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
     assert_type(scc.plan(cube), matching.SearchPlan)
-    matched = scc.match(cube, region="jet.reg", n_workers=2, cache=Path("matches"))
-    assert_type(matched, MatchedEpochs)
-    result = scc.stack(matched, n_trials=100, rng=np.random.default_rng(1))
-    scc.stack(cube)  # type: ignore[arg-type]
+    decomposed = scc.decompose(cube, region="jet.reg", n_workers=2)
+    assert_type(decomposed, DecomposedEpochs)
+    result = scc.measure(decomposed, n_trials=100, rng=np.random.default_rng(1))
+    scc.measure(cube)  # type: ignore[arg-type]
+    assert_type(scc.match(cube, region="jet.reg"), MatchedEpochs)
     assert_type(scc(cube, region=None, n_trials=1000, rng=1), SCCResult)
-    return result.components
+    return result.streams
+
+
+def measure_as_the_paper(cube: EpochCube) -> NDData:
+    settings = StackedCrossCorrelation(max_speed="2 mas/yr")
+    found = paper_method.measure_as_in_paper(cube, settings, n_trials=100, rng=1)
+    assert_type(found.components, QTable)
+    return found.velocity_map("z_score")
 
 
 def decompose_and_correlate(image: np.ndarray) -> correlation.Matches:
@@ -80,21 +89,21 @@ def follow_the_ridge(cube: EpochCube) -> QTable:
 
 
 def profile(
-    scc: StackedCrossCorrelation, matched: MatchedEpochs, result: SCCResult
+    scc: StackedCrossCorrelation, decomposed: DecomposedEpochs, result: SCCResult
 ) -> QTable:
-    bins = flow.measure_profile(scc, matched, np.arange(4) * u.mas, rng=1)
+    bins = flow.measure_profile(scc, decomposed, np.arange(4) * u.mas, rng=1)
     flow.measure_profile(scc, result, "0.5 1.5 2.5 mas")  # type: ignore[arg-type]
-    assert_type(bins.results[0], SCCResult | None)
+    assert_type(bins.results["all"][0], SCCResult | None)
     flow.fit_profile(bins.main["r_mid"], bins.main["pm"], bins.main["pm_err"])
-    groups = flow.scale_groups(matched, {"small": [1], "large": [2, 3]})
-    assert_type(flow.compare_speeds(result, groups), QTable)
+    groups = {"small": [1.0], "large": [2.0, 3.0]}
+    assert_type(flow.compare_scales(result, groups), QTable | None)
     return bins.components_in_c(redshift=0.1)
 
 
-def track(cube: EpochCube, matched: MatchedEpochs) -> features.Features:
+def track(cube: EpochCube, decomposed: DecomposedEpochs) -> features.Features:
     tracker = tracking.FeatureTracker(max_speed="2 mas/yr", position_angle="radial")
-    found = tracker(cube, matched.decompositions)
-    assert_type(tracker.link(cube, matched.decompositions).source, np.ndarray)
+    found = tracker(cube, decomposed.decompositions)
+    assert_type(tracker.link(cube, decomposed.decompositions).source, np.ndarray)
     assert_type(found.table, QTable)
     features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
@@ -154,12 +163,15 @@ def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
     return models.select(after="2001-01-01")
 
 
-def read_results(result: SCCResult, cube: EpochCube) -> list[Path]:
+def read_results(
+    result: SCCResult, cube: EpochCube, matched: MatchedEpochs
+) -> list[Path]:
     assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
     assert_type(result.velocity_map("z_score"), NDData)
-    result.decomposed.write("matches.fits")
-    matched = MatchedEpochs.read("matches.fits", cube)
+    result.write("result.fits")
+    assert_type(SCCResult.read("result.fits"), SCCResult)
+    matched.write("matches.fits")
     inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
     regions = products.ssp_regions(inner.ssps, cube, 0, frame="epoch")
     regions.write("ssps.reg")
-    return products.write_products(result, result.components, "out")
+    return products.write_products(result, result.streams, "out")

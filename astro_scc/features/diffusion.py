@@ -16,7 +16,7 @@ HALVES_OF, FEWEST = 6, 10
 #: Smallest random step in the median interval, in beams, change of the speeds between
 #: the halves, and isotropy: what random walks have, as far as they can be followed, and
 #: neither simulated jets nor those of MOJAVE have together
-#: (``benchmarks/calibration/design.py --diffusion``).
+#: (``benchmarks/calibration/diffusion.py``).
 STEP, CHANGE, ISOTROPY = 0.085, 0.7, 0.7
 
 
