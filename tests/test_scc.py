@@ -6,6 +6,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from astro_scc.stacking.stack import find_velocity_peaks
 from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
@@ -15,7 +16,6 @@ from astro_scc.exceptions import MeasurementWarning
 from astro_scc.products import write_products
 from astro_scc.scc import seeded
 from astro_scc.simulation import simulate_two_fluid
-from astro_scc.stacking.stack import find_velocity_peaks
 
 PM = u.mas / u.yr
 DAYS = 30
