@@ -377,8 +377,7 @@ def _streams(
             of_features = mean.mean, mean.error
             slowest, fastest = np.abs(own.along).min(), np.abs(own.along).max()
             # Of two streams the spectrum knows which is which.
-            own_error = error if number > 1 else np.inf
-            if (covered and mean.error < own_error) or not np.isfinite(error):
+            if (covered and number == 1) or not np.isfinite(error):
                 source = "features"
                 side = mean_across(own, mean)
                 velocity = np.array([sign * mean.mean, side[0]])
