@@ -16,7 +16,7 @@ from astro_scc.measurement.tables import printed
 from astro_scc.visualization import plot_profile
 
 
-def measure(data, before=None, n_trials=200):
+def measure(data, before=None, n_trials=1000):
     """Return the speeds that are tested in four rings about the core."""
     components = read_components(data / "mojave_xviii" / "1228+126.ecsv")
     cube = restore(
@@ -35,7 +35,7 @@ def measure(data, before=None, n_trials=200):
     edges = [0.5, 2, 4, 8, 16] * u.mas
     profile = measure_profile(scc, cube, edges, n_trials=n_trials, rng=1)
     table = printed(profile.components_in_c(distance=16.7 * u.Mpc))
-    columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
+    columns = "pm_parallel", "pm_parallel_err", "p_global", "p_fdr"
     figure = plot_profile(
         profile.components,
         beta_per_pm=float(apparent_speed(1 * u.mas / u.yr, distance=16.7 * u.Mpc)),

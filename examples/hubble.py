@@ -47,7 +47,7 @@ def write_images(folder, rng):
 
 
 def measure(n_trials=200):
-    """Return the motion of the knots, and a figure of their paths."""
+    """Return the motion of the knots, and the velocity spectrum."""
     with TemporaryDirectory() as folder:
         write_images(Path(folder), np.random.default_rng(1))
         cube = EpochCube.read(f"{folder}/*_drc.fits", frame="absolute")
@@ -57,7 +57,7 @@ def measure(n_trials=200):
     result = scc(cube, n_trials=n_trials, rng=1)
     columns = "pm_ra_cosdec", "pm_dec", "pm", "pm_err", "pm_pa", "p_global"
     table = brief(result.components, "kind", *columns, "n_features", digits=1)
-    return table, result.plot("tracks")
+    return table, result.plot("spectrum")
 
 
 if __name__ == "__main__":

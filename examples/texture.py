@@ -38,9 +38,7 @@ def simulate(rng, n_epochs=6):
 def measure(n_trials=200):
     """Return the motion beside the true one, and a figure of all velocities."""
     # No part of the images is empty, so their noise is not measured in them.
-    scc = StackedCrossCorrelation(
-        scales=[2], max_speed=3 * PIXEL / CADENCE, noise="propagated"
-    )
+    scc = StackedCrossCorrelation(max_speed=3 * PIXEL / CADENCE, noise="propagated")
     result = scc(simulate(np.random.default_rng(1)), n_trials=n_trials, rng=1)
     found = result.components
     motion = STEP * PIXEL / CADENCE

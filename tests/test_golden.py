@@ -13,11 +13,11 @@ from astro_scc.epochs import read_components, restore
 
 #: Tables of `astro-scc` on simulated images; a script may import and rewrite them.
 SIMULATED = {
-    "jet": (["jet", "--epochs", "8"], ["measure"], "components"),
+    "jet": (["jet", "--epochs", "8"], ["measure"], "streams"),
     "two_fluid": (
         ["two-fluid", "--epochs", "6"],
         ["measure", "--max-speed", "40 mas/yr", "--redshift", "0.1"],
-        "components",
+        "streams",
     ),
     "profile": (
         ["jet", "--epochs", "8"],
@@ -42,13 +42,13 @@ def simulated(name, folder):
     out = folder / "out"
     options = ["-o", str(out), "--seed", "1", "--scales", "1,2,3"]
     if command != ["track"]:
-        options += ["--n-trials", "99"]
+        options += ["--n-trials", "199"]
     assert main([*command, *files, *options, "--quiet"]) == 0
     return QTable.read(out / f"{table}.ecsv")
 
 
 def real(name, shared_data):
-    """The velocity components of a jet that was observed, or of the paper's."""
+    """The streams of a jet that was observed, or of the paper's."""
     if name in BEAMS:
         components = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
         cube = restore(
@@ -62,7 +62,7 @@ def real(name, shared_data):
         cube = EpochCube.read(str(shared_data / name / "two_fluid" / "*.fits"))
     else:
         cube = EpochCube.read(str(shared_data / name / "*.fits")).to_common_beam()
-    return StackedCrossCorrelation()(cube, n_trials=199, rng=1).components
+    return StackedCrossCorrelation()(cube, n_trials=199, rng=1).streams
 
 
 def compare(table, path):
@@ -99,5 +99,5 @@ def test_commands_give_the_same_tables(name, tmp_path, golden):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
-def test_real_jets_give_the_same_components(name, shared_data, golden):
+def test_real_jets_give_the_same_streams(name, shared_data, golden):
     compare(real(name, shared_data), golden / f"{name}.ecsv")
