@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from run import FLOW, KINDS, OTHER, PAPER, SENSITIVITY
 
 RESULTS = Path(__file__).parent / "results"
-ALPHA = 0.05
+ALPHA = 0.01
 #: A speed is right within this fraction of the features' mean.
 RIGHT = 0.2
 TWO = {"two-streams": (0.3, 0.9), **dict.fromkeys(PAPER, (0.5, 2.0))}
@@ -47,8 +47,8 @@ def read(kind):
 
 
 def moving(jet):
-    """Return the rows of a jet that move significantly."""
-    return [r for r in jet if r["kind"] == "moving" and r["p_global"] <= ALPHA]
+    """Return the rows of a jet that move."""
+    return [r for r in jet if r["kind"] == "moving"]
 
 
 def share(number, of):
