@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +19,19 @@ from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.matching import DecomposedEpochs, MatchedEpochs, SearchPlan
 from astro_scc.matching.matched import (
     allow_for_structure,
     find_patterns,
     match_epochs,
 )
-from astro_scc.matching.plan import flow_beam, flow_direction, scale_numbers
+from astro_scc.matching.plan import (
+    choose_direction,
+    flow_beam,
+    flow_direction,
+    scale_numbers,
+)
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import (
     alignment_errors,
@@ -79,7 +85,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         and across it, or "fit" for the direction of the jet in the mean
         image; "radial" for axes away from the reference pixel; "ridge" for
         axes along and across the ridge line of the mean image; or a frame of
-        `astro_scc.kinematics`.  By default the axes are east and north.
+        `astro_scc.kinematics`.  By default the axes are east and north, and what flows
+        along a one-sided jet is measured, or else along any of twelve directions;
+        "any" is always the latter.
     baseline : `~astropy.units.Quantity`, shape (2,), optional
         Shortest and longest time between two epochs that are compared, by
         default all.
@@ -313,11 +321,15 @@ class StackedCrossCorrelation(MeasurementSettings):
         cube = decomposed.cube
         if scales is None and self.scales is not None:
             scales = scale_numbers(cube, self.scales)
-        return decompose_flow(
-            cube, velocity_frame(cube, self.position_angle), scales=scales,
+        frame = velocity_frame(cube, self.position_angle)
+        # A one-sided jet has a direction, also where the axes are east and north.
+        angle = None if self.position_angle is not None else choose_direction(cube)[0]
+        flow = decompose_flow(
+            cube, frame if angle is None else PositionAngleFrame(angle), scales=scales,
             beam=flow_beam(cube), region=decomposed.region, max_speed=self.max_speed,
             kernel=self.wavelet, normalise=normalise,
         )  # fmt: skip
+        return replace(flow, frame=frame)
 
     def measure(
         self, decomposed: DecomposedEpochs, *, n_trials: int = 1000,
@@ -422,10 +434,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         if self.method == "paper":
             from astro_scc.paper_method import measure_as_in_paper
 
-            return measure_as_in_paper(
+            found: Any = measure_as_in_paper(
                 cube, self, region=region, n_trials=n_trials, rng=rng,
                 n_workers=n_workers, progress_bar=progress_bar,
             )  # fmt: skip
+            return found
         shown = {"n_workers": n_workers, "progress_bar": progress_bar}
         decomposed = self.decompose(cube, region=region, **shown)
         require_ssps(decomposed.ssps, decomposed.scales)

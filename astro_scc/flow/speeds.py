@@ -225,7 +225,7 @@ def check_groups(groups):
             )
 
 
-def _halves(flow: DecomposedFlow):
+def _halves(flow: DecomposedFlow) -> dict[str, Any] | None:
     """Return the finer and the coarser half of the scales, or None."""
     scales = flow.planes[0].scales
     if len(scales) < 2:

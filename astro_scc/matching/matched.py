@@ -552,10 +552,10 @@ def ssp_distances(matched, *, origin=None, ridge=None):
 
 
 def select_ssps(
-    matched: MatchedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
+    matched: DecomposedEpochs, *, region: Any = None, r_min: u.Quantity | None = None,
     r_max: u.Quantity | None = None, scales: ArrayLike | None = None,
     origin: u.Quantity | None = None, ridge: RidgeLine | None = None,
-) -> MatchedEpochs:  # fmt: skip
+) -> DecomposedEpochs:  # fmt: skip
     """
     Return the matches of the SSPs in a part of the jet and on some scales.
 

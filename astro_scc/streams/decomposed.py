@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The flow of a cube: its wavelet planes along its directions, and parts of it."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +19,7 @@ from astro_scc.grid.sampling import (
     sample_planes,
     seen_flow,
 )
-from astro_scc.kinematics import PositionAngleFrame, SkyFrame
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.planes import REACH, FlowPlanes
 from astro_scc.units import PM_UNIT
@@ -71,14 +73,14 @@ class DecomposedFlow:
     @property
     def directed(self) -> bool:
         """Whether the direction of the flow is known."""
-        return not isinstance(self.frame, SkyFrame)
+        return len(self.grids) == 1
 
     @property
     def outward(self) -> bool:
         """Whether positive speeds lead away from a core."""
         return self.grids[0].outward
 
-    def along(self, angle: float):
+    def along(self, angle: float) -> DecomposedFlow:
         """
         Return the same flow along one direction.
 

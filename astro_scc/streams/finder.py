@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -186,8 +187,10 @@ def moving_features(features, frame, angle, use=None):
 
 
 def find_streams(
-    flow: DecomposedFlow, features, *, misaligned, alpha=0.01, n_trials=1000,
-    outward=False, inside=None, intervals=EVERY, root=True, rng,
+    flow: DecomposedFlow, features: Any, *, misaligned: np.ndarray,
+    alpha: float = 0.01, n_trials: int = 1000, outward: bool = False,
+    inside: np.ndarray | None = None, intervals: tuple[float, float] = EVERY,
+    root: bool = True, rng: np.random.Generator,
 ) -> StreamSearch:  # fmt: skip
     """
     Find the streams of a flow.
