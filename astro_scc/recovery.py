@@ -541,7 +541,7 @@ def recovered(streams, own, velocity, *, tolerance):
 
     Parameters
     ----------
-    streams : sequence of `~astro_scc.streams.finder.Stream`
+    streams : sequence of ``Stream``
         Those that move.
     own : `~numpy.ndarray`, shape (n, 2)
         Velocities that the epochs have without features; each claims the stream
@@ -553,7 +553,7 @@ def recovered(streams, own, velocity, *, tolerance):
 
     Returns
     -------
-    `~astro_scc.streams.finder.Stream` or None
+    ``Stream`` or None
         The nearest one that is left, within the tolerance.
     """
     left = {k: stream.velocity for k, stream in enumerate(streams)}

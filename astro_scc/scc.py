@@ -316,7 +316,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.streams.decomposed.DecomposedFlow`
+        ``DecomposedFlow``
         """
         cube = decomposed.cube
         if scales is None and self.scales is not None:

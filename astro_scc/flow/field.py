@@ -188,7 +188,7 @@ def cell_coordinates(flow):
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
 
     Returns
     -------

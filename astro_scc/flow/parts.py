@@ -71,7 +71,7 @@ def fit_part(
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
         Along one direction.
     sign : float, optional
         Of the speed of one stream.
@@ -81,9 +81,9 @@ def fit_part(
         Streams of the whole.
     intervals : (float, float), optional
         Shortest and longest interval that is used, in years.
-    diagram : `~astro_scc.spectrum.diagram.Diagram`, optional
+    diagram : ``Diagram``, optional
         That of these planes, if it is known.
-    fit : `~astro_scc.spectrum.gaussians.StreamFit`, optional
+    fit : ``StreamFit``, optional
         If it is known.
 
     Returns

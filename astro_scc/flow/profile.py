@@ -83,7 +83,7 @@ class Profile(Components):
     fits, speeds : dict
         By the same names: one stream fitted to each bin, and its speeds with their
         covariance, in beams and years.
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
         The flow that is divided.
     along : {"radius", "ridge"}
         Whether distances are measured from the core or along the ridge line.

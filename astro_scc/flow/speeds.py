@@ -92,7 +92,7 @@ def feature_distances(flow, features):
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
         Along one direction.
     features : `~astro_scc.features.Features`
 
@@ -119,14 +119,14 @@ def flow_by_scale(flow, scales):
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
         Along one direction.
     scales : sequence of float
         Numbers of all scales that are compared.
 
     Returns
     -------
-    `~astro_scc.streams.decomposed.DecomposedFlow`
+    ``DecomposedFlow``
     """
     angle, frame = flow.grids[0].angle, flow.frame
     if np.isfinite(angle):

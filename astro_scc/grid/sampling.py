@@ -75,7 +75,7 @@ def sample_planes(
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    grid : `~astro_scc.grid.lines.FlowGrid`
+    grid : ``FlowGrid``
     scales : sequence of float
         Numbers of the wavelet scales.
     seen : `~numpy.ndarray` of bool, shape (ny, nx)
@@ -88,7 +88,7 @@ def sample_planes(
 
     Returns
     -------
-    `~astro_scc.spectrum.planes.FlowPlanes`
+    ``FlowPlanes``
     """
     ny, nx = cube.shape[1:]
     inside = (grid.x > -0.5) & (grid.y > -0.5)

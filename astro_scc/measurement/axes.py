@@ -20,7 +20,7 @@ class VelocitySamples:
 
     Attributes
     ----------
-    displacements : `~astro_scc.paper.Displacements`
+    displacements : ``Displacements``
         In mas.
     position, motion : `~numpy.ndarray`, shape (n, 2)
         Place of the SSP of each match, and its displacement, east and north in mas.
@@ -45,7 +45,7 @@ class VelocitySamples:
 
         Parameters
         ----------
-        pairs : `~astro_scc.paper.DatePairs`
+        pairs : ``DatePairs``
         limit : float
             Largest velocity along either axis, included.
 

@@ -15,7 +15,7 @@ def parts_of(search):
 
     Parameters
     ----------
-    search : `~astro_scc.streams.finder.StreamSearch`
+    search : ``StreamSearch``
 
     Returns
     -------

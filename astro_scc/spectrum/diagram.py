@@ -72,7 +72,7 @@ def correlate(flow, *, region=None, across=0):
 
     Parameters
     ----------
-    flow : `~astro_scc.spectrum.planes.FlowPlanes`
+    flow : ``FlowPlanes``
     region : `~numpy.ndarray`, shape (n_along, n_across), optional
         Weight of places.  A displacement belongs to the place of its middle, so that
         the ends of a region do not favour one speed.

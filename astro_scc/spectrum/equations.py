@@ -148,7 +148,7 @@ def set_up(diagram, *, fastest=None, own=None, intervals=EVERY):
 
     Parameters
     ----------
-    diagram : `~astro_scc.spectrum.diagram.Diagram`
+    diagram : ``Diagram``
     fastest : float, optional
         Largest speed, in beams/yr.
     own : `~numpy.ndarray`, shape (n_d,), optional

@@ -52,10 +52,10 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
 
     Parameters
     ----------
-    flow : `~astro_scc.spectrum.planes.FlowPlanes`
-    diagram : `~astro_scc.spectrum.diagram.Diagram`
-    equations : `~astro_scc.spectrum.equations.Equations`
-    fit : `~astro_scc.spectrum.gaussians.StreamFit`
+    flow : ``FlowPlanes``
+    diagram : ``Diagram``
+    equations : ``Equations``
+    fit : ``StreamFit``
     region : `~numpy.ndarray`, optional
         As for the diagram.
     travel : float, optional
@@ -134,7 +134,7 @@ def clusters_of(flow, pieces, speed):
 
     Parameters
     ----------
-    flow : `~astro_scc.spectrum.planes.FlowPlanes`
+    flow : ``FlowPlanes``
     pieces : sequence of `~numpy.ndarray`, shape (n_epochs, n_along)
     speed : float
         In beams/yr.

@@ -76,7 +76,7 @@ def fit_streams(equations, start):
 
     Parameters
     ----------
-    equations : `~astro_scc.spectrum.equations.Equations`
+    equations : ``Equations``
     start : sequence of (mean, sd)
         In beams/yr; positive means.
 
@@ -121,7 +121,7 @@ def peaks_of(equations, spectrum, least):
 
     Parameters
     ----------
-    equations : `~astro_scc.spectrum.equations.Equations`
+    equations : ``Equations``
     spectrum : `~numpy.ndarray`, shape (n_v,)
     least : float
         Slowest speed of a peak, in beams/yr.
@@ -165,7 +165,7 @@ def two_streams(equations, one, least, tested=()):
 
     Parameters
     ----------
-    equations : `~astro_scc.spectrum.equations.Equations`
+    equations : ``Equations``
     one : `StreamFit`
     least : float
         Slowest speed, in beams/yr.

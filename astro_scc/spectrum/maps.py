@@ -53,7 +53,7 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
 
     Parameters
     ----------
-    sheet : sequence of `~astro_scc.spectrum.diagram.Diagram`
+    sheet : sequence of ``Diagram``
         Diagrams at displacements across the flow.
     aside : `~numpy.ndarray`, shape (n,)
         These displacements in beams, evenly spaced.

@@ -252,7 +252,7 @@ def permutation_test(
 
     Parameters
     ----------
-    diagrams : sequence of `~astro_scc.spectrum.diagram.Diagram`
+    diagrams : sequence of ``Diagram``
         One per direction, of the same epochs.
     fastest : float, optional
         Largest speed in beams/yr.

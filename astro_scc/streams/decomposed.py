@@ -38,9 +38,9 @@ class DecomposedFlow:
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
         Axes of the velocities.
-    grids : tuple of `~astro_scc.grid.lines.FlowGrid`
+    grids : tuple of ``FlowGrid``
         One, or one for each direction if none is known.
-    planes : tuple of `~astro_scc.spectrum.planes.FlowPlanes`
+    planes : tuple of ``FlowPlanes``
     regions : tuple of `~numpy.ndarray` or None
         Weights of the points of each grid.
     beam : float

@@ -110,21 +110,21 @@ class StreamSearch:
     ----------
     streams : tuple of `Stream`
         The slowest that moves first; then what stands still.
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
         Along one direction.
-    test : `~astro_scc.spectrum.permutations.MotionTest`
+    test : ``MotionTest``
         Along this direction; its ``p_global`` is that of all that were tested.
     angle : float
         Direction of the spectrum from the first axis of the frame, in radians.
-    diagram : `~astro_scc.spectrum.diagram.Diagram`
+    diagram : ``Diagram``
         Along this direction.
     speed, spectrum : `~numpy.ndarray`, shape (n_v,)
         Velocity spectrum: speeds in mas/yr, and the share of the variance that moves
         with each.
-    velocities : `~astro_scc.spectrum.maps.VelocityMap`
+    velocities : ``VelocityMap``
         In mas/yr on the axes of the frame.
-    fit : `~astro_scc.spectrum.gaussians.StreamFit` or None
-    errors : `~astro_scc.spectrum.errors.SpeedErrors` or None
+    fit : ``StreamFit`` or None
+    errors : ``SpeedErrors`` or None
     beam : float
         In mas.
     slowest, fastest, unambiguous : float
@@ -197,7 +197,7 @@ def find_streams(
 
     Parameters
     ----------
-    flow : `~astro_scc.streams.decomposed.DecomposedFlow`
+    flow : ``DecomposedFlow``
     features : `~astro_scc.features.Features`
     misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
         Standard error of the alignment of each epoch, in mas.

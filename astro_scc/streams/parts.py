@@ -25,7 +25,7 @@ def part_rows(search, main, parts):
 
     Parameters
     ----------
-    search : `~astro_scc.streams.finder.StreamSearch`
+    search : ``StreamSearch``
     main : int
         Number of the stream that is compared, from 0.
     parts : sequence of (str, dict), two by two

@@ -23,7 +23,7 @@ def transverse_speed(sheet, aside, speed):
 
     Parameters
     ----------
-    sheet : sequence of `~astro_scc.spectrum.diagram.Diagram`
+    sheet : sequence of ``Diagram``
         At displacements -h, 0 and h across the flow; empty if it is too narrow.
     aside : float
         The displacement h in beams.

@@ -196,7 +196,7 @@ def spectra_of_bins(search):
 
     Parameters
     ----------
-    search : `~astro_scc.streams.finder.StreamSearch`
+    search : ``StreamSearch``
 
     Returns
     -------
