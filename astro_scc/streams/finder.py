@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.spectrum.diagram import Diagram, correlate_aside
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import SpeedErrors, fit_errors
@@ -33,8 +35,16 @@ WELL_KNOWN = 0.1
 MODEL_ERROR = 0.25
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
-#: Smallest speed of a stream in errors.
-REST_ERRORS = 1.0
+#: Smallest speed of a stream in errors, and of features that diffuse, which the test
+#: takes for motion.
+REST_ERRORS, WALK_ERRORS = 1.0, 2.0
+#: A speed of the spectrum needs images that resemble one another: at least such a part
+#: of their variance has no memory, and less than such a share moves.
+WHITE, LEAST_MOVING = 0.7, 0.15
+UNLIKE = (
+    "the images of neighbouring dates have little in common, so that patterns may be "
+    "mistaken for one another: shorter intervals are needed"
+)
 #: Displacement across the flow at which diagrams are compared, in beams.
 ASIDE = 0.4
 #: Without a known direction, that of the flow is found in so many turns, of at most
@@ -164,23 +174,32 @@ class MovingFeatures:
         return MovingFeatures(*(v[use] for v in vars(self).values()))
 
 
-def moving_features(features, frame, angle, use=None):
-    """Return the secure features that move, with speeds in mas/yr."""
-    chosen = np.flatnonzero(features.secure if use is None else features.secure & use)
+def moving_features(features, frame, angle, use=None, walk=None):
+    """
+    Return the secure features that move, with speeds in mas/yr.
+
+    If they diffuse, ``walk`` is the variance of their speeds times years, and all that
+    are followed count: a random walk cannot be told from motion by one of them.
+    """
+    chosen = features.secure if walk is None else np.ones(len(features.tracks), bool)
+    chosen = np.flatnonzero(chosen if use is None else chosen & use)
     cos, sin = np.cos(angle), np.sin(angle)
     turn, rows = np.array([[cos, sin], [-sin, cos]]), []
     for k in chosen:
         motion = features.motions[k]
-        if motion.speed < SIGNIFICANT * motion.speed_err:
+        n = len(features.tracks[k].detection)
+        slow = motion.speed < SIGNIFICANT * motion.speed_err
+        if n < LEAST_EPOCHS or (slow and walk is None):
             continue
         local = turn @ np.asarray(frame.matrix(*motion.place))
         if not np.isfinite(local).all():
             continue
         along, across = local @ motion.velocity
         errors = np.hypot(*(local * motion.velocity_err).T)
-        if abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
+        if walk is not None:
+            errors = np.hypot(errors, np.sqrt(walk / motion.span))
+        elif abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
             continue
-        n = len(features.tracks[k].detection)
         rows.append((along, errors[0], across, errors[1], n, k))
     columns = np.array(rows, dtype=float).reshape(-1, 6).T
     return MovingFeatures(*columns[:5], columns[5].astype(int))
@@ -252,8 +271,11 @@ def find_streams(
     least = 1 / np.ptp(years)
     sign = np.sign(test.speed[best])
     angle = _angle_of(flow.frame, grid)
-    moving = moving_features(features, flow.frame, angle, inside)
-    moving = moving.select(moving.along * sign > 0)
+    diffusion = measure_diffusion(features)
+    walk = diffusion.variance if diffusion.is_walk else None
+    moving = moving_features(features, flow.frame, angle, inside, walk)
+    if walk is None:
+        moving = moving.select(moving.along * sign > 0)
     one = one_stream(equations, least, sign)
     gaps = np.diff(years)
     search = {
@@ -270,12 +292,12 @@ def find_streams(
     passes = test.p_global <= (WITH_FEATURES if with_features else alpha)
     if passes and one is not None:
         second, p_distinct = test.beside(test.speed[best], least / 2)
-        if p_distinct > alpha and len(moving.along) >= FEWEST:
+        if p_distinct > alpha and walk is None and len(moving.along) >= FEWEST:
             # A second test where the first does not reject.
             chance = chance_of_separation(np.abs(moving.along), n_trials, map_rng)
             p_distinct = min(p_distinct, 2 * chance)
         two = None
-        if p_distinct <= alpha:
+        if p_distinct <= alpha and walk is None:
             two = two_streams(equations, one, least, (test.speed[best], second))
         if two is not None and _are_two(equations, one, two, moving, beam):
             fit = two
@@ -285,7 +307,7 @@ def find_streams(
     across = partial(transverse_speed, sheet, aside)
     streams = _streams(
         flow, test, equations, fit, errors, moving, covered, across, angle, sign,
-        passes, p_distinct, misaligned,
+        passes, p_distinct, misaligned, REST_ERRORS if walk is None else WALK_ERRORS,
     )  # fmt: skip
     streams += _standing(features, flow, streams, inside)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
@@ -348,7 +370,7 @@ def _angle_of(frame, grid):
 
 def _streams(
     flow, test, equations, fit, errors, moving, covered, across_of, angle, sign,
-    passes, p_distinct, misaligned,
+    passes, p_distinct, misaligned, rest,
 ):  # fmt: skip
     """Return the streams that move, or the strongest speed, not significant."""
     direction, best = test.best
@@ -376,9 +398,9 @@ def _streams(
         source, of_features = "spectrum", (np.nan, np.nan)
         slowest = fastest = np.nan
         if len(own.along):
-            mean = mean_speed(np.abs(own.along), own.along_err, own.weight)
+            mean = mean_speed(sign * own.along, own.along_err, own.weight)
             of_features = mean.mean, mean.error
-            slowest, fastest = np.abs(own.along).min(), np.abs(own.along).max()
+            slowest, fastest = (sign * own.along).min(), (sign * own.along).max()
             # Of two streams the spectrum knows which is which.
             if (covered and number == 1) or not np.isfinite(error):
                 source = "features"
@@ -392,8 +414,10 @@ def _streams(
         kind, reason = "not significant", ""
         if passes:
             kind = "moving"
-            if not abs(velocity[0]) > REST_ERRORS * np.sqrt(total[0, 0]):
+            if not abs(velocity[0]) > rest * np.sqrt(total[0, 0]):
                 kind, reason = "not confirmed", "its speed is within its error of rest"
+            elif _unlike(test) and source == "spectrum":
+                kind, reason = "not confirmed", UNLIKE
         v = int(np.abs(test.speed - velocity[0] / beam).argmin())
         found.append(
             Stream(
@@ -418,6 +442,12 @@ def _streams(
             )
         )
     return found
+
+
+def _unlike(test):
+    """Return whether epochs have so little in common that patterns may be mistaken."""
+    white = 1.0 if test.memory == 0 else test.white
+    return white >= WHITE and test.amplitude[test.best] < LEAST_MOVING
 
 
 def _turn(angle):
@@ -481,7 +511,8 @@ def _standing(features, flow, streams, inside):
         return []
     moved, use = features.moved, np.ones(n, bool) if inside is None else inside
     own, rows = [], []
-    for k in np.flatnonzero(use):
+    taken = np.concatenate([[], *(s.members for s in streams)]).astype(int)
+    for k in np.setdiff1d(np.flatnonzero(use), taken):
         motion, track = features.motions[k], features.tracks[k]
         still = motion.speed < SIGNIFICANT * motion.speed_err and moved[k] < STANDING
         if not still or len(track) < STANDING_EPOCHS or features.p_false[k] > 0.5:
