@@ -28,7 +28,9 @@ def measure(seed):
     jet = simulate_jet(
         n_features=0, standing=4, memory=0.0, n_epochs=7, length=8.0, rng=seed
     )
-    scc = StackedCrossCorrelation(scales=[1, 2], position_angle=270 * u.deg)
+    scc = StackedCrossCorrelation(
+        scales=[1, 2], position_angle=270 * u.deg, alpha=ALPHA
+    )
     table = scc(jet.cube, n_trials=39, rng=seed).components
     rows = table[table["kind"] != "stationary"]
     if len(rows) == 0:

@@ -2,7 +2,7 @@
 """
 Measure unusual and faulty inputs, and show what the command line answers.
 
-Each case makes its files, five epochs of a small jet whose features all move 2 pixels
+Each case makes its files, six epochs of a small jet whose features all move 2 pixels
 west per epoch, and measures them::
 
     python tools/inputs.py --table benchmarks/results/inputs.csv
@@ -29,7 +29,8 @@ import numpy as np
 from astropy.io import fits
 
 MAS = 1 / 3.6e6
-DAYS = ("2001-01-01", "2001-01-31", "2001-03-02", "2001-04-01", "2001-05-01")
+DAYS = ("2001-01-01", "2001-01-31", "2001-03-02", "2001-04-01", "2001-05-01",
+        "2001-05-31")  # fmt: skip
 #: 0.2 mas to the west in 30 days, in mas/yr.
 SPEED = 0.2 * 365.25 / 30
 SHAPE = (40, 48)
@@ -94,7 +95,7 @@ def write(folder, i, *, data=None, name=None, tables=(), **changes):
     return path
 
 
-def series(folder, each=lambda i: {}, n=5):
+def series(folder, each=lambda i: {}, n=6):
     """Write the jet; ``each(i)`` returns the options of `write` for epoch ``i``."""
     return [write(folder, i, **each(i)) for i in range(n)]
 
@@ -147,7 +148,7 @@ def refused(name, says):
 
 
 def each(name, says="", **options):
-    """Add a case of five files, with options from a function of the epoch's number."""
+    """Add a case of six files, with options from a function of the epoch's number."""
 
     def add(special):
         case(name, says, **options)(lambda folder: series(folder, special))
@@ -315,7 +316,7 @@ refused("a stack of all among them, of the date of one", "is of 2001-03-02, as i
     lambda folder: [
         *series(folder),
         write(
-            folder, 2, name="stack.fits", data=np.mean([image(i) for i in range(5)], 0)
+            folder, 2, name="stack.fits", data=np.mean([image(i) for i in range(6)], 0)
         ),
     ]
 )
@@ -402,7 +403,7 @@ each("pixels that are not square")(
 
 
 def _changed(change):
-    """Make five epochs and change the third one on the disk."""
+    """Make six epochs and change the third one on the disk."""
 
     def make(folder):
         paths = series(folder)
@@ -469,22 +470,22 @@ def _letters(folder):
 
 @case("compressed with gzip")
 def _gzip(folder):
-    return [write(folder, i, name=f"e{i}.fits.gz") for i in range(5)]
+    return [write(folder, i, name=f"e{i}.fits.gz") for i in range(6)]
 
 
 @refused("compressed with gzip, and truncated", "e2.fits.gz: cannot be read as FITS")
 def _broken_gzip(folder):
-    paths = [write(folder, i, name=f"e{i}.fits.gz") for i in range(5)]
+    paths = [write(folder, i, name=f"e{i}.fits.gz") for i in range(6)]
     paths[2].write_bytes(paths[2].read_bytes()[:3000])
     return paths
 
 
-@case("five images of 8192 x 8192 pixels, of which a part is read", slow=True)
+@case("six images of 8192 x 8192 pixels, of which a part is read", slow=True)
 def _large(folder):
     side, (ny, nx) = 8192, SHAPE
     top, left = 5000, 3000
     paths = []
-    for i in range(5):
+    for i in range(6):
         paths.append(folder / f"e{i}.fits")
         own = header(i, CRPIX1=24.0 + left, CRPIX2=21.0 + top, CTYPE3=None, CTYPE4=None)
         for name in ("CRVAL", "CRPIX", "CDELT"):
@@ -509,7 +510,7 @@ def _large(folder):
 
 
 def _options(*words, **texts):
-    """Make five epochs and text files, and add options."""
+    """Make six epochs and text files, and add options."""
 
     def make(folder):
         for name, text in texts.items():

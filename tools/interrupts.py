@@ -2,8 +2,8 @@
 """
 Stop measurements at random moments, start them again, and compare the results.
 
-``astro-scc measure --resume`` and ``astro-scc survey`` are each stopped five times by
-SIGINT, by SIGTERM and by SIGKILL, at random moments within the time of an undisturbed
+``astro-scc measure`` and ``astro-scc survey`` are each stopped five times by SIGINT, by
+SIGTERM and by SIGKILL, at random moments within the time of an undisturbed
 run::
 
     python tools/interrupts.py --seed 1 --table benchmarks/results/interrupts.csv
@@ -30,7 +30,6 @@ from astropy.io import fits
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 #: Suffixes of tables, maps and pages; other files hold settings and states.
 TABLES = (".ecsv", ".fits", ".vot", ".dat", ".html")
-WORK = ".astro_scc-work"
 
 
 def launch(words, log):
@@ -86,7 +85,7 @@ def tables(folder):
     found = {}
     for path in sorted(Path(folder).rglob("*")):
         name = path.relative_to(folder)
-        # Hidden folders hold kept matches, or what a killed run has left.
+        # Hidden folders hold what a killed run has left.
         if path.suffix not in TABLES or any(part[0] == "." for part in name.parts):
             continue
         content = path.read_bytes()
@@ -170,7 +169,7 @@ def stop_and_go_on(words, folder, expected, *, how, after, launch=launch):
     start = time.monotonic()
     again = end_of(launch(words, log))
     seconds = time.monotonic() - start
-    rest = [path.name for path in Path(folder).rglob(".*") if path.name != WORK]
+    rest = [path.name for path in Path(folder).rglob(".*")]
     if how == signal.SIGKILL:
         # Who is killed cannot delete its hidden folder.
         rest = []
@@ -185,8 +184,6 @@ def what_is_left(out):
     parts = [*out.parent.glob(f".{out.name}.partial-*"), *out.rglob("*partial-*")]
     if parts:
         found.append("a hidden folder")
-    if any(WORK in path.parts for path in out.rglob("*.fits")):
-        found.append("all matches")
     n = len(tables(out))
     if n:
         found.append(f"{n} tables and maps")
@@ -199,7 +196,7 @@ def measurement(folder):
 
     write_simulation(simulate_two_fluid(n_epochs=8, rng=1), folder / "jet")
     paths = [str(path) for path in sorted((folder / "jet").glob("*.fits"))]
-    return ["measure", *paths, "--resume", "--no-report", "--seed", "1", "--n-trials",
+    return ["measure", *paths, "--no-report", "--seed", "1", "--n-trials",
             "300", "--scales", "1,2,3", "--max-speed", "30 mas/yr"]  # fmt: skip
 
 
@@ -209,7 +206,7 @@ def survey(folder):
 
     text = '[defaults]\nscales = [1, 2]\nmax_speed = "30 mas/yr"\nn_trials = 100\n'
     for k in range(3):
-        simulate_two_fluid(n_epochs=5, rng=k).cube.write(folder / f"jet{k}.fits")
+        simulate_two_fluid(n_epochs=6, rng=k).cube.write(folder / f"jet{k}.fits")
         text += f'[sources.Jet{k}]\nepochs = "jet{k}.fits"\n'
     (folder / "survey.toml").write_text(text, encoding="utf-8")
     return ["survey", str(folder / "survey.toml"), "--no-report"]
@@ -268,7 +265,7 @@ def main():
     bad = 0
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        for name, words in (("measure --resume", measurement(folder)),
+        for name, words in (("measure", measurement(folder)),
                             ("survey", survey(folder))):  # fmt: skip
             options = {"number": args.number, "seed": args.seed}
             for trial, usual in trials(words, folder / words[0], **options):

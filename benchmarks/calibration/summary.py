@@ -120,6 +120,9 @@ def streams_row(kind, jets):
                    key=lambda r: abs(r["speed"] / v - 1), default=None)
                for jet in jets]  # fmt: skip
         error = np.array([(r["speed"] - v, r["error"]) for r in own if r]).T
+        if len(error) == 0:
+            accuracy += ["", ""]
+            continue
         inside = int((np.abs(error[0]) <= error[1]).sum())
         accuracy += [f"{error[0].mean() / v:+.3f}", share(inside, len(error[0]))]
     third = sum(len(moving(jet)) > 2 for jet in jets)

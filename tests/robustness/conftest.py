@@ -43,7 +43,7 @@ def interrupts():
 
 @pytest.fixture
 def epochs(inputs, tmp_path):
-    """Five images of the small jet."""
+    """Six images of the small jet."""
     folder = tmp_path / "jet"
     folder.mkdir()
     return inputs.series(folder)

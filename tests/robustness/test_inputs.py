@@ -92,11 +92,11 @@ def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsy
     status, err = measure(*epochs, "-o", tmp_path / "out")
     assert (status, len(err.splitlines())) == (2, 1)
     assert err.startswith(
-        "astro-scc measure: error: 5 images of 48 x 40 pixels are 8.64e-05 GB, this "
+        "astro-scc measure: error: 6 images of 48 x 40 pixels are 0.000104 GB, this "
         "machine has 1e-05; read a region of them (region=, --crop)"
     )
     # Each file by itself can be looked at.
     assert main(["inspect", *map(str, epochs)]) == 0
     out = capsys.readouterr().out
-    assert "as one series: 5 images of 48 x 40 pixels are 8.64e-05 GB" in out
+    assert "as one series: 6 images of 48 x 40 pixels are 0.000104 GB" in out
     assert EpochCube.read(epochs, region=(slice(5, 9), slice(5, 9))).shape == (5, 4, 4)

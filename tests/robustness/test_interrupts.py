@@ -102,7 +102,7 @@ def test_workers_end_with_a_run(inputs, tmp_path, how):
     # The jet 64 times, on which workers are for seconds.
     paths = [
         inputs.write(tmp_path, i, data=np.tile(inputs.image(i), (8, 8)))
-        for i in range(5)
+        for i in range(6)
     ]
     argv = ["measure", *map(str, paths), *inputs.QUICK, "--scales=1,2,3,4"]
     out, log = tmp_path / "here" / "out", tmp_path / "log"
@@ -137,8 +137,8 @@ def alive(process):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
-def test_what_is_kept_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
-    words = ["measure", *map(str, epochs), *inputs.QUICK, "--no-report", "--resume"]
+def test_a_run_that_is_started_again_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
+    words = ["measure", *map(str, epochs), *inputs.QUICK, "--no-report"]
     options = {"number": 1, "seed": seed, "launch": start}
     for trial, seconds in interrupts.trials(words, tmp_path / "runs", **options):
         assert trial.good, trial
