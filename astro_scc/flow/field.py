@@ -40,6 +40,17 @@ class FlowField:
         cells, ``p_fdr``.  What is unknown is NaN.
     along, across : `~astropy.units.Quantity`
         Edges of the cells.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.flow import FlowField
+    >>> table = QTable({"pm_parallel": [1.0], "pm_parallel_err": [0.1]},
+    ...                units=[u.mas / u.yr] * 2)
+    >>> field = FlowField(table, [0, 5] * u.mas, [-1, 1] * u.mas)
+    >>> len(field.table)
+    1
     """
 
     table: QTable
