@@ -137,7 +137,9 @@ def alive(process):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_run_that_is_started_again_gives_the_same(interrupts, inputs, epochs, tmp_path, seed):
+def test_a_run_that_is_started_again_gives_the_same(
+    interrupts, inputs, epochs, tmp_path, seed
+):
     words = ["measure", *map(str, epochs), *inputs.QUICK, "--no-report"]
     options = {"number": 1, "seed": seed, "launch": start}
     for trial, seconds in interrupts.trials(words, tmp_path / "runs", **options):
