@@ -130,7 +130,7 @@ def table_position(table):
     """Return the position of the source that a table has, None if it has none."""
     facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
     units = {name: table[name].unit for name in table.colnames}
-    own = {re.sub(r"[^a-z0-9]", "", key.lower()): key for key in facts}
+    own = {re.sub(r"[^a-z0-9]", "", str(key).lower()): key for key in facts}
     place = facts.get(own.get("position"))
     if isinstance(place, SkyCoord):
         return place.icrs
