@@ -273,16 +273,11 @@ def _without_alternatives(found, settings, seed):
         if len(own) >= ELONGATED_EPOCHS:
             each = np.array([found.elongation(k) for k in own.tolist()])
             parts = np.concatenate([found.parts(k) for k in own.tolist()])
-<<<<<<< HEAD
-            error = 2 * (found.place_error[parts] ** 2).mean() / found.fwhm**2
-            size = max(1.0, np.trace(each.mean(axis=0)))
-            whole[own] = each.var(axis=0).sum() < (STEADY * size) ** 2 + error
-=======
             error = 0.0
             if len(parts):
                 error = 2 * (found.place_error[parts] ** 2).mean() / found.fwhm**2
-            whole[own] = each.var(axis=0).sum() < STEADY**2 + error
->>>>>>> tests45
+            size = max(1.0, np.trace(each.mean(axis=0)))
+            whole[own] = each.var(axis=0).sum() < (STEADY * size) ** 2 + error
     return found.chosen(whole)
 
 
