@@ -189,4 +189,3 @@ def test_what_is_said_of_the_calibration_is_what_it_found():
     paper = [k for k in streams if k.endswith(("region", "whole"))]
     assert len(paper) == 4
     assert all(limits(streams[k]["both"])[1] >= 0.95 for k in paper)
-
