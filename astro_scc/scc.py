@@ -30,6 +30,7 @@ from astro_scc.matching.plan import (
     choose_direction,
     flow_beam,
     flow_direction,
+    motion_of,
     scale_numbers,
 )
 from astro_scc.measurement import SCCResult
@@ -49,6 +50,7 @@ from astro_scc.settings import (
 )
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
+from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
@@ -321,6 +323,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         cube = decomposed.cube
         if scales is None and self.scales is not None:
             scales = scale_numbers(cube, self.scales)
+        if self.max_speed is not None:
+            gaps = np.diff(cube.years.to_value(u.yr))
+            every = np.array([gaps[gaps > 0].min(), gaps.sum()])
+            motion_of(cube, self.max_speed.to_value(PM_UNIT), every)
         frame = velocity_frame(cube, self.position_angle)
         # A one-sided jet has a direction, also where the axes are east and north.
         angle = None if self.position_angle is not None else choose_direction(cube)[0]

@@ -224,7 +224,9 @@ each("negative beam", "its beam is taken as unknown: .* is not positive")(
 each("beam in mas where degrees belong", "larger than the image; write BMAJ, BMIN")(
     lambda i: {"BMAJ": 0.4, "BMIN": 0.35}
 )
-each("beam smaller than a pixel")(lambda i: {"BMAJ": 0.05 * MAS, "BMIN": 0.04 * MAS})
+each("beam smaller than a pixel", "smaller than a pixel; write BMAJ, BMIN")(
+    lambda i: {"BMAJ": 0.05 * MAS, "BMIN": 0.04 * MAS}
+)
 each("beams that differ", "note: the beams differ: convolving to a common one")(
     lambda i: {"BMAJ": (0.4 + 0.02 * i) * MAS}
 )

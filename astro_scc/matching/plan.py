@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
-from astro_scc.images.positions import beam_fwhm, ssp_offsets
+from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.frames import mean_width
 from astro_scc.paper.trials import DatePairs, baseline_pairs, consecutive_pairs
@@ -157,14 +157,7 @@ class SearchPlan:
         # Pixels may not be square: (x, y) sides.
         side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
         if self.max_speed is not None:
-            least, most = self.max_speed * np.array([interval.min(), interval.max()])
-            image = np.hypot(*(side * shape[::-1]))
-            moved = f"max_speed moves {least:.3g} to {most:.3g} mas between two dates"
-            too_fast = least > MOST_MOTION * image
-            if too_fast or most < LEAST_MOTION * side.min():
-                sizes = f"images of {image:.3g} mas with pixels of {side.min():.3g} mas"
-                other = "smaller" if too_fast else "larger"
-                raise ValueError(f"{moved}, in {sizes}: give a {other} one")
+            moved, most = motion_of(cube, self.max_speed, interval)
             if np.any(most / side > (shape.max() - 1) // 2):
                 warn(
                     f"{moved}, more than half the image: give a smaller one, or a "
@@ -192,6 +185,36 @@ class SearchPlan:
             return self.max_speed * PM_UNIT
         years = cube.years.to_value(u.yr)
         return fastest_speed(years, self.intervals) * self.fwhm * PM_UNIT
+
+
+def motion_of(cube, max_speed, interval):
+    """
+    Return in words how far a largest speed moves, and the largest displacement in mas.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    max_speed : float
+        In mas/yr.
+    interval : `~numpy.ndarray`
+        Of the pairs of dates, in years.
+
+    Raises
+    ------
+    ValueError
+        If it leads far out of the image even in the shortest interval, or hardly
+        moves anything even in the longest.
+    """
+    side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
+    least, most = max_speed * np.array([interval.min(), interval.max()])
+    image = np.hypot(*(side * shape[::-1]))
+    moved = f"max_speed moves {least:.3g} to {most:.3g} mas between two dates"
+    too_fast = least > MOST_MOTION * image
+    if too_fast or most < LEAST_MOTION * side.min():
+        sizes = f"images of {image:.3g} mas with pixels of {side.min():.3g} mas"
+        other = "smaller" if too_fast else "larger"
+        raise ValueError(f"{moved}, in {sizes}: give a {other} one")
+    return moved, most
 
 
 def scale_numbers(cube, scales):
@@ -405,9 +428,11 @@ def flow_beam(cube):
     float
         The mean beam or, without beams, the size of the structures.
     """
+    pixel = cube.pixel_scale.to_value(u.mas)
     if cube.beams is None:
-        return structure_size(cube) * cube.pixel_scale.to_value(u.mas)
-    return mean_width(cube)
+        return structure_size(cube) * pixel
+    # Nothing is smaller than what pixels resolve.
+    return max(mean_width(cube), PIXELS_RESOLVED * pixel)
 
 
 def choose_scales(cube):

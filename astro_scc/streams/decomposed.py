@@ -193,6 +193,9 @@ def decompose_flow(
     seen = seen_flow(cube, beam, core=core)
     if region is not None and not (seen & region).any():
         seen = region
+    if not seen.any() and cube.beams is None:
+        # Texture everywhere, of which the noise is not known.
+        seen = ~cube.mask.all(axis=0)
     if not seen.any():
         away = " a beam or more from the core" if core else ""
         raise NoFlowError(

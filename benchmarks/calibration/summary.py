@@ -227,7 +227,7 @@ def main():
     )
     write(
         "static_table",
-        ["jets", "n", "moving row", "p_global at most 0.05"],
+        ["jets", "n", "moving row", f"p_global at most {ALPHA}"],
         [static_row(k, have[k]) for k in have if k.startswith(STILL)],
     )
     write(
