@@ -99,6 +99,6 @@ def numbers(line):
 @pytest.mark.parametrize("name", EARLY)
 def test_examples_of_real_jets_run(name, shared_data):
     example = importlib.import_module(name)
-    table, figure = example.measure(shared_data, n_trials=20, **EARLY[name])
+    table, figure = example.measure(shared_data, n_trials=119, **EARLY[name])
     assert table.colnames == printed(name).splitlines()[0].split()
     assert figure.axes

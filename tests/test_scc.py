@@ -6,13 +6,13 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astro_scc.stacking.stack import find_velocity_peaks
 from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.paper.peaks import find_velocity_peaks
 from astro_scc.products import write_products
 from astro_scc.scc import seeded
 from astro_scc.simulation import simulate_two_fluid

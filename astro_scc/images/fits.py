@@ -274,15 +274,9 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
             f"its unit {text!r} is not known and taken as dimensionless; write one "
             "that FITS knows, such as JY/BEAM, to BUNIT"
         )
-    if plane.beam is not None:
-        major = plane.beam.major.to_value(u.deg)
-        if major > plane.extent:
-            plane.beam_problem = f"{plane.beam} is larger than the image"
-        # Rounding apart.
-        elif major * max(plane.shape) < 0.99 * plane.extent:
-            plane.beam_problem = f"{plane.beam} is smaller than a pixel"
-        if plane.beam_problem:
-            plane.beam = None
+    if plane.beam is not None and plane.beam.major.to_value(u.deg) > plane.extent:
+        plane.beam_problem = f"{plane.beam} is larger than the image"
+        plane.beam = None
     if pixels:
         _load(plane, hdus, hdu, index, window or (slice(None), slice(None)))
     return plane

@@ -174,10 +174,7 @@ def test_long_commands_tell_how_far_they_are(jet, done, monkeypatch):
     # As if every half minute, and pytest's standard error is no terminal.
     monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
     for words, labels in (
-        (
-            "measure --n-trials=20 --no-report",
-            {"Decomposing", "Correlating", "Searching"},
-        ),
+        ("measure --n-trials=119 --no-report", {"Decomposing", "Searching"}),
         ("track --no-figures", {"Fitting"}),
     ):
         name, *options = words.split()

@@ -79,9 +79,9 @@ def rewrite(path, old, new):
 @pytest.mark.slow
 def test_sources_of_a_survey_that_are_no_longer_finished(inputs, tmp_path, monkeypatch):
     (tmp_path / "jet").mkdir()
-    inputs.series(tmp_path / "jet", n=3)
+    inputs.series(tmp_path / "jet")
     (tmp_path / "s.toml").write_text(
-        '[sources.Jet]\nepochs = "jet/*.fits"\nscales = [2]\nn_trials = 2\n'
+        '[sources.Jet]\nepochs = "jet/*.fits"\nscales = [2]\nn_trials = 119\n'
         'max_speed = "5 mas/yr"\nalign = "t.csv"\nregions = {r = "r.reg"}\n'
     )
     (tmp_path / "r.reg").write_text("image\ncircle(24,20,20)\n")
@@ -98,7 +98,7 @@ def test_sources_of_a_survey_that_are_no_longer_finished(inputs, tmp_path, monke
         ("jet/e1.fits", b"2001-01-31", b"2001-01-30"),
         ("r.reg", b"24", b"25"),
         ("t.csv", b"0.0,0.0\n", b"0.0,0.1\n"),
-        ("s.toml", b"n_trials = 2", b"n_trials = 3"),
+        ("s.toml", b"n_trials = 119", b"n_trials = 120"),
     ):
         rewrite(tmp_path / name, old, new)
         assert [finished(), finished()] == [False, True], name
