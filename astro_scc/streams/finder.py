@@ -35,9 +35,9 @@ WELL_KNOWN = 0.1
 MODEL_ERROR = 0.25
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
-#: Smallest speed of a stream in errors, and of features that diffuse, which the test
-#: takes for motion.
-REST_ERRORS, WALK_ERRORS = 1.0, 2.0
+#: Smallest speed of a stream in errors, and of what the test may take for motion:
+#: features that diffuse, and other patterns where they move a beam in an interval.
+REST_ERRORS, DOUBTFUL_ERRORS = 1.0, 2.0
 #: A speed of the spectrum needs images that resemble one another: at least such a part
 #: of their variance has no memory, and less than such a share moves.
 WHITE, LEAST_MOVING = 0.7, 0.15
@@ -307,7 +307,7 @@ def find_streams(
     across = partial(transverse_speed, sheet, aside)
     streams = _streams(
         flow, test, equations, fit, errors, moving, covered, across, angle, sign,
-        passes, p_distinct, misaligned, REST_ERRORS if walk is None else WALK_ERRORS,
+        passes, p_distinct, misaligned, search["unambiguous"], walk is not None,
     )  # fmt: skip
     streams += _standing(features, flow, streams, inside)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
@@ -370,7 +370,7 @@ def _angle_of(frame, grid):
 
 def _streams(
     flow, test, equations, fit, errors, moving, covered, across_of, angle, sign,
-    passes, p_distinct, misaligned, rest,
+    passes, p_distinct, misaligned, unambiguous, diffusing,
 ):  # fmt: skip
     """Return the streams that move, or the strongest speed, not significant."""
     direction, best = test.best
@@ -413,11 +413,13 @@ def _streams(
         total = turn.T @ covariance @ turn + alignment
         kind, reason = "not significant", ""
         if passes:
-            kind = "moving"
-            if not abs(velocity[0]) > rest * np.sqrt(total[0, 0]):
-                kind, reason = "not confirmed", "its speed is within its error of rest"
-            elif _unlike(test) and source == "spectrum":
-                kind, reason = "not confirmed", UNLIKE
+            fast = not len(own.along) and abs(velocity[0]) > unambiguous
+            kind, reason = verdict(
+                abs(velocity[0]),
+                np.sqrt(total[0, 0]),
+                doubtful=diffusing or fast,
+                unlike=source == "spectrum" and _unlike(test),
+            )
         v = int(np.abs(test.speed - velocity[0] / beam).argmin())
         found.append(
             Stream(
@@ -442,6 +444,38 @@ def _streams(
             )
         )
     return found
+
+
+def verdict(speed, error, *, doubtful, unlike):
+    """
+    Return the kind of a stream that the test finds, and the reason if it is in doubt.
+
+    Parameters
+    ----------
+    speed, error : float
+        In the same unit.
+    doubtful : bool
+        Whether the test may take something else for motion.
+    unlike : bool
+        Whether images of neighbouring dates are too unlike each other.
+
+    Returns
+    -------
+    (str, str)
+
+    Examples
+    --------
+    >>> from astro_scc.streams.finder import verdict
+    >>> verdict(1.5, 1.0, doubtful=False, unlike=False)
+    ('moving', '')
+    >>> verdict(1.5, 1.0, doubtful=True, unlike=False)
+    ('not confirmed', 'its speed is within 2 standard errors of rest')
+    """
+    least = DOUBTFUL_ERRORS if doubtful else REST_ERRORS
+    if not speed > least * error:
+        words = f"{least:g} standard errors" if least > 1 else "a standard error"
+        return "not confirmed", f"its speed is within {words} of rest"
+    return ("not confirmed", UNLIKE) if unlike else ("moving", "")
 
 
 def _unlike(test):

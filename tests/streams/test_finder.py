@@ -7,6 +7,7 @@ import pytest
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
+from astro_scc.streams.finder import verdict
 
 
 def measured(cube, **settings):
@@ -89,3 +90,15 @@ def test_few_epochs_cannot_show_motion():
     assert found.streams["kind"][0] == "not significant"
     with pytest.raises(ValueError, match="three epochs or more"):
         measured(cube[:2], position_angle=270 * u.deg)
+
+
+@pytest.mark.parametrize("doubtful", [False, True])
+@pytest.mark.parametrize("unlike", [False, True])
+@pytest.mark.parametrize("ratio", [0.5, 1.5, 3.0, np.nan])
+def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
+    kind, reason = verdict(ratio, 1.0, doubtful=doubtful, unlike=unlike)
+    known = ratio > (2 if doubtful else 1)
+    assert kind == ("moving" if known and not unlike else "not confirmed")
+    assert ("of rest" in reason) == (not known)
+    assert ("little in common" in reason) == (known and unlike)
+    assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
