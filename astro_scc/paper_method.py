@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
-from astropy.nddata import NDData
 from astropy.table import QTable
-from astropy.wcs import WCS
 from threadpoolctl import threadpool_limits
 
 from astro_scc.alignment.registration import warn_of_misalignment
@@ -21,7 +19,7 @@ from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.images.beam import require_common_beam
-from astro_scc.images.positions import axis_words, beam_fwhm, name_by_frame
+from astro_scc.images.positions import beam_fwhm, name_by_frame
 from astro_scc.matching.matched import (
     MatchedEpochs,
     allow_for_structure,
@@ -30,7 +28,7 @@ from astro_scc.matching.matched import (
 )
 from astro_scc.matching.plan import flow_direction, pairs_of_dates, scale_numbers
 from astro_scc.measurement.axes import matched_displacements
-from astro_scc.measurement.tables import Components, ssp_table, velocity_columns
+from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
 from astro_scc.paper import (
     draw_orders,
     image_pairs,
@@ -40,7 +38,7 @@ from astro_scc.paper.components import PaperStack
 from astro_scc.paper.stack import VelocityGrid
 from astro_scc.parallel import workers_of
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator
+from astro_scc.quantities import random_generator, seeded
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.units import PM_UNIT, in_speed_unit
 from astro_scc.writing import versions
@@ -61,7 +59,7 @@ STILL_SIGMA = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PaperMeasurement(Components):
+class PaperMeasurement(VelocityMaps):
     """
     The velocity components that the paper's method finds in a cube.
 
@@ -114,6 +112,11 @@ class PaperMeasurement(Components):
         return self.stack.grid
 
     @property
+    def coefficient(self) -> np.ndarray:
+        """Coefficient of correlation at the velocities of ``grid``."""
+        return self.stack.coefficient
+
+    @property
     def z_score(self) -> np.ndarray:
         """Z-score at the velocities of ``grid``."""
         return self.stack.z_score
@@ -143,37 +146,6 @@ class PaperMeasurement(Components):
     def streams(self) -> QTable:
         """Another name of `components`."""
         return self.components
-
-    def velocity_map(self, which: str = "coefficient") -> NDData:
-        """
-        Return the stack as an image with velocity coordinates.
-
-        Parameters
-        ----------
-        which : {"coefficient", "z_score"}
-
-        Returns
-        -------
-        `~astropy.nddata.NDData`
-            Its WCS is linear in mas/yr along the two axes of the frame.
-
-        Raises
-        ------
-        ValueError
-            If ``which`` is another name.
-        """
-        if which not in ("coefficient", "z_score"):
-            raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
-        names = tuple(self.frame.axis_names)
-        if names == ("east", "north") and axis_words(self.cube)[0] != "east":
-            names = "lon", "lat"
-        wcs = WCS(naxis=2)
-        wcs.wcs.ctype = [name.upper()[:8] for name in names]
-        wcs.wcs.cunit = ["mas/yr", "mas/yr"]
-        wcs.wcs.crpix = [(n + 1) / 2 for n in self.grid.shape[::-1]]
-        wcs.wcs.crval = [0.0, 0.0]
-        wcs.wcs.cdelt = self.grid.step
-        return NDData(getattr(self.stack, which), wcs=wcs, meta={"axes": names})
 
     def plot(self, **options: Any) -> Figure:
         """
@@ -275,6 +247,13 @@ def measure_as_in_paper(
     <Quantity 6. mas / yr>
     """
     n_trials = require("n_trials", n_trials)
+    if settings.outward or settings.alignment_error is not None:
+        name = "outward" if settings.outward else "alignment_error"
+        raise ValueError(
+            f"{name} is not used by the paper's method: leave it out, or use "
+            "method='spectrum'"
+        )
+    rng, seed = seeded(rng)
     generator = random_generator(rng)
     if settings.common_beam is not False:
         require_common_beam(cube)
@@ -300,7 +279,8 @@ def measure_as_in_paper(
         )
         ssps = SSPs.of_epochs(decompositions)
         require_ssps(ssps, scales)
-        select = centroids_inside(ssps, cube, region)
+        inside = None if region is None else cube.region_mask(region)
+        select = centroids_inside(ssps, cube, inside)
         if not select.any():
             raise ValueError(
                 f"region: no significant pattern has its centroid inside, {len(ssps)} "
@@ -313,7 +293,7 @@ def measure_as_in_paper(
             )  # fmt: skip
     matched = MatchedEpochs(
         cube=cube, decomposer=decomposer, ssps=ssps, select=select, matches=matches,
-        correlator=correlator, reach=reach,
+        correlator=correlator, reach=reach, region=inside,
     )  # fmt: skip
     samples, frame = matched_displacements(matched, settings)
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
@@ -326,7 +306,6 @@ def measure_as_in_paper(
                 alpha=settings.alpha, correlated=matches.pairs, progress=done,
                 shift_beams=SMALL_SHIFT * settings.small_displacement_correction,
             )  # fmt: skip
-    seed = int(rng) if isinstance(rng, int | np.integer) else None
     meta = {
         "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),
         "n_ssp": stack.n_ssp, "n_pairs": len(pairs),

@@ -375,6 +375,15 @@ def check_choice(value, *choices):
     return value
 
 
+def seeded(rng):
+    """Return ``rng``, or a random seed for None, and the seed if it is an integer."""
+    import numpy as np
+
+    if rng is None:
+        rng = int(np.random.SeedSequence().entropy % 2**63)
+    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
+
+
 def random_generator(rng):
     """
     Return the `~numpy.random.Generator` of a seed, a generator or None.

@@ -26,8 +26,8 @@ from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.matching.plan import flow_beam
 from astro_scc.measurement.axes import velocity_frame
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator
-from astro_scc.scc import StackedCrossCorrelation, seeded, used_intervals
+from astro_scc.quantities import random_generator, seeded
+from astro_scc.scc import StackedCrossCorrelation, used_intervals
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import fastest_speed
 from astro_scc.units import PM_UNIT

@@ -31,6 +31,7 @@ from astro_scc.matching.plan import (
     flow_beam,
     flow_direction,
     motion_of,
+    pairs_of_dates,
     scale_numbers,
 )
 from astro_scc.measurement import SCCResult
@@ -40,7 +41,7 @@ from astro_scc.measurement.axes import (
 )
 from astro_scc.measurement.parts import parts_of
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator
+from astro_scc.quantities import random_generator, seeded
 from astro_scc.settings import (
     MeasurementSettings,
     Settings,
@@ -48,6 +49,7 @@ from astro_scc.settings import (
     in_unit,
     require,
 )
+from astro_scc.spectrum.permutations import EVERY
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
 from astro_scc.units import PM_UNIT
@@ -301,8 +303,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         return match_epochs(*work, region=region, **how)
 
     def flow(
-        self, decomposed: DecomposedEpochs, *, scales: Any = None,
-        normalise: str = "local",
+        self, decomposed: DecomposedEpochs
     ) -> DecomposedFlow:  # fmt: skip
         """
         Return what changes in the images, along the flow.
@@ -310,18 +311,14 @@ class StackedCrossCorrelation(MeasurementSettings):
         Parameters
         ----------
         decomposed : `~astro_scc.matching.DecomposedEpochs`
-        scales : sequence of float, optional
-            Numbers of the wavelet scales, by default those of the settings, or the
-            three up to half of the beam.
-        normalise : {"local", "along"}
-            Whether the variance of each place is one, or that of each distance.
 
         Returns
         -------
         ``DecomposedFlow``
+            On the scales of the settings, or the three up to half of the beam.
         """
-        cube = decomposed.cube
-        if scales is None and self.scales is not None:
+        cube, scales = decomposed.cube, None
+        if self.scales is not None:
             scales = scale_numbers(cube, self.scales)
         if self.max_speed is not None:
             gaps = np.diff(cube.years.to_value(u.yr))
@@ -333,7 +330,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         flow = decompose_flow(
             cube, frame if angle is None else PositionAngleFrame(angle), scales=scales,
             beam=flow_beam(cube), region=decomposed.region, max_speed=self.max_speed,
-            kernel=self.wavelet, normalise=normalise,
+            kernel=self.wavelet,
         )  # fmt: skip
         return replace(flow, frame=frame)
 
@@ -363,8 +360,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         Raises
         ------
         ValueError
-            If ``n_trials`` is below 2, there are two epochs or fewer, or no flow is
-            seen.
+            If ``n_trials`` is below 2, there are two epochs or fewer, no flow is
+            seen, or ``method`` is ``'paper'``, which starts from the images.
 
         Warns
         -----
@@ -373,6 +370,11 @@ class StackedCrossCorrelation(MeasurementSettings):
             small as ``alpha``.
         """
         n_trials = require("n_trials", n_trials)
+        if self.method == "paper":
+            raise ValueError(
+                "method = 'paper' measures images, not decomposed epochs: call the "
+                "settings with a cube, or use method='spectrum'"
+            )
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
@@ -498,13 +500,6 @@ def measure_velocities(
     ).components
 
 
-def seeded(rng):
-    """Return ``rng``, or a random seed for None, and the seed if it is an integer."""
-    if rng is None:
-        rng = int(np.random.SeedSequence().entropy % 2**63)
-    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
-
-
 def used_intervals(cube, baseline):
     """Return the shortest and the longest interval that is used, in years."""
     years = cube.years.to_value(u.yr)
@@ -514,21 +509,10 @@ def used_intervals(cube, baseline):
             f"anything moves; the cube has {len(years)}: give images of other dates (a "
             "file that is given twice counts once)"
         )
-    if not np.ptp(years) > 0:
-        raise ValueError(
-            f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-            "velocities need different dates"
-        )
+    pairs_of_dates(cube, baseline)
     if baseline is None:
-        return 0.0, np.inf
+        return EVERY
     low, high = baseline.to_value(u.yr)
-    every = np.abs(years - years[:, None])
-    if not np.any((every > 0) & (every >= low) & (every <= high)):
-        least, most = np.diff(years).min(), np.ptp(years)
-        raise ValueError(
-            f"no two epochs are {low:g} to {high:g} yr apart: their separations go "
-            f"from {least:.3g} to {most:.3g} yr; choose another baseline"
-        )
     return float(low), float(high)
 
 

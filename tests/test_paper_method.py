@@ -149,12 +149,25 @@ def test_what_is_within_three_errors_of_rest_is_stationary(speed, significant, k
     assert row["pm_ra_cosdec_err"] == pytest.approx(east)
 
 
+def test_the_region_is_kept_and_a_seed_is_drawn(jet_cube):
+    region = np.ones(jet_cube.shape[1:], dtype=bool)
+    region[:, :3] = False
+    found = measure_as_in_paper(jet_cube, settings(), region=region, n_trials=2)
+    np.testing.assert_array_equal(found.matched.region, region)
+    again = measure_as_in_paper(
+        jet_cube, settings(), region=region, n_trials=2, rng=found.meta["seed"]
+    )
+    np.testing.assert_array_equal(again.z_score, found.z_score)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"max_speed": 1e4 * PM_UNIT}, "max_speed moves .* give a smaller one"),
         ({"max_speed": 1e-4 * PM_UNIT}, "max_speed moves .* give a larger one"),
         ({"baseline": [5, 6] * u.yr}, "no two epochs are 5 to 6 yr apart"),
+        ({"outward": True}, "^outward is not used by the paper's method"),
+        ({"alignment_error": 1 * u.mas}, "^alignment_error is not used by the paper's"),
     ],
 )
 def test_settings_that_do_not_fit_the_images_are_refused(jet_cube, change, words):

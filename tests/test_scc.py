@@ -12,9 +12,10 @@ from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
+from astro_scc.measurement.parts import parts_of
 from astro_scc.paper.peaks import find_velocity_peaks
 from astro_scc.products import write_products
-from astro_scc.scc import seeded
+from astro_scc.quantities import seeded
 from astro_scc.simulation import simulate_two_fluid
 
 PM = u.mas / u.yr
@@ -126,6 +127,24 @@ def test_settings_are_kept_in_the_units_of_the_package():
 def test_what_cannot_be_meant_is_refused(cube, call, words):
     with pytest.raises((ValueError, TypeError), match=words):
         call(make_scc(), cube)
+
+
+def test_epochs_that_are_decomposed_are_not_the_paper_s(cube):
+    decomposed = make_scc().decompose(cube)
+    with pytest.raises(ValueError, match="^method = 'paper' measures images"):
+        make_scc(method="paper").measure(decomposed)
+
+
+def test_parts_of_the_data_use_the_same_intervals(cube):
+    low, high = 0.1, 0.3
+    result = measure(cube, baseline=[low, high] * u.yr, position_angle=270 * u.deg)
+    assert result.search.intervals == (low, high)
+    own = replace(result.search, intervals=(0.0, 0.2))
+    assert parts_of(own)[0]["pm"] == parts_of(result.search)[0]["pm"]
+    rows = {row["choice"]: row["pm"] for row in parts_of(result.search)}
+    other = {row["choice"]: row["pm"] for row in parts_of(own)}
+    (fine,) = [name for name in rows if name.startswith("fine")]
+    assert rows[fine] != other[fine]
 
 
 def test_the_largest_speed_that_is_searched(data):

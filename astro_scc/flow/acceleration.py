@@ -157,7 +157,14 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
         start = list(zip(fit.mean, fit.sd, strict=True)) if several else None
         for low, high in parts_along(flow):
             part = flow.between(low, high)
-            fits.append(fit_part(part, sign=np.sign(fit.mean[0]), start=start))
+            fits.append(
+                fit_part(
+                    part,
+                    sign=np.sign(fit.mean[0]),
+                    start=start,
+                    intervals=search.intervals,
+                )  # fmt: skip
+            )
             places.append(place_of(part))
     parts = speeds_in_parts(fits, places, stream=row if len(fits) else 0)
     return acceleration_of(parts, flow.beam, unit)

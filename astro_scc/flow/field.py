@@ -16,7 +16,7 @@ from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
-from astro_scc.spectrum.permutations import permutation_test
+from astro_scc.spectrum.permutations import INWARD, permutation_test
 from astro_scc.units import PM_UNIT
 
 #: Length of a cell along the flow in beams, and number across it, if none are given.
@@ -158,12 +158,14 @@ def measure_field(
         raise ValueError(f"across = {across} must be two increasing offsets or more")
     fit = result.search.fit
     sign = 1.0 if fit is None else np.sign(fit.mean[0])
+    how = {"intervals": result.search.intervals}
+    how["outward"] = result.meta["settings"]["outward"]
     rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
     for low, high in zip(across.value[:-1], across.value[1:], strict=True):
         for r_min, r_max in zip(along.value[:-1], along.value[1:], strict=True):
             inside = (r >= r_min) & (r < r_max) & (offset >= low) & (offset < high)
             cell = flow.part(places=[(inside & ~grid.counter) * 1.0])
-            found = _measure_cell(cell, sign, n_trials, next(rngs))
+            found = _measure_cell(cell, sign, n_trials, next(rngs), **how)
             rows.append((r_min, r_max, low, high, *found))
     names = ("r_min", "r_max", "offset_min", "offset_max", "pm_parallel",
              "pm_parallel_err", "p_global")  # fmt: skip
@@ -177,16 +179,17 @@ def measure_field(
     return FlowField(table, along, across)
 
 
-def _measure_cell(cell, sign, n_trials, rng):
+def _measure_cell(cell, sign, n_trials, rng, *, outward, intervals):
     """Return speed, error and p-value of a cell, or NaN."""
     unknown = np.nan, np.nan, np.nan
     if not has_flow(cell):
         return unknown
     test = permutation_test(
         [cell.diagram(0)], fastest=cell.fastest, n_trials=n_trials, rng=rng,
-        inward=0.1 if cell.outward else 1.0,
+        inward=0.0 if outward else (INWARD if cell.outward else 1.0),
+        intervals=intervals,
     )  # fmt: skip
-    part = fit_part(cell, sign=sign)
+    part = fit_part(cell, sign=sign, intervals=intervals)
     if part is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
     speed, error = part.fit.mean[0], part.errors(part.fit.mean[0]).mean[0]

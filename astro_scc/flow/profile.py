@@ -38,8 +38,8 @@ from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator
-from astro_scc.scc import StackedCrossCorrelation, seeded, used_intervals
+from astro_scc.quantities import random_generator, seeded
+from astro_scc.scc import StackedCrossCorrelation, used_intervals
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.finder import find_streams

@@ -204,7 +204,12 @@ def compare_scales(
         whole = flow_by_scale(flow, sorted({s for own in groups.values() for s in own}))
         sign = 1.0 if fit is None else np.sign(fit.mean[0])
         fits = {
-            name: fit_part(whole.part(scales=own), sign=sign, root=False)
+            name: fit_part(
+                whole.part(scales=own),
+                sign=sign,
+                root=False,
+                intervals=measured.search.intervals,
+            )  # fmt: skip
             for name, own in groups.items()
         }
         rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam)]

@@ -700,7 +700,7 @@ def find_ridge_line(
     error = width / (np.sqrt(2) * snr)
     # A small error keeps the beginning of the line at the core.
     error[0] = 1e-2 * error.min()
-    points, error = _smoothed(points, error, smooth, step)
+    points, error = _smoothed(points, error, smooth)
     meta = {"width": width * u.mas, "smoothing": smooth * u.mas}
     return RidgeLine(*(points.T * u.mas), error * u.mas, meta=meta)
 
@@ -759,7 +759,7 @@ def _slice_point(cube, image, guess, direction, half):
     return guess + middle * normal, float(values[top])
 
 
-def _smoothed(points, error, width, step):
+def _smoothed(points, error, width):
     """Return points smoothed by local parabolas over distance, and their errors."""
     s = lengths_of(points)
     distance = (s - s[:, None]) / width

@@ -139,7 +139,7 @@ class DecomposedEpochs:
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MatchedEpochs(DecomposedEpochs):
     """
-    Decomposed and correlated epochs: all that a stack needs except the dates.
+    Decomposed and correlated epochs: their SSPs and matches.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ def match_epochs(
                 how = {"select": select, "n_workers": workers, "progress": done}
                 work = decompositions, all_pairs(len(cube)), reach
                 matches = correlator(*work, **how)
-        # Stacks need no planes, which are larger than everything else.
+        # Matches need no planes, which are larger than everything else.
         found = MatchedEpochs(
             cube=cube, decomposer=decomposer, ssps=ssps, select=select, matches=matches,
             correlator=correlator, reach=reach, region=inside,

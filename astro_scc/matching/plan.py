@@ -38,8 +38,7 @@ MOST_MOTION = 10
 #: Displacement to which patterns are matched, and the margin around that of the largest
 #: speed, in beams.
 RADIUS, MARGIN = 1.5, 0.36
-#: Beams by which matches go beyond the largest speed: stacks in speed and
-#: acceleration have kernels of 0.8 beam.
+#: Beams by which matches go beyond the largest speed.
 BEYOND = 1.0
 #: Without a largest speed, series of up to this many epochs are searched to
 #: ``FAR_BEAMS`` beams in the median interval.
@@ -49,7 +48,7 @@ FAR_BEAMS = 4.0
 #: is half of the size of the structures (`structure_size`).
 OCTAVES = 4
 #: What is smooth on this scale, in pixels, is background to the structures: those of 3
-#: to 8 px are then measured to 20% (``tests/measurement/test_plan.py``).
+#: to 8 px are then measured to 20% (``tests/matching/test_plan.py``).
 BACKGROUND = 16.0
 #: Number of epochs in which they are measured, and width of the part in the middle, in
 #: pixels.
@@ -80,11 +79,11 @@ class SearchPlan:
     scales : tuple of float
         Numbers of the scales.
     pairs : ``DatePairs``
-        Pairs of dates of the paper's stack.
+        Pairs of dates that are compared.
     intervals : (float, float)
         Shortest and longest interval that is searched, in years.
     radius : float
-        Largest displacement at which streams are searched for, in beams.
+        Largest displacement at which SSPs are matched, in beams.
     fwhm : float
         The beam, or the size of the largest scale without one, in mas.
     max_speed : float or None

@@ -4,8 +4,9 @@
 import astropy.units as u
 import numpy as np
 
+from astro_scc.spectrum.permutations import within
 from astro_scc.streams.decomposed import distances
-from astro_scc.streams.parts import FEWEST_EPOCHS, part_rows
+from astro_scc.streams.parts import FEWEST_OF_HALF, part_rows
 from astro_scc.units import offset_unit
 
 
@@ -27,25 +28,26 @@ def parts_of(search):
     if not moving or search.fit is None:
         return []
     main = max(moving, key=lambda k: streams[k].share)
-    parts = [*_by_interval(flow), *_by_date(flow), *_by_place(flow), *_by_scale(flow)]
+    parts = [*_by_interval(search), *_by_date(flow), *_by_place(flow), *_by_scale(flow)]
     return part_rows(search, main, parts)
 
 
-def _by_interval(flow):
-    years = flow.years
-    every = (years - years[:, None])[np.triu_indices(len(years), 1)]
-    limit = float(np.median(np.abs(every)))
+def _by_interval(search):
+    flow, (low, high) = search.flow, search.intervals
+    every = np.abs(flow.years - flow.years[:, None])
+    every = every[np.triu_indices(len(every), 1)]
+    limit = float(np.median(every[within(every, (low, high))]))
     unit = flow.cube.speed_unit.bases[1]
     shown = f"{(limit * u.yr).to_value(unit):.2g} {unit}"
     return [
-        (f"intervals up to {shown}", {"intervals": (0.0, limit)}),
-        (f"intervals from {shown}", {"intervals": (limit, np.inf)}),
+        (f"intervals up to {shown}", {"intervals": (low, limit)}),
+        (f"intervals from {shown}", {"intervals": (limit, high)}),
     ]
 
 
 def _by_date(flow):
     middle = len(flow.years) // 2
-    if middle < FEWEST_EPOCHS:
+    if middle < FEWEST_OF_HALF:
         return []
     date = flow.cube.times[middle].strftime("%Y-%m-%d")
     return [
@@ -56,18 +58,15 @@ def _by_date(flow):
 
 def _by_place(flow):
     """Return the inner and the outer half of what is seen."""
-    seen = [
-        distances(grid)[planes.mask if region is None else planes.mask & (region > 0.5)]
-        for grid, planes, region in zip(
-            flow.grids, flow.planes, flow.regions, strict=True
-        )
-    ]
-    if len(seen) > 1 or len(seen[0]) == 0:
+    r, inside, region = distances(flow.grids[0]), flow.planes[0].mask, flow.regions[0]
+    if region is not None:
+        inside = inside & (region > 0.5)
+    if not inside.any():
         return []
-    border = float(np.median(seen[0]))
+    border = float(np.median(r[inside]))
     unit = offset_unit(border * flow.beam)
     text = f"{(border * flow.beam * u.mas).to_value(unit):.3g} {unit}"
-    inner = [(distances(grid) < border) * 1.0 for grid in flow.grids]
+    inner = [(r < border) * 1.0]
     return [
         (f"inner half, up to {text}", {"places": inner}),
         (f"outer half, from {text}", {"places": [1 - own for own in inner]}),

@@ -21,7 +21,7 @@ from astro_scc.epochs import EpochCube
 from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
-from astro_scc.images.positions import axis_words, name_by_frame
+from astro_scc.images.positions import name_by_frame
 from astro_scc.matching.matched import DecomposedEpochs
 from astro_scc.measurement import tables
 from astro_scc.spectrum.maps import VelocityMap
@@ -49,7 +49,7 @@ DIAGRAM = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SCCResult(tables.Components):
+class SCCResult(tables.VelocityMaps):
     """
     The streams of a cube, with the velocity spectrum that they follow from.
 
@@ -265,37 +265,6 @@ class SCCResult(tables.Components):
         """
         return tables.spectrum_table(self)
 
-    def velocity_map(self, which: str = "coefficient") -> NDData:
-        """
-        Return the stack as an image with velocity coordinates.
-
-        Parameters
-        ----------
-        which : {"coefficient", "z_score"}
-
-        Returns
-        -------
-        `~astropy.nddata.NDData`
-            Its WCS is linear in mas/yr along the two axes of the frame.
-
-        Raises
-        ------
-        ValueError
-            If ``which`` is another name.
-        """
-        if which not in ("coefficient", "z_score"):
-            raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
-        names = tuple(self.frame.axis_names)
-        if names == ("east", "north") and axis_words(self.cube)[0] != "east":
-            names = "lon", "lat"
-        wcs = WCS(naxis=2)
-        wcs.wcs.ctype = [name.upper()[:8] for name in names]
-        wcs.wcs.cunit = ["mas/yr", "mas/yr"]
-        wcs.wcs.crpix = [(n + 1) / 2 for n in self.grid.shape[::-1]]
-        wcs.wcs.crval = [0.0, 0.0]
-        wcs.wcs.cdelt = self.grid.step
-        return NDData(getattr(self, which), wcs=wcs, meta={"axes": names})
-
     def diagram(self) -> NDData:
         """
         Return the displacement-interval diagram along the direction of the flow.
@@ -441,7 +410,7 @@ def velocity_hdus(result, *, text=None):
     Returns
     -------
     `~astropy.io.fits.HDUList`
-        The stacked correlation coefficients, and the extension ``ZSCORE``,
+        The velocity map, and the extension ``ZSCORE``,
         with a linear WCS in mas/yr along the velocity axes; the image
         ``DIAGRAM`` of `SCCResult.diagram`; the table ``INTERVALS``, which
         describes the columns of that image; and the table ``FEATURES``, which is

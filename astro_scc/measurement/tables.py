@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
+from astropy.nddata import NDData
 from astropy.table import Column, QTable, Table, vstack
 from astropy.time import Time
+from astropy.wcs import WCS
 
 from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
 
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
-#: A member of a stream moves within this many standard errors of its speed.
-MEMBER_SIGMA = 2.0
 #: Parts of the limits of the search that are near them, errors by which two speeds
 #: differ, and how much faster than a beam in the median interval may be an alias.
 NEAR, DISAGREE, AMBIGUOUS = 0.8, 2.5, 1.0
@@ -109,6 +109,41 @@ class Components:
         )
 
 
+class VelocityMaps(Components):
+    """A measurement with maps of velocities on the axes of a frame."""
+
+    def velocity_map(self: Any, which: str = "coefficient") -> NDData:
+        """
+        Return the velocity map as an image with velocity coordinates.
+
+        Parameters
+        ----------
+        which : {"coefficient", "z_score"}
+
+        Returns
+        -------
+        `~astropy.nddata.NDData`
+            Its WCS is linear in mas/yr along the two axes of the frame.
+
+        Raises
+        ------
+        ValueError
+            If ``which`` is another name.
+        """
+        if which not in ("coefficient", "z_score"):
+            raise ValueError(f"unknown map {which!r}: use 'coefficient' or 'z_score'")
+        names = tuple(self.frame.axis_names)
+        if names == ("east", "north") and positions.axis_words(self.cube)[0] != "east":
+            names = "lon", "lat"
+        wcs = WCS(naxis=2)
+        wcs.wcs.ctype = [name.upper()[:8] for name in names]
+        wcs.wcs.cunit = ["mas/yr", "mas/yr"]
+        wcs.wcs.crpix = [(n + 1) / 2 for n in self.grid.shape[::-1]]
+        wcs.wcs.crval = [0.0, 0.0]
+        wcs.wcs.cdelt = self.grid.step
+        return NDData(getattr(self, which), wcs=wcs, meta={"axes": names})
+
+
 def printed(table):
     """
     Return velocity components, or features, as they are printed.
@@ -179,7 +214,9 @@ def stream_row(result, k):
     search, stream = result.search, result.search.streams[k]
     test, alpha = search.test, result.meta["settings"]["alpha"]
     row, by_alignment = (
-        velocity_columns(stream.velocity, covariance, result.frame, _direction(result))
+        velocity_columns(
+            stream.velocity, covariance, result.frame, result.position_angle
+        )
         for covariance in (stream.covariance, stream.alignment)
     )
     p, n = stream.p_global, result.meta["n_trials"]
@@ -209,11 +246,6 @@ def stream_row(result, k):
         "caution": "; ".join(filter(None, _cautions(result, k, row, p_err, alpha)))
         or "-",
     }
-
-
-def _direction(result):
-    """Return the direction to which motion along the jet refers."""
-    return result.position_angle
 
 
 def _cautions(result, k, row, p_err, alpha):

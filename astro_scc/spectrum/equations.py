@@ -47,8 +47,6 @@ class Equations:
         Pairs of each bin, and their mean interval in years.
     share : `~numpy.ndarray`, shape (n_bins,)
         Share of each bin in the pairs that are used.
-    power : float
-        The images' correlation with themselves, at no displacement.
     """
 
     speed: np.ndarray
@@ -61,7 +59,6 @@ class Equations:
     number: np.ndarray
     interval: np.ndarray
     share: np.ndarray
-    power: float
 
     @property
     def square(self) -> float:
@@ -192,11 +189,9 @@ def set_up(diagram, *, fastest=None, own=None, intervals=EVERY):
     data = binned(diagram.means, bins, number, share)
     data[~used] = 0
     flat = design.reshape(len(design), -1)
-    epochs = np.arange(n)
-    power = diagram.means[epochs, epochs, diagram.zero].mean()
     return Equations(
         speed, widths_of(speed), design, data, flat @ flat.T, flat @ data.ravel(),
-        bins, number, interval, share, float(power),
+        bins, number, interval, share,
     )  # fmt: skip
 
 

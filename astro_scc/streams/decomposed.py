@@ -101,10 +101,9 @@ class DecomposedFlow:
         )  # fmt: skip
         return replace(made, frame=self.frame, fastest=self.fastest)
 
-    def diagram(self, k: int, planes: FlowPlanes | None = None) -> Diagram:
+    def diagram(self, k: int) -> Diagram:
         """Return the displacement-interval diagram along direction k."""
-        planes = self.planes[k] if planes is None else planes
-        return correlate(planes, region=self.regions[k])
+        return correlate(self.planes[k], region=self.regions[k])
 
     def part(self, *, epochs=None, scales=None, places=None):
         """
@@ -186,8 +185,6 @@ def decompose_flow(
     ------
     `~astro_scc.exceptions.NoFlowError`
         If no flow is seen.
-    ValueError
-        If two epochs are of one date.
     """
     core = has_core(cube, beam)
     seen = seen_flow(cube, beam, core=core)

@@ -21,7 +21,12 @@ from astro_scc.spectrum.gaussians import (
     two_streams,
 )
 from astro_scc.spectrum.maps import VelocityMap, velocity_map
-from astro_scc.spectrum.permutations import EVERY, MotionTest, permutation_test
+from astro_scc.spectrum.permutations import (
+    EVERY,
+    INWARD,
+    MotionTest,
+    permutation_test,
+)
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.spread import chance_of_separation, mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
@@ -140,6 +145,8 @@ class StreamSearch:
     slowest, fastest, unambiguous : float
         Speeds that were searched, and the largest one that the dates do not alias, in
         mas/yr.
+    intervals : (float, float)
+        Shortest and longest interval that is used, in years.
     """
 
     streams: tuple[Stream, ...]
@@ -156,6 +163,7 @@ class StreamSearch:
     slowest: float
     fastest: float
     unambiguous: float
+    intervals: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +191,7 @@ def moving_features(features, frame, angle, use=None, walk=None):
     """
     chosen = features.secure if walk is None else np.ones(len(features.tracks), bool)
     chosen = np.flatnonzero(chosen if use is None else chosen & use)
-    cos, sin = np.cos(angle), np.sin(angle)
-    turn, rows = np.array([[cos, sin], [-sin, cos]]), []
+    turn, rows = _turn(angle), []
     for k in chosen:
         motion = features.motions[k]
         n = len(features.tracks[k].detection)
@@ -241,7 +248,7 @@ def find_streams(
     diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
     map_rng = rng.spawn(1)[0]
     prefer = flow.directed and flow.outward
-    inward = 0.0 if outward and flow.directed else (0.1 if prefer else 1.0)
+    inward = 0.0 if outward and flow.directed else (INWARD if prefer else 1.0)
     test = permutation_test(
         diagrams,
         fastest=flow.fastest,
@@ -254,7 +261,7 @@ def find_streams(
     if len(flow.planes) > 1:
         # Along the direction of the largest z, outward.
         direction, best = test.best
-        flow = _turned(flow, direction, test.speed[best], intervals)
+        flow = _turned(flow, direction, test.speed[best])
         found = permutation_test(
             [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
             n_trials=n_trials, inward=0.0, rng=rng,
@@ -284,7 +291,7 @@ def find_streams(
         "beam": beam,
         "slowest": beam * np.abs(test.speed).min(),
         "fastest": beam * np.abs(test.speed).max(),
-        "unambiguous": beam / np.median(gaps[gaps > 0]),
+        "unambiguous": beam / np.median(gaps[gaps > 0]), "intervals": intervals,
     }  # fmt: skip
     fit, p_distinct = one, 1.0
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
@@ -341,7 +348,7 @@ def _sheet(planes, region, number):
     return correlate_aside(planes, lags, region=region), lag * planes.step
 
 
-def _turned(flow, direction, speed, intervals):
+def _turned(flow, direction, speed):
     """Return the flow along its own direction, from the best of those tested."""
     angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
     for _ in range(MOST_TURNS):
@@ -416,7 +423,7 @@ def _streams(
             fast = not len(own.along) and abs(velocity[0]) > unambiguous
             kind, reason = verdict(
                 abs(velocity[0]),
-                np.sqrt(total[0, 0]),
+                np.sqrt((turn @ total @ turn.T)[0, 0]),
                 doubtful=diffusing or fast,
                 unlike=source == "spectrum" and _unlike(test),
             )
@@ -535,7 +542,7 @@ def _alignment(years, misaligned):
     """Return the covariance of a speed by errors of the alignment, on both axes."""
     off = years - years.mean()
     response = off / (off @ off)
-    return np.diag(response**2 @ misaligned[: len(years)] ** 2)
+    return np.diag(response**2 @ misaligned**2)
 
 
 def _standing(features, flow, streams, inside):

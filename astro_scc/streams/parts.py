@@ -11,10 +11,9 @@ from astro_scc.spectrum.diagram import correlate
 from astro_scc.spectrum.equations import set_up
 from astro_scc.spectrum.errors import fit_errors
 from astro_scc.spectrum.gaussians import fit_streams
-from astro_scc.spectrum.permutations import EVERY
 
 #: Fewest epochs of half of the dates.
-FEWEST_EPOCHS = 6
+FEWEST_OF_HALF = 6
 #: Speeds of two parts differ if their difference is larger than so many errors.
 DIFFERENT = 2.0
 
@@ -61,9 +60,10 @@ def part_rows(search, main, parts):
     for pair in zip(parts[::2], parts[1::2], strict=True):
         own = []
         for name, how in pair:
-            intervals = how.pop("intervals", EVERY)
+            part = dict(how)
+            intervals = part.pop("intervals", search.intervals)
             try:
-                found = speed_of(flow.part(**how), intervals)
+                found = speed_of(flow.part(**part), intervals)
             except (np.linalg.LinAlgError, ValueError):
                 found = np.nan, np.nan
             own.append(_row(name, found, whole))

@@ -219,7 +219,9 @@ def spectra_of_bins(search):
     found = []
     for ends in zip(edges[:-1], edges[1:], strict=True):
         part = flow.between(*ends)
-        equations = set_up(part.diagram(0), fastest=flow.fastest)
+        equations = set_up(
+            part.diagram(0), fastest=flow.fastest, intervals=search.intervals
+        )
         own, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
         own[(size < search.slowest) | (size > search.fastest)] = 0.0
         found.append(own / (own.sum() or 1.0))

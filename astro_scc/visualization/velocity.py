@@ -90,7 +90,7 @@ def plot_velocity_map(
     beta_per_pm=None, colorbar=True,
 ):  # fmt: skip
     """
-    Draw the stacked cross-correlation as a map of velocities.
+    Draw the velocity map.
 
     Components are marked with their numbers in the table, a symbol for their
     kind (moving, stationary, not significant), and an ellipse of one standard

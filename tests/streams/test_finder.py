@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 
-from astro_scc import StackedCrossCorrelation
+from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.streams.finder import verdict
 
@@ -102,3 +102,24 @@ def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     assert ("of rest" in reason) == (not known)
     assert ("little in common" in reason) == (known and unlike)
     assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
+
+
+def test_the_error_along_the_flow_decides(monkeypatch):
+    """A jet to the north, on the axes east and north, whose error across is smaller."""
+    jet, seen = simulate_two_fluid(rng=1).cube, []
+
+    def recorded(speed, error, **doubts):
+        seen.append((speed, error))
+        return verdict(speed, error, **doubts)
+
+    monkeypatch.setattr("astro_scc.streams.finder.verdict", recorded)
+    data = np.rot90(jet.data, 1, axes=(1, 2))
+    scale = {"pixel_scale": jet.pixel_scale, "reference_pixel": None}
+    cube = EpochCube.from_arrays(data, jet.times, beams=jet.beams[0], **scale)
+    streams = StackedCrossCorrelation()(cube, n_trials=119, rng=1).streams
+    found = streams[streams["kind"] == "moving"]
+    assert len(found) == len(seen) > 0
+    for row, (speed, error) in zip(found, seen, strict=True):
+        assert row["pm"].value == pytest.approx(speed, rel=0.05)
+        assert row["pm_err"].value == pytest.approx(error, rel=0.05)
+        assert row["pm_err"] > 0
