@@ -58,11 +58,12 @@ def measure(args, reporter):
             reporter.say(*lines, *epochs.found, f"\nTables and maps: {output}")
             return
         result = _measured(epochs, reporter)
+        flow = flow_lines(result)
         streams = write_measurement(
             result, epochs.settings, folder, output=output, published=epochs.published,
             report=not args.no_report, warnings=reporter.warnings,
             left_out=epochs.left_out, chosen=epochs.chosen, pdf=args.pdf,
-            all_figures=args.all_figures, compare=args.compare,
+            all_figures=args.all_figures, compare=args.compare, flow=flow,
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
@@ -71,7 +72,7 @@ def measure(args, reporter):
     reporter.say(
         *answer.stream_lines(streams, features),
         *answer.published_lines(features),
-        *flow_lines(result),
+        *flow,
         *epochs.found,
         f"\nTables and maps: {output}"
         if args.no_report

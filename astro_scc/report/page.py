@@ -264,6 +264,7 @@ def write_report(
     left_out: Sequence[str | tuple[str, str]] = (), chosen: Sequence[str] = (),
     rerun: str | None = None, explore: str | None = None, all_figures: bool = False,
     pdf: bool = False, published: QTable | None = None,
+    flow: Sequence[str] | None = None,
 ) -> Path:  # fmt: skip
     """
     Write a self-contained HTML page on a measurement, and its figures.
@@ -301,6 +302,8 @@ def write_report(
     published : `~astropy.table.QTable`, optional
         Published features to compare with, see
         ``astro_scc.products.publication.published_positions``.
+    flow : sequence of str, optional
+        Sentences on the acceleration and the scales, by default measured here.
 
     Returns
     -------
@@ -347,7 +350,7 @@ def write_report(
             *(line.rstrip(".") for line in answer.published_lines(own)),
         ],
         settings=meta.pop("settings", {}) | meta,
-        flow=flow_lines(result),
+        flow=flow_lines(result) if flow is None else flow,
         depends=result.sensitivity_line,
         files=files,
         warnings=warnings,

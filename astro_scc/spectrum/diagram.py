@@ -92,16 +92,19 @@ def correlate(flow, *, region=None, across=0):
     left, right = ends(across, mask.shape[1])
     for k, lag in enumerate(steps):
         here, there = ends(lag, len(mask))
-        at = middles(weight, lag)[:, left]
-        overlap[half + k] = (mask[here, left] * mask[there, right] * at).sum() / total
+        inside = mask[here, left] * mask[there, right]
+        at = middles(weight, lag)[:, left] * inside
+        overlap[half + k] = at.sum() / total
         if overlap[half + k] <= LEAST_OVERLAP / 2:
             continue
+        # Planes are zero outside the mask.
+        points = np.flatnonzero(inside if region is None else at)
         found = np.zeros((n, n), np.float32)
         for plane in flow.values:
-            first = (
-                plane[:, here, left] if region is None else plane[:, here, left] * at
-            )
-            found += first.reshape(n, -1) @ plane[:, there, right].reshape(n, -1).T
+            first = plane[:, here, left].reshape(n, -1)[:, points]
+            if region is not None:
+                first *= at.flat[points]
+            found += first @ plane[:, there, right].reshape(n, -1)[:, points].T
         sums[:, :, half + k] = found / (total * len(flow.values))
     if across == 0:
         sums[:, :, :half] = sums[:, :, :half:-1].transpose(1, 0, 2)
@@ -175,14 +178,22 @@ def influence(flow, diagram, function, *, region=None):
         if norm[half + k] == 0:
             continue
         here, there = ends(lag, len(mask))
-        at = middles(weight, lag)
+        inside = mask[here] * mask[there]
+        at = middles(weight, lag) * inside
+        points = np.flatnonzero(inside if region is None else at)
+        rows = points // mask.shape[1]
+        starts = np.flatnonzero(np.diff(rows, prepend=-1))
         h = np.asarray(function[:, :, half + k] * norm[half + k], np.float32)
         # The negative displacements are the same products.
         both = 1 if k else 0.5
         for plane in flow.values:
-            first = plane[:, here] if region is None else plane[:, here] * at
-            other = (h @ plane[:, there].reshape(n, -1)).reshape(first.shape)
-            found[:, here] += both * (first * other).sum(axis=2)
-            back = (h.T @ first.reshape(n, -1)).reshape(first.shape)
-            found[:, there] += both * (plane[:, there] * back).sum(axis=2)
+            first = plane[:, here].reshape(n, -1)[:, points]
+            second = plane[:, there].reshape(n, -1)[:, points]
+            if region is not None:
+                first *= at.flat[points]
+            for end, own, other in (
+                (here, first, h @ second), (there, second, h.T @ first),
+            ):  # fmt: skip
+                added = np.add.reduceat(own * other, starts, axis=1)
+                found[:, end][:, rows[starts]] += both * added
     return found
