@@ -9,6 +9,7 @@ import warnings
 from pathlib import Path
 
 import astropy.units as u
+import numpy as np
 import pytest
 
 from astro_scc.cli.program import COMMANDS, build_parser
@@ -111,12 +112,23 @@ def test_the_first_page_shows_what_its_commands_write(tmp_path, shared_data):
 def test_numbers_of_the_first_page():
     page = " ".join(TEXTS[START].split())
     printed = (IMAGES / "measure.txt").read_text(encoding="utf-8")
-    pattern = r"^\d +moving +([\d.]+) \+- ([\d.]+) .* (\d+)$"
-    ((speed, error, n),) = re.findall(pattern, printed, re.MULTILINE)
-    (slowest,) = re.findall(r"^Motion: (\S+) to ", printed)
-    assert f"that at {slowest} mas/yr consists of four" in page
-    assert f"{float(speed):.2f} ± {float(error):.2f} mas/yr" in page
-    assert f"mean of {n} features" in page
+    number = r"([\d.]+) \+- ([\d.]+)"
+    for pattern, words in (
+        (rf"^Motion: {number} mas/yr", "{} ± {} mas/yr"),
+        (rf"  {number}$", "needs no features, gives {} ± {} mas/yr"),
+        (
+            rf"{number} mas / yr \(inner half",
+            "inner half of the jet is slower, {} ± {}",
+        ),
+        (rf"acceleration: {number} mas/yr", "by {} ± {} mas/yr² at 9 mas"),
+    ):
+        value, error = re.search(pattern, printed, re.MULTILINE).groups()
+        text = words.format(*(f"{float(v):.2f}" for v in (value, error)))
+        assert text in page, pattern
+    speed, n = re.search(r"^Motion: .* \((\S+) .* (\d+) features", printed).groups()
+    assert f"or {speed} c" in page
+    assert f"mean of {n} secure features" in page
+    assert f"Lorentz factor, {np.hypot(1, float(speed)):.1f} " in page
 
 
 def blocks(page, language):

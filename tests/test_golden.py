@@ -78,9 +78,10 @@ def compare(table, path):
         if old.dtype.kind in "fc":
             assert getattr(new, "unit", None) == getattr(old, "unit", None), name
             new, old = (np.asarray(getattr(c, "value", c)) for c in (new, old))
-            # At a maximum, rounding by another processor moves the place by its root.
-            rtol = 1e-3 if name.endswith("jitter") else 1e-6
-            np.testing.assert_allclose(new, old, rtol=rtol, atol=1e-9, err_msg=name)
+            # At a maximum, rounding by another processor moves the place by its root;
+            # planes are of single precision.
+            rtol = 1e-3 if name.endswith("jitter") else 1e-4
+            np.testing.assert_allclose(new, old, rtol=rtol, atol=1e-6, err_msg=name)
         else:
             assert list(new) == list(old), name
 

@@ -37,7 +37,7 @@ PART = Path("mojave_xviii", "0430+052.ecsv")
 #: The part of the images that is shown, in mas.
 INNER = {"xlim": (2, -15), "ylim": (-8, 2), "xticks": range(0, -16, -5)}
 #: Figures that ``measure`` writes.
-FIGURES = ("diagram", "separation", "speeds")
+FIGURES = ("spectrum", "distance", "separation")
 #: Three dates within a year, in which the same features are seen.
 DATES = ("2012-03-04", "2012-07-12", "2012-11-02")
 
