@@ -315,7 +315,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         Returns
         -------
         ``DecomposedFlow``
-            On the scales of the settings, or the three up to half of the beam.
+            On the scales of the settings, or the three up to 0.55 beams.
         """
         cube, scales = decomposed.cube, None
         if self.scales is not None:

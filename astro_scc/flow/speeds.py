@@ -131,10 +131,9 @@ def flow_by_scale(flow, scales):
     angle, frame = flow.grids[0].angle, flow.frame
     if np.isfinite(angle):
         frame = PositionAngleFrame(angle * u.rad)
-    max_speed = None if flow.fastest is None else flow.fastest * flow.beam * PM_UNIT
     made = decompose_flow(
         flow.cube, frame, scales=tuple(scales), beam=flow.beam, region=flow.inside,
-        max_speed=max_speed, kernel=flow.kernel, normalise="along",
+        max_speed=flow.max_speed, kernel=flow.kernel, normalise="along",
     )  # fmt: skip
     return replace(made, frame=flow.frame)
 

@@ -50,8 +50,8 @@ class DecomposedFlow:
         The largest speed, if one was given, in beams/yr.
     inside : `~numpy.ndarray` of bool, shape (ny, nx), or None
         Pixels of the region.
-    kernel, normalise : str
-        See `decompose_flow`.
+    kernel : {"b1", "b3"}
+        Of the wavelet.
     """
 
     cube: EpochCube
@@ -63,12 +63,16 @@ class DecomposedFlow:
     fastest: float | None = None
     inside: np.ndarray | None = None
     kernel: str = "b1"
-    normalise: str = "local"
 
     @property
     def years(self) -> np.ndarray:
         """Dates of the epochs, in years from the first one of the cube."""
         return self.planes[0].years
+
+    @property
+    def max_speed(self) -> u.Quantity | None:
+        """The largest speed that was given, in mas/yr, or None."""
+        return None if self.fastest is None else self.fastest * self.beam * PM_UNIT
 
     @property
     def directed(self) -> bool:
@@ -97,9 +101,9 @@ class DecomposedFlow:
         made = decompose_flow(
             self.cube, PositionAngleFrame(angle * u.rad), scales=self.planes[0].scales,
             beam=self.beam, region=self.inside, kernel=self.kernel,
-            normalise=self.normalise,
+            max_speed=self.max_speed,
         )  # fmt: skip
-        return replace(made, frame=self.frame, fastest=self.fastest)
+        return replace(made, frame=self.frame)
 
     def diagram(self, k: int) -> Diagram:
         """Return the displacement-interval diagram along direction k."""
@@ -168,7 +172,7 @@ def decompose_flow(
     cube : `~astro_scc.epochs.EpochCube`
     frame : frame of `astro_scc.kinematics`
     scales : sequence of float, optional
-        Numbers of the wavelet scales, by default the three up to half of the beam.
+        Numbers of the wavelet scales, by default the three up to 0.55 beams.
     beam : float
         In mas.
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
@@ -226,5 +230,4 @@ def decompose_flow(
         fastest = max_speed.to_value(PM_UNIT) / beam
     return DecomposedFlow(
         cube, frame, tuple(grids), planes, regions, beam, fastest, region, kernel,
-        normalise,
     )  # fmt: skip

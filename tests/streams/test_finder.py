@@ -123,3 +123,13 @@ def test_the_error_along_the_flow_decides(monkeypatch):
         assert row["pm"].value == pytest.approx(speed, rel=0.05)
         assert row["pm_err"].value == pytest.approx(error, rel=0.05)
         assert row["pm_err"] > 0
+
+
+def test_a_largest_speed_holds_along_every_direction():
+    cube = simulate_two_fluid(rng=1).cube
+    scc = StackedCrossCorrelation(max_speed=200 * u.mas / u.yr, position_angle="any")
+    flow = scc.flow(scc.decompose(cube))
+    turned = flow.along(np.radians(270))
+    assert turned.max_speed == flow.max_speed == scc.max_speed
+    assert turned.planes[0].reach == pytest.approx(flow.planes[0].reach)
+    assert turned.planes[0].reach > 4
