@@ -219,7 +219,7 @@ def test_smoothing_is_a_parabola_at_each_point(size):
     error = size * rng.uniform(0.05, 0.2, 14)
     width = 0.8
     s = np.append(0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    smooth, spread = _smoothed(points, error, width, 0.1)
+    smooth, spread = _smoothed(points, error, width)
     windows = np.exp(-((s - s[:, None]) ** 2) / (2 * width**2))
     gains = np.empty((14, 14))
     for k in range(14):
@@ -302,7 +302,7 @@ def test_errors_of_a_line_are_those_of_its_slices():
     every = np.full(len(line.east), 1 / (np.sqrt(2) * snr))
     every[0] *= 1e-2
     points = np.stack([line.east.value, line.north.value], axis=1)
-    _, expected = _smoothed(points, every, 2.0, STEP)
+    _, expected = _smoothed(points, every, 2.0)
     assert_allclose(line.error[inner].value, expected[inner], rtol=0.1)
     assert line.error[0] < 0.1 * line.error[inner].mean()
     assert [k.value for k in line.meta.values()] == pytest.approx([1.0, 2.0])
