@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 # ruff: noqa: E402
 """
-Count how many rows of ``components.ecsv`` are right on the sources of a survey.
+Count how many rows of ``streams.ecsv`` are right on the sources of a survey.
 
     python benchmarks/streams.py dispersion ../shared
     python benchmarks/streams.py survey ../shared FOLDER [--jobs 2] [--only NAME ...]
@@ -9,7 +9,8 @@ Count how many rows of ``components.ecsv`` are right on the sources of a survey.
 
 ``dispersion`` prints how much the speeds of the features of one jet differ.  ``survey``
 measures the images of ``features.py survey`` by ``astro-scc measure`` without options,
-and compares the first row that moves with the mean of the survey's features.
+and compares the first row that moves with the mean of the survey's features; sources
+that FOLDER holds tables of are not measured again.
 ``default`` does so with the tables of ``astro-scc survey TABLE -o FOLDER --seed 1``,
 and compares the features too.
 """
@@ -34,8 +35,11 @@ from astro_scc.cli import main as astro_scc
 #: Fewest features of a jet of which the dispersion is taken.
 FEWEST = 3
 FEATURES = ["of the survey", "found", "own that move", "agree"]
-HEADER = ["images", "sources", "with motion", "rows", "right", "silent",
-          "inward"]  # fmt: skip
+#: Numbers of epochs of the rows of the table.
+EPOCHS = ("all", 0, np.inf), ("10 to 17", 10, 18), ("18 and more", 18, np.inf)
+HEADER = ["images", "epochs", "sources", "with motion", "right", "wrong", "silent",
+          "right, without", "wrong, without", "inward"]  # fmt: skip
+DEFAULT = ["sources", "with motion", "rows", "right", "silent"]
 
 
 def main():
@@ -46,6 +50,7 @@ def main():
     parser.add_argument("folder", type=Path, nargs="?", help="of images and tables")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", nargs="+", default=None)
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
     args = parser.parse_args()
     sys.path.insert(0, str(args.shared / "survey"))
     parts = {"survey": survey_rows, "default": default, "dispersion": dispersion}
@@ -81,25 +86,32 @@ def dispersion(args):
 
 
 def measured(kind, source, *, shared, folder):
-    """Return the score of the rows of a source, and whether the first is inward."""
+    """Return a row of the table for one source, and print it."""
     import score
     import survey
     from astropy.table import QTable
 
     files, out = images_of(kind, source, shared, folder), folder / kind / source / "out"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        options = ["-o", str(out), "--overwrite", "--no-report", "--seed", "1"]
-        astro_scc(["measure", *files, *options, "--quiet"])
-    rows = survey.read(shared / TABLE)[source]
-    counts, _, _ = score.score(rows, out, survey.beam(source)[0])
+    if not (out / "streams.ecsv").exists():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            options = ["-o", str(out), "--no-report", "--seed", "1", "--quiet"]
+            astro_scc(["measure", *files, *options])
+    rows, beam = survey.read(shared / TABLE)[source], survey.beam(source)[0]
+    counts, _, _ = score.score(rows, out, beam)
     inward = any("towards the core" in row["caution"]
-                 for row in QTable.read(out / "components.ecsv"))  # fmt: skip
-    return counts, bool(moved(rows, survey.beam(source)[0])), inward
+                 for row in QTable.read(out / "streams.ecsv"))  # fmt: skip
+    motion = bool(moved(rows, beam))
+    row = [1, motion, counts["row_right"] * motion,
+           (counts["rows"] - counts["row_right"]) * motion, counts["silent"],
+           counts["row_right"] * (not motion),
+           (counts["rows"] - counts["row_right"]) * (not motion), inward]  # fmt: skip
+    print(kind, source, len(files), *map(int, row[1:]), sep="\t", flush=True)
+    return len(files), row
 
 
 def survey_rows(args):
-    """Measure all sources, and write and print a row for each kind of images."""
+    """Measure all sources, and write a row for each kind and number of epochs."""
     import survey
 
     sources = [
@@ -109,15 +121,15 @@ def survey_rows(args):
         if args.only is None or name in args.only
     ]
     table = []
-    for kind in KINDS:
+    for kind in args.kinds:
         one = partial(measured, kind, shared=args.shared, folder=args.folder)
         with ProcessPoolExecutor(args.jobs) as pool:
             found = list(pool.map(one, sources))
-        total = [sum(c[k] for c, *_ in found) for k in ("rows", "row_right", "silent")]
-        moving, inward = (sum(f[k] for f in found) for k in (1, 2))
-        table.append([kind, len(found), moving, *total, inward])
-        print(*table[-1], sep="\t", flush=True)
-    if args.only is None:
+        for which, least, most in EPOCHS:
+            some = [row for n, row in found if least <= n < most]
+            table.append([kind, which, *np.sum(some, axis=0).astype(int)])
+            print(*table[-1], sep="\t", flush=True)
+    if args.only is None and len(args.kinds) == len(KINDS):
         write_table("streams_survey", HEADER, table)
 
 
@@ -129,11 +141,11 @@ def default(args):
     found, names = [], ("rows", "row_right", "silent", "survey", "right", "moving",
                         "agree")  # fmt: skip
     for source, rows in survey.read(args.shared / TABLE).items():
-        for path in (args.folder / "sources" / source).rglob("components.ecsv"):
+        for path in (args.folder / "sources" / source).rglob("streams.ecsv"):
             counts, *_ = score.score(rows, path.parent, survey.beam(source)[0])
             motion = bool(moved(rows, survey.beam(source)[0]))
             found.append([1, motion, *(counts[name] for name in names)])
-    header = [*HEADER[1:-1], *FEATURES]
+    header = [*DEFAULT, *FEATURES]
     total = np.sum(found, axis=0).tolist()
     print(*map("{}: {}".format, header, total), sep=", ")
     write_table("streams_default", header, [total])
