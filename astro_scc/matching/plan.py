@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
-from scipy import signal
+from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from astro_scc.alignment.registration import MISALIGNED
@@ -502,9 +502,8 @@ def structure_size(cube):
         image = np.ma.masked_invalid(np.ma.masked_array(*parts, dtype=float))
         image = (image - np.ma.median(image)).filled(0.0)
         image -= gaussian_filter(image, BACKGROUND)
-        around = signal.correlate(image, image, method="fft")
-        ny, nx = image.shape
-        total += around[ny - 1 : ny - 1 + n, nx - 1 : nx - 1 + n]
+        power = np.abs(fft.rfft2(image, np.array(image.shape) + n - 1)) ** 2
+        total += fft.irfft2(power, np.array(image.shape) + n - 1)[:n, :n]
     lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
     profile = (np.bincount(lag, total.ravel()) / np.bincount(lag))[:n]
     if not 0 < profile[2] < profile[1]:
