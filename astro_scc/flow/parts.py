@@ -15,8 +15,6 @@ from astro_scc.spectrum.planes import FlowPlanes
 
 #: Part of the fastest speed of the search that is not known to be slower.
 TOP = 0.99
-#: Part of the variances that keeps their matrix apart from singular ones.
-RIDGE = 1e-6
 #: Errors of differences of scales are too small by this factor in simulated jets.
 DIFFERENCES = 1.5
 
@@ -213,10 +211,11 @@ def difference(first, second):
 
 def slope_of(parts):
     """
-    Return the slope of speeds with distance by generalised least squares.
+    Return the slope of speeds with distance by weighted least squares.
 
-    Speeds that scatter by more than their errors about the line, as where two streams
-    are seen as one, enlarge the error of the slope.
+    Weights are the inverse variances; the error follows from the whole covariance,
+    which is not inverted, as it has few clusters.  Speeds that scatter by more than
+    their errors about the line, as where two streams are seen as one, enlarge it.
 
     Parameters
     ----------
@@ -234,15 +233,15 @@ def slope_of(parts):
     if number < 3:
         return np.nan, np.nan, np.nan, np.nan, number
     square = parts.covariance[np.ix_(use, use)]
-    inverse = np.linalg.inv(square + RIDGE * np.diag(np.diag(square)))
-    x, y = parts.place[use], parts.speed[use]
-    centre = float(np.average(x, weights=1 / np.diag(square)))
+    x, y, weight = parts.place[use], parts.speed[use], 1 / np.diag(square)
+    centre = float(np.average(x, weights=weight))
     design = np.stack([np.ones(number), x - centre], axis=1)
-    covariance = np.linalg.inv(design.T @ inverse @ design)
-    best = covariance @ design.T @ inverse @ y
-    left = y - design @ best
-    scatter = max(left @ inverse @ left / (number - 2), 1.0)
-    return centre, *best.tolist(), float(np.sqrt(scatter * covariance[1, 1])), number
+    gain = np.linalg.solve(design.T @ (weight[:, None] * design), design.T * weight)
+    speed, slope = gain @ y
+    rest = np.eye(number) - design @ gain
+    scatter = weight @ (rest @ y) ** 2 / (weight @ np.diag(rest @ square @ rest.T))
+    error = np.sqrt(max(scatter, 1.0) * (gain @ square @ gain.T)[1, 1])
+    return centre, float(speed), float(slope), float(error), number
 
 
 def two_sided(sigma):

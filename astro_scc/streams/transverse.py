@@ -33,8 +33,8 @@ def transverse_speed(sheet, aside, speed):
     Returns
     -------
     speed, error : float
-        In beams/yr, the error from the deletion of epochs; 0 and NaN if nothing is
-        known.
+        In beams/yr, the error from the deletion of epochs; 0 and NaN if it is not
+        known to the speed along the grid.
     """
     if len(sheet) < 3:
         return 0.0, np.nan
@@ -68,4 +68,6 @@ def transverse_speed(sheet, aside, speed):
     found, *left = ratio / parts
     n = len(left)
     error = np.sqrt((n - 1) / n * ((left - np.mean(left)) ** 2).sum())
+    if not error < abs(speed):
+        return 0.0, np.nan
     return float(found), float(np.hypot(error, LEAST_ERROR * abs(speed)))
