@@ -24,7 +24,7 @@ _FOLDERS = frozenset(
     """
     alignment components correlation decomposition epochs expansion features flow grid
     images kinematics matching measurement paper products recovery report simulation
-    spectrum streams tracking visualization
+    spectrum streams visualization
     """.split()
 )
 

@@ -33,7 +33,6 @@ from astro_scc import (
     report,
     settings,
     simulation,
-    tracking,
 )
 from astro_scc.matching import DecomposedEpochs, MatchedEpochs
 from astro_scc.measurement import SCCResult
@@ -100,11 +99,7 @@ def profile(
     return bins.components_in_c(redshift=0.1)
 
 
-def track(cube: EpochCube, decomposed: DecomposedEpochs) -> features.Features:
-    tracker = tracking.FeatureTracker(max_speed="2 mas/yr", position_angle="radial")
-    found = tracker(cube, decomposed.decompositions)
-    assert_type(tracker.link(cube, decomposed.decompositions).source, np.ndarray)
-    assert_type(found.table, QTable)
+def track(cube: EpochCube) -> features.Features:
     features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
 
