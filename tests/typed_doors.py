@@ -34,8 +34,9 @@ from astro_scc import (
     settings,
     simulation,
 )
-from astro_scc.matching import DecomposedEpochs, MatchedEpochs
+from astro_scc.matching import MatchedEpochs
 from astro_scc.measurement import SCCResult
+from astro_scc.patterns import DecomposedEpochs
 
 MAS_PER_YEAR = u.mas / u.yr
 
@@ -165,8 +166,6 @@ def read_results(
     assert_type(result.velocity_map("z_score"), NDData)
     result.write("result.fits")
     assert_type(SCCResult.read("result.fits"), SCCResult)
-    matched.write("matches.fits")
-    inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
-    regions = products.ssp_regions(inner.ssps, cube, 0, frame="epoch")
+    regions = products.ssp_regions(matched.ssps, cube, 0, frame="epoch")
     regions.write("ssps.reg")
     return products.write_products(result, result.streams, "out")
