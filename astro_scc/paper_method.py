@@ -99,7 +99,7 @@ class PaperMeasurement(VelocityMaps):
     @property
     def grid(self) -> VelocityMap:
         """The velocities of the maps, in mas/yr."""
-        return self.stack.map
+        return self.stack.velocities
 
     @property
     def level(self) -> float:

@@ -91,7 +91,7 @@ class PaperStack:
 
     Attributes
     ----------
-    map : ``VelocityMap``
+    velocities : ``VelocityMap``
         The stack, of Eq. 6 of the paper, and its z-score among the stacks of permuted
         epochs, zero where no trial has a correlation.
     trial_z : `~numpy.ndarray`, shape (n_trials,)
@@ -102,7 +102,7 @@ class PaperStack:
         Number of SSPs, the denominator of the stack where weights are one.
     """
 
-    map: VelocityMap
+    velocities: VelocityMap
     trial_z: np.ndarray
     components: tuple[PaperComponent, ...]
     n_ssp: int
@@ -151,7 +151,7 @@ def stack_patterns(
     Raises
     ------
     ValueError
-        If the orders are not permutations of the epochs.
+        If the orders are not two or more permutations of the epochs.
 
     Examples
     --------
@@ -182,8 +182,9 @@ def stack_patterns(
     [5]
     """
     orders, n = np.asarray(orders), pairs.n_dates
-    if not np.array_equal(np.sort(orders), np.tile(np.arange(n), (len(orders), 1))):
-        raise ValueError(f"orders must be permutations of {n} epochs")
+    every = np.tile(np.arange(n), (len(orders), 1))
+    if len(orders) < 2 or not np.array_equal(np.sort(orders), every):
+        raise ValueError(f"orders must be two or more permutations of {n} epochs")
     fwhm, max_speed = np.broadcast_to(fwhm, 2), np.broadcast_to(max_speed, 2)
     axes = _axes(displacements, pairs, max_speed)
     shifts = shift_beams * fwhm * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -210,8 +211,8 @@ def stack_patterns(
         for c in peaks[:1] + strong
     )
     number = int(displacements.n_ssps[np.unique(pairs.first)].sum())
-    found = VelocityMap(*axes, coefficient, z_score)
-    return PaperStack(found, trial_z, components, number)
+    velocities = VelocityMap(*axes, coefficient, z_score)
+    return PaperStack(velocities, trial_z, components, number)
 
 
 def _axes(displacements, pairs, max_speed):
