@@ -17,18 +17,6 @@ VARIANCE_FLOOR = 5e-15
 FLAT = 1e-14
 
 
-def fft_shape(shape, search_radius):
-    """
-    Return the shape of the transforms of a template.
-
-    Circular correlation is exact at displacements where the template does not wrap.
-    """
-    return tuple(
-        fft.next_fast_len(int(n + 2 * r), real=True)
-        for n, r in zip(shape, search_radius, strict=True)
-    )
-
-
 class Overlap(NamedTuple):
     """The effect of missing pixels on a template, at each displacement."""
 
@@ -66,7 +54,10 @@ class Template:
         self.window_shape = tuple(
             n + 2 * r for n, r in zip(footprint.shape, search_radius, strict=True)
         )
-        self.fft_shape = fft_shape(footprint.shape, search_radius)
+        # Circular correlation is exact at displacements where nothing wraps.
+        self.fft_shape = tuple(
+            fft.next_fast_len(int(n), real=True) for n in self.window_shape
+        )
 
     @cached_property
     def _transforms(self):
