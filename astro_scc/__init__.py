@@ -23,8 +23,8 @@ _PUBLIC = {
 _FOLDERS = frozenset(
     """
     alignment components correlation decomposition epochs expansion features flow grid
-    images kinematics matching measurement paper products recovery report simulation
-    spectrum streams tracking visualization
+    images kinematics matching measurement paper patterns products recovery report
+    simulation spectrum streams visualization
     """.split()
 )
 

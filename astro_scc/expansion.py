@@ -12,15 +12,15 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.kinematics import ExpansionFrame
-from astro_scc.matching import DecomposedEpochs, MatchedEpochs
-from astro_scc.matching.matched import centroids_inside
+from astro_scc.images.positions import ssp_offsets
+from astro_scc.kinematics import ExpansionFrame, SkyFrame
+from astro_scc.matching import MatchedEpochs, matched_displacements
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.axes import alignment_errors, matched_displacements
+from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
+from astro_scc.patterns import DecomposedEpochs, centroids_inside
 from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
-from astro_scc.units import PM_UNIT
 
 __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 
@@ -115,7 +115,7 @@ def fit_shell(
     dates = cube.times.mjd
     if not all(np.array_equal(dates, other.times.mjd) for other in others):
         raise ValueError("the matches of a shell must be of the same dates")
-    limit = scc.plan(cube).speed_limit(cube).to_value(PM_UNIT)
+    limit = scc.plan(cube).max_speed
     samples, first, weight = _samples_of(scc, parts, limit)
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
@@ -157,16 +157,24 @@ class Samples(NamedTuple):
 
 def _samples_of(scc, parts, limit):
     """Return velocity samples, and the earlier date and the weight of each."""
-    # Use east and north, as radial axes need the centre.
-    sky = replace(scc, position_angle=None)
-    columns = []
+    columns, least = [], scc.min_error_beams
     for k, (name, part) in enumerate(parts.items()):
-        samples, _ = matched_displacements(part, sky)
-        use, s = samples.within(scc.plan(part.cube).pairs, limit), samples.displacements
-        n, motion = np.count_nonzero(use), samples.motion
+        # Use east and north, as radial axes need the centre.
+        s = matched_displacements(part, SkyFrame(), min_error_beams=least)
+        motion = np.stack([s.d1, s.d2], axis=1)
+        position = np.stack(ssp_offsets(part.ssps, part.cube), axis=1)[s.ssp]
+        years = part.cube.years.to_value(u.yr)
+        interval = years[s.target] - years[s.reference]
+        # Those of pairs of dates, in any direction, that are slow enough.
+        pairs = scc.plan(part.cube).pairs
+        paired = np.zeros((len(years),) * 2, dtype=bool)
+        paired[pairs.first, pairs.second] = paired[pairs.second, pairs.first] = True
+        use = np.all(np.abs(motion) <= limit * np.abs(interval)[:, None], axis=1)
+        use &= paired[s.reference, s.target]
+        n = np.count_nonzero(use)
         of_each = (
-            samples.position + 0.5 * motion, motion / samples.interval[:, None],
-            np.abs(samples.interval), np.sqrt(s.s1 * s.s2), np.full(len(s), k),
+            position + 0.5 * motion, motion / interval[:, None],
+            np.abs(interval), np.sqrt(s.s1 * s.s2), np.full(len(s), k),
             part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
             np.minimum(s.reference, s.target), s.weight,
         )  # fmt: skip
@@ -367,7 +375,7 @@ def measure_expansion(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; ``max_speed`` is the speed at the radius.
-    decomposed : `~astro_scc.matching.DecomposedEpochs`
+    decomposed : `~astro_scc.patterns.DecomposedEpochs`
     centre : `~astropy.units.Quantity`, shape (2,)
         (east, north) from the reference pixel, see `fit_shell`.
     radius : `~astropy.units.Quantity`

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
@@ -14,33 +13,27 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.columns import build_table, round_to_errors
-from astro_scc.correlation import Correlator
-from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.images.beam import require_common_beam
-from astro_scc.images.positions import beam_fwhm, name_by_frame
-from astro_scc.matching.matched import (
+from astro_scc.images.positions import name_by_frame
+from astro_scc.matching import (
     MatchedEpochs,
-    allow_for_structure,
-    centroids_inside,
-    decompose_epochs,
+    SearchPlan,
+    match_epochs,
+    matched_displacements,
 )
-from astro_scc.matching.plan import flow_direction, pairs_of_dates, scale_numbers
-from astro_scc.measurement.axes import matched_displacements
+from astro_scc.measurement.axes import velocity_frame
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
-from astro_scc.paper import (
-    draw_orders,
-    image_pairs,
-    stack_patterns,
-)
+from astro_scc.paper import draw_orders, image_pairs, stack_patterns
 from astro_scc.paper.components import PaperStack
-from astro_scc.paper.stack import VelocityGrid
-from astro_scc.parallel import workers_of
+from astro_scc.patterns import empty_region
+from astro_scc.plan import each_fwhm, flow_direction
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
 from astro_scc.settings import MeasurementSettings, require
-from astro_scc.units import PM_UNIT, in_speed_unit
+from astro_scc.spectrum.maps import VelocityMap
+from astro_scc.units import in_speed_unit
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
@@ -51,9 +44,6 @@ __all__ = ["PaperMeasurement", "measure_as_in_paper"]
 
 #: Shift of the paper's correction for small displacements, in beams.
 SMALL_SHIFT = 0.2
-#: Without a largest speed, motion of this many beams in the longest interval of a pair
-#: of epochs is searched, as in the simulated jets of the paper.
-FAR_BEAMS = 4.0
 #: A component stands still if its velocity is within this many standard errors of zero.
 STILL_SIGMA = 3.0
 
@@ -107,19 +97,9 @@ class PaperMeasurement(VelocityMaps):
         return ssp_table(self.matched)
 
     @property
-    def grid(self) -> VelocityGrid:
-        """Velocities of the maps, in mas/yr."""
-        return self.stack.grid
-
-    @property
-    def coefficient(self) -> np.ndarray:
-        """Coefficient of correlation at the velocities of ``grid``."""
-        return self.stack.coefficient
-
-    @property
-    def z_score(self) -> np.ndarray:
-        """Z-score at the velocities of ``grid``."""
-        return self.stack.z_score
+    def grid(self) -> VelocityMap:
+        """The velocities of the maps, in mas/yr."""
+        return self.stack.velocities
 
     @property
     def level(self) -> float:
@@ -247,89 +227,49 @@ def measure_as_in_paper(
     <Quantity 6. mas / yr>
     """
     n_trials = require("n_trials", n_trials)
+    _check(cube, settings)
+    rng, seed = seeded(rng)
+    generator = random_generator(rng)
+    plan = SearchPlan.of(cube, settings)
+    orders = draw_orders(plan.pairs, n_trials, generator)
+    matched = match_epochs(
+        cube, settings, plan, pairs=image_pairs(plan.pairs, orders), region=region,
+        n_workers=n_workers, progress_bar=progress_bar,
+    )  # fmt: skip
+    require_ssps(matched.ssps, plan.scales)
+    if empty := empty_region(matched, region):
+        raise ValueError(empty)
+    frame = velocity_frame(cube, settings.position_angle)
+    displacements = matched_displacements(
+        matched, frame, min_error_beams=settings.min_error_beams
+    )
+    axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
+    fwhm = each_fwhm(cube, plan.scales, axes).mean(axis=0)
+    with progress(n_trials, "Permuting", show=progress_bar) as done:
+        # The matrix products are small: threads would wait for one another.
+        with threadpool_limits(1, "blas"):
+            stack = stack_patterns(
+                displacements, plan.pairs, orders,
+                fwhm=fwhm, max_speed=plan.max_speed, rng=generator,
+                alpha=settings.alpha, progress=done,
+                shift_beams=SMALL_SHIFT * settings.small_displacement_correction,
+            )  # fmt: skip
+    meta = {
+        "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),
+        "n_ssp": stack.n_ssp, "n_pairs": len(plan.pairs),
+        "alpha": settings.alpha,
+    }  # fmt: skip
+    return PaperMeasurement(matched, frame, flow_direction(matched, frame), stack, meta)
+
+
+def _check(cube, settings):
+    """Refuse settings that are not the paper's and beams that differ."""
     if settings.outward or settings.alignment_error is not None:
         name = "outward" if settings.outward else "alignment_error"
         raise ValueError(
             f"{name} is not used by the paper's method: leave it out, or use "
             "method='spectrum'"
         )
-    rng, seed = seeded(rng)
-    generator = random_generator(rng)
     if settings.common_beam is not False:
         require_common_beam(cube)
     warn_of_misalignment(cube)
-    pairs = pairs_of_dates(cube, settings.baseline)
-    orders = draw_orders(pairs, n_trials, generator)
-    scales = scale_numbers(cube, settings.scales)
-    epochs, level = np.indices((len(cube), len(scales))).reshape(2, -1)
-    resolved = partial(beam_fwhm, cube, epochs, np.array(scales)[level])
-    fwhm = float(np.mean(resolved(np.eye(2))))
-    longest, speed = pairs.interval.max(), settings.max_speed
-    speed = FAR_BEAMS * fwhm / longest if speed is None else speed.to_value(PM_UNIT)
-    reach = _reach(cube, speed, pairs, fwhm)
-    decomposer = Decomposer(
-        scales, settings.wavelet, settings.detection, settings.segmentation,
-        settings.noise,
-    )  # fmt: skip
-    decomposer = allow_for_structure(cube, decomposer)
-    correlator = Correlator(settings.kappa, settings.target, settings.min_overlap)
-    with workers_of(n_workers) as workers:
-        decompositions = decompose_epochs(
-            cube, decomposer, n_workers=workers, progress_bar=progress_bar
-        )
-        ssps = SSPs.of_epochs(decompositions)
-        require_ssps(ssps, scales)
-        inside = None if region is None else cube.region_mask(region)
-        select = centroids_inside(ssps, cube, inside)
-        if not select.any():
-            raise ValueError(
-                f"region: no significant pattern has its centroid inside, {len(ssps)} "
-                "in the rest of the images: check where it lies, or make it larger"
-            )
-        with progress(len(cube), "Correlating", show=progress_bar) as done:
-            matches = correlator(
-                decompositions, image_pairs(pairs, orders), reach, select=select,
-                n_workers=workers, progress=done,
-            )  # fmt: skip
-    matched = MatchedEpochs(
-        cube=cube, decomposer=decomposer, ssps=ssps, select=select, matches=matches,
-        correlator=correlator, reach=reach, region=inside,
-    )  # fmt: skip
-    samples, frame = matched_displacements(matched, settings)
-    axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
-    with progress(n_trials, "Permuting", show=progress_bar) as done:
-        # The matrix products are small: threads would wait for one another.
-        with threadpool_limits(1, "blas"):
-            stack = stack_patterns(
-                samples.displacements, pairs, orders,
-                fwhm=resolved(axes).mean(axis=0), max_speed=speed, rng=generator,
-                alpha=settings.alpha, correlated=matches.pairs, progress=done,
-                shift_beams=SMALL_SHIFT * settings.small_displacement_correction,
-            )  # fmt: skip
-    meta = {
-        "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),
-        "n_ssp": stack.n_ssp, "n_pairs": len(pairs),
-        "alpha": settings.alpha,
-    }  # fmt: skip
-    return PaperMeasurement(matched, frame, flow_direction(matched, frame), stack, meta)
-
-
-def _reach(cube, speed, pairs, fwhm):
-    """
-    Return the largest displacement to correlate, along (y, x) in pixels.
-
-    A trial can put two images at the dates that are farthest apart.  Matches beyond
-    the largest speed still reach into the map, by a beam at most.
-    """
-    side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
-    least, most = speed * pairs.interval.min(), speed * pairs.interval.max()
-    image = np.hypot(*(side * shape[::-1]))
-    if least > image or most < 0.01 * side.min():
-        other = "smaller" if least > image else "larger"
-        raise ValueError(
-            f"max_speed moves {least:.3g} to {most:.3g} mas between two dates, in "
-            f"images of {image:.3g} mas with pixels of {side.min():.3g} mas: give a "
-            f"{other} one"
-        )
-    reach = np.ceil((most + fwhm) / side).astype(int)[::-1]
-    return tuple(np.minimum(reach, shape - 1).tolist())

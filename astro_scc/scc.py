@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
@@ -13,20 +12,27 @@ from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
 from astro_scc.alignment.registration import warn_of_misalignment
-from astro_scc.correlation import Correlator
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame
-from astro_scc.matching import DecomposedEpochs, MatchedEpochs, SearchPlan
-from astro_scc.matching.matched import (
-    allow_for_structure,
-    find_patterns,
-    match_epochs,
+from astro_scc.matching import MatchedEpochs, SearchPlan, match_epochs
+from astro_scc.measurement import SCCResult
+from astro_scc.measurement.axes import (
+    alignment_errors,
+    velocity_frame,
 )
-from astro_scc.matching.plan import (
+from astro_scc.measurement.parts import parts_of
+from astro_scc.patterns import (
+    DecomposedEpochs,
+    allow_for_structure,
+    decompose_epochs,
+    empty_region,
+    gather_patterns,
+)
+from astro_scc.plan import (
     choose_direction,
     flow_beam,
     flow_direction,
@@ -34,12 +40,6 @@ from astro_scc.matching.plan import (
     pairs_of_dates,
     scale_numbers,
 )
-from astro_scc.measurement import SCCResult
-from astro_scc.measurement.axes import (
-    alignment_errors,
-    velocity_frame,
-)
-from astro_scc.measurement.parts import parts_of
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
 from astro_scc.settings import (
@@ -220,7 +220,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.matching.DecomposedEpochs`
+        `~astro_scc.patterns.DecomposedEpochs`
 
         Raises
         ------
@@ -237,8 +237,13 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         self._check(cube)
         decomposer = self.decomposer(cube)
-        how = {"n_workers": n_workers, "progress_bar": progress_bar}
-        return find_patterns(cube, decomposer, region=region, **how)
+        decompositions = decompose_epochs(
+            cube, decomposer, n_workers=n_workers, progress_bar=progress_bar
+        )
+        found = gather_patterns(cube, decomposer, decompositions, region=region)
+        if empty := empty_region(found, region):
+            warn(empty, MeasurementWarning)
+        return found
 
     def _check(self, cube):
         """Refuse what is no cube and beams that differ, warn of misalignment."""
@@ -253,7 +258,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def match(
         self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
-        cache: Path | str | None = None, progress_bar: bool = False,
+        progress_bar: bool = False,
     ) -> MatchedEpochs:  # fmt: skip
         """
         Decompose the epochs and correlate each SSP with all other epochs.
@@ -269,10 +274,6 @@ class StackedCrossCorrelation(MeasurementSettings):
         n_workers : int, str or `dask.distributed.Client`, optional
             Number of processes, or a Dask scheduler, given by its address or a
             client.  The results do not depend on it.
-        cache : path, optional
-            FITS file or folder in which matches are kept.  Matches of the same
-            images, settings and versions are read instead of computed, others
-            are ignored.
         progress_bar : bool, optional
             Show the progress on standard error.
 
@@ -290,17 +291,18 @@ class StackedCrossCorrelation(MeasurementSettings):
         Warns
         -----
         `~astro_scc.exceptions.MeasurementWarning`
-            If the file ``cache`` exists but cannot be used, no SSP lies in the
-            region, structure fills the images, or the alignment of the epochs
-            scatters by 0.2 beams or more.
+            If no SSP lies in the region, structure fills the images, the alignment
+            of the epochs scatters by 0.2 beams or more, or ``max_speed`` moves by more
+            than half the image.
         """
         self._check(cube)
-        plan = self.plan(cube)
-        decomposer = allow_for_structure(cube, self._decomposer(plan.scales))
-        correlator = Correlator(self.kappa, self.target, self.min_overlap)
-        how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
-        work = cube, decomposer, correlator, plan.reach(cube)
-        return match_epochs(*work, region=region, **how)
+        found = match_epochs(
+            cube, self, self.plan(cube), region=region, n_workers=n_workers,
+            progress_bar=progress_bar,
+        )  # fmt: skip
+        if empty := empty_region(found, region):
+            warn(empty, MeasurementWarning)
+        return found
 
     def flow(
         self, decomposed: DecomposedEpochs
@@ -310,7 +312,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Parameters
         ----------
-        decomposed : `~astro_scc.matching.DecomposedEpochs`
+        decomposed : `~astro_scc.patterns.DecomposedEpochs`
 
         Returns
         -------
@@ -344,7 +346,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Parameters
         ----------
-        decomposed : `~astro_scc.matching.DecomposedEpochs`
+        decomposed : `~astro_scc.patterns.DecomposedEpochs`
         n_trials : int, optional
             Number of permutations of the innovations of the epochs.
         rng : None, int or `~numpy.random.Generator`, optional

@@ -136,23 +136,6 @@ def displacements(result):
     return Sample.of(parts)
 
 
-def tracked(cube):
-    """Return velocities of features from one epoch of a track to the next."""
-    from astro_scc.decomposition import Decomposer, SSPs
-    from astro_scc.features.tracks import chains
-    from astro_scc.tracking import FeatureTracker
-
-    decompose = Decomposer(scales=(1, 2, 3))
-    tracker = FeatureTracker(max_speed=LARGEST * pixel_an_epoch(cube))
-    decompositions = [decompose(image) for image in cube.data]
-    ssps = SSPs.of_epochs(decompositions)
-    found, parts = tracker.link(cube, decompositions), []
-    for own in chains(found.source, found.target, len(ssps)):
-        if len(own) >= 3:
-            parts += links(ssps.epoch[own], ssps.x[own], ssps.y[own])
-    return None, Sample.of(parts)
-
-
 def links(epoch, x, y):
     """Return (pair, x, y, along, across) from each epoch of a track to the next."""
     gap = np.diff(epoch)
@@ -300,8 +283,6 @@ def flct(cube, *, sigma, kr):
 PACKAGES = (
     Package("astro_scc, streams", "astro_scc", "BSD-3-Clause", streams,
             about="scales 1 to 3, 1000 trials"),
-    Package("astro_scc, tracks", "astro_scc", "BSD-3-Clause", tracked,
-            about="scales 1 to 3"),
     Package(
         "astro_scc, align", "astro_scc", "BSD-3-Clause", aligned,
         cases=("the whole image",), about="align('correlate')",

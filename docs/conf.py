@@ -45,7 +45,7 @@ nitpick_ignore_regex = [
     # Parts of what public functions return, explained where it is returned, and types.
     (
         "py:class",
-        r"astro_scc\.(paper|spectrum|grid|stacking|streams|tracking|settings|epochs|images|matching|measurement|kinematics)"
+        r"astro_scc\.(paper|spectrum|grid|streams|settings|epochs|images|matching|patterns|measurement|kinematics)"
         r"\..*|tuple\[.*|dict\[.*|list\[.*",
     ),
     ("py:obj", "astro_scc"),

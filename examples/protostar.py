@@ -13,7 +13,7 @@ from common import brief, run
 from regions import PixCoord, RectanglePixelRegion
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.tracking import FeatureTracker
+from astro_scc.features import find_features
 
 DATES = [
     "2002-02-05",
@@ -77,18 +77,13 @@ def measure(n_trials=200):
     result = scc(cube, region=strip, n_trials=n_trials, rng=1)
     stream = result.components[0]
 
-    three = cube[:3]
-    decompose = scc.decomposer(three)
-    tracker = FeatureTracker(
-        position_angle=270 * u.deg, along=[-50, 400] * u.mas / u.yr,
-        across=[-100, 100] * u.mas / u.yr,
-    )  # fmt: skip
-    features = tracker(three, [decompose(image) for image in three.data]).table
-    single = features["pm"][np.abs(features["dec_offset"]) < WIDTH / 2 * PIXEL]
+    four = cube[:4]
+    patterns = scc.decompose(four, region=strip).ssps
+    single = find_features(four, ssps=patterns, region=strip).table["pm"]
     error = single.std(ddof=1) / len(single) ** 0.5
     table = QTable({
         "method": ["streams", "features"],
-        "n_epochs": [len(cube), len(three)],
+        "n_epochs": [len(cube), len(four)],
         "n_features": [stream["n_features"], len(single)],
         "pm": u.Quantity([stream["pm"], single.mean()]),
         "pm_err": u.Quantity([stream["pm_err"], error]),

@@ -33,10 +33,10 @@ from astro_scc import (
     report,
     settings,
     simulation,
-    tracking,
 )
-from astro_scc.matching import DecomposedEpochs, MatchedEpochs
+from astro_scc.matching import MatchedEpochs
 from astro_scc.measurement import SCCResult
+from astro_scc.patterns import DecomposedEpochs
 
 MAS_PER_YEAR = u.mas / u.yr
 
@@ -100,11 +100,7 @@ def profile(
     return bins.components_in_c(redshift=0.1)
 
 
-def track(cube: EpochCube, decomposed: DecomposedEpochs) -> features.Features:
-    tracker = tracking.FeatureTracker(max_speed="2 mas/yr", position_angle="radial")
-    found = tracker(cube, decomposed.decompositions)
-    assert_type(tracker.link(cube, decomposed.decompositions).source, np.ndarray)
-    assert_type(found.table, QTable)
+def track(cube: EpochCube) -> features.Features:
     features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
 
@@ -170,8 +166,6 @@ def read_results(
     assert_type(result.velocity_map("z_score"), NDData)
     result.write("result.fits")
     assert_type(SCCResult.read("result.fits"), SCCResult)
-    matched.write("matches.fits")
-    inner = matching.select_ssps(matched, r_max=8 * u.mas, scales=[1, 2])
-    regions = products.ssp_regions(inner.ssps, cube, 0, frame="epoch")
+    regions = products.ssp_regions(matched.ssps, cube, 0, frame="epoch")
     regions.write("ssps.reg")
     return products.write_products(result, result.streams, "out")

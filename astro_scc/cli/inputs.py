@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc import plan
 from astro_scc.epochs import EpochCube
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.grid import refuse_pixels
 from astro_scc.images.headers import first_line
-from astro_scc.matching import plan
 from astro_scc.products.publication import published_positions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config

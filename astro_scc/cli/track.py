@@ -10,7 +10,7 @@ from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
-from astro_scc.matching.matched import decompose_epochs
+from astro_scc.patterns import decompose_epochs
 from astro_scc.products.folder import product_folder, write_files, write_tables
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report.answer import feature_lines, published_lines, speed_lines

@@ -17,18 +17,6 @@ VARIANCE_FLOOR = 5e-15
 FLAT = 1e-14
 
 
-def fft_shape(shape, search_radius):
-    """
-    Return the shape of the transforms of a template.
-
-    Circular correlation is exact at displacements where the template does not wrap.
-    """
-    return tuple(
-        fft.next_fast_len(int(n + 2 * r), real=True)
-        for n, r in zip(shape, search_radius, strict=True)
-    )
-
-
 class Overlap(NamedTuple):
     """The effect of missing pixels on a template, at each displacement."""
 
@@ -55,10 +43,10 @@ class Template:
     """
 
     def __init__(self, values, footprint, search_radius):
-        own = values[footprint].astype(float)
-        deviation, self.n_pixels = own - own.mean(), len(own)
+        inside = values[footprint].astype(float)
+        deviation, self.n_pixels = inside - inside.mean(), len(inside)
         self.energy, self.values = 0.0, np.zeros(footprint.shape)
-        if np.abs(deviation).max() > FLAT * np.abs(own).max():
+        if np.abs(deviation).max() > FLAT * np.abs(inside).max():
             self.energy = float((deviation**2).sum())
             self.values[footprint] = deviation / self.energy**0.5
         self.footprint = footprint.astype(float)
@@ -66,7 +54,10 @@ class Template:
         self.window_shape = tuple(
             n + 2 * r for n, r in zip(footprint.shape, search_radius, strict=True)
         )
-        self.fft_shape = fft_shape(footprint.shape, search_radius)
+        # Circular correlation is exact at displacements where nothing wraps.
+        self.fft_shape = tuple(
+            fft.next_fast_len(int(n), real=True) for n in self.window_shape
+        )
 
     @cached_property
     def _transforms(self):
@@ -89,15 +80,15 @@ class Template:
         some = np.maximum(number, 1.0)
         own_mean = self._correlate(valid_fft, values_fft)
         squares_fft = np.conj(fft.rfft2(self.values**2, self.fft_shape))
-        own = self._correlate(valid_fft, squares_fft) - own_mean**2 / some
-        flat = own <= VARIANCE_FLOOR
+        variance = self._correlate(valid_fft, squares_fft) - own_mean**2 / some
+        flat = variance <= VARIANCE_FLOOR
         share = number / self.n_pixels
         return Overlap(
             share=share,
             unjudged=share < min_overlap,
             ratio=self.n_pixels / some,
             own_mean=own_mean * self.n_pixels**0.5 / some,
-            scale=np.where(flat, 0.0, np.where(flat, 1.0, own) ** -0.5),
+            scale=np.where(flat, 0.0, np.where(flat, 1.0, variance) ** -0.5),
         )
 
     def of_windows(self, windows, overlap=None):

@@ -30,12 +30,11 @@ from astro_scc.flow.speeds import check_groups, feature_distances, flow_by_scale
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
-from astro_scc.matching import DecomposedEpochs
-from astro_scc.matching.matched import ssp_distances
-from astro_scc.matching.plan import flow_direction, scale_numbers
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
+from astro_scc.patterns import DecomposedEpochs, ssp_distances
+from astro_scc.plan import flow_direction, scale_numbers
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
@@ -246,7 +245,7 @@ def measure_profile(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings.
-    decomposed : `~astro_scc.matching.DecomposedEpochs` or cube
+    decomposed : `~astro_scc.patterns.DecomposedEpochs` or cube
         The result of ``scc.decompose(cube)``, or a cube, which is decomposed first.
     edges : `~astropy.units.Quantity` or str, shape (n + 1,)
         Limits of the bins: increasing angles, none negative.
@@ -463,7 +462,7 @@ def ssp_angles(decomposed, jet):
 
     Parameters
     ----------
-    decomposed : `~astro_scc.matching.DecomposedEpochs`
+    decomposed : `~astro_scc.patterns.DecomposedEpochs`
     jet : `~astropy.units.Quantity`
         Direction of the jet.
 

@@ -22,8 +22,8 @@ from astro_scc.epochs.serialize import read_object, write_object
 from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
 from astro_scc.images.positions import name_by_frame
-from astro_scc.matching.matched import DecomposedEpochs
 from astro_scc.measurement import tables
+from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.finder import StreamSearch
@@ -55,7 +55,7 @@ class SCCResult(tables.VelocityMaps):
 
     Attributes
     ----------
-    decomposed : `~astro_scc.matching.DecomposedEpochs`
+    decomposed : `~astro_scc.patterns.DecomposedEpochs`
     search : ``StreamSearch``
         The streams, the velocity spectrum and the test for motion.
     position_angle : `~astropy.units.Quantity`
@@ -159,16 +159,6 @@ class SCCResult(tables.VelocityMaps):
     def grid(self) -> VelocityMap:
         """The velocities of the velocity map, in mas/yr."""
         return self.search.velocities
-
-    @property
-    def coefficient(self) -> np.ndarray:
-        """The velocity map: mean correlation along the ray of each velocity."""
-        return self.search.velocities.coefficient
-
-    @property
-    def z_score(self) -> np.ndarray:
-        """The velocity map in standard deviations of permuted epochs."""
-        return self.search.velocities.z_score
 
     @cached_property
     def ssps(self) -> QTable:

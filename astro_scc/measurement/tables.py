@@ -110,7 +110,17 @@ class Components:
 
 
 class VelocityMaps(Components):
-    """A measurement with maps of velocities on the axes of a frame."""
+    """A measurement with maps of velocities, its ``grid``, on the axes of a frame."""
+
+    @property
+    def coefficient(self: Any) -> np.ndarray:
+        """The velocity map: the coefficient of correlation at each velocity."""
+        return self.grid.coefficient
+
+    @property
+    def z_score(self: Any) -> np.ndarray:
+        """The velocity map in standard deviations of permuted epochs."""
+        return self.grid.z_score
 
     def velocity_map(self: Any, which: str = "coefficient") -> NDData:
         """
@@ -383,7 +393,7 @@ def ssp_table(decomposed):
 
     Parameters
     ----------
-    decomposed : `~astro_scc.matching.DecomposedEpochs`
+    decomposed : `~astro_scc.patterns.DecomposedEpochs`
 
     Returns
     -------

@@ -15,8 +15,14 @@ from astro_scc.paper.peaks import (
     jitter_positions,
     normal_probability,
 )
-from astro_scc.paper.stack import Displacements, Stacker, VelocityGrid
-from astro_scc.paper.trials import DatePairs, image_pairs
+from astro_scc.paper.stack import (
+    Displacements,
+    match_velocities,
+    stack_matches,
+    velocity_axes,
+)
+from astro_scc.paper.trials import DatePairs
+from astro_scc.spectrum.maps import VelocityMap
 
 #: Spacing of the velocity grid in units of the narrowest kernel; and grid points on
 #: either side of zero where there are no matches.
@@ -85,14 +91,9 @@ class PaperStack:
 
     Attributes
     ----------
-    grid : ``VelocityGrid``
-    pairs : ``DatePairs``
-    coefficient : `~numpy.ndarray`, shape ``grid.shape``
-        The stack, of Eq. 6 of the paper.
-    mean, std : `~numpy.ndarray`, shape ``grid.shape``
-        Mean and standard deviation of the stacks of permuted epochs.
-    z_score : `~numpy.ndarray`, shape ``grid.shape``
-        ``(coefficient - mean) / std``, zero where no trial has a correlation.
+    velocities : ``VelocityMap``
+        The stack, of Eq. 6 of the paper, and its z-score among the stacks of permuted
+        epochs, zero where no trial has a correlation.
     trial_z : `~numpy.ndarray`, shape (n_trials,)
         The largest z-score of each trial among all the others and the observed order.
     components : tuple of ``PaperComponent``
@@ -101,12 +102,7 @@ class PaperStack:
         Number of SSPs, the denominator of the stack where weights are one.
     """
 
-    grid: VelocityGrid
-    pairs: DatePairs
-    coefficient: np.ndarray
-    mean: np.ndarray
-    std: np.ndarray
-    z_score: np.ndarray
+    velocities: VelocityMap
     trial_z: np.ndarray
     components: tuple[PaperComponent, ...]
     n_ssp: int
@@ -119,7 +115,7 @@ class PaperStack:
 def stack_patterns(
     displacements: Displacements, pairs: DatePairs, orders: ArrayLike, *,
     fwhm: ArrayLike, max_speed: ArrayLike, rng: np.random.Generator,
-    alpha: float = 0.01, shift_beams: float = 0.0, correlated: ArrayLike | None = None,
+    alpha: float = 0.01, shift_beams: float = 0.0,
     progress: Callable[[int], Any] | None = None,
 ) -> PaperStack:  # fmt: skip
     """
@@ -145,9 +141,6 @@ def stack_patterns(
         Shift of the images of a trial, in beams, along each axis and in each direction
         in turn.  A fifth is the paper's correction for small displacements, at which
         permuted epochs of standing structure correlate as well.
-    correlated : array_like of int, shape (n, 2), optional
-        Ordered pairs of images that were correlated; if given, it is checked that none
-        is missing.
     progress : callable, optional
         Called with 1 for each order that was stacked.
 
@@ -158,7 +151,7 @@ def stack_patterns(
     Raises
     ------
     ValueError
-        If an argument is not as described.
+        If the orders are not two or more permutations of the epochs.
 
     Examples
     --------
@@ -184,88 +177,56 @@ def stack_patterns(
     ...     target_ssp=-np.ones(len(matches), dtype=int),
     ...     n_ssps=np.bincount(ssps.epoch, minlength=len(cube)))
     >>> found = stack_patterns(
-    ...     displacements, pairs, orders, fwhm=10.0, max_speed=30.0, rng=rng,
-    ...     correlated=matches.pairs)
+    ...     displacements, pairs, orders, fwhm=10.0, max_speed=30.0, rng=rng)
     >>> [round(component.v1) for component in found.components[:1]]
     [5]
     """
-    orders = np.asarray(orders)
-    fwhm, max_speed = _checked(displacements, pairs, orders, fwhm, max_speed)
-    if correlated is not None:
-        _require_pairs(pairs, orders, np.asarray(correlated))
-    stacker = Stacker(displacements, pairs)
-    grid = _grid(displacements, pairs, max_speed)
+    orders, n = np.asarray(orders), pairs.n_dates
+    every = np.tile(np.arange(n), (len(orders), 1))
+    if len(orders) < 2 or not np.array_equal(np.sort(orders), every):
+        raise ValueError(f"orders must be two or more permutations of {n} epochs")
+    fwhm, max_speed = np.broadcast_to(fwhm, 2), np.broadcast_to(max_speed, 2)
+    axes = _axes(displacements, pairs, max_speed)
     shifts = shift_beams * fwhm * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     # Single precision halves the time; ties of equal orders stay ties.
-    stacks = np.empty((len(orders) + 1, *grid.shape), dtype=np.float32)
-    stacks[0] = stacker.stack(grid, kind=np.float32)
+    stacks = np.empty((len(orders) + 1, *map(len, axes[::-1])), dtype=np.float32)
+    stacks[0] = stack_matches(displacements, pairs, axes, kind=np.float32)
     for k, order in enumerate(orders):
-        shift = shifts[k % 4]
-        stacks[k + 1] = stacker.stack(grid, order=order, shift=shift, kind=np.float32)
+        stacks[k + 1] = stack_matches(
+            displacements, pairs, axes, order=order, shift=shifts[k % 4],
+            kind=np.float32,
+        )  # fmt: skip
         if progress is not None:
             progress(1)
-    mean, std, z_score, trial_z = _significance(stacks)
+    z_score, trial_z = _significance(stacks)
     box = tuple(fwhm / np.average(pairs.interval, weights=pairs.weight))
-    coefficient = stacker.stack(grid)
-    peaks = find_velocity_peaks(coefficient, grid, box)
+    coefficient = stack_matches(displacements, pairs, axes)
+    peaks = find_velocity_peaks(coefficient, axes, box)
     peaks.sort(key=lambda c: -z_score[c.row, c.column])
     noise = np.quantile(trial_z, 1 - MOST_NOISE)
     strong = [c for c in peaks[1:] if z_score[c.row, c.column] > noise]
+    matches = match_velocities(displacements, pairs)
     components = tuple(
-        _component(stacker, c, box, z_score[c.row, c.column], trial_z, alpha, rng)
+        _component(matches, c, box, z_score[c.row, c.column], trial_z, alpha, rng)
         for c in peaks[:1] + strong
     )
     number = int(displacements.n_ssps[np.unique(pairs.first)].sum())
-    return PaperStack(
-        grid, pairs, coefficient, mean, std, z_score, trial_z, components, number
-    )
+    velocities = VelocityMap(*axes, coefficient, z_score)
+    return PaperStack(velocities, trial_z, components, number)
 
 
-def _checked(displacements, pairs, orders, fwhm, max_speed):
-    """Return beam and largest speed on both axes; refuse what does not fit together."""
-    n = pairs.n_dates
-    if len(pairs) == 0:
-        raise ValueError("no two dates make a pair: give other dates or a baseline")
-    if len(displacements.n_ssps) != n:
-        raise ValueError(
-            f"displacements are of {len(displacements.n_ssps)} epochs, pairs of {n}"
-        )
-    shape_fits = orders.ndim == 2 and orders.shape[1] == n and len(orders) >= 2
-    if not (shape_fits and np.array_equal(np.sort(orders), [range(n)] * len(orders))):
-        raise ValueError(f"orders must be two or more permutations of {n} epochs")
-    checked = []
-    for name, given in (("fwhm", fwhm), ("max_speed", max_speed)):
-        value = np.asarray(given, dtype=float)
-        fits = value.shape in ((), (1,), (2,))
-        if not (fits and np.all((value > 0) & np.isfinite(value))):
-            raise ValueError(f"{name} must be one or two numbers above 0, got {given}")
-        checked.append(np.broadcast_to(value, 2))
-    return checked
-
-
-def _require_pairs(pairs, orders, correlated):
-    """Refuse orders that need pairs of images that were not correlated."""
-    wanted = image_pairs(pairs, orders) @ [pairs.n_dates, 1]
-    missing = np.setdiff1d(wanted, correlated @ [pairs.n_dates, 1])
-    if len(missing):
-        raise ValueError(
-            f"{len(missing)} of {len(wanted)} ordered pairs of images that the orders "
-            "compare were not correlated: correlate those of image_pairs"
-        )
-
-
-def _grid(displacements, pairs, max_speed):
+def _axes(displacements, pairs, max_speed):
     rate = GRID_STEP / pairs.interval.max()
     step = max_speed / GRID_POINTS
     if len(displacements):
         narrowest = np.array([displacements.s1.min(), displacements.s2.min()])
         step = np.minimum(step, rate * narrowest)
-    return VelocityGrid.covering(max_speed, step)
+    return velocity_axes(max_speed, step)
 
 
 def _significance(stacks):
     """
-    Return mean, standard deviation and z-score of the first of many stacks.
+    Return the z-score of the first of many stacks.
 
     Each stack is compared with all others, so that under permutations the first is one
     of equals.  The largest z-score of each of the others is returned, too.
@@ -283,23 +244,24 @@ def _significance(stacks):
         std = np.sqrt(np.maximum(variance, floor**2))
         z_score = np.divide(stack - mean, std, out=np.zeros_like(std), where=std > 0)
         highest[k] = z_score.max()
-    return mean, std, z_score, highest[1:]
+    return z_score, highest[1:]
 
 
-def _component(stacker, peak, box, z_score, trial_z, alpha, rng):
+def _component(matches, peak, box, z_score, trial_z, alpha, rng):
     """Return a maximum with its significance, errors, and matches."""
     n_trials = len(trial_z)
     # Equal orders give equal z-scores within rounding.
     larger = np.count_nonzero(trial_z >= z_score * (1 - 1e-6))
     p_global = (1 + larger) / (n_trials + 1)
-    away = jitter_positions(stacker, peak, box, n_trials, rng)
+    ends, pair, columns = matches
+    away = jitter_positions(ends, columns, peak, box, n_trials, rng)
     covariance, offset = np.full((2, 2), np.nan), np.full(2, np.nan)
     if len(away) >= 3:
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     error = np.sqrt(np.diag(covariance))
-    index, pair, (v1, v2, s1, s2, _) = stacker.velocities()
+    v1, v2, s1, s2, _ = columns
     member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= MEMBER_SIGMA
-    n_ssp = len(np.unique(stacker.displacements.ssp[index[member]]))
+    n_ssp = len(np.unique(ends[0, member]))
     return PaperComponent(
         peak.v1, peak.v2, *error.tolist(), float(covariance[0, 1] / np.prod(error)),
         peak.coefficient, float(z_score), p_global, p_global <= alpha,

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from astro_scc.correlation.zncc import find_peaks
-from astro_scc.paper.stack import REACH_SIGMA, Stacker, VelocityGrid, gaussian_sum
+from astro_scc.paper.stack import REACH_SIGMA, gaussian_sum, velocity_axes
 
 #: Fraction of a maximum that a grid point must reach to enter its fit.
 LEVEL = 0.5
@@ -27,23 +27,12 @@ class VelocityPeak:
     Attributes
     ----------
     v1, v2 : float
-        Velocity along the two axes of the grid, from the Gaussian fit or, if no
+        Velocity along the two axes, from the Gaussian fit or, if no
         Gaussian with a maximum in the box fits, from the local quadratic.
     coefficient : float
         Stacked correlation coefficient at the maximum.
     row, column : int
         Grid point of the maximum.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.paper.peaks import find_velocity_peaks
-    >>> from astro_scc.paper.stack import VelocityGrid
-    >>> grid = VelocityGrid.covering(4.0, 0.25)
-    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
-    >>> peak = find_velocity_peaks(scc, grid, (2.0, 2.0))[0]
-    >>> round(peak.v1, 1), round(peak.coefficient, 2)
-    (1.1, 1.0)
     """
 
     v1: float
@@ -95,7 +84,7 @@ def fit_gaussian(values, x, y):
 
 
 def find_velocity_peaks(
-    scc: np.ndarray, grid: VelocityGrid, box: tuple[float, float]
+    scc: np.ndarray, axes: tuple[np.ndarray, np.ndarray], box: tuple[float, float]
 ) -> list[VelocityPeak]:
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
@@ -107,8 +96,9 @@ def find_velocity_peaks(
 
     Parameters
     ----------
-    scc : `~numpy.ndarray`, shape ``grid.shape``
-    grid : `VelocityGrid`
+    scc : `~numpy.ndarray`, shape (n2, n1)
+    axes : tuple of `~numpy.ndarray`, shapes (n1,) and (n2,)
+        Velocities, evenly spaced.
     box : tuple of float
         Sides of the box along the two axes; in the paper, the beam divided by
         the interval.
@@ -122,28 +112,28 @@ def find_velocity_peaks(
     --------
     >>> import numpy as np
     >>> from astro_scc.paper.peaks import find_velocity_peaks
-    >>> from astro_scc.paper.stack import VelocityGrid
-    >>> grid = VelocityGrid.covering(4.0, 0.25)
-    >>> scc = np.exp(-((grid.v1 - 1.1) ** 2 + grid.v2[:, None] ** 2) / 2)
-    >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, grid, (2.0, 2.0))]
+    >>> v = np.linspace(-4, 4, 33)
+    >>> scc = np.exp(-((v - 1.1) ** 2 + v[:, None] ** 2) / 2)
+    >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, (v, v), (2.0, 2.0))]
     [1.1]
     """
     _, y, x, _ = find_peaks(scc[None], np.finfo(float).tiny)
     # Simple rounding may miss the grid point of a maximum.
     ends = np.stack([np.floor([y, x]), np.ceil([y, x])], axis=-1).astype(int)
     points = [max(product(*both), key=scc.__getitem__) for both in ends.swapaxes(0, 1)]
-    (step1, step2), found = grid.step, []
+    (axis1, axis2), found = axes, []
+    step1, step2 = axis1[1] - axis1[0], axis2[1] - axis2[0]
     for (row, column), py, px in zip(points, y, x, strict=True):
-        v1, v2 = float(grid.v1[0] + px * step1), float(grid.v2[0] + py * step2)
-        near1 = np.abs(grid.v1 - grid.v1[column]) <= max(box[0] / 2, 1.5 * step1)
-        near2 = np.abs(grid.v2 - grid.v2[row]) <= max(box[1] / 2, 1.5 * step2)
+        v1, v2 = float(axis1[0] + px * step1), float(axis2[0] + py * step2)
+        near1 = np.abs(axis1 - axis1[column]) <= max(box[0] / 2, 1.5 * step1)
+        near2 = np.abs(axis2 - axis2[row]) <= max(box[1] / 2, 1.5 * step2)
         part = rows, columns = np.ix_(near2, near1)
         # Grid points that are nearer to this maximum than to any other.
         apart = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in points]
-        own = (rows - row) ** 2 + (columns - column) ** 2 <= np.min(apart, axis=0)
-        use = own & (scc[part] >= LEVEL * scc[row, column])
+        nearest = (rows - row) ** 2 + (columns - column) ** 2 <= np.min(apart, axis=0)
+        use = nearest & (scc[part] >= LEVEL * scc[row, column])
         values = np.where(use, scc[part], 0.0)
-        fit = fit_gaussian(values, grid.v1[near1], grid.v2[near2])
+        fit = fit_gaussian(values, axis1[near1], axis2[near2])
         if fit is not None:
             away1, away2 = np.abs(np.subtract(fit, (v1, v2)))
             if away1 <= max(box[0] / 2, step1) and away2 <= max(box[1] / 2, step2):
@@ -153,8 +143,8 @@ def find_velocity_peaks(
 
 
 def jitter_positions(
-    stacker: Stacker, peak: VelocityPeak, box: tuple[float, float], n_trials: int,
-    rng: np.random.Generator,
+    ends: np.ndarray, columns: np.ndarray, peak: VelocityPeak,
+    box: tuple[float, float], n_trials: int, rng: np.random.Generator,
 ) -> np.ndarray:  # fmt: skip
     """
     Shift the SSPs by their position errors and find a maximum of the stack again.
@@ -165,7 +155,10 @@ def jitter_positions(
 
     Parameters
     ----------
-    stacker : ``Stacker``
+    ends : `~numpy.ndarray` of int, shape (2, k)
+        The SSP of each match, and the SSP on which it falls, or -1.
+    columns : `~numpy.ndarray`, shape (5, k)
+        See ``match_velocities``.
     peak : `VelocityPeak`
     box : tuple of float
         Sides of the box, see `find_velocity_peaks`.
@@ -178,27 +171,24 @@ def jitter_positions(
         How far the maximum lies from the formal one, along both axes, in the trials in
         which it is found.
     """
-    box, displacements = np.asarray(box, dtype=float), stacker.displacements
+    box = np.asarray(box, dtype=float)
     # Two boxes wide, so that what the fit takes from a box is inside.
-    grid = VelocityGrid.covering(box, box / (POINTS - 1))
-    index, _, columns = stacker.velocities()
+    axes = velocity_axes(box, box / (POINTS - 1))
     apart = np.abs(columns[:2] - np.array([[peak.v1], [peak.v2]]))
     near = np.all(apart < box[:, None] + REACH_SIGMA * columns[2:4], axis=0)
-    index, (v1, v2, s1, s2, weight) = index[near], columns[:, near]
+    (ssp, target), (v1, v2, s1, s2, weight) = ends[:, near], columns[:, near]
     # An SSP is one position in all its matches, at either end of a displacement; an end
     # without an SSP is a position of its own.
-    target = displacements.target_ssp[index]
     target = np.where(target < 0, -1 - np.arange(len(target)), target)
-    ends = np.stack([displacements.ssp[index], target])
-    positions, number = np.unique(ends, return_inverse=True)
-    (start, end), found = number.reshape(ends.shape), []
+    positions, number = np.unique([ssp, target], return_inverse=True)
+    (start, end), found = number.reshape(2, -1), []
     for _ in range(n_trials):
         # Each end of a displacement has half of its variance.
         unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
         moved1, moved2 = unit[:, end] - unit[:, start]
         x, y = v1 - peak.v1 + s1 * moved1, v2 - peak.v2 + s2 * moved2
-        local = gaussian_sum(x, y, s1, s2, weight, grid.v1, grid.v2)
-        maxima = np.array([(c.v1, c.v2) for c in find_velocity_peaks(local, grid, box)])
+        local = gaussian_sum(x, y, s1, s2, weight, *axes)
+        maxima = np.array([(c.v1, c.v2) for c in find_velocity_peaks(local, axes, box)])
         if len(maxima):
             away = np.abs(maxima / box)
             nearest = np.argmin((away**2).sum(axis=1))

@@ -10,7 +10,6 @@ from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.alignment.registration import misalignment, warn_of_misalignment
-from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import (
@@ -19,7 +18,6 @@ from astro_scc.simulation import (
     simulate_two_fluid,
     simulate_unrelated,
 )
-from astro_scc.tracking import FeatureTracker
 
 
 def shifted(cube, x, y=None):
@@ -151,9 +149,6 @@ def test_the_call_says_it_and_what_mends_it(unaligned):
     scc = StackedCrossCorrelation(scales=[2], max_speed=5 * u.mas / u.yr)
     with pytest.warns(MeasurementWarning, match=LINE):
         meta = scc(unaligned, n_trials=119, rng=1).components.meta
-    decompositions = [Decomposer(scales=[2])(image) for image in unaligned.data]
-    with pytest.warns(MeasurementWarning, match=LINE):
-        FeatureTracker(max_speed=5 * u.mas / u.yr)(unaligned, decompositions)
     assert meta["misalignment_beams"] == unaligned.misalignment > 0.2
     aligned = unaligned.align("core")
     with warnings.catch_warnings(action="error"):

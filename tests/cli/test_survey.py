@@ -17,7 +17,7 @@ from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_source, run_survey
 from astro_scc.cli.survey_sources import Outcome, folder_names, read_survey
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.matching.plan import choose_direction
+from astro_scc.plan import choose_direction
 from astro_scc.quantities import with_error
 from astro_scc.report.page import write_overview
 from astro_scc.simulation import simulate_two_fluid

@@ -14,7 +14,7 @@ from astro_scc.correlation import Correlator, Matches, all_pairs
 from astro_scc.correlation.correlate import (
     COLUMNS,
     TargetStack,
-    match_block,
+    match_epoch,
     target_ssps,
 )
 from astro_scc.correlation.zncc import correlate_windows, find_peaks
@@ -242,6 +242,11 @@ def sparse_epochs(seed, masked):
         yield Decomposer(scales=[1, 2])(image, mask=mask)
 
 
+def everywhere(stack, box):
+    """All displacements, by their middle and half their range."""
+    return np.zeros(2, int), stack.margin
+
+
 @settings(max_examples=4)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -255,9 +260,7 @@ def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
     select = SSPs.of_epochs(epochs).n_pixels > 8
     found = Correlator()(epochs, all_pairs(3), reach, select=select)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            TargetStack, "displacements", lambda *a: (np.zeros(2, int), np.array(a[2]))
-        )
+        patch.setattr(TargetStack, "displacements", everywhere)
         whole = Correlator()(epochs, all_pairs(3), reach, select=select)
     same(found, whole, ("ssp", "target"))
     for name in ("dy", "dx", "coefficient", "target_snr"):
@@ -344,24 +347,29 @@ def test_patterns_of_few_pixels_match_nothing(masked, matched, monkeypatch):
 
 
 @pytest.mark.parametrize("target", ["segments", "plane"])
-def test_small_blocks_and_processes_give_the_same_to_the_bit(
+def test_small_batches_and_processes_give_the_same_to_the_bit(
     masked, target, monkeypatch
 ):
-    """However few epochs a block holds, and after a pickle of each."""
     correlate, pairs, done = Correlator(target=target), all_pairs(3), []
     whole = correlate(masked, pairs, 6, progress=done.append)
-    one_each = {"BLOCK_WORK": 1, "STACK_BYTES": 1, "FEWEST_TARGETS": 1}
-    for name, value in one_each.items():
-        monkeypatch.setattr(f"astro_scc.correlation.correlate.{name}", value)
     monkeypatch.setattr("astro_scc.correlation.correlate.BATCH_PIXELS", 1)
-    blocks = list(correlate._blocks(masked, pairs, np.array([6, 6]), None))
-    assert [b.pairs.tolist() for b in blocks] == [[p] for p in pairs.tolist()]
-    parts = [match_block(pickle.loads(pickle.dumps(b)))[1] for b in blocks]
-    found = Matches.from_columns(sum(parts, []), pairs)
+    found = correlate(masked, pairs, 6, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
-    assert done == [1] * 6
+    assert done == [1] * 9
+
+
+def test_planes_go_to_other_processes_only_where_they_are_needed(masked, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        "astro_scc.correlation.correlate.match_epoch",
+        lambda work: seen.append(len(pickle.dumps(work))) or match_epoch(work),
+    )
+    for target in ("segments", "plane"):
+        Correlator(target=target)(masked, [(0, 1)], 6)
+    planes = masked[1].planes.nbytes
+    assert seen[0] < seen[1] - 0.9 * planes
 
 
 def test_only_the_pairs_and_patterns_asked_for(masked, matched):
@@ -393,7 +401,6 @@ def test_nothing_to_correlate(masked, target):
     ):
         assert len(matches) == 0
         assert matches.dx.dtype == np.float32
-        assert matches.pairs.shape[1] == 2
     assert all_pairs(0).shape == all_pairs(1).shape == (0, 2)
 
 
@@ -434,7 +441,7 @@ def jet():
 
 def test_landing_is_on_the_nearest_pattern(jet):
     matches, ssps = jet
-    assert repr(matches.select([0, 2])) == "<Matches: 2 peaks of 6 pairs of epochs>"
+    assert repr(matches.select([0, 2])) == "<Matches: 2 peaks>"
     landed = target_ssps(matches, ssps)
     assert 0.3 < np.mean(landed >= 0) < 1
     for k, own in enumerate(matches.ssp):
@@ -447,7 +454,6 @@ def test_landing_is_on_the_nearest_pattern(jet):
         )
         near = distance.min(initial=np.inf) <= scale_size(ssps.scale[own])
         assert landed[k] == (there[distance.argmin()] if near else -1)
-    nowhere = (np.arange(2), np.full(2, 3), *np.zeros((5, 2)))
-    nowhere = Matches.from_columns([nowhere], [(0, 3)])
+    nowhere = Matches(np.arange(2), np.full(2, 3), *np.zeros((5, 2)))
     assert target_ssps(nowhere, ssps).tolist() == [-1, -1]
     assert target_ssps(nowhere.select([]), ssps).shape == (0,)

@@ -17,14 +17,14 @@ from astro_scc.paper.peaks import (
     jitter_positions,
     normal_probability,
 )
-from astro_scc.paper.stack import Stacker, VelocityGrid
+from astro_scc.paper.stack import match_velocities, velocity_axes
 
-GRID = VelocityGrid.covering((10.0, 8.0), (0.5, 0.4))
+AXES = velocity_axes((10.0, 8.0), (0.5, 0.4))
 BOX = (6.0, 6.0)
 
 
-def gaussian(grid, x, y, sx, sy, angle=0.0, height=1.0):
-    u, v = grid.v1 - x, grid.v2[:, None] - y
+def gaussian(axes, x, y, sx, sy, angle=0.0, height=1.0):
+    u, v = axes[0] - x, axes[1][:, None] - y
     c, s = np.cos(angle), np.sin(angle)
     p, q = c * u + s * v, -s * u + c * v
     return height * np.exp(-0.5 * ((p / sx) ** 2 + (q / sy) ** 2))
@@ -35,9 +35,9 @@ near, width = st.floats(-0.5, 0.5), st.floats(0.8, 2.0)
 
 @given(near, near, width, width, st.floats(0, np.pi), st.floats(1e-6, 1e6))
 def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
-    grid = VelocityGrid.covering(2.0, 0.25)
-    surface = gaussian(grid, x, y, sx, sy, angle, height)
-    found = fit_gaussian(surface, grid.v1, grid.v2)
+    axes = velocity_axes(2.0, 0.25)
+    surface = gaussian(axes, x, y, sx, sy, angle, height)
+    found = fit_gaussian(surface, *axes)
     np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
 
 
@@ -78,9 +78,9 @@ def test_no_maximum_no_fit(surface):
 @pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
 def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     """Four widths and more apart; the box holds the neighbour too."""
-    scc = gaussian(GRID, -0.4, 0.3, 1.2, 1.0)
-    scc += gaussian(GRID, separation - 0.4, -0.2, 1.2, 1.0, height=second)
-    found = sorted((c.v1, c.v2) for c in find_velocity_peaks(scc, GRID, box))
+    scc = gaussian(AXES, -0.4, 0.3, 1.2, 1.0)
+    scc += gaussian(AXES, separation - 0.4, -0.2, 1.2, 1.0, height=second)
+    found = sorted((c.v1, c.v2) for c in find_velocity_peaks(scc, AXES, box))
     np.testing.assert_allclose(
         found, [(-0.4, 0.3), (separation - 0.4, -0.2)], atol=0.05
     )
@@ -88,24 +88,24 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
 
 def test_sorted_by_falling_coefficient():
     heights = {-6.0: 0.2, 0.0: 0.5, 6.0: 0.3}
-    scc = sum(gaussian(GRID, x, 0.0, 0.8, 0.8, height=h) for x, h in heights.items())
-    found = find_velocity_peaks(scc, GRID, BOX)
+    scc = sum(gaussian(AXES, x, 0.0, 0.8, 0.8, height=h) for x, h in heights.items())
+    found = find_velocity_peaks(scc, AXES, BOX)
     assert [round(c.v1) for c in found] == [0, 6, -6]
     np.testing.assert_allclose([c.coefficient for c in found], [0.5, 0.3, 0.2])
     for c in found:
-        assert max(abs(GRID.v1[c.column] - c.v1), abs(GRID.v2[c.row])) < 0.2
+        assert max(abs(AXES[0][c.column] - c.v1), abs(AXES[1][c.row])) < 0.2
         assert c.coefficient == scc[c.row, c.column]
 
 
 @pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])
 def test_a_maximum_on_the_border_is_none(place):
-    assert find_velocity_peaks(gaussian(GRID, *place, 1.0, 1.0), GRID, BOX) == []
+    assert find_velocity_peaks(gaussian(AXES, *place, 1.0, 1.0), AXES, BOX) == []
 
 
 def test_too_narrow_for_a_fit_the_quadratic_serves():
     """A kernel below the grid's spacing: fewer than six points reach half."""
-    scc = gaussian(GRID, 0.1, 0.0, 0.25, 0.2)
-    (c,) = find_velocity_peaks(scc, GRID, BOX)
+    scc = gaussian(AXES, 0.1, 0.0, 0.25, 0.2)
+    (c,) = find_velocity_peaks(scc, AXES, BOX)
     assert abs(c.v1 - 0.1) < 0.25
     assert abs(c.v2) < 0.2
 
@@ -114,12 +114,12 @@ def test_too_narrow_for_a_fit_the_quadratic_serves():
 @pytest.mark.parametrize("times", [1.0, 1.2])
 def test_a_fit_outside_the_box_is_none(aside, times, monkeypatch):
     module = sys.modules[find_velocity_peaks.__module__]
-    grid = VelocityGrid.covering(4.0, 0.25)
+    axes = velocity_axes(4.0, 0.25)
     place = times * np.array(aside)
     fit = tuple(place)
     monkeypatch.setattr(module, "fit_gaussian", lambda *args: fit)
-    scc = gaussian(grid, 0, 0, 1, 1)
-    (found,) = find_velocity_peaks(scc, grid, (1.8, 2.8))
+    scc = gaussian(axes, 0, 0, 1, 1)
+    (found,) = find_velocity_peaks(scc, axes, (1.8, 2.8))
     expected = place if times == 1 else (0, 0)
     np.testing.assert_allclose((found.v1, found.v2), expected, atol=1e-6)
 
@@ -158,8 +158,8 @@ def component(v1=1.0, v2=-0.5):
 
 
 def jitter(d, n_trials=1000, *, pairs=PAIRS, at=None, box=(3.0, 3.0), seed=0):
-    rng = np.random.default_rng(seed)
-    return jitter_positions(Stacker(d, pairs), at or component(), box, n_trials, rng)
+    rng, (ends, _, columns) = np.random.default_rng(seed), match_velocities(d, pairs)
+    return jitter_positions(ends, columns, at or component(), box, n_trials, rng)
 
 
 def expected_error(s, n, shared=0.0):

@@ -2,71 +2,11 @@
 """What was kept of other data, settings or versions is not used."""
 
 import os
-import warnings
-from dataclasses import replace
 
-import astropy.units as u
-import numpy as np
 import pytest
 
-from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli.survey import run_survey
 from astro_scc.cli.survey_sources import read_survey
-from astro_scc.exceptions import MeasurementWarning
-
-SPEED = 5 * u.mas / u.yr
-
-IMAGES = "images", "masks", "noise"
-SETTINGS = {
-    "settings of the decomposition": {"detection": 5.0},
-    "settings of the correlation": {"kappa": 0.7},
-    "largest displacement": {"max_speed": 2 * SPEED},
-}
-
-
-def changed(cube, what):
-    """A cube of which one thing is other."""
-    data, mask = cube.data.copy(), cube.mask.copy()
-    data[1, 20, 12] += 1e-6
-    mask[2, 3, 4] = True
-    fields = {
-        "images": {"data": data},
-        "masks": {"mask": mask},
-        "noise": {"noise": np.full(len(cube), 2e-3) * cube.unit},
-    }
-    return replace(cube, **fields.get(what, {}))
-
-
-def same(one, other):
-    np.testing.assert_equal(vars(one.matches), vars(other.matches))
-    for name in ("y", "x", "flux"):
-        assert np.array_equal(getattr(one.ssps, name), getattr(other.ssps, name))
-    assert np.array_equal(one.select, other.select)
-    assert np.array_equal(one.region, other.region)
-
-
-@pytest.mark.parametrize(
-    "what",
-    [*(pytest.param(k, marks=pytest.mark.slow) for k in IMAGES), *SETTINGS, "region"],
-)
-def test_matches_of_others_are_told_and_made_again(epochs, what, tmp_path):
-    # With this noise everything matters that noise may depend on.
-    how = {"scales": [1, 2], "max_speed": SPEED, "noise": "propagated"}
-    scc, cube = StackedCrossCorrelation(**how), EpochCube.read(epochs)
-    path, options = tmp_path / "m.fits", {}
-    scc.match(cube, cache=path)
-    scc = replace(scc, **SETTINGS.get(what, {}))
-    cube = changed(cube, what)
-    if what == "region":
-        options["region"] = np.arange(40)[:, None] < np.full(48, 24)
-    # Noise and the largest displacement may depend on the rest.
-    line = rf"m.fits: is of other {what}(, [\w ]+)*; not used, the epochs are matched"
-    with pytest.warns(MeasurementWarning, match=line):
-        found = scc.match(cube, cache=path, **options)
-    same(found, scc.match(cube, **options))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        same(found, scc.match(cube, cache=path, **options))
 
 
 def rewrite(path, old, new):

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -15,17 +13,12 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
+from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.kinematics.frames import mean_width
-from astro_scc.paper.trials import DatePairs, baseline_pairs, consecutive_pairs
-from astro_scc.settings import MeasurementSettings, require
-from astro_scc.spectrum.permutations import fastest_speed
-from astro_scc.units import PM_UNIT
-
-if TYPE_CHECKING:
-    from astro_scc.epochs import EpochCube
+from astro_scc.paper.trials import baseline_pairs, consecutive_pairs
+from astro_scc.settings import require
 
 #: Largest relative difference between an angle and the size of the scale it names.
 SCALE_TOLERANCE = 0.2
@@ -35,20 +28,11 @@ LARGEST_SCALE = 12
 LEAST_MOTION = 0.01
 #: Largest displacement in the shortest interval, in diagonals of the image.
 MOST_MOTION = 10
-#: Displacement to which patterns are matched, and the margin around that of the largest
-#: speed, in beams.
-RADIUS, MARGIN = 1.5, 0.36
-#: Beams by which matches go beyond the largest speed.
-BEYOND = 1.0
-#: Without a largest speed, series of up to this many epochs are searched to
-#: ``FAR_BEAMS`` beams in the median interval.
-FEW_EPOCHS = 20
-FAR_BEAMS = 4.0
 #: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
 #: is half of the size of the structures (`structure_size`).
 OCTAVES = 4
 #: What is smooth on this scale, in pixels, is background to the structures: those of 3
-#: to 8 px are then measured to 20% (``tests/matching/test_plan.py``).
+#: to 8 px are then measured to 20% (``tests/plan/test_plan.py``).
 BACKGROUND = 16.0
 #: Number of epochs in which they are measured, and width of the part in the middle, in
 #: pixels.
@@ -67,123 +51,6 @@ CORE = (1.5, 1.0)
 INNER, NEAR = 0.05, 4.0
 #: Largest error of a direction that is used, in degrees.
 CERTAIN = 10.0
-
-
-@dataclass(frozen=True, eq=False)
-class SearchPlan:
-    """
-    What settings mean for the pixels, beams and dates of a cube.
-
-    Attributes
-    ----------
-    scales : tuple of float
-        Numbers of the scales.
-    pairs : ``DatePairs``
-        Pairs of dates that are compared.
-    intervals : (float, float)
-        Shortest and longest interval that is searched, in years.
-    radius : float
-        Largest displacement at which SSPs are matched, in beams.
-    fwhm : float
-        The beam, or the size of the largest scale without one, in mas.
-    max_speed : float or None
-        The largest speed of the settings in mas/yr.
-
-    Examples
-    --------
-    >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> plan = StackedCrossCorrelation().plan(simulate_two_fluid(rng=1).cube)
-    >>> plan.scales, len(plan.pairs), float(plan.radius)
-    ((1, 2, 3, 4), 9, 4.36)
-    """
-
-    scales: tuple[float, ...]
-    pairs: DatePairs
-    intervals: tuple[float, float]
-    radius: float
-    fwhm: float
-    max_speed: float | None
-
-    @classmethod
-    def of(cls, cube: EpochCube, settings: MeasurementSettings) -> SearchPlan:
-        """
-        Return the plan of a measurement.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-        settings : `~astro_scc.StackedCrossCorrelation`
-
-        Returns
-        -------
-        `SearchPlan`
-
-        Raises
-        ------
-        ValueError
-            If no two epochs make a pair, or a scale does not fit the pixels.
-        """
-        pairs = pairs_of_dates(cube, settings.baseline)
-        scales = scale_numbers(cube, settings.scales)
-        fwhm = mean_fwhm(cube, max(scales))
-        speed, intervals = settings.max_speed, settings.baseline
-        speed = None if speed is None else speed.to_value(PM_UNIT)
-        intervals = (0, np.inf) if intervals is None else intervals.to_value(u.yr)
-        radius = search_radius(cube, speed, fwhm)
-        return cls(scales, pairs, tuple(intervals), radius, fwhm, speed)
-
-    def reach(self, cube: EpochCube) -> tuple[int, int]:
-        """
-        Return the largest displacement to match between any two epochs, in pixels.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        tuple of int
-            Along (y, x).
-
-        Raises
-        ------
-        ValueError
-            If the largest speed leads far out of the image even in the shortest
-            interval, or hardly moves anything even in the longest.
-        """
-        farthest, interval = self.radius * self.fwhm, self.pairs.interval
-        # Pixels may not be square: (x, y) sides.
-        side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
-        if self.max_speed is not None:
-            moved, most = motion_of(cube, self.max_speed, interval)
-            if np.any(most / side > (shape.max() - 1) // 2):
-                warn(
-                    f"{moved}, more than half the image: give a smaller one, or a "
-                    "baseline that leaves out long intervals",
-                    MeasurementWarning,
-                )
-            farthest = max(farthest, most + BEYOND * self.fwhm)
-        reach = np.ceil(farthest / side).astype(int)[::-1]
-        return tuple(np.minimum(reach, shape - 1).tolist())
-
-    def speed_limit(self, cube: EpochCube) -> u.Quantity:
-        """
-        Return the largest speed that is searched.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        `~astropy.units.Quantity`
-            In mas/yr.
-        """
-        if self.max_speed is not None:
-            return self.max_speed * PM_UNIT
-        years = cube.years.to_value(u.yr)
-        return fastest_speed(years, self.intervals) * self.fwhm * PM_UNIT
 
 
 def motion_of(cube, max_speed, interval):
@@ -295,39 +162,6 @@ def pairs_of_dates(cube, baseline):
     return pairs
 
 
-def search_radius(cube, max_speed, fwhm):
-    """
-    Return the search radius, the largest displacement between epochs, in beams.
-
-    It is one and a half beams, or more if even the shortest intervals are too
-    long for that: as far as the largest speed moves in the lower quartile of
-    the intervals between epochs, plus a margin.  Without a largest speed, series
-    of up to 20 epochs are searched to four beams in the median interval.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    max_speed : float or None
-        In mas/yr.
-    fwhm : float
-        Resolution in mas.
-
-    Returns
-    -------
-    float
-    """
-    gaps = np.diff(cube.years.to_value(u.yr))
-    gaps = gaps[gaps > 0]
-    if len(gaps) == 0:
-        return RADIUS
-    short, far = np.quantile(gaps, 0.25), 0.0
-    if max_speed is not None:
-        far = max_speed * short / fwhm
-    elif len(cube) <= FEW_EPOCHS:
-        far = FAR_BEAMS * short / np.median(gaps)
-    return max(RADIUS, far + MARGIN)
-
-
 def flow_direction(decomposed, frame=None):
     """
     Return the direction of the jet.
@@ -337,7 +171,7 @@ def flow_direction(decomposed, frame=None):
 
     Parameters
     ----------
-    decomposed : `~astro_scc.matching.DecomposedEpochs`
+    decomposed : `~astro_scc.patterns.DecomposedEpochs`
     frame : frame of `astro_scc.kinematics`, optional
 
     Returns
@@ -377,7 +211,7 @@ def choose_alignment(cube):
 
     Examples
     --------
-    >>> from astro_scc.matching.plan import choose_alignment
+    >>> from astro_scc.plan import choose_alignment
     >>> from astro_scc.simulation import simulate_jet
     >>> choose_alignment(simulate_jet(n_epochs=12, alignment_error=0.4, rng=1).cube)
     ('core', 'the epochs scatter by 0.38 beams, 0.01 on the core')
@@ -396,22 +230,26 @@ def choose_alignment(cube):
     return "core", f"{reason}{on_core:.2f} on the core"
 
 
-def mean_fwhm(cube, scale):
+def each_fwhm(cube, scales=(1,), axes=None):
     """
-    Return the resolution, the mean FWHM over epochs and both axes, in mas.
+    Return the resolution at all epochs and scales, as FWHM in mas.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    scale : float
-        Number of the scale whose size is the resolution if there are no beams.
+    scales : sequence of float, optional
+        Numbers of the scales whose sizes are the resolution if there are no beams.
+    axes : `~numpy.ndarray`, shape (2, 2), optional
+        See ``beam_fwhm``; by default east and north.
 
     Returns
     -------
-    float
+    `~numpy.ndarray`, shape (n, 2)
+        Along both axes.
     """
-    every = np.arange(len(cube))
-    return float(np.mean(beam_fwhm(cube, every, np.full(len(cube), scale), np.eye(2))))
+    epoch, level = np.indices((len(cube), len(scales))).reshape(2, -1)
+    axes = np.eye(2) if axes is None else axes
+    return beam_fwhm(cube, epoch, np.array(scales)[level], axes)
 
 
 def flow_beam(cube):
@@ -452,7 +290,7 @@ def choose_scales(cube):
     Examples
     --------
     >>> from astro_scc import EpochCube
-    >>> from astro_scc.matching.plan import choose_scales
+    >>> from astro_scc.plan import choose_scales
     >>> from astro_scc.simulation import simulate_jet
     >>> cube = simulate_jet(n_epochs=5, rng=1).cube
     >>> choose_scales(cube)
@@ -468,7 +306,7 @@ def choose_scales(cube):
         scales = range(max(1, last - OCTAVES + 1), last + 1)
         reason = f"up to half of the size of the structures ({size:.1f} px)"
     else:
-        size = mean_fwhm(cube, 1) / cube.pixel_scale.to_value(u.mas)
+        size = each_fwhm(cube).mean() / cube.pixel_scale.to_value(u.mas)
         first = round(np.log2(size / 4))
         scales = range(max(1, first), min(most, max(1, first + OCTAVES - 1)) + 1)
         reason = f"from a quarter of the beam ({size:.1f} px) to two beams"
@@ -535,7 +373,7 @@ def choose_direction(cube):
 
     Examples
     --------
-    >>> from astro_scc.matching.plan import choose_direction
+    >>> from astro_scc.plan import choose_direction
     >>> from astro_scc.simulation import simulate_jet
     >>> choose_direction(simulate_jet(n_epochs=5, rng=1).cube)[0]
     <Quantity 273. deg>

@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Matches: decomposed epochs, noise and structure, SSPs of a part, and files."""
+"""Decomposed epochs: noise and structure, and SSPs of a region."""
 
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -12,19 +12,11 @@ from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
-from astro_scc.correlation.correlate import match_block
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import propagated_noise
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.matching import MatchedEpochs, select_ssps
-from astro_scc.matching.matched import (
-    allow_for_structure,
-    centroids_inside,
-)
-from astro_scc.simulation import simulate_two_fluid
-
-SCC = StackedCrossCorrelation(scales=[1, 2], max_speed=30 * u.mas / u.yr)
+from astro_scc.patterns import allow_for_structure, centroids_inside
 
 # -- images without empty sky ------------------------------------------------------
 
@@ -113,23 +105,20 @@ def test_only_scales_that_are_full_of_structure_are_changed():
 
 
 @pytest.mark.slow
-def test_a_texture_is_measured_and_said(tmp_path):
+def test_a_texture_is_measured_and_said():
     cube = textured(3, shape=(64, 96), n_epochs=6)
     cube = replace(cube, noise=np.full(6, 0.1) * cube.unit)
     scc = StackedCrossCorrelation(scales=[1, 2], max_speed=3 * u.mas / u.yr)
-    for _ in "ab":
-        # The second time from the file.
-        with pytest.warns(MeasurementWarning, match="full of structure on scale 1, 2"):
-            matched = scc.match(cube, cache=tmp_path / "m.fits")
-    assert len(matched.ssps) > 80
-    assert np.sum(matched.ssps.epoch == 0) == len(matched.decompositions[0].ssps)
-    row = scc.measure(matched, n_trials=119, rng=1).streams[0]
+    with pytest.warns(MeasurementWarning, match="full of structure on scale 1, 2"):
+        decomposed = scc.decompose(cube)
+    assert len(decomposed.ssps) > 80
+    row = scc.measure(decomposed, n_trials=119, rng=1).streams[0]
     assert row["kind"] == "moving"
     # 2.3 px of 0.1 mas in 0.2 yr to the right, which is west.
     assert abs(row["pm_ra_cosdec"].value + 1.15) < 3 * row["pm_err"].value < 0.2
 
 
-# -- decomposition and choice -------------------------------------------------------
+# -- regions ------------------------------------------------------------------------
 
 
 def test_ssps_are_inside_if_their_centroid_is(matched):
@@ -141,97 +130,3 @@ def test_ssps_are_inside_if_their_centroid_is(matched):
     x = np.rint(ssps.x_centroid)
     np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
     assert 0 < inside.sum() < len(ssps)
-
-
-# -- files -------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return simulate_two_fluid(
-        n_epochs=3, rng=3, shape=(48, 120), axis=24.0, extent=(10.0, 110.0)
-    ).cube
-
-
-@pytest.fixture(scope="module")
-def made(cube):
-    return SCC.match(cube)
-
-
-@pytest.fixture
-def counted(monkeypatch):
-    """How many blocks were correlated."""
-    blocks = []
-
-    def count(block):
-        blocks.append(block)
-        return match_block(block)
-
-    monkeypatch.setattr("astro_scc.correlation.correlate.match_block", count)
-    # A block for each epoch.
-    monkeypatch.setattr("astro_scc.correlation.correlate.BLOCK_WORK", 1)
-    return blocks
-
-
-def same(one, other):
-    np.testing.assert_equal(vars(one.matches), vars(other.matches))
-    for own in fields(one.ssps):
-        a, b = getattr(one.ssps, own.name), getattr(other.ssps, own.name)
-        np.testing.assert_array_equal(a, b)
-        assert a.dtype == b.dtype, own.name
-    np.testing.assert_array_equal(one.select, other.select)
-    assert one.scales == other.scales
-
-
-def test_round_trip(made, cube, tmp_path):
-    made.write(tmp_path / "m.fits")
-    read = MatchedEpochs.read(tmp_path / "m.fits", cube)
-    same(made, read)
-    with pytest.raises(FileExistsError):
-        made.write(tmp_path / "m.fits")
-    made.write(tmp_path / "m.fits", overwrite=True)
-    assert [p.name for p in tmp_path.iterdir()] == ["m.fits"]
-
-
-def test_dates_do_not_matter_but_images_and_versions_do(
-    made, cube, tmp_path, monkeypatch
-):
-    """Each of those alone is in ``tests/robustness/test_stale.py``."""
-    path = tmp_path / "m.fits"
-    made.write(path)
-    later = replace(cube, times=cube.times + 1 * u.yr)
-    assert MatchedEpochs.read(path, later).cube.times[0] == later.times[0]
-    with pytest.raises(ValueError, match="m.fits: is of other images, masks;"):
-        MatchedEpochs.read(path, cube[:2])
-    other = "astro_scc.matching.matched.versions", lambda: {"astro_scc": "0"}
-    monkeypatch.setattr(*other)
-    with pytest.raises(ValueError, match="is of other versions; match the epochs"):
-        MatchedEpochs.read(path, cube)
-
-
-def test_a_cache_is_used_when_only_the_stack_changes(cube, made, counted, tmp_path):
-    path = tmp_path / "folder"
-    same(made, SCC.match(cube, cache=path))
-    assert len(counted) == len(cube)
-    again = replace(SCC, alpha=0.5, position_angle=90 * u.deg)
-    same(made, again.match(cube, cache=path))
-    assert len(counted) == len(cube)
-    (file,) = path.iterdir()
-    # It is used by its own name, too.
-    same(made, SCC.match(cube, cache=file))
-    assert len(counted) == len(cube)
-    # What cannot be read is made again.
-    file.write_text("nothing")
-    with pytest.warns(MeasurementWarning, match="cannot be read as astro_scc matches"):
-        same(made, SCC.match(cube, cache=path))
-    assert len(counted) == 2 * len(cube)
-
-
-@pytest.mark.slow
-def test_a_part_that_was_chosen_later_is_no_cache(made, cube, tmp_path):
-    path = tmp_path / "m.fits"
-    part = select_ssps(made, scales=[1])
-    part.write(path)
-    same(part, MatchedEpochs.read(path, cube))
-    with pytest.warns(MeasurementWarning, match="other region"):
-        same(made, SCC.match(cube, cache=path))

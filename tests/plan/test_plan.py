@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What is measured: alignment, direction, scales, pairs, windows and grids."""
+"""What is measured: alignment, direction, scales and pairs of dates."""
 
-import warnings
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -13,17 +12,15 @@ from hypothesis import strategies as st
 
 from astro_scc import Beam, EpochCube
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.exceptions import MeasurementWarning
-from astro_scc.matching.plan import (
-    SearchPlan,
+from astro_scc.plan import (
     choose_alignment,
     choose_direction,
     choose_scales,
+    each_fwhm,
     flow_direction,
-    mean_fwhm,
+    motion_of,
     pairs_of_dates,
     scale_numbers,
-    search_radius,
     structure_size,
 )
 from astro_scc.simulation import simulate_jet
@@ -62,52 +59,11 @@ def test_resolution_is_the_mean_over_epochs_and_axes_however_beams_are_turned():
     beams = [
         Beam(b * u.mas, 1 * u.mas, pa * u.deg) for b, pa in ((1, 0), (1, 0), (3, 90))
     ]
-    assert mean_fwhm(cube_of(beams=beams), 2) == pytest.approx((4 + 3 + 1) / 6)
-
-
-MONTH = 30 / YEAR
-UNEVEN = np.cumsum([0, 30, 30, 90, 90, 90])
-
-
-@pytest.mark.parametrize(
-    ("days", "max_speed", "fwhm", "radius"),
-    [
-        # One and a half beams, where intervals are short enough for that.
-        (30 * np.arange(30), None, 1.0, 1.5),
-        (30 * np.arange(30), 0.5 / MONTH, 1.0, 1.5),
-        ((0,), None, 1.0, 1.5),
-        # The largest speed in the shorter intervals, and three times 0.12 beam.
-        (UNEVEN, 3.0 / MONTH, 1.0, 3.36),
-        (UNEVEN, 6.0 / MONTH, 2.0, 3.36),
-        # Short series: four beams in the median interval, of up to 20 epochs.
-        (30 * np.arange(20), None, 1.0, 4.36),
-        (30 * np.arange(21), None, 1.0, 1.5),
-        (np.cumsum([0, 30, 30, 60, 60, 60]), None, 1.0, 2.36),
-    ],
-)
-def test_the_search_radius(days, max_speed, fwhm, radius):
-    found = search_radius(cube_of(days, shape=(8, 8)), max_speed, fwhm)
-    assert found == pytest.approx(radius, rel=1e-6)
-
-
-def reach(cube, pairs, radius, fwhm, max_speed):
-    plan = SimpleNamespace(pairs=pairs, radius=radius, fwhm=fwhm, max_speed=max_speed)
-    return SearchPlan.reach(plan, cube)
-
-
-def test_windows_end_with_the_image_and_warn():
-    cube = cube_of((0, YEAR), shape=(40, 60))
-    pairs = pairs_of_dates(cube, None)
-    message = (
-        "^max_speed moves 10 to 10 mas between two dates, more than half the image: "
-        "give a smaller one, or a baseline that leaves out long intervals$"
-    )
-    with pytest.warns(MeasurementWarning, match=message):
-        assert reach(cube, pairs, 1.5, 1.0, 10.0) == (39, 59)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        reach(cube, pairs, 1.5, 1.0, 2.85)
-        assert reach(cube, pairs, 9.0, 1.0, None) == (39, 59)
+    found = each_fwhm(cube_of(beams=beams))
+    assert found.mean() == pytest.approx((4 + 3 + 1) / 6)
+    # Without beams it is that of the scales, 2 and 4 pixels wide and twice that.
+    found = each_fwhm(cube_of(), (1, 2))
+    np.testing.assert_allclose(found, 3 * [[0.4, 0.4], [0.8, 0.8]])
 
 
 YEARLY = cube_of((0, YEAR))
@@ -121,10 +77,10 @@ REFUSED = [
      r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"),
     (lambda: pairs_of_dates(cube_of(), [1, 2] * u.yr),
      "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.246"),
-    (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e9),
+    (lambda: motion_of(YEARLY, 1e9, np.ones(1)),
      r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, in images of 7.21 "
      "mas with pixels of 0.1 mas: give a smaller one$"),
-    (lambda: reach(YEARLY, pairs_of_dates(YEARLY, None), 1.5, 1.0, 1e-9),
+    (lambda: motion_of(YEARLY, 1e-9, np.ones(1)),
      "1e-09 mas .*: give a larger one$"),
 ]  # fmt: skip
 

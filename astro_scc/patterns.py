@@ -1,0 +1,277 @@
+# Licensed under a 3-clause BSD style license - see LICENSE.rst
+"""From a cube to the significant structural patterns (SSPs) of its epochs."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import astropy.units as u
+import numpy as np
+
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.epochs import EpochCube
+from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.features import Features, find_features
+from astro_scc.images.positions import ssp_offsets
+from astro_scc.parallel import in_order
+from astro_scc.progress import progress
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["DecomposedEpochs"]
+
+#: Apparent noise is structure if more than this share of it is in other epochs too...
+SHARED = 0.5
+#: ... and more than this many times the share by chance.  The largest correlation of
+#: noise at any displacement is five times chance, seldom eight.
+BEYOND_CHANCE = 6.0
+#: Pairs of epochs examined; most must show structure, as one epoch may be there twice.
+PAIRS = 3
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class DecomposedEpochs:
+    """
+    Decomposed epochs: their SSPs, and the features that are followed through them.
+
+    Attributes
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+        That of every epoch.
+    ssps : `~astro_scc.decomposition.SSPs`
+        Of all epochs.
+    select : `~numpy.ndarray` of bool, shape (n_ssps,)
+        The SSPs of the region.
+    region : `~numpy.ndarray` of bool, shape (ny, nx), optional
+        The pixels of the region; None for all.
+
+    Examples
+    --------
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(n_epochs=2, rng=1).cube
+    >>> decomposed = StackedCrossCorrelation(scales=[2]).decompose(cube)
+    >>> int(decomposed.select.sum()) == len(decomposed.ssps)
+    True
+    """
+
+    cube: EpochCube
+    decomposer: Decomposer
+    ssps: SSPs
+    select: np.ndarray
+    region: np.ndarray | None = None
+
+    def __repr__(self):
+        n, n_ssps = len(self.cube), np.count_nonzero(self.select)
+        return f"<{type(self).__name__}: {n} epochs, {n_ssps} SSPs>"
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Numbers of the scales that were decomposed."""
+        return tuple(self.decomposer.scales)
+
+    @property
+    def features(self) -> Features:
+        """
+        The features that are followed from epoch to epoch.
+
+        They are `~astro_scc.features.Features` of Gaussian models of the images or,
+        without beams, of SSPs, inside the region.
+        """
+        return self.follow()
+
+    def follow(
+        self, *, n_workers: int | str | Client = 1, progress_bar: bool = False
+    ) -> Features:
+        """
+        Return the `features`, which are found only once.
+
+        Parameters
+        ----------
+        n_workers, progress_bar : optional
+            See `~astro_scc.features.find_features`.
+
+        Returns
+        -------
+        `~astro_scc.features.Features`
+        """
+        if "features" not in vars(self):
+            vars(self)["features"] = find_features(
+                self.cube, ssps=self.ssps, region=self.region, n_workers=n_workers,
+                progress_bar=progress_bar,
+            )  # fmt: skip
+        return vars(self)["features"]
+
+
+def gather_patterns(cube, decomposer, decompositions, *, region=None):
+    """
+    Return the SSPs of decompositions, and which of them are in a region.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    decompositions : sequence of ``Decomposition``
+        Of the epochs of the cube, see `decompose_epochs`.
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    `DecomposedEpochs`
+    """
+    ssps = SSPs.of_epochs(decompositions)
+    inside = None if region is None else cube.region_mask(region)
+    return DecomposedEpochs(
+        cube=cube, decomposer=decomposer, ssps=ssps, region=inside,
+        select=centroids_inside(ssps, cube, inside),
+    )  # fmt: skip
+
+
+def empty_region(decomposed, region):
+    """Return in words that no SSP has its centroid in the region, or nothing."""
+    if decomposed.select.any() or region is None or len(decomposed.ssps) == 0:
+        return ""
+    name = region if isinstance(region, str | os.PathLike) else "the region"
+    return (
+        f"{name}: no significant pattern has its centroid inside, "
+        f"{len(decomposed.ssps)} in the rest of the images: check where it lies, or "
+        "make it larger"
+    )
+
+
+# -- decomposition -----------------------------------------------------------------
+
+
+def allow_for_structure(cube, decomposer):
+    """
+    Return a decomposer that does not take structure for noise.
+
+    The noise of a plane is measured where the plane looks like empty sky.
+    If a texture fills the images, there is no empty sky, and no pattern
+    stands out from the texture.  Consecutive epochs share structure, though
+    not its position, but no noise: their `shared_variance` separates the two.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+
+    Returns
+    -------
+    `~astro_scc.decomposition.Decomposer`
+        The same, or one with ``noise_factors``: the square root of the share
+        of each plane's variance that epochs do not have in common.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If the decomposer needs ``noise_factors``.
+    """
+    if decomposer.noise == "propagated" or len(cube) < 2:
+        return decomposer
+    starts = np.unique(np.linspace(0, len(cube) - 2, PAIRS).astype(int))
+    most = len(starts) // 2 + 1
+    shares = []
+    for left, k in zip(range(len(starts))[::-1], starts, strict=True):
+        data, masks = cube.data[k : k + 2], cube.mask[k : k + 2]
+        share, chance = decomposer.shared_variance(data, masks=masks)
+        real = share > np.maximum(SHARED, BEYOND_CHANCE * chance)
+        shares.append(np.where(real, share, 0.0))
+        if np.count_nonzero(shares, axis=0).max() + left < most:
+            return decomposer
+    share = np.sort(shares, axis=0)[-most]
+    full = share > 0
+    scales = ", ".join(f"{scale:g}" for scale in np.array(decomposer.scales)[full])
+    warn(
+        f"the images are full of structure on scale {scales}: {share[full].min():.0%} "
+        "or more of what looks like noise in one epoch is in others too and is not "
+        "taken for noise; noise='propagated' takes the noise that the epochs are given "
+        "instead",
+        MeasurementWarning,
+    )
+    return replace(decomposer, noise_factors=tuple(np.sqrt(1 - share).tolist()))
+
+
+def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
+    """
+    Decompose every epoch of a cube.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    decomposer : `~astro_scc.decomposition.Decomposer`
+    n_workers : int, str or `dask.distributed.Client`, optional
+        See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
+    progress_bar : bool, optional
+
+    Returns
+    -------
+    tuple of ``Decomposition``
+    """
+    # A propagated noise needs the rms of each image and its beam in pixels.
+    facts = [{} for _ in range(len(cube))]
+    if decomposer.noise == "propagated":
+        facts = [{"rms": rms} for rms in cube.noise_rms().value]
+        if cube.beams is not None:
+            inverse = np.linalg.inv(cube.pixel_matrix.value)
+            for known, beam in zip(facts, cube.beams, strict=True):
+                covariance = inverse @ beam.covariance.value @ inverse.T
+                known["beam_covariance"] = covariance
+    work = zip([decomposer] * len(cube), cube.data, cube.mask, facts, strict=True)
+    found = []
+    with progress(len(cube), "Decomposing", show=progress_bar) as done:
+        for decomposition in in_order(_decompose, work, n_workers):
+            found.append(decomposition)
+            done(1)
+    return tuple(found)
+
+
+def _decompose(work):
+    decomposer, image, mask, facts = work
+    return decomposer(image, mask=mask, **facts)
+
+
+def centroids_inside(ssps, cube, region):
+    """
+    Return which SSPs have their centroid in a region.
+
+    Parameters
+    ----------
+    ssps : `~astro_scc.decomposition.SSPs`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (n_ssps,)
+    """
+    if region is None:
+        return np.ones(len(ssps), bool)
+    inside, centroid = cube.region_mask(region), (ssps.y_centroid, ssps.x_centroid)
+    pixel = np.rint(centroid).astype(int).T
+    return inside[tuple(np.clip(pixel, 0, np.array(inside.shape) - 1).T)]
+
+
+def ssp_distances(decomposed, *, ridge=None):
+    """
+    Return the distances of the centroids of SSPs from the reference pixel.
+
+    Parameters
+    ----------
+    decomposed : `DecomposedEpochs`
+    ridge : `~astro_scc.kinematics.RidgeLine`, optional
+        Measure along this line instead.
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (n_ssps,)
+        In mas.
+    """
+    east, north = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True) * u.mas
+    return np.hypot(east, north) if ridge is None else ridge.coordinates(east, north)[0]
