@@ -51,7 +51,7 @@ from astro_scc.settings import (
 )
 from astro_scc.spectrum.permutations import EVERY
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
-from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
+from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings, find_streams
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
@@ -378,33 +378,31 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        intervals = used_intervals(cube, self.baseline)
+        settings = self.search_settings(cube, n_trials)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
-            search = find_streams(
-                flow, features,
-                misaligned=alignment_errors(cube, self.alignment_error),
-                alpha=self.alpha, n_trials=n_trials, outward=self.outward,
-                intervals=intervals, rng=generator,
-            )  # fmt: skip
+            search = find_streams(flow, features, settings, rng=generator)
             choices = parts_of(search)
         _warn_of_limits(search.test.p_smallest, len(cube), n_trials, self.alpha)
         angle = flow_direction(decomposed, flow.frame)
-        return SCCResult(
-            decomposed=decomposed,
-            search=search,
-            position_angle=angle,
-            choices=choices,
-            meta={
-                "settings": self.to_dict(),
-                "n_trials": int(n_trials),
-                "seed": seed,
-                "versions": versions(),
-                "jet_position_angle": angle,
-                "misalignment_beams": cube.misalignment,
-            },
-        )
+        meta = self.meta(n_trials, seed) | {
+            "jet_position_angle": angle, "misalignment_beams": cube.misalignment,
+        }  # fmt: skip
+        return SCCResult(decomposed, search, angle, choices, meta)
+
+    def search_settings(self, cube: EpochCube, n_trials: int) -> SearchSettings:
+        """Return what a search for streams needs to know of the settings."""
+        return SearchSettings(
+            misaligned=alignment_errors(cube, self.alignment_error), alpha=self.alpha,
+            n_trials=n_trials, outward=self.outward,
+            intervals=used_intervals(cube, self.baseline),
+        )  # fmt: skip
+
+    def meta(self, n_trials: int, seed: Any) -> dict[str, Any]:
+        """Return what the meta of a table says on how it was made."""
+        made = {"settings": self.to_dict(), "n_trials": int(n_trials), "seed": seed}
+        return made | {"versions": versions()}
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,

@@ -202,7 +202,7 @@ def test_the_same_files_each_time_and_as_pdf(result, tmp_path, monkeypatch):
 
 def test_figures_that_are_empty_or_not_wanted(result, monkeypatch):
     monkeypatch.setattr(
-        "astro_scc.visualization.style.figure_files", lambda figures, **_: set(figures)
+        "astro_scc.visualization.style.figure_files", lambda names, *_, **_k: set(names)
     )
     assert draw_figures(result, result.streams) == set(MAIN)
     still = replace(result, choices=[])

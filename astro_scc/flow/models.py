@@ -179,18 +179,11 @@ def fit_profile(
 
     fits = [
         curve_fit(
-            curve,
-            x,
-            y,
-            start,
-            sigma=square,
-            absolute_sigma=True,
-            bounds=limits,
-            method="trf",
-            x_scale="jac",
-        )  # fmt: skip
+            curve, x, y, start, sigma=square, absolute_sigma=True, bounds=limits,
+            method="trf", x_scale="jac",
+        )
         for start in starts
-    ]
+    ]  # fmt: skip
     values, errors = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
     least = chi2(curve(x, *values))
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
@@ -199,13 +192,9 @@ def fit_profile(
         dict(zip(names, map(u.Quantity, numbers, units), strict=True))
         for numbers in (values, np.sqrt(np.diag(errors)))
     )
+    corrected = 2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf
     return ProfileFit(
-        model=model,
-        r0=parameters.get("r_break", x0 * r.unit),
-        parameters=parameters,
-        errors=errors,
-        chi2=least,
-        n_free=n - k,
-        aicc=least + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
+        model=model, r0=parameters.get("r_break", x0 * r.unit), parameters=parameters,
+        errors=errors, chi2=least, n_free=n - k, aicc=least + 2 * k + corrected,
         p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
-    )
+    )  # fmt: skip

@@ -5,7 +5,6 @@ import re
 from base64 import b64encode
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import astropy.units as u
@@ -414,8 +413,8 @@ def write_overview(table, features, parts, folder, *, published):
     folder, files = Path(folder), {}
     found = speeds.population(features) if len(features) else {}
     if found and found["moving"].any():
-        plot = partial(speeds.plot_population, features)
-        files = style.figure_files({"population": plot})
+        draw = speeds.plot_population
+        files = style.figure_files(("population",), lambda _: draw(features))
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
         **overview(table, features, parts, folder, published),
@@ -454,8 +453,9 @@ def draw_figures(result, streams, *, every=False, pdf=False, published=None):
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
         options |= {"epochs": {}}
         options |= {"sensitivity": per_pm} if len(result.sensitivity) else {}
-    figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}
-    return style.figure_files(figures, pdf=pdf)
+    return style.figure_files(
+        options, lambda kind: result.plot(kind, **options[kind]), pdf=pdf
+    )
 
 
 def flow_lines(result):

@@ -4,6 +4,7 @@
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from io import BytesIO
+from itertools import product
 from typing import NamedTuple
 
 import astropy.units as u
@@ -101,27 +102,26 @@ def for_journal(columns=1):
         _SCALE.reset(token)
 
 
-def figure_files(figures, *, pdf=False):
+def figure_files(names, draw, *, pdf=False):
     """
     Return figures as the contents of files by their names.
 
     Parameters
     ----------
-    figures : dict of callable
-        Functions without arguments that draw them, by their names.
+    names : sequence of str
+    draw : callable
+        Returns the figure of a name.
     pdf : bool, optional
         Draw them for a column of a journal as well, as PDF; wide ones for two.
     """
-    files = {}
-    metadata = {"png": None, "pdf": {"CreationDate": None}}
-    for name, plot in figures.items():
-        for kind in ("png", "pdf") if pdf else ("png",):
-            width = for_journal(2 if name in WIDE else 1)
-            with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
-                figure = plot()
-                thin(figure)
-                figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
-                files[f"{name}.{kind}"] = buffer.getvalue()
+    files, kinds = {}, {"png": None} | ({"pdf": {"CreationDate": None}} if pdf else {})
+    for name, (kind, metadata) in product(names, kinds.items()):
+        width = for_journal(2 if name in WIDE else 1)
+        with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
+            figure = draw(name)
+            thin(figure)
+            figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata)
+            files[f"{name}.{kind}"] = buffer.getvalue()
     return files
 
 

@@ -72,8 +72,7 @@ def test_what_is_refused(result, bare, what, options, words):
 def test_files_have_fonts_that_journals_take(result, monkeypatch):
     monkeypatch.setattr(style, "DPI", 20)
     before = dict(matplotlib.rcParams)
-    figures = {"significance": lambda: result.plot("significance")}
-    files = style.figure_files(figures, pdf=True)
+    files = style.figure_files(("significance",), result.plot, pdf=True)
     assert list(files) == ["significance.png", "significance.pdf"]
     assert b"/Type3" not in files["significance.pdf"]
     assert b"/FontFile2" in files["significance.pdf"]
