@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
 from scipy.special import chdtrc
 
+from astro_scc.quantities import with_error
+from astro_scc.units import unit_name
+
 
 def _straight(r, r0, v0, gradient=0.0):
     return v0 + gradient * (r - r0)
@@ -73,6 +76,14 @@ class ProfileFit:
     n_free: int
     aicc: float
     p_constant: float
+
+    def __str__(self):
+        name = next((k for k in self.parameters if k != "v0"), "v0")
+        value, error = self.parameters[name], self.errors[name]
+        text = with_error(value.value, error.value)
+        unit = "" if value.unit == u.one else f" {unit_name(value.unit)}"
+        more = f", p {self.p_constant:.2g}" if name != "v0" else ""
+        return f"{self.model}: {name.replace('_', ' ')} {text}{unit}{more}"
 
     def __call__(self, distance: u.Quantity) -> u.Quantity:
         """

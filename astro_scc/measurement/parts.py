@@ -50,7 +50,7 @@ def parts_of(search):
         return abs(found.fit.mean[main]) * flow.beam, error * flow.beam
 
     whole = abs(fit.mean[main]) * flow.beam, search.errors.mean[main] * flow.beam
-    rows = [_row("as measured", whole)]
+    rows = [_row("the whole spectrum", whole)]
     for pair in _pairs_of_parts(search):
         both = []
         for name, part, intervals in pair:
@@ -115,14 +115,3 @@ def _pairs_of_parts(search):
             (f"inner half, up to {text}", inner, every),
             (f"outer half, from {text}", outer, every),
         )
-    scales = flow.planes[0].scales
-    if len(scales) > 1:
-        yield [
-            (
-                f"{name} scales ({', '.join(f'{s:g}' for s in half)})",
-                flow.part(scales=tuple(half)), every,
-            )
-            for name, half in zip(
-                ("fine", "coarse"), np.array_split(scales, 2), strict=True
-            )
-        ]  # fmt: skip

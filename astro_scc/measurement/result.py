@@ -203,11 +203,11 @@ class SCCResult(tables.VelocityMaps):
 
         The first row is the speed of the stream with the largest share, from the
         velocity spectrum.  The others have its speed from short and from long
-        intervals, from the first and the second half of the epochs, from the inner and
-        the outer half of what is seen, and from fine and coarse scales; NaN where
-        nothing is found.  Where two parts, or a part and the whole, differ by more than
-        two errors, ``significant`` says so.  Without significant motion the table is
-        empty, and the ``note`` in its meta says so.
+        intervals, from the first and the second half of the epochs, and from the inner
+        and the outer half of what is seen; NaN where nothing is found.  Where two
+        parts, or a part and the whole, differ by more than two errors, ``significant``
+        says so.  Without significant motion the table is empty, and the ``note`` in its
+        meta says so.  `~astro_scc.flow.compare_scales` compares scales.
         """
         table = build_table("sensitivity", self.choices)
         if not self.choices:
@@ -218,16 +218,14 @@ class SCCResult(tables.VelocityMaps):
     def sensitivity_line(self) -> str:
         """On what the main speed depends, in words; empty if on nothing."""
         lines, table, found = [], self.sensitivity, np.isfinite(self.sensitivity["pm"])
-        parts = [
-            f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
-            for row in table[table["significant"] & found]
-        ]
-        if parts:
-            lines.append("parts of the data have other speeds: " + ", ".join(parts))
+        if len(parts := table[table["significant"] & found]):
+            unit = unit_name(table["pm"].unit)
+            each = (f"{cell(row, 'pm', '+-')} ({row['choice']})" for row in parts)
+            lines.append(f"its speed differs between parts: {', '.join(each)} {unit}")
         # The first row is the whole.
         missing, n = np.sum(~found), len(table[1:])
         if 2 * missing > n:
-            lines.append(f"not found in {missing} of {n} parts of the data")
+            lines.append(f"it is not found in {missing} of {n} parts of the data")
         return "; ".join(lines)
 
     @cached_property
@@ -355,6 +353,8 @@ class SCCResult(tables.VelocityMaps):
             ``profile`` of "speeds", see `astro_scc.flow.feature_profile`; ``published``
             features of "tracks" and "separation"; and what
             `EpochCube.plot <astro_scc.epochs.EpochCube.plot>` takes for "epochs".
+            Other keywords are matplotlib's, of the main image, line or symbols:
+            ``cmap``, ``vmin``, ``vmax``, ``norm``, ``color``, ``linewidth``.
 
         Returns
         -------

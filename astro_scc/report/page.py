@@ -29,12 +29,11 @@ from astro_scc.writing import make_folder
 
 #: Columns of streams that come first, in their order: what is quoted, the rest.
 QUOTED = (
-    "stream kind share pm beta_app v_app pm_pa dispersion p_global n_features "
-    "pm_features pm_spectrum pm_from"
+    "stream kind share pm beta_app v_app pm_pa dispersion p_global n_features pm_from"
 ).split()
 OTHERS = (
-    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat "
-    "pm_err_alignment p_local p_distinct p_smallest"
+    "pm_features pm_spectrum pm_parallel pm_transverse pm_ra_cosdec pm_dec "
+    "pm_lon_coslat pm_lat pm_err_alignment p_local p_distinct p_smallest"
 ).split()
 #: Columns of features.
 FEATURES = (
@@ -327,39 +326,30 @@ def write_report(
     'report.html'
     """
     directory = Path(directory)
-    own = with_published(result.features, result.tracked_features, published)
+    features = result.features, result.tracked_features
+    features = with_published(*features, published)
     streams = result.streams if streams is None else streams
     make_folder(directory, directory)
-    shown = printed(streams)
-    how = {"every": all_figures, "pdf": pdf, "published": published}
-    files = draw_figures(result, shown, **how)
-    features = table_in_c_as(own, streams)
-    meta = {**result.meta, **streams.meta}
+    shown, meta = printed(streams), {**result.meta, **streams.meta}
+    files = draw_figures(result, shown, every=all_figures, pdf=pdf, published=published)
+    notes = answer.notes(streams, features) + answer.published_lines(features)
+    in_c, name = table_in_c_as(features, streams), result.cube.meta.get("object")
+    settings = meta.pop("settings", {}) | meta
     page = _template("report.html").render(
-        result=result,
-        title=title or result.cube.meta.get("object") or "Velocities",
-        streams=shown,
-        headline=answer.headline(streams),
+        result=result, title=title or name or "Velocities", streams=shown,
+        headline=answer.headline(streams), tables=stream_tables(shown),
         aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
-        tables=stream_tables(shown),
-        features=feature_rows(features),
-        accelerations=acceleration_text(features),
-        notes=[
-            *answer.notes(streams, own),
-            *(line.rstrip(".") for line in answer.published_lines(own)),
-        ],
-        settings=meta.pop("settings", {}) | meta,
+        alignment=answer.misalignment_text(settings.pop("misalignment_beams", None)),
+        features=feature_rows(in_c), count=answer.feature_count(features),
+        secure_words=answer.SECURE, accelerations=acceleration_text(in_c),
+        notes=[line.rstrip(".") for line in notes], settings=settings,
         flow=flow_lines(result) if flow is None else flow,
-        depends=result.sensitivity_line,
-        files=files,
-        warnings=warnings,
-        left_out=left_out,
-        chosen=chosen,
-        rerun=rerun,
-        explore=explore,
+        depends=result.sensitivity_line, files=files, warnings=warnings,
+        left_out=left_out, chosen=[k for k in chosen if "aligned to" not in k],
+        rerun=rerun, explore=explore,
         has_explore=(directory / "explore.html").is_file(),
         products=[k for k in (*PRODUCTS, "region.reg") if (directory / k).exists()],
-    )
+    )  # fmt: skip
     files["report.html"] = page.encode("utf-8")
     write_files(files, directory)
     return directory / "report.html"
@@ -445,10 +435,9 @@ def draw_figures(result, streams, *, every=False, pdf=False, published=None):
     per_pm, rows = {"beta_per_pm": beta_per_pm(streams)}, {"components": streams}
     options = {"spectrum": per_pm, "distance": per_pm, "diagram": rows}
     if len(result.features):
-        own = {"stream": result.features["stream"]}
-        options["speeds"] = own | per_pm | {"profile": feature_profile(result)}
-        own["published"] = published
-        options |= {"tracks": own, "separation": own | per_pm}
+        options["speeds"] = per_pm | {"profile": feature_profile(result)}
+        options["tracks"] = {"published": published}
+        options["separation"] = per_pm | options["tracks"]
     if every:
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
         options |= {"epochs": {}}

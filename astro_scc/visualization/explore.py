@@ -34,7 +34,7 @@ COLUMNS = 240
 #: Markers of the streams in turn, so that colour is not all that tells them apart.
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 #: Names of the lines of figures, and those of the kinds of streams.
-DASH = {"-": "solid", "--": "dashed", ":": "dotted"}
+DASH = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
 DASHES = {kind: DASH[sign.line] for kind, sign in style.KINDS.items()}
 #: Milliseconds for which each of two epochs is shown; the accessibility guidelines
 #: WCAG 2.3.1 allow at most three flashes a second.

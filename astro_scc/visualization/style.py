@@ -47,20 +47,40 @@ DPI = 150
 
 
 class Kind(NamedTuple):
-    """Markers of a kind of component in maps, slices and profiles, and its line."""
+    """Markers of a kind of stream in maps and against an axis of speeds, its line."""
 
     on_map: str
-    on_slice: str
-    on_profile: str
+    marker: str
     line: str
 
 
 KINDS = {
-    "moving": Kind("+", "o", "o", "-"),
-    "stationary": Kind("s", "s", "s", "--"),
-    "not confirmed": Kind("x", "x", "o", ":"),
-    "not significant": Kind("x", "x", "o", ":"),
+    "moving": Kind("+", "o", "-"),
+    "stationary": Kind("s", "s", "--"),
+    "not confirmed": Kind("D", "D", "-."),
+    "not significant": Kind("x", "X", ":"),
 }
+
+
+def look_of(kind, given, **usual):
+    """
+    Return the usual keywords of an artist, with those that are given in their place.
+
+    Parameters
+    ----------
+    kind : {"line", "image", "mesh"}
+        Keywords may be short, as those of the artist of matplotlib are.
+    given : dict
+    """
+    from matplotlib import cbook, collections, image, lines
+
+    kinds = {"line": lines.Line2D, "image": image.AxesImage}
+    artist = kinds.get(kind, collections.QuadMesh)
+    usual, given = (cbook.normalize_kwargs(look, artist) for look in (usual, given))
+    if given.get("norm") is not None:
+        # A norm has limits of its own.
+        usual = {k: v for k, v in usual.items() if k not in ("vmin", "vmax")}
+    return usual | given
 
 
 def figure_and_axes(ax, figsize):

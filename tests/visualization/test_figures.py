@@ -7,6 +7,7 @@ from io import BytesIO
 
 import matplotlib
 import pytest
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from astro_scc.visualization import FIGURES, style
@@ -67,6 +68,38 @@ def test_what_is_refused(result, bare, what, options, words):
         plot(what, **options)
     with pytest.raises(ValueError, match="no rows: nothing moves significantly"):
         bare.plot("sensitivity")
+
+
+#: Keywords of matplotlib by the kind of figure, and the artist that has them.
+KEYWORDS = {
+    "velocity_map": ({"cmap": "magma", "vmax": 3.0}, lambda ax: ax.images[0]),
+    "paper": ({"cmap": "magma"}, lambda ax: ax.images[0]),
+    "diagram": (
+        {"cmap": "PuOr", "norm": Normalize(-1, 2)},
+        lambda ax: ax.collections[0],
+    ),
+    "distance": ({"cmap": "Blues"}, lambda ax: ax.collections[0]),
+    "epochs": ({"cmap": "viridis"}, lambda ax: ax.images[0]),
+    "spectrum": ({"lw": 3.0}, lambda ax: ax.lines[0]),
+    "significance": ({"color": "red"}, lambda ax: ax.lines[2]),
+    "speeds": ({"ms": 7}, lambda ax: ax.containers[0].lines[0]),
+    "sensitivity": ({"marker": "D"}, lambda ax: ax.containers[0].lines[0]),
+    "tracks": ({"lw": 2.5}, lambda ax: ax.lines[0]),
+    "separation": ({"alpha": 0.2}, lambda ax: ax.lines[1]),
+}
+GETTERS = {"lw": "linewidth", "ms": "markersize"}
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_keywords_of_matplotlib_pass_through(result, kind):
+    look, drawn = KEYWORDS[kind]
+    artist = drawn(result.plot(kind, **look).axes[0])
+    for name, value in look.items():
+        if name in ("vmax", "norm"):
+            assert artist.norm.vmax == getattr(value, "vmax", value)
+            continue
+        found = getattr(artist, f"get_{GETTERS.get(name, name)}")()
+        assert getattr(found, "name", found) == value
 
 
 def test_files_have_fonts_that_journals_take(result, monkeypatch):
