@@ -126,7 +126,7 @@ class SCCResult(tables.VelocityMaps):
 
     def __repr__(self):
         name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
-        table = tables.printed(self.components)
+        table = self.components
         unit = unit_name(table["pm"].unit)
         speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
         found = ", ".join(speeds) or "no stream"
@@ -135,7 +135,7 @@ class SCCResult(tables.VelocityMaps):
     def _repr_html_(self):
         lines = [repr(self)[1:-1], repr(self.cube)[1:-1]]
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
-        shown = tables.paper_table(tables.printed(self.components))
+        shown = tables.paper_table(self.components)
         if len(shown) == 0:
             return text
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))

@@ -144,35 +144,6 @@ class VelocityMaps(Components):
         return NDData(getattr(self, which), wcs=wcs, meta={"axes": names})
 
 
-def printed(table):
-    """
-    Return velocity components, or features, as they are printed.
-
-    A limit that one of the features exceeds is none.
-
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        See `SCCResult.components` and `SCCResult.features`.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        A copy, with NaN for such speeds and limits.
-
-    Examples
-    --------
-    >>> from astro_scc.measurement.tables import stream_table
-    >>> from astro_scc.measurement.tables import printed
-    >>> len(printed(stream_table([])))
-    0
-    """
-    shown = table.copy()
-    if "pm_limit" in shown.colnames:
-        shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
-    return shown
-
-
 def paper_table(table, *, sign="±"):
     """
     Return the main columns of a table as text, values with their errors.
@@ -223,14 +194,16 @@ def stream_row(result, k):
     # All orders of a few epochs leave nothing to chance.
     chance = test.p_smallest <= 1 / n
     p_err = np.sqrt(p * (1 - p) / n) if chance else 0.0
-    moves = stream.kind == "moving"
+    limit = row["pm"] + LIMIT * row["pm_err"]
+    # A limit that one of its features exceeds is none.
+    limited = stream.kind != "moving" and not stream.fastest > limit
     return row | {
         "stream": k + 1,
         "kind": stream.kind,
         "share": stream.share,
         "dispersion": stream.dispersion,
         "dispersion_err": stream.dispersion_err,
-        "pm_limit": np.nan if moves else row["pm"] + LIMIT * row["pm_err"],
+        "pm_limit": limit if limited else np.nan,
         "pm_err_alignment": by_alignment["pm_err"],
         "pm_from": stream.source,
         "p_local": stream.p_local,

@@ -7,7 +7,6 @@ import numpy as np
 from astro_scc.columns import cell, headed, table_lines
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
-from astro_scc.measurement.tables import printed
 from astro_scc.units import offset_unit, unit_name
 
 #: Most features that are named in a sentence, and that the terminal shows.
@@ -135,7 +134,7 @@ def notes(streams, features):
         them is faster.
     """
     lines, said = [], headline(streams)
-    for row in printed(streams):
+    for row in streams:
         limit, number = row["pm_limit"], row["stream"]
         members = features[features["stream"] == number]
         # The headline has the speeds that were searched.
@@ -380,7 +379,7 @@ def profile_lines(components):
     -------
     list of str
     """
-    rows, unit = printed(components), components["r_min"].unit
+    rows, unit = components.copy(), components["r_min"].unit
     ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
     rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
     tested = set(rows["bin"])

@@ -17,7 +17,6 @@ from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in_c_as
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.tables import printed
 from astro_scc.products.folder import write_files
 from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
@@ -330,14 +329,16 @@ def write_report(
     features = with_published(*features, published)
     streams = result.streams if streams is None else streams
     make_folder(directory, directory)
-    shown, meta = printed(streams), {**result.meta, **streams.meta}
-    files = draw_figures(result, shown, every=all_figures, pdf=pdf, published=published)
+    meta = {**result.meta, **streams.meta}
+    files = draw_figures(
+        result, streams, every=all_figures, pdf=pdf, published=published
+    )
     notes = answer.notes(streams, features) + answer.published_lines(features)
     in_c, name = table_in_c_as(features, streams), result.cube.meta.get("object")
     settings = meta.pop("settings", {}) | meta
     page = _template("report.html").render(
-        result=result, title=title or name or "Velocities", streams=shown,
-        headline=answer.headline(streams), tables=stream_tables(shown),
+        result=result, title=title or name or "Velocities", streams=streams,
+        headline=answer.headline(streams), tables=stream_tables(streams),
         aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
         alignment=answer.misalignment_text(settings.pop("misalignment_beams", None)),
         features=feature_rows(in_c), count=answer.feature_count(features),
@@ -372,7 +373,7 @@ def _template(name):
         "plural": lambda word, n: word if n == 1 else f"{word}s",
         "text": setting_text,
         "unit": unit_name,
-        "printed": lambda text: text.replace("+-", "±").replace("^2", "²"),
+        "signs": lambda text: text.replace("+-", "±").replace("^2", "²"),
         "cell": cell,
     }
     return environment.get_template(name)
