@@ -1,5 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Stacked cross-correlation: the call that runs all stages of a measurement."""
+"""
+Stacked cross-correlation: the call that runs all stages of a measurement.
+
+::
+
+    cube       = EpochCube.read(files)             # images, dates, beams, one WCS
+    decomposed = find_patterns(cube, decomposer)   # wavelet planes, noise, SSPs
+    features   = decomposed.follow()               # detections, tracks, motions, trust
+    flow       = decompose_flow(cube, frame)       # planes along the flow, on its grid
+    test       = permutation_test(diagrams)        # does anything move along it?
+    diagram    = correlate(planes, region=region)  # all pairs of dates, displacements
+    spectrum   = deconvolve(set_up(diagram))       # share of the flow at each speed
+    streams    = find_streams(flow, features, settings, rng=rng)
+    result     = SCCResult(decomposed, streams, ...)  # tables, figures, files
+    paper      = measure_as_in_paper(cube, settings)  # the paper's own, on request
+"""
 
 from __future__ import annotations
 
@@ -61,7 +76,7 @@ if TYPE_CHECKING:
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 #: Names of the settings of a measurement.
-OWN = tuple(field.name for field in fields(MeasurementSettings))
+NAMES = tuple(field.name for field in fields(MeasurementSettings))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,11 +152,8 @@ class StackedCrossCorrelation(MeasurementSettings):
     """
 
     def __post_init__(self):
-        self._take({n: check_setting(n, getattr(self, n)) for n in OWN})
-
-    def _take(self, values):
-        """Set values that are checked, and see whether they go together."""
-        for name, value in values.items():
+        for name in NAMES:
+            value = check_setting(name, getattr(self, name))
             object.__setattr__(self, name, in_unit(name, value))
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
@@ -158,13 +170,12 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `StackedCrossCorrelation`
         """
-        made = object.__new__(cls)
-        made._take({name: getattr(settings, name) for name in OWN})
-        return made
+        return cls(**{name: getattr(settings, name) for name in NAMES})
 
     def _decomposer(self, scales):
-        own = self.wavelet, self.detection, self.segmentation, self.noise
-        return Decomposer(scales, *own)
+        return Decomposer(
+            scales, self.wavelet, self.detection, self.segmentation, self.noise
+        )
 
     def plan(self, cube: EpochCube) -> SearchPlan:
         """
@@ -237,8 +248,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         self._check(cube)
         decomposer = self.decomposer(cube)
-        how = {"n_workers": n_workers, "progress_bar": progress_bar}
-        return find_patterns(cube, decomposer, region=region, **how)
+        return find_patterns(
+            cube, decomposer, region=region, n_workers=n_workers,
+            progress_bar=progress_bar,
+        )  # fmt: skip
 
     def _check(self, cube):
         """Refuse what is no cube and beams that differ, warn of misalignment."""
@@ -298,9 +311,10 @@ class StackedCrossCorrelation(MeasurementSettings):
         plan = self.plan(cube)
         decomposer = allow_for_structure(cube, self._decomposer(plan.scales))
         correlator = Correlator(self.kappa, self.target, self.min_overlap)
-        how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
-        work = cube, decomposer, correlator, plan.reach(cube)
-        return match_epochs(*work, region=region, **how)
+        return match_epochs(
+            cube, decomposer, correlator, plan.reach(cube), region=region, cache=cache,
+            n_workers=n_workers, progress_bar=progress_bar,
+        )  # fmt: skip
 
     def flow(
         self, decomposed: DecomposedEpochs
@@ -458,8 +472,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         dict
         """
-        own = asdict(self).items()
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in own}
+        values = asdict(self).items()
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in values}
 
 
 def measure_velocities(

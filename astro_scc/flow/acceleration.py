@@ -142,8 +142,14 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     if search.streams[row].kind != "stationary" and fit is not None:
         parts = [flow.between(low, high) for low, high in parts_along(flow)]
     start = list(zip(fit.mean, fit.sd, strict=True)) if parts else ()
-    how = {"start": start if len(start) > 1 else None, "intervals": search.intervals}
-    fits = [fit_part(part, sign=np.sign(fit.mean[0]), **how) for part in parts]
+    start, sign = (
+        start if len(start) > 1 else None,
+        np.sign(fit.mean[0]) if parts else 1,
+    )
+    fits = [
+        fit_part(part, sign=sign, start=start, intervals=search.intervals)
+        for part in parts
+    ]
     speeds = speeds_in_parts(fits, [place_of(part) for part in parts], stream=row)
     return acceleration_of(speeds, flow.beam, result.cube.speed_unit)
 

@@ -162,25 +162,18 @@ def fit_profile(
     good = np.isfinite(v.value) & np.isfinite(variance) & (variance > 0)
     x, y, square = r.value[good], v.value[good], square[np.ix_(good, good)]
     function, names = MODELS[model]
-    n, k, place = len(x), len(names), np.unique(x)
-    if len(place) < k:
+    n, k = len(x), len(names)
+    if (places := len(np.unique(x))) < k:
         raise ValueError(
             f"a {model} profile needs speeds with errors at {k} distances or more, "
-            f"got {len(place)}"
+            f"got {places}"
         )
-    factor, s = np.linalg.cholesky(square), np.sqrt(np.diag(square))
+    factor = np.linalg.cholesky(square)
     ones = np.linalg.solve(factor, np.ones(n))
     mean = ones @ np.linalg.solve(factor, y) / (ones @ ones)
-    starts, limits = [[mean, *[0.0] * (k - 1)]], (-np.inf, np.inf)
-    x0 = np.average(x, weights=1 / s**2)
-    if model == "power-law":
-        if not (np.all(x > 0) and np.all(y > 0)):
-            raise ValueError("a power law needs distances and speeds above 0")
-        x0 = np.exp(np.average(np.log(x), weights=(y / s) ** 2))
-    elif model == "broken":
-        # The best break may be near any of the distances.
-        starts = [[mean, 0.0, 0.0, at] for at in place[1:-1]]
-        limits = np.transpose([(-np.inf, np.inf)] * 3 + [place[[1, -2]]])
+    x0, starts, limits = _starts(model, x, y, np.sqrt(np.diag(square)), mean)
+    options = {"sigma": square, "absolute_sigma": True, "bounds": limits}
+    options |= {"method": "trf", "x_scale": "jac"}
 
     def curve(r, *values):
         return function(r, x0, *values)
@@ -188,13 +181,7 @@ def fit_profile(
     def chi2(speeds):
         return float((np.linalg.solve(factor, y - speeds) ** 2).sum())
 
-    fits = [
-        curve_fit(
-            curve, x, y, start, sigma=square, absolute_sigma=True, bounds=limits,
-            method="trf", x_scale="jac",
-        )
-        for start in starts
-    ]  # fmt: skip
+    fits = (curve_fit(curve, x, y, start, **options) for start in starts)
     values, errors = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
     least = chi2(curve(x, *values))
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
@@ -209,3 +196,20 @@ def fit_profile(
         errors=errors, chi2=least, n_free=n - k, aicc=least + 2 * k + corrected,
         p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
     )  # fmt: skip
+
+
+def _starts(model, x, y, s, mean):
+    """Return the distance of v0, and parameters to start from with their limits."""
+    _, names = MODELS[model]
+    starts, limits = [[mean, *[0.0] * (len(names) - 1)]], (-np.inf, np.inf)
+    x0 = np.average(x, weights=1 / s**2)
+    if model == "power-law":
+        if not (np.all(x > 0) and np.all(y > 0)):
+            raise ValueError("a power law needs distances and speeds above 0")
+        x0 = np.exp(np.average(np.log(x), weights=(y / s) ** 2))
+    elif model == "broken":
+        # The best break may be near any of the distances.
+        place = np.unique(x)
+        starts = [[mean, 0.0, 0.0, at] for at in place[1:-1]]
+        limits = np.transpose([(-np.inf, np.inf)] * 3 + [place[[1, -2]]])
+    return x0, starts, limits

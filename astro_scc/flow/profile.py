@@ -301,13 +301,7 @@ def measure_profile(
                 )
                 for name, part in flows.items()
             }
-        seen = [one for found in searches.values() for one in found if one is not None]
-        if not seen:
-            raise ValueError(
-                f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from "
-                "the core: choose others"
-            )
-        sign = max(seen, key=lambda search: search.test.z.max()).sign
+        sign = _sign_of(searches, bins)
         fits = {
             name: tuple(_fit_again(search, sign, root=root) for search in found)
             for name, found in searches.items()
@@ -323,6 +317,17 @@ def measure_profile(
     }
     along = "ridge" if isinstance(flow.frame, RidgeLine) else "radius"
     return Profile(bins, results, fits, speeds, flow, along)
+
+
+def _sign_of(searches, bins):
+    """Return the sign of the speed of the bin in which motion is clearest."""
+    seen = [one for found in searches.values() for one in found if one is not None]
+    if not seen:
+        raise ValueError(
+            f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from the "
+            "core: choose others"
+        )
+    return max(seen, key=lambda search: search.test.z.max()).sign
 
 
 def _search_bins(flow, limits, features, settings, generator, *, root, done):

@@ -167,10 +167,11 @@ def compare_scales(
         if scale_groups is None and len(flow.planes[0].scales) < 2:
             return None
         groups = scale_groups or halves(flow.planes[0].scales)
-        how = {"sign": 1.0 if fit is None else np.sign(fit.mean[0]), "root": False}
-        how["intervals"] = measured.search.intervals
-        flows = flows_by_scale(flow, groups)
-        fits = {name: fit_part(part, **how) for name, part in flows.items()}
+        sign, used = 1.0 if fit is None else np.sign(fit.mean[0]), measured.search
+        fits = {
+            name: fit_part(part, sign=sign, root=False, intervals=used.intervals)
+            for name, part in flows_by_scale(flow, groups).items()
+        }
         rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam)]
     speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
     units = dict.fromkeys(COMPARED[:2], u.mas) | dict.fromkeys(speeds, PM_UNIT)

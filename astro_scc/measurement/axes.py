@@ -92,26 +92,21 @@ def matched_displacements(matched, settings):
     d = frame_displacements(frame, position, sky)
     # The resolution in the epochs of SSPs and of their matches.
     here = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
-    own = ssps.scale[owner], axes if axes.ndim == 2 else axes[owner]
-    there = positions.beam_fwhm(cube, matches.target, *own)
+    local = axes if axes.ndim == 2 else axes[owner]
+    there = positions.beam_fwhm(cube, matches.target, ssps.scale[owner], local)
     ends = (ssps.snr[owner], here), (matches.target_snr, there)
     first, second = (positions.position_errors(*end, fraction) for end in ends)
     s = np.sqrt(first**2 + second**2)
     displacements = Displacements(
-        d1=d[:, 0],
-        d2=d[:, 1],
-        s1=s[:, 0],
-        s2=s[:, 1],
+        d1=d[:, 0], d2=d[:, 1], s1=s[:, 0], s2=s[:, 1],
         weight=(matches.coefficient * matches.overlap).astype(float),
         reference=ssps.epoch[owner].astype(np.int32),
-        target=matches.target.astype(np.int32),
-        ssp=owner.astype(np.int32),
+        target=matches.target.astype(np.int32), ssp=owner.astype(np.int32),
         target_ssp=target_ssps(matches, ssps).astype(np.int32),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
-    )
+    )  # fmt: skip
     years = cube.years.to_value(u.yr)
-    samples = VelocitySamples(displacements, position, sky, years)
-    return samples, frame
+    return VelocitySamples(displacements, position, sky, years), frame
 
 
 def velocity_frame(cube, position_angle):
@@ -155,8 +150,8 @@ def alignment_errors(cube, error=None):
     n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
     if error is None:
         last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        of_each = [last.get(label, {}) for label in cube.labels]
-        left = [[own.get(name) or 0.0 for name in names] for own in of_each]
+        records = [last.get(label, {}) for label in cube.labels]
+        left = [[record.get(name) or 0.0 for name in names] for record in records]
         each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
     else:
         each = np.atleast_1d(error.to_value(u.mas)).astype(float)

@@ -281,19 +281,14 @@ class SCCResult(tables.VelocityMaps):
             ``beam``, the ``direction`` of the displacement on the axes of the frame,
             and its ``position_angle``, or None if that differs from place to place.
         """
-        search = self.search
-        diagram, angle = search.diagram, search.angle
+        search, diagram = self.search, self.search.diagram
+        years, angle = diagram.years, search.angle
         direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-        epochs, years = np.arange(len(diagram.years)), diagram.years
-        top = float(diagram.sums[epochs, epochs, diagram.zero].mean()) or 1.0
-        values = diagram.means / top
-        first, second = np.triu_indices(len(years), 1)
-        tau = years[second] - years[first]
-        first, second, tau = (a[tau > 0] for a in (first, second, tau))
+        values = diagram.means / (diagram.power or 1.0)
+        first, second = np.nonzero(years - years[:, None] > 0)
         apart = ~np.eye(len(years), dtype=bool)
         excess = values[first, second] - values[apart].mean(axis=0)
-        known = diagram.overlap > 0
-        excess[:, ~known] = np.nan
+        excess[:, ~(diagram.overlap > 0)] = np.nan
         if self.frame.uniform:
             sky = np.linalg.solve(self.frame.matrix(0.0, 0.0), direction)
             position_angle = np.degrees(np.arctan2(*sky)) * u.deg
@@ -302,30 +297,18 @@ class SCCResult(tables.VelocityMaps):
                 direction, excess = -direction, excess[:, ::-1]
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
-        step, shortest = INTERVAL_STEP, tau.min()
-        bins = np.floor(np.log(tau / shortest) / step + 1e-9).astype(int)
-        n_bins = bins.max() + 1
-        n_pairs = np.bincount(bins, minlength=n_bins)
-        data = np.zeros((n_bins, excess.shape[1]))
-        np.add.at(data, bins, excess)
-        interval = np.bincount(bins, tau, minlength=n_bins)
-        with np.errstate(invalid="ignore"):
-            data, interval = data / n_pairs[:, None], interval / n_pairs
-        middle = shortest * np.exp(step / 2)
-        spacing = np.diff(diagram.displacement).mean() * search.beam
+        data, interval, n_pairs, middle = _binned(years[second] - years[first], excess)
         wcs = WCS(naxis=2)
         wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
         wcs.wcs.crpix = [1.0, (data.shape[1] + 1) / 2]
         wcs.wcs.crval = [middle, 0.0]
-        wcs.wcs.cdelt = [step * middle, spacing]
+        spacing = np.diff(diagram.displacement).mean() * search.beam
+        wcs.wcs.cdelt = [INTERVAL_STEP * middle, spacing]
         meta = {
-            "axes": ("interval", "displacement"),
-            "interval": interval * u.yr,
-            "n_pairs": n_pairs,
-            "beam": search.beam * u.mas,
-            "direction": direction,
+            "axes": ("interval", "displacement"), "interval": interval * u.yr,
+            "n_pairs": n_pairs, "beam": search.beam * u.mas, "direction": direction,
             "position_angle": position_angle,
-        }
+        }  # fmt: skip
         return NDData(data.T, unit=u.one, wcs=wcs, meta=meta)
 
     def plot(self, kind: str = "spectrum", **options: Any) -> Figure:
@@ -395,6 +378,18 @@ class SCCResult(tables.VelocityMaps):
 
         tables = self.streams, self.features
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
+
+
+def _binned(tau, excess):
+    """Return means in logarithmic bins of the interval; their intervals and numbers."""
+    shortest = tau.min()
+    bins = np.floor(np.log(tau / shortest) / INTERVAL_STEP + 1e-9).astype(int)
+    n_pairs = np.bincount(bins)
+    data = np.zeros((len(n_pairs), excess.shape[1]))
+    np.add.at(data, bins, excess)
+    with np.errstate(invalid="ignore"):
+        data, interval = data / n_pairs[:, None], np.bincount(bins, tau) / n_pairs
+    return data, interval, n_pairs, shortest * np.exp(INTERVAL_STEP / 2)
 
 
 def velocity_hdus(result, *, text=None):

@@ -161,8 +161,9 @@ def overview(table, features, parts, folder, published):
     rows = []
     for part in parts:
         names = tuple(getattr(part, name) for name in PART)
-        own = first[names], features[of_part[names]]
-        rows.append(_part_cells(part, *own, unit, published[part.source], folder))
+        row, known = first[names], published[part.source]
+        part_features = features[of_part[names]]
+        rows.append(_part_cells(part, row, part_features, unit, known, folder))
     moving = [cells for cells in rows if cells["kind"] == "moving"]
     if speeds := [cells["speed"] for cells in moving if "speed" in cells]:
         low, middle, high = (f"{v:.2g}" for v in np.quantile(speeds, [0, 0.5, 1]))

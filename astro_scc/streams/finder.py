@@ -291,36 +291,20 @@ def find_streams(
         moving = moving[moving.along * search.sign > 0]
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
-    passes = test.p_global <= enough
-    least = 1 / np.ptp(flow.years)
-    fit, p_distinct = one_stream(equations, least, search.sign), 1.0
-    if passes and fit is not None:
-        second, p_distinct = test.beside(test.speed[test.best[1]], least / 2)
-        if p_distinct > settings.alpha and walk is None and len(moving) >= FEWEST:
-            # A second test where the first does not reject.
-            speed, n_trials = np.abs(moving.along), settings.n_trials
-            p_distinct = min(
-                p_distinct, 2 * chance_of_separation(speed, n_trials, map_rng)
-            )
-        if p_distinct <= settings.alpha and walk is None:
-            both = test.speed[test.best[1]], second
-            two = two_streams(equations, fit, least, both)
-            if two is not None and _are_two(equations, fit, two, moving, flow.beam):
-                fit = two
+    passes, diffusing = test.p_global <= enough, walk is not None
+    fit, p = _fit_of(
+        search, equations, moving, settings, map_rng, several=passes,
+        diffusing=diffusing,
+    )  # fmt: skip
     if fit is not None:
         errors = fit_errors(planes, diagram, equations, fit, region=flow.regions[0])
         search = replace(search, fit=fit, errors=errors)
-    streams = _streams(search, equations, moving, (sheet, aside), covered=covered)
     shift = _alignment(flow.years, settings.misaligned)
-    streams = [
-        replace(
-            stream, covariance=stream.covariance + shift, alignment=shift,
-            p_distinct=p_distinct if k else test.p_global,
-        )
-        for k, stream in enumerate(streams)
-    ]  # fmt: skip
+    streams = _streams(
+        search, equations, moving, (sheet, aside), shift, covered=covered, p_distinct=p
+    )
     if passes:
-        streams = [_judged(s, search, diffusing=walk is not None) for s in streams]
+        streams = [_judged(s, search, diffusing=diffusing) for s in streams]
     streams += _standing(features, flow, streams, inside)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
     velocities = velocity_map(
@@ -329,6 +313,25 @@ def find_streams(
         beam=flow.beam, rng=map_rng,
     )  # fmt: skip
     return replace(search, streams=tuple(streams), velocities=velocities)
+
+
+def _fit_of(search, equations, moving, settings, rng, *, several, diffusing):
+    """Return one stream or two that are fitted, or None, and the p-value of one."""
+    test, least = search.test, 1 / np.ptp(search.flow.years)
+    fit, p_distinct = one_stream(equations, least, search.sign), 1.0
+    if fit is None or not several:
+        return fit, p_distinct
+    first = test.speed[test.best[1]]
+    second, p_distinct = test.beside(first, least / 2)
+    if p_distinct > settings.alpha and not diffusing and len(moving) >= FEWEST:
+        # A second test where the first does not reject.
+        chance = chance_of_separation(np.abs(moving.along), settings.n_trials, rng)
+        p_distinct = min(p_distinct, 2 * chance)
+    if p_distinct <= settings.alpha and not diffusing:
+        two = two_streams(equations, fit, least, (first, second))
+        if two is not None and _are_two(equations, fit, two, moving, search.beam):
+            fit = two
+    return fit, p_distinct
 
 
 def _test_for_motion(flow, settings, rng):
@@ -386,7 +389,7 @@ def _turned(flow, direction, speed):
     return flow.along(angle)
 
 
-def _streams(search, equations, moving, sheet, *, covered):
+def _streams(search, equations, moving, sheet, shift, *, covered, p_distinct):
     """Return the streams that move, or the strongest speed, none of them judged yet."""
     beam, turn, sign, test = search.beam, _turn(search.angle), search.sign, search.test
     rows = _of_spectrum(search, equations)
@@ -415,9 +418,10 @@ def _streams(search, equations, moving, sheet, *, covered):
         v = int(np.abs(test.speed - velocity[0] / beam).argmin())
         found.append(Stream(
             kind="not significant", reason="", velocity=turn.T @ velocity,
-            covariance=turn.T @ np.diag(variance) @ turn, alignment=np.zeros((2, 2)),
+            covariance=turn.T @ np.diag(variance) @ turn + shift, alignment=shift,
             source=source, share=share, dispersion=spread, dispersion_err=spread_err,
             p_local=float(test.p_local[test.best[0], v]), p_global=test.p_global,
+            p_distinct=p_distinct if found else test.p_global,
             spectrum=(abs(speed), error), features=features, members=members.number,
             slowest=slowest, fastest=fastest,
             angle=search.angle + (0.0 if sign > 0 else np.pi),

@@ -424,10 +424,7 @@ def _draw_outlines(ax, view, indices, **line):
 # -- figures -------------------------------------------------------------------------
 
 
-def plot_epoch(
-    cube, epoch, ssps=None, *, ax=None, unit=None, norm=None, zoom=True, colorbar=True,
-    **look,
-):  # fmt: skip
+def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **look):
     """
     Draw one epoch in offsets from the reference pixel, east to the left.
 
@@ -469,8 +466,7 @@ def plot_epoch(
     """
     index = epoch_index(epoch, len(cube))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
-    view = {"unit": unit, "norm": norm, "zoom": zoom}
-    view = View(cube, ssp_points(cube, ssps), image, [index], **view)
+    view = View(cube, ssp_points(cube, ssps), image, [index], **_of_view(look))
     width, height = np.ptp(view.limits, axis=1)
     height = float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
@@ -489,10 +485,7 @@ def plot_epoch(
     return figure
 
 
-def plot_epochs(
-    cube, ssps=None, *, figure=None, max_panels=12, unit=None, norm=None, zoom=True,
-    **look,
-):  # fmt: skip
+def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     """
     Draw up to ``max_panels`` epochs, evenly selected, with the same colours.
 
@@ -506,8 +499,8 @@ def plot_epochs(
     max_panels : int, optional
         If there are more epochs, the first, the last and others evenly between
         them are drawn.
-    unit, norm, zoom, **look
-        See `plot_epoch`.
+    **look
+        ``unit``, ``norm``, ``zoom`` and keywords of the images, see `plot_epoch`.
 
     Returns
     -------
@@ -523,8 +516,7 @@ def plot_epochs(
     n = len(cube)
     chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
-    view = {"unit": unit, "norm": norm, "zoom": zoom}
-    view = View(cube, ssp_points(cube, ssps), images, chosen, **view)
+    view = View(cube, ssp_points(cube, ssps), images, chosen, **_of_view(look))
     figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = epoch_names(cube.times)
     of_beam, of_date, *_ = empty_corners(view, images.max(axis=0))
@@ -539,6 +531,11 @@ def plot_epochs(
         place = {"loc": "outside upper center", "markerscale": 1.6}
         figure.legend(handles=handles, **place, **LEGEND)
     return figure
+
+
+def _of_view(look):
+    """Take the keywords of a view out of those of an image, and return them."""
+    return {k: look.pop(k) for k in ("unit", "norm", "zoom") if k in look}
 
 
 def _label_masked(ax, view, mask):

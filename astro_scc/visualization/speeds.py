@@ -276,13 +276,11 @@ def plot_profile(
             color=style.component_color(k + 2), label=str(fit), ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
-    if len(table):
-        # Very large errors must not squeeze the rest.
-        speed = table["pm_parallel"].value
-        low, high = speed.min(initial=0.0), speed.max(initial=0.0)
-        margin = 0.35 * max(high - low, 1e-9)
-        bottom, top = ax.get_ylim()
-        ax.set_ylim(max(bottom, low - margin), min(top, high + margin))
+    # Very large errors must not squeeze the rest.
+    shown = np.append(table["pm_parallel"].value, 0.0)
+    margin = 0.35 * max(np.ptp(shown), 1e-9) if len(table) else np.inf
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(max(bottom, shown.min() - margin), min(top, shown.max() + margin))
     ax.set_xlabel("Core separation (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
     style.legend_above(ax)

@@ -79,14 +79,9 @@ class Scene:
 
     def streams(self, *columns):
         """Yield row, kind, whether it was found, and numbers in columns of each."""
-        values = [self.components[name].to_value(self.unit) for name in columns]
-        for k, (row, kind) in enumerate(zip(self.components, self.kinds, strict=True)):
-            yield (
-                row,
-                kind,
-                not kind.startswith("not"),
-                [column[k] for column in values],
-            )
+        values = np.transpose([self.components[k].to_value(self.unit) for k in columns])
+        for row, kind, numbers in zip(self.components, self.kinds, values, strict=True):
+            yield row, kind, not kind.startswith("not"), numbers
 
 
 # -- the paper's stack ---------------------------------------------------------------
