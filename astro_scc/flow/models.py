@@ -80,10 +80,8 @@ class ProfileFit:
     def __str__(self):
         name = next((k for k in self.parameters if k != "v0"), "v0")
         value, error = self.parameters[name], self.errors[name]
-        text = with_error(value.value, error.value)
-        unit = "" if value.unit == u.one else f" {unit_name(value.unit)}"
-        more = f", p {self.p_constant:.2g}" if name != "v0" else ""
-        return f"{self.model}: {name.replace('_', ' ')} {text}{unit}{more}"
+        text = f"{with_error(value.value, error.value)} {unit_name(value.unit)}".strip()
+        return f"{self.model}: {'index ' if name == 'index' else ''}{text}"
 
     def __call__(self, distance: u.Quantity) -> u.Quantity:
         """

@@ -26,7 +26,7 @@ from astro_scc.matching.matched import DecomposedEpochs
 from astro_scc.measurement import tables
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.finder import StreamSearch
+from astro_scc.streams.finder import StreamSearch, frame_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 
@@ -471,7 +471,7 @@ def _features_hdu(result):
     features.remove_column("flux")
     # Readers of FITS know dates as text.
     features["date"] = np.asarray(features["date"].isot, dtype="U23")
-    velocity, _ = tables.frame_velocities(result.frame, result.tracked_features)
+    velocity, _ = frame_velocities(result.frame, result.tracked_features)
     row = np.searchsorted(result.tracked_features.number, features["feature"])
     features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
     return fits.table_to_hdu(features, name="FEATURES")

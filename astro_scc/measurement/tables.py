@@ -374,30 +374,6 @@ def ssp_table(decomposed):
     return positions.name_by_frame(round_to_errors(table), cube)
 
 
-def frame_velocities(frame, features):
-    """
-    Return the velocities of features along the axes of a frame.
-
-    Parameters
-    ----------
-    frame : frame of `astro_scc.kinematics`
-    features : `~astro_scc.features.Features`
-
-    Returns
-    -------
-    velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
-        In mas/yr and its square; NaN where the frame has no axes.
-    """
-    motions = features.motions
-    place, velocity, error = (
-        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-        for name in ("place", "velocity", "velocity_err")
-    )
-    axes = np.asarray(frame.matrix(*place.T))
-    turned = axes * error[:, None, :]
-    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
-
-
 def stack_tables(tables, meta):
     """Return one table of the rows of all, with a meta of its own."""
     filled = [table for table in tables if len(table)] or tables[:1]

@@ -13,6 +13,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.columns import cell, headed, heading_of
+from astro_scc.components.names import common_names, plain
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in_c_as
@@ -109,6 +110,22 @@ def acceleration_text(features):
     unit = unit_name(features["acc_parallel"].unit).replace("2", "²")
     each = (f"{row['feature']}: {cell(row, 'acc_parallel')}" for row in features[bent])
     return f"{', '.join(each)} {unit}" if bent.any() else ""
+
+
+def both_names(name):
+    """
+    Return a name with that by the coordinates of B1950, or a common one, if known.
+
+    Examples
+    --------
+    >>> from astro_scc.report.page import both_names
+    >>> both_names("0430+052"), both_names("3C 273"), both_names("Crab")
+    ('3C 120 (0430+052)', '3C 273 (1226+023)', 'Crab')
+    """
+    for coordinates, names in common_names().items():
+        if plain(name) in (coordinates, *map(plain, names)):
+            return f"{names[0] if plain(name) == coordinates else name} ({coordinates})"
+    return name
 
 
 def setting_text(value):
@@ -335,10 +352,11 @@ def write_report(
         result, streams, every=all_figures, pdf=pdf, published=published
     )
     notes = answer.notes(streams, features) + answer.published_lines(features)
-    in_c, name = table_in_c_as(features, streams), result.cube.meta.get("object")
+    in_c = table_in_c_as(features, streams)
+    name = both_names(result.cube.meta.get("object") or "Velocities")
     settings = meta.pop("settings", {}) | meta
     page = _template("report.html").render(
-        result=result, title=title or name or "Velocities", streams=streams,
+        result=result, title=title or name, streams=streams,
         headline=answer.headline(streams), tables=stream_tables(streams),
         aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
         alignment=answer.misalignment_text(settings.pop("misalignment_beams", None)),

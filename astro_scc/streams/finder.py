@@ -251,6 +251,30 @@ def moving_features(features, frame, angle, use=None, walk=None):
     return np.array(rows, dtype=MOVING).view(np.recarray)
 
 
+def frame_velocities(frame, features):
+    """
+    Return the velocities of features along the axes of a frame.
+
+    Parameters
+    ----------
+    frame : frame of `astro_scc.kinematics`
+    features : `~astro_scc.features.Features`
+
+    Returns
+    -------
+    velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
+        In mas/yr and its square; NaN where the frame has no axes.
+    """
+    motions = features.motions
+    place, velocity, error = (
+        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
+        for name in ("place", "velocity", "velocity_err")
+    )
+    axes = np.asarray(frame.matrix(*place.T))
+    turned = axes * error[:, None, :]
+    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
+
+
 def find_streams(
     flow: DecomposedFlow, features: Any, settings: SearchSettings, *,
     inside: np.ndarray | None = None, root: bool = True, rng: np.random.Generator,

@@ -7,6 +7,7 @@ import numpy as np
 from astro_scc.columns import cell
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.streams.decomposed import distances
+from astro_scc.streams.finder import frame_velocities
 from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
 from astro_scc.visualization import images, style
 
@@ -36,15 +37,12 @@ class Speeds:
         self.unit = unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
-        motions = result.tracked_features.motions
-        place, velocity, error = (
-            np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-            for name in ("place", "velocity", "velocity_err")
-        )
-        on_sky = along @ np.asarray(result.frame.matrix(*place.T))
+        features = result.tracked_features
+        velocity, covariance = frame_velocities(result.frame, features)
+        place = np.reshape([motion.place for motion in features.motions], (-1, 2))
         self.distance = np.hypot(*place.T)
-        self.feature = self.factor * (on_sky * velocity).sum(axis=1)
-        self.feature_err = self.factor * np.hypot(*(on_sky * error).T)
+        self.feature = self.factor * velocity @ along
+        self.feature_err = self.factor * np.sqrt(along @ covariance @ along)
         rows = [
             (s.velocity @ along, np.sqrt(along @ s.covariance @ along), s.dispersion)
             for s in search.streams

@@ -283,7 +283,7 @@ def plot_profile(
     ax.set_ylim(max(bottom, shown.min() - margin), min(top, shown.max() + margin))
     ax.set_xlabel("Core separation (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
-    style.legend_above(ax)
+    style.legend_above(ax, columns=2)
     style.add_speed_axis(ax, speeds, beta_per_pm, "right")
     if above:
         _draw_strip(strip, cube, line, far)

@@ -219,7 +219,7 @@ def date_axis(ax, cube, earliest=None, room=0.03):
     return convert
 
 
-def legend_above(ax):
+def legend_above(ax, columns=4):
     """Add a legend above axes, on the left, with each label once, as it is darkest."""
     pairs = zip(*ax.get_legend_handles_labels()[::-1], strict=True)
     # The lines of an errorbar are in a container.
@@ -229,7 +229,7 @@ def legend_above(ax):
     if each := {text: handle for text, _, handle in each}:
         ax.legend(
             each.values(), each.keys(), fontsize="small", frameon=False,
-            ncols=legend_columns(4), loc="lower left", bbox_to_anchor=(0, 1),
+            ncols=legend_columns(columns), loc="lower left", bbox_to_anchor=(0, 1),
             borderaxespad=0,
         )  # fmt: skip
 
