@@ -392,7 +392,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        settings = self.search_settings(cube, n_trials)
+        settings = search_settings(self, cube, n_trials)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
@@ -400,23 +400,10 @@ class StackedCrossCorrelation(MeasurementSettings):
             choices = parts_of(search)
         _warn_of_limits(search.test.p_smallest, len(cube), n_trials, self.alpha)
         angle = flow_direction(decomposed, flow.frame)
-        meta = self.meta(n_trials, seed) | {
+        meta = meta_of(self, n_trials, seed) | {
             "jet_position_angle": angle, "misalignment_beams": cube.misalignment,
         }  # fmt: skip
         return SCCResult(decomposed, search, angle, choices, meta)
-
-    def search_settings(self, cube: EpochCube, n_trials: int) -> SearchSettings:
-        """Return what a search for streams needs to know of the settings."""
-        return SearchSettings(
-            misaligned=alignment_errors(cube, self.alignment_error), alpha=self.alpha,
-            n_trials=n_trials, outward=self.outward,
-            intervals=used_intervals(cube, self.baseline),
-        )  # fmt: skip
-
-    def meta(self, n_trials: int, seed: Any) -> dict[str, Any]:
-        """Return what the meta of a table says on how it was made."""
-        made = {"settings": self.to_dict(), "n_trials": int(n_trials), "seed": seed}
-        return made | {"versions": versions()}
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
@@ -510,6 +497,21 @@ def measure_velocities(
     return scc(
         cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
     ).components
+
+
+def search_settings(scc, cube, n_trials):
+    """Return what a search for streams needs to know of the settings."""
+    return SearchSettings(
+        misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
+        n_trials=n_trials, outward=scc.outward,
+        intervals=used_intervals(cube, scc.baseline),
+    )  # fmt: skip
+
+
+def meta_of(scc, n_trials, seed):
+    """Return what the meta of a table says on how it was made."""
+    made = {"settings": scc.to_dict(), "n_trials": int(n_trials), "seed": seed}
+    return made | {"versions": versions()}
 
 
 def used_intervals(cube, baseline):

@@ -16,7 +16,7 @@ from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
-from astro_scc.spectrum.permutations import INWARD, permutation_test
+from astro_scc.streams.finder import SearchSettings, find_motion
 from astro_scc.streams.parts import fit_part, has_flow
 from astro_scc.units import PM_UNIT
 
@@ -144,12 +144,16 @@ def measure_field(
     flow, (r, offset, unit) = result.flow, cell_coordinates(result.flow)
     seen = flow.planes[0].mask & ~flow.grids[0].counter
     along, across = _edges(along, across, r[seen], offset[seen], unit, flow.beam)
+    settings = SearchSettings(
+        n_trials=n_trials, outward=result.meta["settings"]["outward"],
+        intervals=result.search.intervals,
+    )  # fmt: skip
     rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
     for low, high in pairwise(across.value):
         for r_min, r_max in pairwise(along.value):
             inside = (r >= r_min) & (r < r_max) & (offset >= low) & (offset < high)
             cell = flow.part(places=[(inside & ~flow.grids[0].counter) * 1.0])
-            found = _measure_cell(cell, result, n_trials, next(rngs))
+            found = _measure_cell(cell, result.search, settings, next(rngs))
             rows.append((r_min, r_max, low, high, *found))
     names = ("r_min", "r_max", "offset_min", "offset_max", "pm_parallel",
              "pm_parallel_err", "p_global")  # fmt: skip
@@ -180,19 +184,13 @@ def _edges(along, across, r, offset, unit, beam):
     return along, across
 
 
-def _measure_cell(cell, result, n_trials, rng):
+def _measure_cell(cell, search, settings, rng):
     """Return speed, error and p-value of a cell, or NaN."""
     if not has_flow(cell):
         return np.nan, np.nan, np.nan
-    fit, intervals = result.search.fit, result.search.intervals
-    outward = result.meta["settings"]["outward"]
-    test = permutation_test(
-        [cell.diagram(0)], fastest=cell.fastest, n_trials=n_trials, rng=rng,
-        inward=0.0 if outward else (INWARD if cell.outward else 1.0),
-        intervals=intervals,
-    )  # fmt: skip
-    sign = 1.0 if fit is None else np.sign(fit.mean[0])
-    part = fit_part(cell, sign=sign, intervals=intervals)
+    _, test = find_motion(cell, settings, rng)
+    sign = 1.0 if search.fit is None else np.sign(search.fit.mean[0])
+    part = fit_part(cell, sign=sign, intervals=search.intervals)
     if part is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
     speed, error = part.fit.mean[0], part.errors(part.fit.mean[0]).mean[0]

@@ -31,7 +31,7 @@ from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
-from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.scc import StackedCrossCorrelation, meta_of, search_settings
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.finder import find_streams
@@ -283,7 +283,7 @@ def measure_profile(
     cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
     rng, seed = seeded(rng)
     generator, root = random_generator(rng), groups is None
-    settings, limits = scc.search_settings(cube, n_trials), bins.to_value(u.mas)
+    settings, limits = search_settings(scc, cube, n_trials), bins.to_value(u.mas)
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
         flow = scc.flow(decomposed)
@@ -308,7 +308,7 @@ def measure_profile(
         }
         places = [place_of(flow.between(low, high)) for low, high in limits]
         speeds = {name: speeds_in_parts(found, places) for name, found in fits.items()}
-    meta, angle = scc.meta(n_trials, seed), flow_direction(decomposed, flow.frame)
+    meta, angle = meta_of(scc, n_trials, seed), flow_direction(decomposed, flow.frame)
     results = {
         name: tuple(
             one and SCCResult(decomposed, one, angle, [], meta) for one in found

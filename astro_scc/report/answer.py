@@ -27,7 +27,8 @@ AGREE = 2
 MOST_SPANS = 10
 #: Columns of streams, features and profiles.
 STREAMS = (
-    "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features"
+    "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features "
+    "pm_spectrum"
 ).split()
 FEATURES = (
     "feature stream dates n_epochs separation pm pm_pa beta_app v_app p_false"

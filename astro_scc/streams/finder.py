@@ -124,21 +124,21 @@ class SearchSettings:
 
     Attributes
     ----------
-    misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
+    n_trials : int
+    misaligned : `~numpy.ndarray`, shape (n_epochs, 2), optional
         Standard error of the alignment of each epoch, in mas.
     alpha : float
         Largest ``p_global`` of a stream that moves.
-    n_trials : int
     outward : bool
         Search only speeds away from the core.
     intervals : (float, float)
         Shortest and longest interval that is used, in years.
     """
 
-    misaligned: np.ndarray
-    alpha: float
     n_trials: int
-    outward: bool
+    misaligned: np.ndarray | None = None
+    alpha: float = 0.01
+    outward: bool = False
     intervals: tuple[float, float] = EVERY
 
     def inward(self, flow) -> float:
@@ -299,7 +299,7 @@ def find_streams(
     `StreamSearch`
     """
     map_rng = rng.spawn(1)[0]
-    flow, test = _test_for_motion(flow, settings, rng)
+    flow, test = find_motion(flow, settings, rng)
     planes = flow.planes[0].square_root() if root else flow.planes[0]
     sheet, aside = _sheet(planes, flow.regions[0], 3)
     diagram = sheet[len(sheet) // 2]
@@ -358,8 +358,21 @@ def _fit_of(search, equations, moving, settings, rng, *, several, diffusing):
     return fit, p_distinct
 
 
-def _test_for_motion(flow, settings, rng):
-    """Return a flow along its direction, and the test for motion of all directions."""
+def find_motion(flow, settings, rng):
+    """
+    Return a flow along its direction, and the test for motion along all directions.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+    settings : `SearchSettings`
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    flow : ``DecomposedFlow``
+    test : ``MotionTest``
+    """
     shared = {"fastest": flow.fastest, "intervals": settings.intervals}
     shared |= {"n_trials": settings.n_trials, "rng": rng}
     diagrams = [flow.diagram(k) for k in range(len(flow.planes))]

@@ -402,17 +402,13 @@ class Page:
     def _features_table(self):
         speed, length = unit_name(self.pm_unit), unit_name(self.length)
         shown = (
-            ("feature", "feature", "0", 55),
-            ("stream", "stream", "0", 80),
-            ("n_epochs", "epochs", "0", 55),
-            ("first", "first", None, 95),
+            ("feature", "feature", "0", 55), ("stream", "stream", "0", 80),
+            ("n_epochs", "epochs", "0", 55), ("first", "first", None, 95),
             ("last", "last", None, 95),
             ("separation", f"separation ({length})", "0.00", 115),
-            ("pm", f"pm ({speed})", "0.000", 110),
-            ("pm_err", "error", "0.000", 60),
-            ("p_false", "p_false", "0.00", 60),
-            ("secure", "secure", None, 60),
-        )
+            ("pm", f"pm ({speed})", "0.000", 110), ("pm_err", "error", "0.000", 60),
+            ("p_false", "p_false", "0.00", 60), ("secure", "secure", None, 60),
+        )  # fmt: skip
         columns = []
         for field, title, form, width in shown:
             columns.append(models.TableColumn(field=field, title=title, width=width))

@@ -163,7 +163,7 @@ def draw_image(ax, view, image, epoch=None, corner=None, look=None):
     """Draw an image, and the beam of an epoch in an empty corner; set the limits."""
     import matplotlib
 
-    look = {"cmap": "Greys"} | (look or {})
+    look = style.look_of("image", look or {}, cmap="Greys")
     look["cmap"] = matplotlib.colormaps.get_cmap(look["cmap"]).with_extremes(bad=MASKED)
     transform = view.to_offsets + ax.transData
     drawn = ax.imshow(

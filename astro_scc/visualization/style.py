@@ -42,6 +42,8 @@ JOURNAL = {
 _SCALE = ContextVar("scale", default=1.0)
 #: Label of features of no stream.
 NONE = "no stream"
+#: Keywords of matplotlib's functions that are not of their artists.
+OF_PLOTS = "vmin", "vmax", "shading", "capsize", "elinewidth"
 #: Dots per inch of a page.
 DPI = 150
 
@@ -71,12 +73,24 @@ def look_of(kind, given, **usual):
     kind : {"line", "image", "mesh"}
         Keywords may be short, as those of the artist of matplotlib are.
     given : dict
+
+    Raises
+    ------
+    TypeError
+        If a keyword is none of the artist.
     """
     from matplotlib import cbook, collections, image, lines
+    from matplotlib.artist import ArtistInspector
 
     kinds = {"line": lines.Line2D, "image": image.AxesImage}
     artist = kinds.get(kind, collections.QuadMesh)
     usual, given = (cbook.normalize_kwargs(look, artist) for look in (usual, given))
+    known = {*ArtistInspector(artist).get_setters(), *usual, *OF_PLOTS}
+    for name in given.keys() - known:
+        raise TypeError(
+            f"unknown option {name!r} of this figure: it takes its own and those of "
+            f"matplotlib's {artist.__name__}"
+        )
     if given.get("norm") is not None:
         # A norm has limits of its own.
         usual = {k: v for k, v in usual.items() if k not in ("vmin", "vmax")}

@@ -52,6 +52,12 @@ REFUSED = [
     ("velocity_map", {"which": "p"}, "unknown map 'p': use 'coefficient'"),
     ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
+    (
+        "velocity_map",
+        {"colour": "red"},
+        "unknown option 'colour' of this figure: .*Image",
+    ),
+    ("tracks", {"cmap": "magma"}, "unknown option 'cmap' .* matplotlib's Line2D"),
     (0, {"unit": "Jy"}, "unit must be an angle"),
     (8, {}, "epoch 8 of a cube with 8 epochs"),
     (0.5, {}, "cannot be interpreted as an integer"),
