@@ -164,6 +164,9 @@ def draw_image(ax, view, image, epoch=None, corner=None, look=None):
     import matplotlib
 
     look = style.look_of("image", look or {}, cmap="Greys")
+    for name in ("vmin", "vmax"):
+        # A norm takes its limits from itself.
+        setattr(view.norm, name, look.pop(name, getattr(view.norm, name)))
     look["cmap"] = matplotlib.colormaps.get_cmap(look["cmap"]).with_extremes(bad=MASKED)
     transform = view.to_offsets + ax.transData
     drawn = ax.imshow(

@@ -85,7 +85,7 @@ KEYWORDS = {
         lambda ax: ax.collections[0],
     ),
     "distance": ({"cmap": "Blues"}, lambda ax: ax.collections[0]),
-    "epochs": ({"cmap": "viridis"}, lambda ax: ax.images[0]),
+    "epochs": ({"cmap": "viridis", "vmax": 0.5}, lambda ax: ax.images[0]),
     "spectrum": ({"lw": 3.0}, lambda ax: ax.lines[0]),
     "significance": ({"color": "red"}, lambda ax: ax.lines[2]),
     "speeds": ({"ms": 7}, lambda ax: ax.containers[0].lines[0]),
