@@ -248,10 +248,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         self._check(cube)
         decomposer = self.decomposer(cube)
-        return find_patterns(
-            cube, decomposer, region=region, n_workers=n_workers,
-            progress_bar=progress_bar,
-        )  # fmt: skip
+        how = {"n_workers": n_workers, "progress_bar": progress_bar}
+        return find_patterns(cube, decomposer, region=region, **how)
 
     def _check(self, cube):
         """Refuse what is no cube and beams that differ, warn of misalignment."""
@@ -311,10 +309,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         plan = self.plan(cube)
         decomposer = allow_for_structure(cube, self._decomposer(plan.scales))
         correlator = Correlator(self.kappa, self.target, self.min_overlap)
-        return match_epochs(
-            cube, decomposer, correlator, plan.reach(cube), region=region, cache=cache,
-            n_workers=n_workers, progress_bar=progress_bar,
-        )  # fmt: skip
+        how = {"n_workers": n_workers, "cache": cache, "progress_bar": progress_bar}
+        work = cube, decomposer, correlator, plan.reach(cube)
+        return match_epochs(*work, region=region, **how)
 
     def flow(
         self, decomposed: DecomposedEpochs

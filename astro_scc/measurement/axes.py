@@ -92,21 +92,26 @@ def matched_displacements(matched, settings):
     d = frame_displacements(frame, position, sky)
     # The resolution in the epochs of SSPs and of their matches.
     here = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
-    local = axes if axes.ndim == 2 else axes[owner]
-    there = positions.beam_fwhm(cube, matches.target, ssps.scale[owner], local)
+    own = ssps.scale[owner], axes if axes.ndim == 2 else axes[owner]
+    there = positions.beam_fwhm(cube, matches.target, *own)
     ends = (ssps.snr[owner], here), (matches.target_snr, there)
     first, second = (positions.position_errors(*end, fraction) for end in ends)
     s = np.sqrt(first**2 + second**2)
     displacements = Displacements(
-        d1=d[:, 0], d2=d[:, 1], s1=s[:, 0], s2=s[:, 1],
+        d1=d[:, 0],
+        d2=d[:, 1],
+        s1=s[:, 0],
+        s2=s[:, 1],
         weight=(matches.coefficient * matches.overlap).astype(float),
         reference=ssps.epoch[owner].astype(np.int32),
-        target=matches.target.astype(np.int32), ssp=owner.astype(np.int32),
+        target=matches.target.astype(np.int32),
+        ssp=owner.astype(np.int32),
         target_ssp=target_ssps(matches, ssps).astype(np.int32),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
-    )  # fmt: skip
+    )
     years = cube.years.to_value(u.yr)
-    return VelocitySamples(displacements, position, sky, years), frame
+    samples = VelocitySamples(displacements, position, sky, years)
+    return samples, frame
 
 
 def velocity_frame(cube, position_angle):
