@@ -81,7 +81,8 @@ class ProfileFit:
         name = next((k for k in self.parameters if k != "v0"), "v0")
         value, error = self.parameters[name], self.errors[name]
         text = f"{with_error(value.value, error.value)} {unit_name(value.unit)}".strip()
-        return f"{self.model}: {'index ' if name == 'index' else ''}{text}"
+        which = "" if name == "gradient" else f"{name.replace('_', ' ')} "
+        return f"{self.model}: {which}{text}"
 
     def __call__(self, distance: u.Quantity) -> u.Quantity:
         """
