@@ -157,7 +157,8 @@ def cell(row, name, sign="±", form=None):
     Returns
     -------
     str
-        A value with an error is rounded to its error.
+        A value with an error is rounded to its error; of a probability that may be
+        zero, the upper limit.
 
     Examples
     --------
@@ -184,7 +185,10 @@ def cell(row, name, sign="±", form=None):
     if not np.isfinite(value):
         return "-"
     if form is None and f"{name}_err" in names:
-        return with_error(value, _plain(row[f"{name}_err"]), sign)
+        error = _plain(row[f"{name}_err"])
+        if name.startswith("p_") and error >= value:
+            return f"< {value + error:.1g}"
+        return with_error(value, error, sign)
     return f"{value:{form or row.table[name].info.format or ''}}"
 
 

@@ -193,10 +193,10 @@ def _kinds(group, scale, snr):
     kind = np.zeros(len(group), dtype=int)
     n = 0
     for g, j in np.unique(np.stack([group, scale]), axis=1).T:
-        own = np.flatnonzero((group == g) & (scale == j))
-        parts = min(PARTS, max(len(own) // ENOUGH, 1))
-        limits = np.quantile(snr[own], np.arange(1, parts) / parts)
-        kind[own] = n + np.searchsorted(limits, snr[own], side="right")
+        same = np.flatnonzero((group == g) & (scale == j))
+        parts = min(PARTS, max(len(same) // ENOUGH, 1))
+        limits = np.quantile(snr[same], np.arange(1, parts) / parts)
+        kind[same] = n + np.searchsorted(limits, snr[same], side="right")
         n += parts
     return np.unique(kind, return_inverse=True)[1]
 
@@ -224,10 +224,10 @@ def start_of(samples, weight, *, max_rate, centre=None):
     width = WIDTH * samples.error / samples.interval
     tried, rates = np.linspace(-max_rate, max_rate, 2 * TRIED + 1), []
     for g in range(int(group.max()) + 1):
-        own = group == g
-        rest = (v[own] - rate * (x[own] - start) for rate in tried)
-        squares = ((r**2).sum(axis=1) / width[own] ** 2 for r in rest)
-        sums = [weight[own] @ np.exp(-0.5 * square) for square in squares]
+        use = group == g
+        rest = (v[use] - rate * (x[use] - start) for rate in tried)
+        squares = ((r**2).sum(axis=1) / width[use] ** 2 for r in rest)
+        sums = [weight[use] @ np.exp(-0.5 * square) for square in squares]
         rates.append(tried[int(np.argmax(sums))])
     return np.array([*rates, *start])
 
@@ -432,12 +432,12 @@ def measure_expansion(
     whole = everywhere if decomposed.region is None else decomposed.region
     tables = {}
     rngs = random_generator(rng).spawn(sectors)
-    for (low, high), own in zip(pairwise(edges), rngs, strict=True):
+    for (low, high), of_sector in zip(pairwise(edges), rngs, strict=True):
         sector = whole & ((azimuth - low) % 360 < high - low)
         select = decomposed.select & centroids_inside(decomposed.ssps, cube, sector)
         if select.any():
             part = replace(decomposed, select=select, region=sector)
-            found = stacker.measure(part, n_trials=n_trials, rng=own)
+            found = stacker.measure(part, n_trials=n_trials, rng=of_sector)
             tables[low, high] = found.streams
     if not tables:
         raise ValueError("no SSP lies in any sector: there is nothing to measure")

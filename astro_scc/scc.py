@@ -1,5 +1,20 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Stacked cross-correlation: the call that runs all stages of a measurement."""
+"""
+Stacked cross-correlation: the call that runs all stages of a measurement.
+
+::
+
+    cube       = EpochCube.read(files)             # images, dates, beams, one WCS
+    decomposed = find_patterns(cube, decomposer)   # wavelet planes, noise, SSPs
+    features   = decomposed.follow()               # detections, tracks, motions, trust
+    flow       = decompose_flow(cube, frame)       # planes along the flow, on its grid
+    test       = permutation_test(diagrams)        # does anything move along it?
+    diagram    = correlate(planes, region=region)  # all pairs of dates, displacements
+    spectrum   = deconvolve(set_up(diagram))       # share of the flow at each speed
+    streams    = find_streams(flow, features, settings, rng=rng)
+    result     = SCCResult(decomposed, streams, ...)  # tables, figures, files
+    paper      = measure_as_in_paper(cube, settings)  # the paper's own, on request
+"""
 
 from __future__ import annotations
 
@@ -51,7 +66,7 @@ from astro_scc.settings import (
 )
 from astro_scc.spectrum.permutations import EVERY
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
-from astro_scc.streams.finder import FEWEST_EPOCHS, find_streams
+from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings, find_streams
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
@@ -61,7 +76,7 @@ if TYPE_CHECKING:
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 #: Names of the settings of a measurement.
-OWN = tuple(field.name for field in fields(MeasurementSettings))
+NAMES = tuple(field.name for field in fields(MeasurementSettings))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,11 +152,8 @@ class StackedCrossCorrelation(MeasurementSettings):
     """
 
     def __post_init__(self):
-        self._take({n: check_setting(n, getattr(self, n)) for n in OWN})
-
-    def _take(self, values):
-        """Set values that are checked, and see whether they go together."""
-        for name, value in values.items():
+        for name in NAMES:
+            value = check_setting(name, getattr(self, name))
             object.__setattr__(self, name, in_unit(name, value))
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
@@ -158,13 +170,12 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `StackedCrossCorrelation`
         """
-        made = object.__new__(cls)
-        made._take({name: getattr(settings, name) for name in OWN})
-        return made
+        return cls(**{name: getattr(settings, name) for name in NAMES})
 
     def _decomposer(self, scales):
-        own = self.wavelet, self.detection, self.segmentation, self.noise
-        return Decomposer(scales, *own)
+        return Decomposer(
+            scales, self.wavelet, self.detection, self.segmentation, self.noise
+        )
 
     def plan(self, cube: EpochCube) -> SearchPlan:
         """
@@ -380,33 +391,18 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        intervals = used_intervals(cube, self.baseline)
+        settings = search_settings(self, cube, n_trials)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
-            search = find_streams(
-                flow, features,
-                misaligned=alignment_errors(cube, self.alignment_error),
-                alpha=self.alpha, n_trials=n_trials, outward=self.outward,
-                intervals=intervals, rng=generator,
-            )  # fmt: skip
+            search = find_streams(flow, features, settings, rng=generator)
             choices = parts_of(search)
         _warn_of_limits(search.test.p_smallest, len(cube), n_trials, self.alpha)
         angle = flow_direction(decomposed, flow.frame)
-        return SCCResult(
-            decomposed=decomposed,
-            search=search,
-            position_angle=angle,
-            choices=choices,
-            meta={
-                "settings": self.to_dict(),
-                "n_trials": int(n_trials),
-                "seed": seed,
-                "versions": versions(),
-                "jet_position_angle": angle,
-                "misalignment_beams": cube.misalignment,
-            },
-        )
+        meta = meta_of(self, n_trials, seed) | {
+            "jet_position_angle": angle, "misalignment_beams": cube.misalignment,
+        }  # fmt: skip
+        return SCCResult(decomposed, search, angle, choices, meta)
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
@@ -462,8 +458,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         dict
         """
-        own = asdict(self).items()
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in own}
+        values = asdict(self).items()
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in values}
 
 
 def measure_velocities(
@@ -500,6 +496,21 @@ def measure_velocities(
     return scc(
         cube, region=region, n_trials=n_trials, rng=rng, n_workers=n_workers
     ).components
+
+
+def search_settings(scc, cube, n_trials):
+    """Return what a search for streams needs to know of the settings."""
+    return SearchSettings(
+        misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
+        n_trials=n_trials, outward=scc.outward,
+        intervals=used_intervals(cube, scc.baseline),
+    )  # fmt: skip
+
+
+def meta_of(scc, n_trials, seed):
+    """Return what the meta of a table says on how it was made."""
+    made = {"settings": scc.to_dict(), "n_trials": int(n_trials), "seed": seed}
+    return made | {"versions": versions()}
 
 
 def used_intervals(cube, baseline):

@@ -12,7 +12,6 @@ from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
 from astro_scc.flow import measure_profile
 from astro_scc.kinematics import apparent_speed
-from astro_scc.measurement.tables import printed
 from astro_scc.visualization import plot_profile
 
 
@@ -34,7 +33,7 @@ def measure(data, before=None, n_trials=1000):
     )
     edges = [0.5, 2, 4, 8, 16] * u.mas
     profile = measure_profile(scc, cube, edges, n_trials=n_trials, rng=1)
-    table = printed(profile.components_in_c(distance=16.7 * u.Mpc))
+    table = profile.components_in_c(distance=16.7 * u.Mpc)
     columns = "pm_parallel", "pm_parallel_err", "p_global", "p_fdr"
     figure = plot_profile(
         profile.components,

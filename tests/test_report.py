@@ -18,6 +18,7 @@ from astro_scc.kinematics import paper_cosmology
 from astro_scc.quantities import with_error
 from astro_scc.report import write_report
 from astro_scc.report.answer import (
+    feature_count,
     feature_lines,
     headline,
     notes,
@@ -136,10 +137,11 @@ def test_the_answer_comes_first(page, streams):
     assert said.startswith("Motion: ")
     order = [
         said, "1: acceleration: ", "beware of", f"3 (not significant): {CHANCE}.",
-        "that were searched; here it cannot be below 0.005.", "Velocity spectrum.",
+        "new in each epoch; here it cannot be below 0.005.", "Velocity spectrum.",
         "Speed against distance.", "Displacement against interval.",
         "Separation against time.", "More figures", "Velocity map.",
-        "Main speed with other choices.", "astro-scc measure", "Sensitivity to the cho",
+        "Main speed with other choices.", "epochs are aligned", "astro-scc measure",
+        "Speed of the main stream from parts of the data: ",
         "2 epochs left out", "late.fits: no date", "max speed", "tested with", "numpy",
     ]  # fmt: skip
     places = [page.words.find(part) for part in order]
@@ -182,7 +184,8 @@ def test_each_feature_has_its_own_speed(result, page):
     table = changed(result.features, secure=True)
     longest = np.sort(np.argsort(-table["n_epochs"], kind="stable")[:2])
     numbers = table["feature"].astype(str)
-    _, said, _, *lines, _ = feature_lines(table, most=2)
+    _, said, _, *lines, secure, _ = feature_lines(table, most=2)
+    assert secure.startswith("secure: p_false at most 0.3, moved by 1.0 beams")
     assert said.endswith("secure; the 2 that were seen in most epochs:")
     for line, row in zip(lines, table[longest], strict=True):
         assert line.split()[:2] == [str(row["feature"]), str(row["stream"])]
@@ -202,7 +205,7 @@ def test_the_same_files_each_time_and_as_pdf(result, tmp_path, monkeypatch):
 
 def test_figures_that_are_empty_or_not_wanted(result, monkeypatch):
     monkeypatch.setattr(
-        "astro_scc.visualization.style.figure_files", lambda figures, **_: set(figures)
+        "astro_scc.visualization.style.figure_files", lambda names, *_, **_k: set(names)
     )
     assert draw_figures(result, result.streams) == set(MAIN)
     still = replace(result, choices=[])
@@ -237,9 +240,9 @@ def test_choices_that_change_the_speed_are_named(result, words_of):
     choices = [dict(row) for row in result.choices]
     choices[1]["significant"] = True
     words = words_of(replace(result, choices=choices))
-    assert "Stream 1 (moving): parts of the data have other speeds: " in words
+    assert "Stream 1 (moving): its speed differs between parts: " in words
     assert f"({choices[1]['choice']})" in words
-    assert "Sensitivity to" not in words_of(replace(result, choices=[]))
+    assert "from parts of the data" not in words_of(replace(result, choices=[]))
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
@@ -254,6 +257,24 @@ def test_what_does_not_move_has_a_limit(result, share):
         f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper limit (95%) "
         f"of the mean speed of its features ({named})"
     ]
+
+
+def test_features_are_counted_once(result):
+    table, streams = result.features.copy(), result.streams
+    alone = np.flatnonzero(table["secure"])[0]
+    table["stream"] = 1
+    table["stream"][alone] = 0
+    number = table["feature"][alone]
+    said = f"1 secure feature belongs to no stream ({number}): moving across the flow"
+    assert any(line.startswith(said) for line in notes(streams, table))
+    table["secure"] = np.arange(len(table)) == alone
+    n = len(table) - 1
+    assert feature_count(table) == f"{n + 1} features ({n} of stream 1, 1 of none)"
+
+
+def test_a_probability_that_may_be_zero_is_a_limit():
+    table = QTable({"p_global": [0.000999, 0.02], "p_global_err": [0.000999, 0.004]})
+    assert [cell(row, "p_global") for row in table] == ["< 0.002", "0.0200 ± 0.0040"]
 
 
 def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of, read_page):
@@ -375,9 +396,12 @@ def test_nothing_and_the_paper_and_scales_are_said(radial):
 def test_what_secure_features_would_need_is_said(features):
     table = changed(features, secure=False, motion=0.04, p_false=0.5)
     lines = feature_lines(table)
-    assert lines[0] == f"{len(table)} features, 0 of them secure."
-    assert "moves by at least" in lines[1]
-    assert re.match(r"The nearest to that is feature \d+: p_false .* errors", lines[2])
+    assert lines[0].startswith(f"{len(table)} features (")
+    assert lines[0].endswith("), 0 of them secure.")
+    assert "moved by 1.0 beams" in lines[1]
+    assert re.match(
+        r"The nearest to being secure is feature \d+: p_false .* errors", lines[2]
+    )
     # What is not to be seen in ten times the time is no advice.
     assert "would have to be seen" not in lines[2]
     table = table[:1]
@@ -385,6 +409,7 @@ def test_what_secure_features_would_need_is_said(features):
     (years,) = re.findall(r"be seen for (\S+) yr", feature_lines(table)[2])
     span = (table["last"] - table["first"])[0].to_value(u.yr)
     assert float(years) == pytest.approx(span / 0.4, rel=0.05)
+    table["stream"] = 0
     assert feature_lines(table)[0] == "1 feature, 0 of them secure."
     assert feature_lines(table[:0])[0] == "0 features, 0 of them secure."
 

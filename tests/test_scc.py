@@ -144,8 +144,8 @@ def test_parts_of_the_data_use_the_same_intervals(cube):
     assert parts_of(own)[0]["pm"] == parts_of(result.search)[0]["pm"]
     rows = {row["choice"]: row["pm"] for row in parts_of(result.search)}
     other = {row["choice"]: row["pm"] for row in parts_of(own)}
-    (fine,) = [name for name in rows if name.startswith("fine")]
-    assert rows[fine] != other[fine]
+    (inner,) = [name for name in rows if name.startswith("inner")]
+    assert rows[inner] != other[inner]
 
 
 # The motion that is there --------------------------------------------------------

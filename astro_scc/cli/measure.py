@@ -3,7 +3,6 @@
 
 import math
 import shlex
-from functools import partial
 from pathlib import Path
 
 from astropy.io import fits
@@ -104,8 +103,11 @@ def _as_in_paper(epochs, folder, args, reporter):
         text=settings.to_toml(versions=versions()),
     )  # fmt: skip
     if not args.no_report:
-        plot = partial(result.plot, beta_per_pm=beta_per_pm(streams))
-        write_files(style.figure_files({"paper": plot}, pdf=args.pdf), folder)
+        per_pm = beta_per_pm(streams)
+        files = style.figure_files(
+            ("paper",), lambda _: result.plot(beta_per_pm=per_pm), pdf=args.pdf
+        )
+        write_files(files, folder)
     return answer.paper_lines(streams, result.level)
 
 

@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Find the features of a jet and follow each from epoch to epoch."""
 
-from functools import partial
-
 from astro_scc import StackedCrossCorrelation
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
@@ -34,13 +32,15 @@ def track(args, reporter):
         features = _find(epochs, reporter)
         table = _write(features, epochs, folder)
         if not args.no_figures:
-            own = {"published": epochs.published}
-            per_pm = {"beta_per_pm": beta_per_pm(table)}
-            figures = {
-                "separation": partial(plot_separation, features, **own, **per_pm),
-                "tracks": partial(plot_tracks, features, **own),
-            }
-            write_files(style.figure_files(figures, pdf=args.pdf), folder)
+            more = {"published": epochs.published}
+
+            def draw(name):
+                if name == "tracks":
+                    return plot_tracks(features, **more)
+                return plot_separation(features, beta_per_pm=beta_per_pm(table), **more)
+
+            files = style.figure_files(("separation", "tracks"), draw, pdf=args.pdf)
+            write_files(files, folder)
     reporter.say(
         *feature_lines(table, most=len(table)),
         *published_lines(table),

@@ -6,16 +6,10 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
-from astro_scc.flow.parts import (
-    fit_part,
-    place_of,
-    slope_of,
-    speeds_in_parts,
-    two_sided,
-    weight_of,
-)
+from astro_scc.flow.parts import place_of, slope_of, speeds_in_parts, two_sided
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import with_error
+from astro_scc.streams.parts import fit_part, weight_of
 from astro_scc.units import PM_UNIT, offset_unit
 
 #: Distance from the core below which speeds are not used, and length of a part, in
@@ -91,19 +85,13 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
     centre, speed, slope, error, number = slope_of(parts)
     length, time = unit.bases
     speed = (speed * beam * PM_UNIT).to(unit)
-    gradient, gradient_err = (
-        u.Quantity(x, 1 / u.yr).to(1 / time) for x in (slope, error)
-    )
+    gradients = [u.Quantity(x, 1 / u.yr).to(1 / time) for x in (slope, error)]
     return FlowAcceleration(
-        speed=speed,
-        centre=centre * beam * u.mas,
-        gradient=gradient,
-        gradient_err=gradient_err,
-        acceleration=(gradient * speed).to(length / time**2),
-        acceleration_err=(gradient_err * speed).to(length / time**2),
+        speed, centre * beam * u.mas, *gradients,
+        *((gradient * speed).to(length / time**2) for gradient in gradients),
         p_value=two_sided(slope / error) if np.isfinite(slope) else np.nan,
         n_parts=number,
-    )
+    )  # fmt: skip
 
 
 def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
@@ -150,24 +138,20 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     search = result.search
     if not 0 <= row < len(search.streams):
         raise ValueError(f"row must be from 0 to {len(search.streams) - 1}, got {row}")
-    flow, unit, fit = search.flow, result.cube.speed_unit, search.fit
-    fits, places = [], []
+    flow, fit, parts = search.flow, search.fit, []
     if search.streams[row].kind != "stationary" and fit is not None:
-        several = len(fit.mean) > 1
-        start = list(zip(fit.mean, fit.sd, strict=True)) if several else None
-        for low, high in parts_along(flow):
-            part = flow.between(low, high)
-            fits.append(
-                fit_part(
-                    part,
-                    sign=np.sign(fit.mean[0]),
-                    start=start,
-                    intervals=search.intervals,
-                )  # fmt: skip
-            )
-            places.append(place_of(part))
-    parts = speeds_in_parts(fits, places, stream=row if len(fits) else 0)
-    return acceleration_of(parts, flow.beam, unit)
+        parts = [flow.between(low, high) for low, high in parts_along(flow)]
+    start = list(zip(fit.mean, fit.sd, strict=True)) if parts else ()
+    start, sign = (
+        start if len(start) > 1 else None,
+        np.sign(fit.mean[0]) if parts else 1,
+    )
+    fits = [
+        fit_part(part, sign=sign, start=start, intervals=search.intervals)
+        for part in parts
+    ]
+    speeds = speeds_in_parts(fits, [place_of(part) for part in parts], stream=row)
+    return acceleration_of(speeds, flow.beam, result.cube.speed_unit)
 
 
 def parts_along(flow):

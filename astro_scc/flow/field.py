@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import astropy.units as u
 import numpy as np
@@ -11,12 +12,12 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.flow.parts import fit_part, has_flow
 from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
-from astro_scc.spectrum.permutations import INWARD, permutation_test
+from astro_scc.streams.finder import SearchSettings, find_motion
+from astro_scc.streams.parts import fit_part, has_flow
 from astro_scc.units import PM_UNIT
 
 #: Length of a cell along the flow in beams, and number across it, if none are given.
@@ -74,9 +75,8 @@ class FlowField:
         wcs = WCS(naxis=2)
         wcs.wcs.ctype = ["DISTANCE", "OFFSET"]
         wcs.wcs.crpix = [0.5, 0.5]
-        for k, (name, edges) in enumerate(
-            (("along", self.along), ("across", self.across))
-        ):
+        for k, name in enumerate(("along", "across")):
+            edges = getattr(self, name)
             step = np.diff(edges.value)
             if not np.allclose(step, step[0], rtol=1e-6):
                 raise ValueError(
@@ -141,55 +141,56 @@ def measure_field(
     from scipy.stats import false_discovery_control
 
     n_trials = require("n_trials", n_trials)
-    flow, grid = result.flow, result.flow.grids[0]
-    r, offset, unit = cell_coordinates(flow)
-    seen = flow.planes[0].mask & ~grid.counter
-    if along is None:
-        step = LENGTH * flow.beam
-        low, high = (f(r[seen]) for f in (np.min, np.max))
-        along = np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step * u.mas
-    if across is None:
-        low, high = offset[seen].min(), offset[seen].max() + 1e-9
-        across = np.linspace(low, high, ACROSS + 1) * unit
-    given = "increasing distances", "0.5 1.5 2.5 mas", 0, np.less, None
-    along = named("along", check_range, along, *given).to(u.mas)
-    across = u.Quantity(across).to(unit)
-    if across.ndim != 1 or len(across) < 2 or not np.all(np.diff(across) > 0):
-        raise ValueError(f"across = {across} must be two increasing offsets or more")
-    fit = result.search.fit
-    sign = 1.0 if fit is None else np.sign(fit.mean[0])
-    how = {"intervals": result.search.intervals}
-    how["outward"] = result.meta["settings"]["outward"]
+    flow, (r, offset, unit) = result.flow, cell_coordinates(result.flow)
+    seen = flow.planes[0].mask & ~flow.grids[0].counter
+    along, across = _edges(along, across, r[seen], offset[seen], unit, flow.beam)
+    settings = SearchSettings(
+        n_trials=n_trials, outward=result.meta["settings"]["outward"],
+        intervals=result.search.intervals,
+    )  # fmt: skip
     rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
-    for low, high in zip(across.value[:-1], across.value[1:], strict=True):
-        for r_min, r_max in zip(along.value[:-1], along.value[1:], strict=True):
+    for low, high in pairwise(across.value):
+        for r_min, r_max in pairwise(along.value):
             inside = (r >= r_min) & (r < r_max) & (offset >= low) & (offset < high)
-            cell = flow.part(places=[(inside & ~grid.counter) * 1.0])
-            found = _measure_cell(cell, sign, n_trials, next(rngs), **how)
+            cell = flow.part(places=[(inside & ~flow.grids[0].counter) * 1.0])
+            found = _measure_cell(cell, result.search, settings, next(rngs))
             rows.append((r_min, r_max, low, high, *found))
     names = ("r_min", "r_max", "offset_min", "offset_max", "pm_parallel",
              "pm_parallel_err", "p_global")  # fmt: skip
     units = [u.mas, u.mas, unit, unit, PM_UNIT, PM_UNIT]
     table = QTable(rows=rows, names=names, units=dict(zip(names, units, strict=False)))
     p = table["p_global"] = u.Quantity(table["p_global"]).value
-    if np.isnan(p).all():
+    known = np.isfinite(p)
+    if not known.any():
         raise ValueError("nothing is seen in any cell: choose other edges")
     table["p_fdr"] = np.full(len(p), np.nan)
-    table["p_fdr"][np.isfinite(p)] = false_discovery_control(p[np.isfinite(p)])
+    table["p_fdr"][known] = false_discovery_control(p[known])
     return FlowField(table, along, across)
 
 
-def _measure_cell(cell, sign, n_trials, rng, *, outward, intervals):
+def _edges(along, across, r, offset, unit, beam):
+    """Return the edges of the cells, by default those of what is seen."""
+    if along is None:
+        step = LENGTH * beam
+        first, last = np.floor(r.min() / step), np.ceil(r.max() / step)
+        along = np.arange(first, last + 1) * step * u.mas
+    if across is None:
+        across = np.linspace(offset.min(), offset.max() + 1e-9, ACROSS + 1) * unit
+    given = "increasing distances", "0.5 1.5 2.5 mas", 0, np.less, None
+    along = named("along", check_range, along, *given).to(u.mas)
+    across = u.Quantity(across).to(unit)
+    if across.ndim != 1 or len(across) < 2 or not np.all(np.diff(across) > 0):
+        raise ValueError(f"across = {across} must be two increasing offsets or more")
+    return along, across
+
+
+def _measure_cell(cell, search, settings, rng):
     """Return speed, error and p-value of a cell, or NaN."""
-    unknown = np.nan, np.nan, np.nan
     if not has_flow(cell):
-        return unknown
-    test = permutation_test(
-        [cell.diagram(0)], fastest=cell.fastest, n_trials=n_trials, rng=rng,
-        inward=0.0 if outward else (INWARD if cell.outward else 1.0),
-        intervals=intervals,
-    )  # fmt: skip
-    part = fit_part(cell, sign=sign, intervals=intervals)
+        return np.nan, np.nan, np.nan
+    _, test = find_motion(cell, settings, rng)
+    sign = 1.0 if search.fit is None else np.sign(search.fit.mean[0])
+    part = fit_part(cell, sign=sign, intervals=search.intervals)
     if part is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
     speed, error = part.fit.mean[0], part.errors(part.fit.mean[0]).mean[0]

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
 from scipy.special import chdtrc
 
+from astro_scc.quantities import with_error
+from astro_scc.units import unit_name
+
 
 def _straight(r, r0, v0, gradient=0.0):
     return v0 + gradient * (r - r0)
@@ -73,6 +76,13 @@ class ProfileFit:
     n_free: int
     aicc: float
     p_constant: float
+
+    def __str__(self):
+        name = next((k for k in self.parameters if k != "v0"), "v0")
+        value, error = self.parameters[name], self.errors[name]
+        text = f"{with_error(value.value, error.value)} {unit_name(value.unit)}".strip()
+        which = "" if name == "gradient" else f"{name.replace('_', ' ')} "
+        return f"{self.model}: {which}{text}"
 
     def __call__(self, distance: u.Quantity) -> u.Quantity:
         """
@@ -151,25 +161,18 @@ def fit_profile(
     good = np.isfinite(v.value) & np.isfinite(variance) & (variance > 0)
     x, y, square = r.value[good], v.value[good], square[np.ix_(good, good)]
     function, names = MODELS[model]
-    n, k, place = len(x), len(names), np.unique(x)
-    if len(place) < k:
+    n, k = len(x), len(names)
+    if (places := len(np.unique(x))) < k:
         raise ValueError(
             f"a {model} profile needs speeds with errors at {k} distances or more, "
-            f"got {len(place)}"
+            f"got {places}"
         )
-    factor, s = np.linalg.cholesky(square), np.sqrt(np.diag(square))
+    factor = np.linalg.cholesky(square)
     ones = np.linalg.solve(factor, np.ones(n))
     mean = ones @ np.linalg.solve(factor, y) / (ones @ ones)
-    starts, limits = [[mean, *[0.0] * (k - 1)]], (-np.inf, np.inf)
-    x0 = np.average(x, weights=1 / s**2)
-    if model == "power-law":
-        if not (np.all(x > 0) and np.all(y > 0)):
-            raise ValueError("a power law needs distances and speeds above 0")
-        x0 = np.exp(np.average(np.log(x), weights=(y / s) ** 2))
-    elif model == "broken":
-        # The best break may be near any of the distances.
-        starts = [[mean, 0.0, 0.0, at] for at in place[1:-1]]
-        limits = np.transpose([(-np.inf, np.inf)] * 3 + [place[[1, -2]]])
+    x0, starts, limits = _starts(model, x, y, np.sqrt(np.diag(square)), mean)
+    options = {"sigma": square, "absolute_sigma": True, "bounds": limits}
+    options |= {"method": "trf", "x_scale": "jac"}
 
     def curve(r, *values):
         return function(r, x0, *values)
@@ -177,20 +180,7 @@ def fit_profile(
     def chi2(speeds):
         return float((np.linalg.solve(factor, y - speeds) ** 2).sum())
 
-    fits = [
-        curve_fit(
-            curve,
-            x,
-            y,
-            start,
-            sigma=square,
-            absolute_sigma=True,
-            bounds=limits,
-            method="trf",
-            x_scale="jac",
-        )  # fmt: skip
-        for start in starts
-    ]
+    fits = (curve_fit(curve, x, y, start, **options) for start in starts)
     values, errors = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
     least = chi2(curve(x, *values))
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
@@ -199,13 +189,26 @@ def fit_profile(
         dict(zip(names, map(u.Quantity, numbers, units), strict=True))
         for numbers in (values, np.sqrt(np.diag(errors)))
     )
+    corrected = 2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf
     return ProfileFit(
-        model=model,
-        r0=parameters.get("r_break", x0 * r.unit),
-        parameters=parameters,
-        errors=errors,
-        chi2=least,
-        n_free=n - k,
-        aicc=least + 2 * k + (2 * k * (k + 1) / (n - k - 1) if n > k + 1 else np.inf),
+        model=model, r0=parameters.get("r_break", x0 * r.unit), parameters=parameters,
+        errors=errors, chi2=least, n_free=n - k, aicc=least + 2 * k + corrected,
         p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
-    )
+    )  # fmt: skip
+
+
+def _starts(model, x, y, s, mean):
+    """Return the distance of v0, and parameters to start from with their limits."""
+    _, names = MODELS[model]
+    starts, limits = [[mean, *[0.0] * (len(names) - 1)]], (-np.inf, np.inf)
+    x0 = np.average(x, weights=1 / s**2)
+    if model == "power-law":
+        if not (np.all(x > 0) and np.all(y > 0)):
+            raise ValueError("a power law needs distances and speeds above 0")
+        x0 = np.exp(np.average(np.log(x), weights=(y / s) ** 2))
+    elif model == "broken":
+        # The best break may be near any of the distances.
+        place = np.unique(x)
+        starts = [[mean, 0.0, 0.0, at] for at in place[1:-1]]
+        limits = np.transpose([(-np.inf, np.inf)] * 3 + [place[[1, -2]]])
+    return x0, starts, limits

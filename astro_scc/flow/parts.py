@@ -6,35 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from astro_scc.spectrum.diagram import Diagram, correlate
-from astro_scc.spectrum.equations import Equations, set_up
-from astro_scc.spectrum.errors import ONE_SIGMA, fit_errors
-from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
-from astro_scc.spectrum.permutations import EVERY
-from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.spectrum.errors import ONE_SIGMA
+from astro_scc.streams.parts import weight_of
 
-#: Part of the fastest speed of the search that is not known to be slower.
-TOP = 0.99
 #: Errors of differences of scales are too small by this factor in simulated jets.
 DIFFERENCES = 1.5
-
-
-@dataclass(frozen=True, eq=False)
-class PartFit:
-    """Streams that are fitted to a part of a flow."""
-
-    planes: FlowPlanes
-    region: np.ndarray | None
-    diagram: Diagram
-    equations: Equations
-    fit: StreamFit
-
-    def errors(self, travel):
-        """Return the errors, of clusters that move at a speed."""
-        return fit_errors(
-            self.planes, self.diagram, self.equations, self.fit, region=self.region,
-            travel=travel,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,57 +35,6 @@ class PartSpeeds:
     def error(self) -> np.ndarray:
         """Standard errors of the speeds."""
         return np.sqrt(np.diag(self.covariance))
-
-
-def fit_part(
-    flow, *, sign=1.0, root=True, start=None, intervals=EVERY, diagram=None, fit=None
-):
-    """
-    Fit one stream, or those of the whole flow, to a part of it.
-
-    Parameters
-    ----------
-    flow : ``DecomposedFlow``
-        Along one direction.
-    sign : float, optional
-        Of the speed of one stream.
-    root : bool, optional
-        Of the square root of the planes, see `FlowPlanes.square_root`.
-    start : sequence of (mean, sd), optional
-        Streams of the whole.
-    intervals : (float, float), optional
-        Shortest and longest interval that is used, in years.
-    diagram : ``Diagram``, optional
-        That of these planes, if it is known.
-    fit : ``StreamFit``, optional
-        If it is known.
-
-    Returns
-    -------
-    `PartFit` or None
-    """
-    planes = flow.planes[0].square_root() if root else flow.planes[0]
-    if not has_flow(flow):
-        return None
-    region = flow.regions[0]
-    diagram = correlate(planes, region=region) if diagram is None else diagram
-    equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
-    if fit is None and start is None:
-        fit = one_stream(equations, 1 / np.ptp(flow.years), sign)
-    elif fit is None:
-        fit = fit_streams(equations, start)
-    return None if fit is None else PartFit(planes, region, diagram, equations, fit)
-
-
-def has_flow(flow):
-    """Return whether a flow is seen in a part."""
-    return float(weight_of(flow).sum()) >= 4
-
-
-def weight_of(flow):
-    """Return the weight of each point of the first grid, shape (n_along, n_across)."""
-    mask, region = flow.planes[0].mask, flow.regions[0]
-    return mask * 1.0 if region is None else mask * region
 
 
 def place_of(flow):
@@ -142,29 +67,20 @@ def speeds_in_parts(fits, places, *, stream=0):
     """
     n = len(fits)
     speed, covariance = np.full(n, np.nan), np.full((n, n), np.nan)
-    known = [
-        k for k, fit in enumerate(fits) if fit is not None and _is_known(fit, stream)
-    ]
+    known = [k for k, fit in enumerate(fits) if fit is not None and fit.knows(stream)]
     if not known:
         return PartSpeeds(np.array(places), speed, covariance)
     means = np.array([fits[k].fit.mean[stream] for k in known])
     errors = [fits[k].errors(np.median(means)) for k in known]
-    epochs = np.array([own.epochs[stream] for own in errors])
+    epochs = np.array([error.epochs[stream] for error in errors])
     total = epochs @ epochs.T
     for half in (0, 1):
-        clusters = np.array([own.clusters[stream][half] for own in errors])
+        clusters = np.array([error.clusters[stream][half] for error in errors])
         m = np.count_nonzero(clusters.any(axis=0))
         total += clusters @ clusters.T * m / max(m - 1, 1) / 2
     speed[known] = np.abs(means)
     covariance[np.ix_(known, known)] = total
     return PartSpeeds(np.array(places), speed, covariance)
-
-
-def _is_known(part, stream):
-    """Return whether a speed is not at the limit of the search."""
-    fit = part.fit
-    inside = abs(fit.mean[stream]) < TOP * part.equations.speed[-1]
-    return bool(fit.amplitude[stream] > 0 and inside)
 
 
 def difference(first, second):
@@ -185,21 +101,15 @@ def difference(first, second):
     difference, error : float
         All in beams/yr; NaN where a speed is not known.
     """
-    unknown = (np.nan, np.nan), (np.nan, np.nan), np.nan, np.nan
-    if first is None or second is None:
-        return unknown
-    if not (_is_known(first, 0) and _is_known(second, 0)):
-        return unknown
+    if not all(part is not None and part.knows(0) for part in (first, second)):
+        return (np.nan, np.nan), (np.nan, np.nan), np.nan, np.nan
     travel = (first.fit.mean[0] + second.fit.mean[0]) / 2
     both = first.errors(travel), second.errors(travel)
     speeds = abs(first.fit.mean[0]), abs(second.fit.mean[0])
-    factors = [stdtrit(max(own.number[0] - 1, 1.0), ONE_SIGMA) for own in both]
+    factors = [stdtrit(max(error.number[0] - 1, 1.0), ONE_SIGMA) for error in both]
     variance = ((both[1].epochs[0] - both[0].epochs[0]) ** 2).sum()
     for half in (0, 1):
-        one, other = (
-            own.clusters[0][half] / factor
-            for own, factor in zip(both, factors, strict=True)
-        )
+        one, other = (both[k].clusters[0][half] / factors[k] for k in (0, 1))
         apart = other - one
         used = apart[apart != 0]
         m = len(used)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import astropy.units as u
@@ -18,33 +18,25 @@ from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
 from astro_scc.flow.acceleration import FlowAcceleration, acceleration_of
 from astro_scc.flow.models import fit_profile
-from astro_scc.flow.parts import (
-    PartFit,
-    PartSpeeds,
-    fit_part,
-    has_flow,
-    place_of,
-    speeds_in_parts,
-)
-from astro_scc.flow.speeds import check_groups, feature_distances, flow_by_scale
+from astro_scc.flow.parts import PartSpeeds, place_of, speeds_in_parts
+from astro_scc.flow.speeds import feature_distances, flows_by_scale, halves
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult, false_discovery_rate
-from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.patterns import DecomposedEpochs, ssp_distances
 from astro_scc.plan import flow_direction, scale_numbers
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
-from astro_scc.scc import StackedCrossCorrelation, used_intervals
+from astro_scc.scc import StackedCrossCorrelation, meta_of, search_settings
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.finder import find_streams
+from astro_scc.streams.parts import PartFit, fit_part, has_flow
 from astro_scc.units import PM_UNIT
 from astro_scc.visualization import speeds, style
-from astro_scc.writing import versions
 
 #: The name of all scales together.
 ALL = "all"
@@ -140,8 +132,8 @@ class Profile(Components):
         """The acceleration by the name of the group of scales."""
         unit = self.flow.cube.speed_unit
         return {
-            name: acceleration_of(own, self.flow.beam, unit)
-            for name, own in self.speeds.items()
+            name: acceleration_of(speeds, self.flow.beam, unit)
+            for name, speeds in self.speeds.items()
         }
 
     @cached_property
@@ -158,28 +150,26 @@ class Profile(Components):
         share that is not significant.  The meta holds, by group, the ``covariance`` of
         the speeds of the spectrum in the bins, and the ``acceleration``.
         """
-        named = [
-            (name, limits, stream_table([]) if own is None else own.streams)
+        tables = {
+            (name, k): stream_table([]) if result is None else result.streams
             for name, found in self.results.items()
-            for limits, own in zip(self.bins, found, strict=True)
-        ]
-        tables = [table for *_, table in named]
+            for k, result in enumerate(found)
+        }
         adjusted = false_discovery_rate(tables)
         several = self.groups != (ALL,)
         placed = [
-            _in_bin(table, limits, name if several else None)
-            for (name, limits, _), table in zip(named, adjusted, strict=True)
+            _in_bin(table, self.bins[k], name if several else None)
+            for (name, k), table in adjusted.items()
         ]
-        meta = dict(next((table.meta for table in tables if table.meta), {}))
-        if tested := adjusted[0].meta.get("false_discovery"):
+        meta = dict(next((table.meta for table in tables.values() if table.meta), {}))
+        if tested := next(iter(adjusted.values())).meta.get("false_discovery"):
             meta["false_discovery"] = tested
-        meta["bins"] = self.bins.to_value(u.mas).tolist()
-        meta["along"] = self.along
-        meta["covariance"] = {name: self._covariance(name) for name in self.groups}
-        meta["acceleration"] = {
-            name: asdict(own) for name, own in self.accelerations.items()
-        }
-        return stack_tables(placed, meta)
+        accelerations = self.accelerations.items()
+        return stack_tables(placed, meta | {
+            "bins": self.bins.to_value(u.mas).tolist(), "along": self.along,
+            "covariance": {name: self._covariance(name) for name in self.groups},
+            "acceleration": {name: asdict(found) for name, found in accelerations},
+        })  # fmt: skip
 
     @property
     def streams(self) -> QTable:
@@ -188,15 +178,14 @@ class Profile(Components):
 
     def _covariance(self, name):
         """Return the speeds of a group and their covariance for the meta."""
-        own, beam = self.speeds[name], self.flow.beam
-        known = np.flatnonzero(np.isfinite(own.speed))
-        square = own.covariance[np.ix_(known, known)]
+        speeds, beam = self.speeds[name], self.flow.beam
+        known = np.flatnonzero(np.isfinite(speeds.speed))
+        square = speeds.covariance[np.ix_(known, known)]
         return {
-            "bins": known.tolist(),
-            "distance": own.place[known] * beam * u.mas,
-            "speed": own.speed[known] * beam * PM_UNIT,
+            "bins": known.tolist(), "distance": speeds.place[known] * beam * u.mas,
+            "speed": speeds.speed[known] * beam * PM_UNIT,
             "covariance": square * (beam * PM_UNIT) ** 2,
-        }
+        }  # fmt: skip
 
     @property
     def main(self) -> QTable:
@@ -292,95 +281,78 @@ def measure_profile(
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
     cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
     rng, seed = seeded(rng)
-    generator, of_scales = random_generator(rng), groups is not None
-    search = {
-        "misaligned": alignment_errors(cube, scc.alignment_error), "alpha": scc.alpha,
-        "outward": scc.outward, "intervals": used_intervals(cube, scc.baseline),
-        "n_trials": n_trials,
-    }  # fmt: skip
-    meta = {
-        "settings": scc.to_dict(), "n_trials": n_trials, "seed": seed,
-        "versions": versions(),
-    }  # fmt: skip
+    generator, root = random_generator(rng), groups is None
+    settings, limits = search_settings(scc, cube, n_trials), bins.to_value(u.mas)
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
         flow = scc.flow(decomposed)
         if len(flow.grids) > 1:
             # Bins need one direction, that of the whole flow.
-            flow = find_streams(flow, features, rng=generator, **search).flow
-        flows = _by_scale(cube, flow, groups) if of_scales else {ALL: flow}
-        total = len(flows) * len(bins)
-        with progress(total, "Searching", show=progress_bar) as done:
-            results = {
+            flow = find_streams(flow, features, settings, rng=generator).flow
+        flows = {ALL: flow}
+        if groups is not None:
+            numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}
+            flows = flows_by_scale(flow, numbers)
+        with progress(len(flows) * len(bins), "Searching", show=progress_bar) as done:
+            searches = {
                 name: _search_bins(
-                    own, bins, decomposed, root=not of_scales, search=search, meta=meta,
-                    rngs=generator.spawn(len(bins)), done=done,
+                    part, limits, features, settings, generator, root=root, done=done
                 )
-                for name, own in flows.items()
-            }  # fmt: skip
-        if not any(result for found in results.values() for result in found):
-            raise ValueError(
-                f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from "
-                "the core: choose others"
-            )
-        sign, intervals = _sign_of(results), search["intervals"]
+                for name, part in flows.items()
+            }
+        sign = _sign_of(searches, bins)
         fits = {
-            name: tuple(
-                _fit_again(one, sign, intervals, root=not of_scales) for one in found
-            )
-            for name, found in results.items()
+            name: tuple(_fit_again(search, sign, root=root) for search in found)
+            for name, found in searches.items()
         }
-        limits = bins.to_value(u.mas)
         places = [place_of(flow.between(low, high)) for low, high in limits]
-        speeds = {name: speeds_in_parts(own, places) for name, own in fits.items()}
+        speeds = {name: speeds_in_parts(found, places) for name, found in fits.items()}
+    meta, angle = meta_of(scc, n_trials, seed), flow_direction(decomposed, flow.frame)
+    results = {
+        name: tuple(
+            one and SCCResult(decomposed, one, angle, [], meta) for one in found
+        )
+        for name, found in searches.items()
+    }
     along = "ridge" if isinstance(flow.frame, RidgeLine) else "radius"
     return Profile(bins, results, fits, speeds, flow, along)
 
 
-def _search_bins(flow, bins, decomposed, *, root, search, meta, rngs, done):
-    """Return the result of each bin, or None; groups of scales have no features."""
-    features = decomposed.features
-    distance = feature_distances(flow, features)
-    direction, found = flow_direction(decomposed, flow.frame), []
-    for (low, high), rng in zip(bins.to_value(u.mas), rngs, strict=True):
-        part, result = flow.between(low, high), None
+def _sign_of(searches, bins):
+    """Return the sign of the speed of the bin in which motion is clearest."""
+    seen = [one for found in searches.values() for one in found if one is not None]
+    if not seen:
+        raise ValueError(
+            f"nothing is seen in the bins, {bins.min():g} to {bins.max():g} from the "
+            "core: choose others"
+        )
+    return max(seen, key=lambda search: search.test.z.max()).sign
+
+
+def _search_bins(flow, limits, features, settings, generator, *, root, done):
+    """Return the search of each bin, or None; groups of scales have no features."""
+    distance, found = feature_distances(flow, features), []
+    for (low, high), rng in zip(limits, generator.spawn(len(limits)), strict=True):
+        part, search = flow.between(low, high), None
         if has_flow(part):
             inside = root & (distance >= low) & (distance < high)
-            streams = find_streams(
-                part, features, inside=inside, root=root, rng=rng, **search
+            search = find_streams(
+                part, features, settings, inside=inside, root=root, rng=rng
             )
-            result = SCCResult(decomposed, streams, direction, meta=dict(meta))
-        found.append(result)
+        found.append(search)
         done(1)
-    return tuple(found)
+    return found
 
 
-def _by_scale(cube, flow, groups):
-    """Return the flows of groups of scales by their names."""
-    numbers = {name: scale_numbers(cube, own) for name, own in groups.items()}
-    check_groups(numbers)
-    whole = flow_by_scale(flow, sorted({s for own in numbers.values() for s in own}))
-    return {name: whole.part(scales=own) for name, own in numbers.items()}
-
-
-def _sign_of(results):
-    """Return the sign of the speed of the bin in which motion is clearest."""
-    tests = [
-        result.search.test for found in results.values() for result in found if result
-    ]
-    test = max(tests, key=lambda test: test.z.max())
-    return float(np.sign(test.speed[test.best[1]]))
-
-
-def _fit_again(result, sign, intervals, *, root):
+def _fit_again(search, sign, *, root):
     """Return the fit of one stream to a bin."""
-    if result is None:
+    if search is None:
         return None
-    search, fit = result.search, result.search.fit
+    fit = search.fit
     same = fit is not None and len(fit.mean) == 1 and fit.mean[0] * sign > 0
     return fit_part(
-        search.flow, sign=sign, root=root, intervals=intervals, diagram=search.diagram,
-        fit=fit if same else None,
+        search.flow, sign=sign, root=root, intervals=search.intervals,
+        diagram=search.diagram, fit=fit if same else None,
     )  # fmt: skip
 
 
@@ -408,32 +380,29 @@ def write_profile(profile, components, directory, **settings):
     """
     tables = {"profile": components}
     _, paths = write_tables(tables, directory, components.meta, **settings)
-    files = style.figure_files(_figures(profile, components))
+    result = next(one for found in profile.results.values() for one in found if one)
+
+    def draw(name):
+        if name == "position_angles":
+            return speeds.plot_position_angles(angles_by_scale(profile, result))
+        return speeds.plot_profile(
+            components, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
+            cube=result.cube, beta_per_pm=beta_per_pm(components),
+        )  # fmt: skip
+
+    files = style.figure_files(("profile", "position_angles"), draw)
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]
 
 
-def _figures(profile, components):
-    """Return functions that draw the figures of a profile by their names."""
-    found = [result for own in profile.results.values() for result in own if result]
-    shown = {
-        "line": _line_of(found[0], profile.bins.max()), "fits": _fits(profile),
-        "cube": found[0].cube, "beta_per_pm": beta_per_pm(components),
-    }  # fmt: skip
-    angles = angles_by_scale(profile, found[0])
-    return {
-        "profile": partial(speeds.plot_profile, components, **shown),
-        "position_angles": partial(speeds.plot_position_angles, angles),
-    }
-
-
 def angles_by_scale(profile, result):
     """
-    Return the position angles of SSPs in the bins, by groups of scales or by scale.
+    Return the position angles of SSPs in the bins, by groups of scales.
 
     Parameters
     ----------
     profile : `Profile`
+        Without groups, its scales are divided into fine and coarse ones.
     result : `~astro_scc.measurement.SCCResult`
         Of any bin.
 
@@ -446,14 +415,18 @@ def angles_by_scale(profile, result):
     r = ssp_distances(decomposed, ridge=ridge)
     inside = decomposed.select & (r >= profile.bins.min()) & (r < profile.bins.max())
     angle, scale = ssp_angles(decomposed, result.position_angle), decomposed.ssps.scale
-    groups = {f"scale {j:g}": [j] for j in np.unique(scale[inside])}
-    if profile.groups != (ALL,):
+    if profile.groups == (ALL,):
+        groups = halves(np.unique(scale[inside]))
+    else:
         groups = {
-            f"scales {name}": own[0].planes.scales
+            name: next((fit.planes.scales for fit in fits if fit), ())
             for name, fits in profile.fits.items()
-            if (own := [fit for fit in fits if fit])
         }
-    return {name: angle[inside & np.isin(scale, own)] for name, own in groups.items()}
+    return {
+        f"scales {name}": angle[inside & np.isin(scale, scales)]
+        for name, scales in groups.items()
+        if len(scales)
+    }
 
 
 def ssp_angles(decomposed, jet):
@@ -486,14 +459,12 @@ def _line_of(result, length):
 
 def _fits(profile):
     """Return a straight line and a power law, if there are enough speeds."""
-    own, beam = profile.speeds[profile.groups[0]], profile.flow.beam
+    found, beam = profile.speeds[profile.groups[0]], profile.flow.beam
     unit = profile.flow.cube.speed_unit
-    v, e = ((x * beam * PM_UNIT).to(unit) for x in (own.speed, own.error))
-    fits = []
+    v, e = ((x * beam * PM_UNIT).to(unit) for x in (found.speed, found.error))
+    fits, given = [], {"covariance": profile.covariance}
     for model in ("linear", "power-law"):
         with suppress(ValueError):
-            r = own.place * beam * u.mas
-            fits.append(
-                fit_profile(r, v, e, model=model, covariance=profile.covariance)
-            )
+            r = found.place * beam * u.mas
+            fits.append(fit_profile(r, v, e, model=model, **given))
     return tuple(fits)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple
 from itertools import combinations
 from typing import Any
 
@@ -12,11 +12,10 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from astro_scc.flow.parts import difference, fit_part, two_sided
-from astro_scc.kinematics import PositionAngleFrame
+from astro_scc.flow.parts import difference, two_sided
 from astro_scc.measurement import SCCResult
-from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import moving_features
+from astro_scc.streams.parts import fit_part
 from astro_scc.streams.spread import mean_speed
 from astro_scc.units import PM_UNIT
 
@@ -67,21 +66,16 @@ def feature_profile(result: SCCResult) -> QTable:
     distance = feature_distances(result.flow, features)
     rows = []
     for number, stream in enumerate(result.search.streams, 1):
-        own = np.zeros(len(features.tracks), dtype=bool)
-        own[stream.members] = True
-        moving = moving_features(features, frame, stream.angle, own)
+        members = np.isin(np.arange(len(features.tracks)), stream.members)
+        moving = moving_features(features, frame, stream.angle, members)
         place = distance[moving.number]
         n_bins = min(len(place) // LEAST, MOST_BINS)
         if stream.kind != "moving" or n_bins == 0:
             continue
         for k in np.array_split(np.argsort(place), n_bins):
-            bin_ = moving.select(k)
-            mean = mean_speed(np.abs(bin_.along), bin_.along_err, bin_.weight)
-            limits = place[k].min(), place[k].max(), place[k].mean()
-            rows.append(
-                (number, len(k), *limits, mean.mean, mean.error, mean.dispersion,
-                 mean.dispersion_err)
-            )  # fmt: skip
+            part, r = moving[k], place[k]
+            mean = mean_speed(np.abs(part.along), part.along_err, part.weight)
+            rows.append((number, len(k), r.min(), r.max(), r.mean(), *astuple(mean)))
     units = dict.fromkeys(BINS[2:5], u.mas) | dict.fromkeys(BINS[5:], PM_UNIT)
     return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)
 
@@ -111,31 +105,6 @@ def feature_distances(flow, features):
 
 
 # -- speeds by scale ---------------------------------------------------------------
-
-
-def flow_by_scale(flow, scales):
-    """
-    Return a flow whose planes are normalised along it only, so that scales differ.
-
-    Parameters
-    ----------
-    flow : ``DecomposedFlow``
-        Along one direction.
-    scales : sequence of float
-        Numbers of all scales that are compared.
-
-    Returns
-    -------
-    ``DecomposedFlow``
-    """
-    angle, frame = flow.grids[0].angle, flow.frame
-    if np.isfinite(angle):
-        frame = PositionAngleFrame(angle * u.rad)
-    made = decompose_flow(
-        flow.cube, frame, scales=tuple(scales), beam=flow.beam, region=flow.inside,
-        max_speed=flow.max_speed, kernel=flow.kernel, normalise="along",
-    )  # fmt: skip
-    return replace(made, frame=flow.frame)
 
 
 def compare_scales(
@@ -190,26 +159,18 @@ def compare_scales(
     """
     rows = []
     if hasattr(measured, "results"):
-        for k, (low, high) in enumerate(measured.bins.to_value(u.mas)):
+        for k, limits in enumerate(measured.bins.to_value(u.mas)):
             fits = {name: found[k] for name, found in measured.fits.items()}
-            beam = measured.flow.beam
-            rows += [(low, high, *row) for row in _compared(fits, beam)]
+            rows += [(*limits, *row) for row in _compared(fits, measured.flow.beam)]
     else:
         flow, fit = measured.flow, measured.search.fit
-        groups = _halves(flow) if scale_groups is None else scale_groups
-        if groups is None:
+        if scale_groups is None and len(flow.planes[0].scales) < 2:
             return None
-        check_groups(groups)
-        whole = flow_by_scale(flow, sorted({s for own in groups.values() for s in own}))
-        sign = 1.0 if fit is None else np.sign(fit.mean[0])
+        groups = scale_groups or halves(flow.planes[0].scales)
+        sign, used = 1.0 if fit is None else np.sign(fit.mean[0]), measured.search
         fits = {
-            name: fit_part(
-                whole.part(scales=own),
-                sign=sign,
-                root=False,
-                intervals=measured.search.intervals,
-            )  # fmt: skip
-            for name, own in groups.items()
+            name: fit_part(part, sign=sign, root=False, intervals=used.intervals)
+            for name, part in flows_by_scale(flow, groups).items()
         }
         rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam)]
     speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
@@ -218,8 +179,12 @@ def compare_scales(
     return QTable(rows=rows or None, names=COMPARED, units=units, dtype=kinds)
 
 
-def check_groups(groups):
-    """Refuse fewer than two groups of scales, and groups that share a scale."""
+def flows_by_scale(flow, groups):
+    """
+    Return the flows of groups of scales, normalised along the flow, by their names.
+
+    Fewer than two groups, and groups that share a scale, are refused.
+    """
     if len(groups) < 2:
         raise ValueError(f"a comparison needs two groups or more, got {len(groups)}")
     for (a, first), (b, second) in combinations(groups.items(), 2):
@@ -227,15 +192,15 @@ def check_groups(groups):
             raise ValueError(
                 f"groups {a!r} and {b!r} share scale {min(both):g}: leave it out of one"
             )
+    every = sorted(set().union(*groups.values()))
+    whole = flow.along(scales=tuple(every), normalise="along")
+    return {name: whole.part(scales=scales) for name, scales in groups.items()}
 
 
-def _halves(flow: DecomposedFlow) -> dict[str, Any] | None:
-    """Return the finer and the coarser half of the scales, or None."""
-    scales = flow.planes[0].scales
-    if len(scales) < 2:
-        return None
-    own = np.array_split(scales, 2)
-    return {", ".join(f"{s:g}" for s in part): tuple(part.tolist()) for part in own}
+def halves(scales):
+    """Return the finer and the coarser half of scales, or all, by their numbers."""
+    parts = [part for part in np.array_split(scales, 2) if len(part)]
+    return {", ".join(f"{s:g}" for s in part): part.tolist() for part in parts}
 
 
 def _compared(fits, beam):

@@ -48,8 +48,8 @@ def alignment_errors(cube, error=None):
     n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
     if error is None:
         last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        of_each = [last.get(label, {}) for label in cube.labels]
-        left = [[own.get(name) or 0.0 for name in names] for own in of_each]
+        records = [last.get(label, {}) for label in cube.labels]
+        left = [[record.get(name) or 0.0 for name in names] for record in records]
         each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
     else:
         each = np.atleast_1d(error.to_value(u.mas)).astype(float)

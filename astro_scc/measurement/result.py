@@ -26,7 +26,7 @@ from astro_scc.measurement import tables
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.finder import StreamSearch
+from astro_scc.streams.finder import StreamSearch, frame_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 
@@ -126,7 +126,7 @@ class SCCResult(tables.VelocityMaps):
 
     def __repr__(self):
         name = f"SCCResult {self.cube.meta.get('object', '')}".strip()
-        table = tables.printed(self.components)
+        table = self.components
         unit = unit_name(table["pm"].unit)
         speeds = [f"{cell(row, 'pm', '+-')} {unit} {row['kind']}" for row in table]
         found = ", ".join(speeds) or "no stream"
@@ -135,7 +135,7 @@ class SCCResult(tables.VelocityMaps):
     def _repr_html_(self):
         lines = [repr(self)[1:-1], repr(self.cube)[1:-1]]
         text = f"<p>{'<br>'.join(map(escape, lines))}</p>"
-        shown = tables.paper_table(tables.printed(self.components))
+        shown = tables.paper_table(self.components)
         if len(shown) == 0:
             return text
         return text + "".join(shown.pformat(max_lines=-1, max_width=-1, html=True))
@@ -193,11 +193,11 @@ class SCCResult(tables.VelocityMaps):
 
         The first row is the speed of the stream with the largest share, from the
         velocity spectrum.  The others have its speed from short and from long
-        intervals, from the first and the second half of the epochs, from the inner and
-        the outer half of what is seen, and from fine and coarse scales; NaN where
-        nothing is found.  Where two parts, or a part and the whole, differ by more than
-        two errors, ``significant`` says so.  Without significant motion the table is
-        empty, and the ``note`` in its meta says so.
+        intervals, from the first and the second half of the epochs, and from the inner
+        and the outer half of what is seen; NaN where nothing is found.  Where two
+        parts, or a part and the whole, differ by more than two errors, ``significant``
+        says so.  Without significant motion the table is empty, and the ``note`` in its
+        meta says so.  `~astro_scc.flow.compare_scales` compares scales.
         """
         table = build_table("sensitivity", self.choices)
         if not self.choices:
@@ -208,16 +208,14 @@ class SCCResult(tables.VelocityMaps):
     def sensitivity_line(self) -> str:
         """On what the main speed depends, in words; empty if on nothing."""
         lines, table, found = [], self.sensitivity, np.isfinite(self.sensitivity["pm"])
-        parts = [
-            f"{cell(row, 'pm', '+-')} {row['pm'].unit} ({row['choice']})"
-            for row in table[table["significant"] & found]
-        ]
-        if parts:
-            lines.append("parts of the data have other speeds: " + ", ".join(parts))
+        if len(parts := table[table["significant"] & found]):
+            unit = unit_name(table["pm"].unit)
+            each = (f"{cell(row, 'pm', '+-')} ({row['choice']})" for row in parts)
+            lines.append(f"its speed differs between parts: {', '.join(each)} {unit}")
         # The first row is the whole.
         missing, n = np.sum(~found), len(table[1:])
         if 2 * missing > n:
-            lines.append(f"not found in {missing} of {n} parts of the data")
+            lines.append(f"it is not found in {missing} of {n} parts of the data")
         return "; ".join(lines)
 
     @cached_property
@@ -273,19 +271,14 @@ class SCCResult(tables.VelocityMaps):
             ``beam``, the ``direction`` of the displacement on the axes of the frame,
             and its ``position_angle``, or None if that differs from place to place.
         """
-        search = self.search
-        diagram, angle = search.diagram, search.angle
+        search, diagram = self.search, self.search.diagram
+        years, angle = diagram.years, search.angle
         direction, position_angle = np.array([np.cos(angle), np.sin(angle)]), None
-        epochs, years = np.arange(len(diagram.years)), diagram.years
-        top = float(diagram.sums[epochs, epochs, diagram.zero].mean()) or 1.0
-        values = diagram.means / top
-        first, second = np.triu_indices(len(years), 1)
-        tau = years[second] - years[first]
-        first, second, tau = (a[tau > 0] for a in (first, second, tau))
+        values = diagram.means / (diagram.power or 1.0)
+        first, second = np.nonzero(years - years[:, None] > 0)
         apart = ~np.eye(len(years), dtype=bool)
         excess = values[first, second] - values[apart].mean(axis=0)
-        known = diagram.overlap > 0
-        excess[:, ~known] = np.nan
+        excess[:, ~(diagram.overlap > 0)] = np.nan
         if self.frame.uniform:
             sky = np.linalg.solve(self.frame.matrix(0.0, 0.0), direction)
             position_angle = np.degrees(np.arctan2(*sky)) * u.deg
@@ -294,30 +287,18 @@ class SCCResult(tables.VelocityMaps):
                 direction, excess = -direction, excess[:, ::-1]
                 position_angle += 180 * u.deg
             position_angle %= 360 * u.deg
-        step, shortest = INTERVAL_STEP, tau.min()
-        bins = np.floor(np.log(tau / shortest) / step + 1e-9).astype(int)
-        n_bins = bins.max() + 1
-        n_pairs = np.bincount(bins, minlength=n_bins)
-        data = np.zeros((n_bins, excess.shape[1]))
-        np.add.at(data, bins, excess)
-        interval = np.bincount(bins, tau, minlength=n_bins)
-        with np.errstate(invalid="ignore"):
-            data, interval = data / n_pairs[:, None], interval / n_pairs
-        middle = shortest * np.exp(step / 2)
-        spacing = np.diff(diagram.displacement).mean() * search.beam
+        data, interval, n_pairs, middle = _binned(years[second] - years[first], excess)
         wcs = WCS(naxis=2)
         wcs.wcs.ctype, wcs.wcs.cunit = ["INTV-LOG", "DISPLACE"], ["yr", "mas"]
         wcs.wcs.crpix = [1.0, (data.shape[1] + 1) / 2]
         wcs.wcs.crval = [middle, 0.0]
-        wcs.wcs.cdelt = [step * middle, spacing]
+        spacing = np.diff(diagram.displacement).mean() * search.beam
+        wcs.wcs.cdelt = [INTERVAL_STEP * middle, spacing]
         meta = {
-            "axes": ("interval", "displacement"),
-            "interval": interval * u.yr,
-            "n_pairs": n_pairs,
-            "beam": search.beam * u.mas,
-            "direction": direction,
+            "axes": ("interval", "displacement"), "interval": interval * u.yr,
+            "n_pairs": n_pairs, "beam": search.beam * u.mas, "direction": direction,
             "position_angle": position_angle,
-        }
+        }  # fmt: skip
         return NDData(data.T, unit=u.one, wcs=wcs, meta=meta)
 
     def plot(self, kind: str = "spectrum", **options: Any) -> Figure:
@@ -345,6 +326,8 @@ class SCCResult(tables.VelocityMaps):
             ``profile`` of "speeds", see `astro_scc.flow.feature_profile`; ``published``
             features of "tracks" and "separation"; and what
             `EpochCube.plot <astro_scc.epochs.EpochCube.plot>` takes for "epochs".
+            Other keywords are matplotlib's, of the main image, line or symbols:
+            ``cmap``, ``vmin``, ``vmax``, ``norm``, ``color``, ``linewidth``.
 
         Returns
         -------
@@ -385,6 +368,18 @@ class SCCResult(tables.VelocityMaps):
 
         tables = self.streams, self.features
         return write_explore(path, *tables, velocity_hdus(self), cube=self.cube)
+
+
+def _binned(tau, excess):
+    """Return means in logarithmic bins of the interval; their intervals and numbers."""
+    shortest = tau.min()
+    bins = np.floor(np.log(tau / shortest) / INTERVAL_STEP + 1e-9).astype(int)
+    n_pairs = np.bincount(bins)
+    data = np.zeros((len(n_pairs), excess.shape[1]))
+    np.add.at(data, bins, excess)
+    with np.errstate(invalid="ignore"):
+        data, interval = data / n_pairs[:, None], np.bincount(bins, tau) / n_pairs
+    return data, interval, n_pairs, shortest * np.exp(INTERVAL_STEP / 2)
 
 
 def velocity_hdus(result, *, text=None):
@@ -466,7 +461,7 @@ def _features_hdu(result):
     features.remove_column("flux")
     # Readers of FITS know dates as text.
     features["date"] = np.asarray(features["date"].isot, dtype="U23")
-    velocity, _ = tables.frame_velocities(result.frame, result.tracked_features)
+    velocity, _ = frame_velocities(result.frame, result.tracked_features)
     row = np.searchsorted(result.tracked_features.number, features["feature"])
     features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
     return fits.table_to_hdu(features, name="FEATURES")

@@ -154,35 +154,6 @@ class VelocityMaps(Components):
         return NDData(getattr(self, which), wcs=wcs, meta={"axes": names})
 
 
-def printed(table):
-    """
-    Return velocity components, or features, as they are printed.
-
-    A limit that one of the features exceeds is none.
-
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-        See `SCCResult.components` and `SCCResult.features`.
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        A copy, with NaN for such speeds and limits.
-
-    Examples
-    --------
-    >>> from astro_scc.measurement.tables import stream_table
-    >>> from astro_scc.measurement.tables import printed
-    >>> len(printed(stream_table([])))
-    0
-    """
-    shown = table.copy()
-    if "pm_limit" in shown.colnames:
-        shown["pm_limit"][shown["pm_max"] > shown["pm_limit"]] = np.nan
-    return shown
-
-
 def paper_table(table, *, sign="±"):
     """
     Return the main columns of a table as text, values with their errors.
@@ -231,94 +202,77 @@ def stream_row(result, k):
     )
     p, n = stream.p_global, result.meta["n_trials"]
     # All orders of a few epochs leave nothing to chance.
-    chance = test.p_smallest <= 1 / n
-    p_err = np.sqrt(p * (1 - p) / n) if chance else 0.0
-    moves = stream.kind == "moving"
-    return row | {
-        "stream": k + 1,
-        "kind": stream.kind,
-        "share": stream.share,
-        "dispersion": stream.dispersion,
-        "dispersion_err": stream.dispersion_err,
-        "pm_limit": np.nan if moves else row["pm"] + LIMIT * row["pm_err"],
-        "pm_err_alignment": by_alignment["pm_err"],
-        "pm_from": stream.source,
-        "p_local": stream.p_local,
-        "p_global": p,
-        "p_global_err": p_err,
-        "p_distinct": stream.p_distinct,
-        "p_smallest": test.p_smallest,
-        "n_features": len(stream.members),
-        "pm_min": stream.slowest,
+    p_err = np.sqrt(p * (1 - p) / n) if test.p_smallest <= 1 / n else 0.0
+    limit = row["pm"] + LIMIT * row["pm_err"]
+    # A limit that one of its features exceeds is none.
+    limited = stream.kind != "moving" and not stream.fastest > limit
+    same = "kind share dispersion dispersion_err p_local p_global p_distinct".split()
+    row |= {name: getattr(stream, name) for name in same}
+    row |= with_errors(pm_features=stream.features, pm_spectrum=stream.spectrum) | {
+        "stream": k + 1, "pm_limit": limit if limited else np.nan,
+        "pm_err_alignment": by_alignment["pm_err"], "pm_from": stream.source,
+        "p_global_err": p_err, "p_smallest": test.p_smallest,
+        "n_features": len(stream.members), "pm_min": stream.slowest,
         "pm_max": stream.fastest,
-        **with_errors(pm_features=stream.features, pm_spectrum=stream.spectrum),
-        # ECSV reads empty text as a missing value.
-        "caution": "; ".join(filter(None, _cautions(result, k, row, p_err, alpha)))
-        or "-",
-    }
+    }  # fmt: skip
+    # ECSV reads empty text as a missing value.
+    said = [stream.reason, *_doubts(result, stream, alpha)]
+    if stream.kind == "moving":
+        said += _cautions(search, row, alpha, result.cube.speed_unit)
+        if k == _main(search):
+            said.append(result.sensitivity_line)
+    return row | {"caution": "; ".join(filter(None, said)) or "-"}
 
 
-def _cautions(result, k, row, p_err, alpha):
-    """Yield what the row of a stream depends on, or why it does not move."""
-    search, stream = result.search, result.search.streams[k]
-    unit = result.cube.speed_unit
-    yield stream.reason
+def _shown(speed, unit):
+    return f"{(speed * PM_UNIT).to_value(unit):.3g} {unit_name(unit)}"
 
-    def shown(speed):
-        return f"{(speed * PM_UNIT).to_value(unit):.3g} {unit_name(unit)}"
 
-    if stream.kind == "not significant":
-        more = f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
-        if search.test.p_smallest > alpha:
-            more += ", which so few epochs or trials cannot reach"
-        yield more
-        yield (
-            f"speeds of {shown(search.slowest)} to {shown(search.fastest)} were "
-            "searched: slower motion needs a longer time, faster shorter intervals"
-        )
-    if stream.kind != "moving":
-        return
-    if row["pm_parallel"] < -abs(row["pm_transverse"]):
-        yield "moves towards the core"
-    if stream.p_global > alpha:
-        yield (
-            f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}: the motion "
-            "rests on its secure features too"
-        )
-    elif abs(stream.p_global - alpha) <= 2 * p_err and (
-        stream.p_global > search.test.p_smallest
-    ):
-        yield f"p_global may be above or below {alpha:g} by chance: take more trials"
-    if len(stream.members) == 0:
-        yield "no secure feature moves at this speed: it is that of the spectrum alone"
-    speed = float(np.hypot(*stream.velocity))
-    if speed > AMBIGUOUS * search.unambiguous:
-        yield (
-            f"faster than {shown(search.unambiguous)}, a beam in the median interval, "
-            "patterns could be mistaken for one another"
-        )
-    if speed > NEAR * search.fastest:
-        yield f"near the fastest speed that is searched, {shown(search.fastest)}"
-    if speed < search.slowest / NEAR:
-        yield f"near the slowest speed that is searched, {shown(search.slowest)}"
-    off = _disagreement(stream)
-    if off > DISAGREE:
-        yield f"spectrum and features differ by {off:.1f} errors"
-    if k == _main(search):
-        yield result.sensitivity_line
+def _doubts(result, stream, alpha):
+    """Return why a stream is not significant, as a list of text."""
+    if stream.kind != "not significant":
+        return []
+    search, unit = result.search, result.cube.speed_unit
+    never = search.test.p_smallest > alpha
+    low, high = (_shown(speed, unit) for speed in (search.slowest, search.fastest))
+    return [
+        f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
+        f"{', which so few epochs or trials cannot reach' if never else ''}",
+        f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
+        "faster shorter intervals",
+    ]
+
+
+def _cautions(search, row, alpha, unit):
+    """Return what the row of a stream that moves depends on, as a list of text."""
+    p, speed = row["p_global"], row["pm"]
+    (a, e), (b, f) = ((row[k], row[f"{k}_err"]) for k in ("pm_features", "pm_spectrum"))
+    off = np.nan_to_num(abs(a - b) / np.hypot(e, f)) if e > 0 and f > 0 else 0.0
+    close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
+    cautions = {
+        "moves towards the core": row["pm_parallel"] < -abs(row["pm_transverse"]),
+        f"p_global {p:.2g} is above alpha, {alpha:g}: the motion rests on its secure "
+        "features too": p > alpha,
+        f"p_global may be above or below {alpha:g} by chance: take more trials":
+            close and p <= alpha,
+        "no secure feature moves at this speed: it is that of the spectrum alone":
+            row["n_features"] == 0,
+        f"faster than {_shown(search.unambiguous, unit)}, a beam in the median "
+        "interval, patterns could be mistaken for one another":
+            speed > AMBIGUOUS * search.unambiguous,
+        f"near the fastest speed that is searched, {_shown(search.fastest, unit)}":
+            speed > NEAR * search.fastest,
+        f"near the slowest speed that is searched, {_shown(search.slowest, unit)}":
+            speed < search.slowest / NEAR,
+        f"spectrum and features differ by {off:.1f} errors": off > DISAGREE,
+    }  # fmt: skip
+    return [text for text, holds in cautions.items() if holds]
 
 
 def _main(search):
     """Return the stream with the largest share of those that move."""
     shares = [s.share if s.kind == "moving" else -1.0 for s in search.streams]
     return int(np.argmax(shares))
-
-
-def _disagreement(stream):
-    """Return by how many errors the spectrum and the features differ, or 0."""
-    (a, e), (b, f) = stream.spectrum, stream.features
-    off = abs(a - b) / np.hypot(e, f) if e > 0 and f > 0 else 0.0
-    return float(np.nan_to_num(off))
 
 
 def stream_of_features(result):
@@ -340,9 +294,9 @@ def spectrum_table(result):
     tested = test.speed[order] * search.beam
 
     def at(values):
-        own = np.interp(search.speed, tested, values[direction][order])
+        inside = np.interp(search.speed, tested, values[direction][order])
         outside = (search.speed < tested[0]) | (search.speed > tested[-1])
-        return np.where(outside | (search.speed == 0), np.nan, own)
+        return np.where(outside | (search.speed == 0), np.nan, inside)
 
     table = build_table(
         "spectrum", pm_parallel=search.speed * PM_UNIT, share=share, z=at(test.z),
@@ -428,30 +382,6 @@ def ssp_table(decomposed):
     columns |= {f"{n}_err": e * u.mas for n, e in zip(SKY, error.T, strict=True)}
     table = build_table("ssps", **columns)
     return positions.name_by_frame(round_to_errors(table), cube)
-
-
-def frame_velocities(frame, features):
-    """
-    Return the velocities of features along the axes of a frame.
-
-    Parameters
-    ----------
-    frame : frame of `astro_scc.kinematics`
-    features : `~astro_scc.features.Features`
-
-    Returns
-    -------
-    velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
-        In mas/yr and its square; NaN where the frame has no axes.
-    """
-    motions = features.motions
-    place, velocity, error = (
-        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-        for name in ("place", "velocity", "velocity_err")
-    )
-    axes = np.asarray(frame.matrix(*place.T))
-    turned = axes * error[:, None, :]
-    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
 
 
 def stack_tables(tables, meta):

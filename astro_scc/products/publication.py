@@ -26,7 +26,7 @@ from astro_scc.columns import column_of, describe, round_to_errors
 from astro_scc.epochs import read_components
 from astro_scc.exceptions import warn
 from astro_scc.kinematics.cosmology import cosmology_text
-from astro_scc.measurement.tables import paper_table, printed
+from astro_scc.measurement.tables import paper_table
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import ascii_line
 
@@ -99,7 +99,6 @@ def write_publication(
     folder = Path(directory, FOLDER)
     folder.mkdir(exist_ok=True)
     texts, files = {}, []
-    tables = {name: printed(table) for name, table in tables.items()}
     for name, table in tables.items():
         if "pm" in table.colnames:
             for journal, text in latex_texts_of(table, name).items():

@@ -7,13 +7,19 @@ import numpy as np
 from astro_scc.columns import cell, headed, table_lines
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
-from astro_scc.measurement.tables import printed
 from astro_scc.units import offset_unit, unit_name
 
 #: Most features that are named in a sentence, and that the terminal shows.
 MOST = 10
 EXPLANATION = (
-    "p_global: share of permutations of what is new in each epoch that move as much",
+    "p_global: probability that images in which nothing moves show as much motion at "
+    "any of the speeds that were searched",
+)
+#: What makes a feature secure, and what its p_false is.
+SECURE = (
+    f"secure: p_false at most {MOST_FALSE:g}, moved by {LEAST_MOTION:.1f} beams and "
+    f"{SIGNIFICANT:g} standard errors or more; p_false: probability that it is no "
+    "feature, or parts of several"
 )
 #: Speeds agree within so many errors of both.
 AGREE = 2
@@ -22,7 +28,7 @@ MOST_SPANS = 10
 #: Columns of streams, features and profiles.
 STREAMS = (
     "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features "
-    "pm_features pm_spectrum"
+    "pm_spectrum"
 ).split()
 FEATURES = (
     "feature stream dates n_epochs separation pm pm_pa beta_app v_app p_false"
@@ -69,9 +75,8 @@ def headline(streams):
     """
     parts, kinds = [], np.asarray(streams["kind"], dtype=str)
     for kind, said in (("moving", "Motion: "), ("not confirmed", "Not confirmed: ")):
-        own = streams[kinds == kind]
-        if len(own):
-            parts.append(said + "; and ".join(_motion(row) for row in own))
+        if rows := [_motion(row) for row in streams[kinds == kind]]:
+            parts.append(said + "; and ".join(rows))
     if parts:
         return f"{'. '.join(parts)}."
     some, meta = streams[kinds == "not significant"], streams.meta
@@ -129,20 +134,32 @@ def notes(streams, features):
         that of the mean speed of features that are named; there is none if one of
         them is faster.
     """
-    lines, rows, said = [], printed(streams), headline(streams)
-    for row in rows:
+    lines, said = [], headline(streams)
+    for row in streams:
         limit, number = row["pm_limit"], row["stream"]
-        own = features[features["stream"] == number]
-        if row["caution"] != "-" and row["caution"] not in said:
-            lines.append(f"Stream {number} ({row['kind']}): {row['caution']}")
-        if len(own) and own["pm"].max() <= limit:
-            named = ", ".join(map(str, own["feature"]))
-            exact = len(own) == row["n_features"] and len(own) <= MOST
+        members = features[features["stream"] == number]
+        # The headline has the speeds that were searched.
+        parts = row["caution"].removeprefix("-").split("; ")
+        parts = [part for part in parts if not part.startswith("speeds of ")]
+        caution = "; ".join(parts)
+        if caution and caution not in said:
+            lines.append(f"Stream {number} ({row['kind']}): {caution}")
+        if len(members) and members["pm"].max() <= limit:
+            named = ", ".join(map(str, members["feature"]))
+            exact = len(members) == row["n_features"] and len(members) <= MOST
             named = f" ({named})" if exact else ""
             lines.append(
                 f"Stream {number}: {limit.value:.2g} {unit_name(limit.unit)} is the "
                 f"upper limit (95%) of the mean speed of its features{named}"
             )
+    alone = features[features["secure"] & (features["stream"] == 0)]
+    if len(alone) and np.any(streams["kind"] == "moving"):
+        numbers, n = ", ".join(map(str, alone["feature"][:MOST])), len(alone)
+        lines.append(
+            f"{n} secure {'feature belongs' if n == 1 else 'features belong'} to no "
+            f"stream ({numbers}{', ...' if n > MOST else ''}): moving across the flow, "
+            "against it, or too slowly for their errors"
+        )
     return lines
 
 
@@ -205,7 +222,7 @@ def stream_lines(streams, features):
     if len(streams):
         lines += ["", *column_lines(streams, STREAMS), *EXPLANATION]
     lines += notes(streams, features)
-    return [*lines, *followed, *meta_lines(streams.meta)]
+    return [*lines, *followed, *speed_lines(streams.meta)]
 
 
 def paper_lines(streams, level):
@@ -228,7 +245,7 @@ def paper_lines(streams, level):
     lines = [f"Paper's method: {n or 'no'} {said} above the level of z, {level:.2g}."]
     if len(streams):
         lines += ["", *column_lines(streams, OF_PAPER)]
-    return [*lines, *meta_lines(streams.meta)]
+    return [*lines, *speed_lines(streams.meta)]
 
 
 def feature_lines(features, most=MOST):
@@ -247,14 +264,27 @@ def feature_lines(features, most=MOST):
     list of str
         If no feature is secure, they say what the nearest to it lacks.
     """
-    n, n_secure = len(features), np.sum(features["secure"])
-    said = f"{n} {'feature' if n == 1 else 'features'}, {n_secure} of them secure"
+    n_secure = np.sum(features["secure"])
+    said = f"{feature_count(features)}, {n_secure} of them secure"
     if n_secure == 0:
         return [f"{said}.", *_lacking(features)]
     if most < n_secure:
         said += f"; the {most} that were seen in most epochs"
     lines = column_lines(_followed(features[longest(features, most)]), FEATURES)
-    return ["", f"{said}:", *lines, ""]
+    return ["", f"{said}:", *lines, SECURE, ""]
+
+
+def feature_count(features):
+    """Return how many features there are, of which streams if those are not secure."""
+    n, stream = len(features), np.asarray(features["stream"])
+    said = f"{n} {'feature' if n == 1 else 'features'}"
+    if not np.any(stream[~np.asarray(features["secure"])]):
+        return said
+    numbers = sorted(set(stream.tolist()), key=lambda k: (k == 0, k))
+    each = (
+        f"{np.sum(stream == k)} of {f'stream {k}' if k else 'none'}" for k in numbers
+    )
+    return f"{said} ({', '.join(each)})"
 
 
 def longest(features, most):
@@ -281,19 +311,19 @@ def published_lines(features):
     secure = np.asarray(features["secure"], dtype=bool)
     if "published" not in features.colnames or not secure.any():
         return []
-    own = features[secure & ~features["published"].mask]
-    if len(own) == 0:
+    same = features[secure & ~features["published"].mask]
+    if len(same) == 0:
         return [f"0 of {secure.sum()} secure features are published ones."]
-    pm, unit = own["published_pm"].unmasked, unit_name(own["pm"].unit)
-    error = np.hypot(own["pm_err"], own["published_pm_err"].unmasked)
-    differs = np.abs(own["pm"] - pm) > AGREE * error
+    pm, unit = same["published_pm"].unmasked, unit_name(same["pm"].unit)
+    error = np.hypot(same["pm_err"], same["published_pm_err"].unmasked)
+    differs = np.abs(same["pm"] - pm) > AGREE * error
     others = ", ".join(
         f"{row['feature']} ({cell(row, 'pm', '+-')}, published "
         f"{cell(row, 'published_pm', '+-')} {unit})"
-        for row in own[differs]
+        for row in same[differs]
     )
     return [
-        f"{len(own)} of {secure.sum()} secure features are published ones, of which "
+        f"{len(same)} of {secure.sum()} secure features are published ones, of which "
         f"{np.sum(~differs)} have the published speed within {AGREE} errors"
         f"{'; not ' if others else ''}{others}."
     ]
@@ -323,16 +353,16 @@ def _lacking(features):
     best = np.argmax(np.minimum.reduce(shares))
     share, row = shares[1][best], features[best]
     text = (
-        f"The nearest to that is feature {row['feature']}: p_false {false[best]:.2g}, "
-        f"motion {motion[best]:.2g} beams, {errors[best]:.2g} standard errors"
+        f"The nearest to being secure is feature {row['feature']}: "
+        f"p_false {false[best]:.2g}, motion {motion[best]:.2g} beams, "
+        f"{errors[best]:.2g} standard errors"
     )
     if 1 / MOST_SPANS < share < 1 and share == np.min(shares, axis=0)[best]:
         time = row["pm"].unit.bases[1]
         needed = (row["last"] - row["first"]).to_value(time) / share
         text += f"; at its speed it would have to be seen for {needed:.2g} {time}"
     return [
-        f"A secure feature has a p_false of at most {MOST_FALSE:g} and moves by at "
-        f"least {LEAST_MOTION:.1f} beams and {SIGNIFICANT:g} standard errors.",
+        f"{SECURE[0].upper()}{SECURE[1:]}.",
         f"{text}.",
     ]
 
@@ -350,7 +380,7 @@ def profile_lines(components):
     -------
     list of str
     """
-    rows, unit = printed(components), components["r_min"].unit
+    rows, unit = components.copy(), components["r_min"].unit
     ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
     rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
     tested = set(rows["bin"])
@@ -364,7 +394,7 @@ def profile_lines(components):
         if name not in rows["bin"]:
             why = "no speed exceeds its error" if name in tested else "nothing is seen"
             lines.append(f"{name} {unit_name(unit)}: {why}")
-    return [*lines, PROFILE_EXPLANATION, *meta_lines(components.meta)]
+    return [*lines, PROFILE_EXPLANATION, *speed_lines(components.meta)]
 
 
 def misalignment_text(scatter):
@@ -389,12 +419,6 @@ def misalignment_text(scatter):
     if scatter is None:
         return "The images do not show how well the epochs are aligned."
     return f"The epochs are aligned to {scatter:.2f} beams."
-
-
-def meta_lines(meta):
-    """Return lines on the conversion to units of c and on the alignment."""
-    scatter = meta.get("misalignment_beams")
-    return speed_lines(meta) + ([] if scatter is None else [misalignment_text(scatter)])
 
 
 def speed_lines(meta):

@@ -5,7 +5,6 @@ import re
 from base64 import b64encode
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import astropy.units as u
@@ -14,11 +13,11 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.columns import cell, headed, heading_of
+from astro_scc.components.names import common_names, plain
 from astro_scc.flow import feature_profile, measure_acceleration
 from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in_c_as
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.tables import printed
 from astro_scc.products.folder import write_files
 from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
@@ -30,12 +29,11 @@ from astro_scc.writing import make_folder
 
 #: Columns of streams that come first, in their order: what is quoted, the rest.
 QUOTED = (
-    "stream kind share pm beta_app v_app pm_pa dispersion p_global n_features "
-    "pm_features pm_spectrum pm_from"
+    "stream kind share pm beta_app v_app pm_pa dispersion p_global n_features pm_from"
 ).split()
 OTHERS = (
-    "pm_parallel pm_transverse pm_ra_cosdec pm_dec pm_lon_coslat pm_lat "
-    "pm_err_alignment p_local p_distinct p_smallest"
+    "pm_features pm_spectrum pm_parallel pm_transverse pm_ra_cosdec pm_dec "
+    "pm_lon_coslat pm_lat pm_err_alignment p_local p_distinct p_smallest"
 ).split()
 #: Columns of features.
 FEATURES = (
@@ -114,6 +112,22 @@ def acceleration_text(features):
     return f"{', '.join(each)} {unit}" if bent.any() else ""
 
 
+def both_names(name):
+    """
+    Return a name with that by the coordinates of B1950, or a common one, if known.
+
+    Examples
+    --------
+    >>> from astro_scc.report.page import both_names
+    >>> both_names("0430+052"), both_names("3C 273"), both_names("Crab")
+    ('3C 120 (0430+052)', '3C 273 (1226+023)', 'Crab')
+    """
+    for coordinates, names in common_names().items():
+        if plain(name) in (coordinates, *map(plain, names)):
+            return f"{names[0] if plain(name) == coordinates else name} ({coordinates})"
+    return name
+
+
 def setting_text(value):
     """Return the value of a setting as text."""
     match value:
@@ -164,8 +178,9 @@ def overview(table, features, parts, folder, published):
     rows = []
     for part in parts:
         names = tuple(getattr(part, name) for name in PART)
-        own = first[names], features[of_part[names]]
-        rows.append(_part_cells(part, *own, unit, published[part.source], folder))
+        row, known = first[names], published[part.source]
+        part_features = features[of_part[names]]
+        rows.append(_part_cells(part, row, part_features, unit, known, folder))
     moving = [cells for cells in rows if cells["kind"] == "moving"]
     if speeds := [cells["speed"] for cells in moving if "speed" in cells]:
         low, middle, high = (f"{v:.2g}" for v in np.quantile(speeds, [0, 0.5, 1]))
@@ -328,39 +343,33 @@ def write_report(
     'report.html'
     """
     directory = Path(directory)
-    own = with_published(result.features, result.tracked_features, published)
+    features = result.features, result.tracked_features
+    features = with_published(*features, published)
     streams = result.streams if streams is None else streams
     make_folder(directory, directory)
-    shown = printed(streams)
-    how = {"every": all_figures, "pdf": pdf, "published": published}
-    files = draw_figures(result, shown, **how)
-    features = table_in_c_as(own, streams)
     meta = {**result.meta, **streams.meta}
+    files = draw_figures(
+        result, streams, every=all_figures, pdf=pdf, published=published
+    )
+    notes = answer.notes(streams, features) + answer.published_lines(features)
+    in_c = table_in_c_as(features, streams)
+    name = both_names(result.cube.meta.get("object") or "Velocities")
+    settings = meta.pop("settings", {}) | meta
     page = _template("report.html").render(
-        result=result,
-        title=title or result.cube.meta.get("object") or "Velocities",
-        streams=shown,
-        headline=answer.headline(streams),
+        result=result, title=title or name, streams=streams,
+        headline=answer.headline(streams), tables=stream_tables(streams),
         aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
-        tables=stream_tables(shown),
-        features=feature_rows(features),
-        accelerations=acceleration_text(features),
-        notes=[
-            *answer.notes(streams, own),
-            *(line.rstrip(".") for line in answer.published_lines(own)),
-        ],
-        settings=meta.pop("settings", {}) | meta,
+        alignment=answer.misalignment_text(settings.pop("misalignment_beams", None)),
+        features=feature_rows(in_c), count=answer.feature_count(features),
+        secure_words=answer.SECURE, accelerations=acceleration_text(in_c),
+        notes=[line.rstrip(".") for line in notes], settings=settings,
         flow=flow_lines(result) if flow is None else flow,
-        depends=result.sensitivity_line,
-        files=files,
-        warnings=warnings,
-        left_out=left_out,
-        chosen=chosen,
-        rerun=rerun,
-        explore=explore,
+        depends=result.sensitivity_line, files=files, warnings=warnings,
+        left_out=left_out, chosen=[k for k in chosen if "aligned to" not in k],
+        rerun=rerun, explore=explore,
         has_explore=(directory / "explore.html").is_file(),
         products=[k for k in (*PRODUCTS, "region.reg") if (directory / k).exists()],
-    )
+    )  # fmt: skip
     files["report.html"] = page.encode("utf-8")
     write_files(files, directory)
     return directory / "report.html"
@@ -383,7 +392,7 @@ def _template(name):
         "plural": lambda word, n: word if n == 1 else f"{word}s",
         "text": setting_text,
         "unit": unit_name,
-        "printed": lambda text: text.replace("+-", "±").replace("^2", "²"),
+        "signs": lambda text: text.replace("+-", "±").replace("^2", "²"),
         "cell": cell,
     }
     return environment.get_template(name)
@@ -414,8 +423,8 @@ def write_overview(table, features, parts, folder, *, published):
     folder, files = Path(folder), {}
     found = speeds.population(features) if len(features) else {}
     if found and found["moving"].any():
-        plot = partial(speeds.plot_population, features)
-        files = style.figure_files({"population": plot})
+        draw = speeds.plot_population
+        files = style.figure_files(("population",), lambda _: draw(features))
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
         **overview(table, features, parts, folder, published),
@@ -446,16 +455,16 @@ def draw_figures(result, streams, *, every=False, pdf=False, published=None):
     per_pm, rows = {"beta_per_pm": beta_per_pm(streams)}, {"components": streams}
     options = {"spectrum": per_pm, "distance": per_pm, "diagram": rows}
     if len(result.features):
-        own = {"stream": result.features["stream"]}
-        options["speeds"] = own | per_pm | {"profile": feature_profile(result)}
-        own["published"] = published
-        options |= {"tracks": own, "separation": own | per_pm}
+        options["speeds"] = per_pm | {"profile": feature_profile(result)}
+        options["tracks"] = {"published": published}
+        options["separation"] = per_pm | options["tracks"]
     if every:
         options |= dict.fromkeys(("velocity_map", "significance"), rows | per_pm)
         options |= {"epochs": {}}
         options |= {"sensitivity": per_pm} if len(result.sensitivity) else {}
-    figures = {kind: partial(result.plot, kind, **how) for kind, how in options.items()}
-    return style.figure_files(figures, pdf=pdf)
+    return style.figure_files(
+        options, lambda kind: result.plot(kind, **options[kind]), pdf=pdf
+    )
 
 
 def flow_lines(result):

@@ -42,6 +42,12 @@ class Diagram:
         return self.sums * norm.astype(np.float32)
 
     @property
+    def power(self) -> float:
+        """Mean correlation of an epoch with itself, at zero displacement."""
+        epochs = np.arange(len(self.years))
+        return float(self.sums[epochs, epochs, self.zero].mean())
+
+    @property
     def zero(self) -> int:
         """Index of the displacement zero."""
         return len(self.displacement) // 2

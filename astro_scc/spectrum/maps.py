@@ -76,8 +76,7 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
     later = np.flatnonzero(interval > 0)
     values = np.stack([d.sums for d in sheet], axis=2)
     epochs = np.arange(n)
-    top = diagram.sums[epochs, epochs, diagram.zero].mean()
-    values /= max(float(top), np.finfo(float).tiny)
+    values /= max(diagram.power, np.finfo(float).tiny)
     flat = values.reshape(n * n, -1)
     v = fastest * np.arange(-HALF, HALF + 1) / HALF
     along = np.cos(angle) * v + np.sin(angle) * v[:, None]

@@ -84,24 +84,39 @@ class DecomposedFlow:
         """Whether positive speeds lead away from a core."""
         return self.grids[0].outward
 
-    def along(self, angle: float) -> DecomposedFlow:
+    @property
+    def angle(self) -> float:
+        """Direction of the first grid from the first axis of the frame, in radians."""
+        if not self.frame.uniform or not np.isfinite(self.grids[0].angle):
+            return 0.0
+        first, second = np.asarray(self.frame.matrix(0.0, 0.0)) @ self.grids[0].axes[0]
+        return float(np.arctan2(second, first))
+
+    def along(self, angle=None, *, scales=None, normalise="local") -> DecomposedFlow:
         """
         Return the same flow along one direction.
 
         Parameters
         ----------
-        angle : float
-            Position angle in radians.
+        angle : float, optional
+            Position angle in radians, by default that of the first grid.
+        scales : sequence of float, optional
+            By default those of the flow.
+        normalise : {"local", "along"}
+            See ``flow_planes``; scales are compared on planes that are normalised along
+            the flow only.
 
         Returns
         -------
         `DecomposedFlow`
             With the same axes of velocities.
         """
+        angle = self.grids[0].angle if angle is None else angle
+        known = np.isfinite(angle)
         made = decompose_flow(
-            self.cube, PositionAngleFrame(angle * u.rad), scales=self.planes[0].scales,
-            beam=self.beam, region=self.inside, kernel=self.kernel,
-            max_speed=self.max_speed,
+            self.cube, PositionAngleFrame(angle * u.rad) if known else self.frame,
+            scales=scales or self.planes[0].scales, beam=self.beam, region=self.inside,
+            max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
         )  # fmt: skip
         return replace(made, frame=self.frame)
 
@@ -131,10 +146,8 @@ class DecomposedFlow:
         if epochs is not None:
             planes = tuple(p.of_epochs(epochs) for p in planes)
         if places is not None:
-            regions = tuple(
-                own if region is None else region * own
-                for region, own in zip(regions, places, strict=True)
-            )
+            pairs = zip(regions, places, strict=True)
+            regions = tuple(p if region is None else region * p for region, p in pairs)
         return replace(self, planes=planes, regions=regions)
 
     def between(self, low, high):
@@ -191,6 +204,27 @@ def decompose_flow(
         If no flow is seen.
     """
     core = has_core(cube, beam)
+    seen = _seen(cube, beam, region, core)
+    if scales is None:
+        scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
+    grids = tuple(flow_grids(cube, frame, seen, beam, core=core))
+    sampling = {
+        "kernel": kernel, "normalise": normalise, "order": 3 if len(grids) == 1 else 1,
+        "reach": _reach(cube, max_speed, beam),
+    }  # fmt: skip
+    scales = tuple(scales)
+    planes = tuple(sample_planes(cube, g, scales, seen, **sampling) for g in grids)
+    regions = (None,) * len(grids)
+    if region is not None:
+        regions = tuple(sample_mask(region, g).astype(np.float32) for g in grids)
+    fastest = None if max_speed is None else max_speed.to_value(PM_UNIT) / beam
+    return DecomposedFlow(
+        cube, frame, grids, planes, regions, beam, fastest, region, kernel
+    )
+
+
+def _seen(cube, beam, region, core):
+    """Return the pixels where a flow is seen, or refuse that there are none."""
     seen = seen_flow(cube, beam, core=core)
     if region is not None and not (seen & region).any():
         seen = region
@@ -203,31 +237,4 @@ def decompose_flow(
             f"nothing in the images is brighter than five times their noise{away}: "
             "there is no flow to be measured"
         )
-    if scales is None:
-        scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
-    grids = flow_grids(cube, frame, seen, beam, core=core)
-    order = 3 if len(grids) == 1 else 1
-    reach = _reach(cube, max_speed, beam)
-    planes = tuple(
-        sample_planes(
-            cube,
-            g,
-            tuple(scales),
-            seen,
-            kernel=kernel,
-            normalise=normalise,
-            order=order,
-            reach=reach,
-        )  # fmt: skip
-        for g in grids
-    )
-    regions = tuple(
-        None if region is None else sample_mask(region, g).astype(np.float32)
-        for g in grids
-    )
-    fastest = None
-    if max_speed is not None:
-        fastest = max_speed.to_value(PM_UNIT) / beam
-    return DecomposedFlow(
-        cube, frame, tuple(grids), planes, regions, beam, fastest, region, kernel,
-    )  # fmt: skip
+    return seen

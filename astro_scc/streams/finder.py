@@ -2,7 +2,6 @@
 """From the velocity spectrum and the features to streams on the sky."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -63,6 +62,8 @@ FEWEST, SEPARATE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.9, 6.0, 0.03, 0.2
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
+#: A pair of numbers that are not known.
+UNKNOWN = (np.nan, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +109,43 @@ class Stream:
     p_local: float = np.nan
     p_global: float = np.nan
     p_distinct: float = np.nan
-    spectrum: tuple[float, float] = (np.nan, np.nan)
-    features: tuple[float, float] = (np.nan, np.nan)
+    spectrum: tuple[float, float] = UNKNOWN
+    features: tuple[float, float] = UNKNOWN
     members: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     slowest: float = np.nan
     fastest: float = np.nan
     angle: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """
+    What a search for streams needs to know beside the flow.
+
+    Attributes
+    ----------
+    n_trials : int
+    misaligned : `~numpy.ndarray`, shape (n_epochs, 2), optional
+        Standard error of the alignment of each epoch, in mas.
+    alpha : float
+        Largest ``p_global`` of a stream that moves.
+    outward : bool
+        Search only speeds away from the core.
+    intervals : (float, float)
+        Shortest and longest interval that is used, in years.
+    """
+
+    n_trials: int
+    misaligned: np.ndarray | None = None
+    alpha: float = 0.01
+    outward: bool = False
+    intervals: tuple[float, float] = EVERY
+
+    def inward(self, flow) -> float:
+        """Return the weight of speeds towards the core in the test of a flow."""
+        if self.outward and flow.directed:
+            return 0.0
+        return INWARD if flow.directed and flow.outward else 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,68 +155,76 @@ class StreamSearch:
 
     Attributes
     ----------
-    streams : tuple of `Stream`
-        The slowest that moves first; then what stands still.
     flow : ``DecomposedFlow``
         Along one direction.
     test : ``MotionTest``
         Along this direction; its ``p_global`` is that of all that were tested.
-    angle : float
-        Direction of the spectrum from the first axis of the frame, in radians.
     diagram : ``Diagram``
         Along this direction.
     speed, spectrum : `~numpy.ndarray`, shape (n_v,)
         Velocity spectrum: speeds in mas/yr, and the share of the variance that moves
         with each.
-    velocities : ``VelocityMap``
-        In mas/yr on the axes of the frame.
-    fit : ``StreamFit`` or None
-    errors : ``SpeedErrors`` or None
-    beam : float
-        In mas.
-    slowest, fastest, unambiguous : float
-        Speeds that were searched, and the largest one that the dates do not alias, in
-        mas/yr.
     intervals : (float, float)
         Shortest and longest interval that is used, in years.
+    fit : ``StreamFit`` or None
+    errors : ``SpeedErrors`` or None
+    velocities : ``VelocityMap``
+        In mas/yr on the axes of the frame.
+    streams : tuple of `Stream`
+        The slowest that moves first; then what stands still.
     """
 
-    streams: tuple[Stream, ...]
     flow: DecomposedFlow
     test: MotionTest
-    angle: float
     diagram: Diagram
     speed: np.ndarray
     spectrum: np.ndarray
-    velocities: VelocityMap
-    fit: StreamFit | None
-    errors: SpeedErrors | None
-    beam: float
-    slowest: float
-    fastest: float
-    unambiguous: float
     intervals: tuple[float, float]
+    fit: StreamFit | None = None
+    errors: SpeedErrors | None = None
+    velocities: VelocityMap | None = None
+    streams: tuple[Stream, ...] = ()
+
+    @property
+    def beam(self) -> float:
+        """The unit of length, in mas."""
+        return self.flow.beam
+
+    @property
+    def angle(self) -> float:
+        """Direction of the spectrum from the first axis of the frame, in radians."""
+        return self.flow.angle
+
+    @property
+    def sign(self) -> float:
+        """Sign of the speed at which motion is clearest."""
+        return float(np.sign(self.test.speed[self.test.best[1]]))
+
+    @property
+    def slowest(self) -> float:
+        """The slowest speed that was searched, in mas/yr."""
+        return self.beam * np.abs(self.test.speed).min()
+
+    @property
+    def fastest(self) -> float:
+        """The fastest speed that was searched, in mas/yr."""
+        return self.beam * np.abs(self.test.speed).max()
+
+    @property
+    def unambiguous(self) -> float:
+        """The largest speed that the dates do not alias, in mas/yr."""
+        gaps = np.diff(self.flow.years)
+        return self.beam / np.median(gaps[gaps > 0])
 
 
-@dataclass(frozen=True, eq=False)
-class MovingFeatures:
-    """Secure features that move, along a direction: speeds, errors, epochs, numbers."""
-
-    along: np.ndarray
-    along_err: np.ndarray
-    across: np.ndarray
-    across_err: np.ndarray
-    weight: np.ndarray
-    number: np.ndarray
-
-    def select(self, use):
-        """Return some of the features."""
-        return MovingFeatures(*(v[use] for v in vars(self).values()))
+#: A secure feature that moves, along a direction: speeds, errors, epochs, number.
+MOVING = [(name, float) for name in "along along_err across across_err weight".split()]
+MOVING += [("number", int)]
 
 
 def moving_features(features, frame, angle, use=None, walk=None):
     """
-    Return the secure features that move, with speeds in mas/yr.
+    Return the secure features that move, with speeds in mas/yr, as a record array.
 
     If they diffuse, ``walk`` is the variance of their speeds times years, and all that
     are followed count: a random walk cannot be told from motion by one of them.
@@ -208,15 +248,36 @@ def moving_features(features, frame, angle, use=None, walk=None):
         elif abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
             continue
         rows.append((along, errors[0], across, errors[1], n, k))
-    columns = np.array(rows, dtype=float).reshape(-1, 6).T
-    return MovingFeatures(*columns[:5], columns[5].astype(int))
+    return np.array(rows, dtype=MOVING).view(np.recarray)
+
+
+def frame_velocities(frame, features):
+    """
+    Return the velocities of features along the axes of a frame.
+
+    Parameters
+    ----------
+    frame : frame of `astro_scc.kinematics`
+    features : `~astro_scc.features.Features`
+
+    Returns
+    -------
+    velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
+        In mas/yr and its square; NaN where the frame has no axes.
+    """
+    motions = features.motions
+    place, velocity, error = (
+        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
+        for name in ("place", "velocity", "velocity_err")
+    )
+    axes = np.asarray(frame.matrix(*place.T))
+    turned = axes * error[:, None, :]
+    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
 
 
 def find_streams(
-    flow: DecomposedFlow, features: Any, *, misaligned: np.ndarray,
-    alpha: float = 0.01, n_trials: int = 1000, outward: bool = False,
-    inside: np.ndarray | None = None, intervals: tuple[float, float] = EVERY,
-    root: bool = True, rng: np.random.Generator,
+    flow: DecomposedFlow, features: Any, settings: SearchSettings, *,
+    inside: np.ndarray | None = None, root: bool = True, rng: np.random.Generator,
 ) -> StreamSearch:  # fmt: skip
     """
     Find the streams of a flow.
@@ -225,17 +286,9 @@ def find_streams(
     ----------
     flow : ``DecomposedFlow``
     features : `~astro_scc.features.Features`
-    misaligned : `~numpy.ndarray`, shape (n_epochs, 2)
-        Standard error of the alignment of each epoch, in mas.
-    alpha : float, optional
-        Largest ``p_global`` of a stream that moves.
-    n_trials : int, optional
-    outward : bool, optional
-        Search only speeds away from the core.
+    settings : `SearchSettings`
     inside : `~numpy.ndarray` of bool, shape (n_features,), optional
         The features of a part of the flow.
-    intervals : (float, float), optional
-        Shortest and longest interval that is used, in years.
     root : bool, optional
         Fit the streams to the square root of the planes, see
         `FlowPlanes.square_root`; not where scales are compared.
@@ -245,86 +298,93 @@ def find_streams(
     -------
     `StreamSearch`
     """
-    diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
     map_rng = rng.spawn(1)[0]
-    prefer = flow.directed and flow.outward
-    inward = 0.0 if outward and flow.directed else (INWARD if prefer else 1.0)
-    test = permutation_test(
-        diagrams,
-        fastest=flow.fastest,
-        intervals=intervals,
-        n_trials=n_trials,
-        inward=inward,
-        rng=rng,
-    )
-    found = test
-    if len(flow.planes) > 1:
-        # Along the direction of the largest z, outward.
-        direction, best = test.best
-        flow = _turned(flow, direction, test.speed[best])
-        found = permutation_test(
-            [flow.diagram(0)], fastest=flow.fastest, intervals=intervals,
-            n_trials=n_trials, inward=0.0, rng=rng,
-        )  # fmt: skip
-        of_all = {k: getattr(test, k) for k in ("p_global", "p_smallest", "level")}
-        found = replace(found, **of_all)
-    test, best = found, found.best[1]
-    grid, years = flow.grids[0], flow.years
+    flow, test = find_motion(flow, settings, rng)
     planes = flow.planes[0].square_root() if root else flow.planes[0]
-    region, beam = flow.regions[0], flow.beam
-    sheet, aside = _sheet(planes, region, 3)
+    sheet, aside = _sheet(planes, flow.regions[0], 3)
     diagram = sheet[len(sheet) // 2]
-    equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
-    least = 1 / np.ptp(years)
-    sign = np.sign(test.speed[best])
-    angle = _angle_of(flow.frame, grid)
+    equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
+    search = StreamSearch(
+        flow, test, diagram, equations.speed * flow.beam, deconvolve(equations),
+        settings.intervals,
+    )  # fmt: skip
     diffusion = measure_diffusion(features)
     walk = diffusion.variance if diffusion.is_walk else None
-    moving = moving_features(features, flow.frame, angle, inside, walk)
+    moving = moving_features(features, flow.frame, flow.angle, inside, walk)
     if walk is None:
-        moving = moving.select(moving.along * sign > 0)
-    one = one_stream(equations, least, sign)
-    gaps = np.diff(years)
-    search = {
-        "flow": flow, "test": test, "angle": angle, "diagram": diagram,
-        "speed": equations.speed * beam, "spectrum": deconvolve(equations),
-        "beam": beam,
-        "slowest": beam * np.abs(test.speed).min(),
-        "fastest": beam * np.abs(test.speed).max(),
-        "unambiguous": beam / np.median(gaps[gaps > 0]), "intervals": intervals,
-    }  # fmt: skip
-    fit, p_distinct = one, 1.0
+        moving = moving[moving.along * search.sign > 0]
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
-    with_features = len(moving.along) > 0 and covered
-    passes = test.p_global <= (WITH_FEATURES if with_features else alpha)
-    if passes and one is not None:
-        second, p_distinct = test.beside(test.speed[best], least / 2)
-        if p_distinct > alpha and walk is None and len(moving.along) >= FEWEST:
-            # A second test where the first does not reject.
-            chance = chance_of_separation(np.abs(moving.along), n_trials, map_rng)
-            p_distinct = min(p_distinct, 2 * chance)
-        two = None
-        if p_distinct <= alpha and walk is None:
-            two = two_streams(equations, one, least, (test.speed[best], second))
-        if two is not None and _are_two(equations, one, two, moving, beam):
-            fit = two
-    errors = None
-    if fit is not None:
-        errors = fit_errors(planes, diagram, equations, fit, region=region)
-    across = partial(transverse_speed, sheet, aside)
-    streams = _streams(
-        flow, test, equations, fit, errors, moving, covered, across, angle, sign,
-        passes, p_distinct, misaligned, search["unambiguous"], walk is not None,
+    enough = WITH_FEATURES if len(moving) and covered else settings.alpha
+    passes, diffusing = test.p_global <= enough, walk is not None
+    fit, p = _fit_of(
+        search, equations, moving, settings, map_rng, several=passes,
+        diffusing=diffusing,
     )  # fmt: skip
+    if fit is not None:
+        errors = fit_errors(planes, diagram, equations, fit, region=flow.regions[0])
+        search = replace(search, fit=fit, errors=errors)
+    shift = _alignment(flow.years, settings.misaligned)
+    streams = _streams(
+        search, equations, moving, (sheet, aside), shift, covered=covered, p_distinct=p
+    )
+    if passes:
+        streams = [_judged(s, search, diffusing=diffusing) for s in streams]
     streams += _standing(features, flow, streams, inside)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
-    top = min(3 * fastest or np.inf, search["fastest"])
-    places = aside * (np.arange(len(sheet)) - len(sheet) // 2)
     velocities = velocity_map(
-        sheet, places, top / beam, angle=angle, beam=beam, rng=map_rng
-    )
-    return StreamSearch(
-        streams=tuple(streams), velocities=velocities, fit=fit, errors=errors, **search
+        sheet, aside * (np.arange(len(sheet)) - len(sheet) // 2),
+        min(3 * fastest or np.inf, search.fastest) / flow.beam, angle=flow.angle,
+        beam=flow.beam, rng=map_rng,
+    )  # fmt: skip
+    return replace(search, streams=tuple(streams), velocities=velocities)
+
+
+def _fit_of(search, equations, moving, settings, rng, *, several, diffusing):
+    """Return one stream or two that are fitted, or None, and the p-value of one."""
+    test, least = search.test, 1 / np.ptp(search.flow.years)
+    fit, p_distinct = one_stream(equations, least, search.sign), 1.0
+    if fit is None or not several:
+        return fit, p_distinct
+    first = test.speed[test.best[1]]
+    second, p_distinct = test.beside(first, least / 2)
+    if p_distinct > settings.alpha and not diffusing and len(moving) >= FEWEST:
+        # A second test where the first does not reject.
+        chance = chance_of_separation(np.abs(moving.along), settings.n_trials, rng)
+        p_distinct = min(p_distinct, 2 * chance)
+    if p_distinct <= settings.alpha and not diffusing:
+        two = two_streams(equations, fit, least, (first, second))
+        if two is not None and _are_two(equations, fit, two, moving, search.beam):
+            fit = two
+    return fit, p_distinct
+
+
+def find_motion(flow, settings, rng):
+    """
+    Return a flow along its direction, and the test for motion along all directions.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+    settings : `SearchSettings`
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    flow : ``DecomposedFlow``
+    test : ``MotionTest``
+    """
+    shared = {"fastest": flow.fastest, "intervals": settings.intervals}
+    shared |= {"n_trials": settings.n_trials, "rng": rng}
+    diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
+    test = permutation_test(diagrams, inward=settings.inward(flow), **shared)
+    if len(flow.planes) == 1:
+        return flow, test
+    # Along the direction of the largest z, outward.
+    direction, best = test.best
+    flow = _turned(flow, direction, test.speed[best])
+    along = permutation_test([flow.diagram(0)], inward=0.0, **shared)
+    return flow, replace(
+        along, p_global=test.p_global, p_smallest=test.p_smallest, level=test.level
     )
 
 
@@ -353,8 +413,7 @@ def _turned(flow, direction, speed):
     angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
     for _ in range(MOST_TURNS):
         found = flow.along(angle)
-        planes = found.planes[0].square_root()
-        sheet, aside = _sheet(planes, found.regions[0], 1)
+        sheet, aside = _sheet(found.planes[0].square_root(), found.regions[0], 1)
         across, error = transverse_speed(sheet, aside, abs(speed))
         if not np.isfinite(error):
             break
@@ -367,90 +426,69 @@ def _turned(flow, direction, speed):
     return flow.along(angle)
 
 
-def _angle_of(frame, grid):
-    """Return the direction of a grid from the first axis of the frame, in radians."""
-    if not frame.uniform or not np.isfinite(grid.angle):
-        return 0.0
-    first, second = np.asarray(frame.matrix(0.0, 0.0)) @ grid.axes[0]
-    return float(np.arctan2(second, first))
-
-
-def _streams(
-    flow, test, equations, fit, errors, moving, covered, across_of, angle, sign,
-    passes, p_distinct, misaligned, unambiguous, diffusing,
-):  # fmt: skip
-    """Return the streams that move, or the strongest speed, not significant."""
-    direction, best = test.best
-    beam, turn = flow.beam, _turn(angle)
-    number = 1 if fit is None else len(fit.mean)
-    groups = [moving] if number == 1 else _divided(moving, np.abs(fit.mean) * beam)
+def _streams(search, equations, moving, sheet, shift, *, covered, p_distinct):
+    """Return the streams that move, or the strongest speed, none of them judged yet."""
+    beam, turn, sign, test = search.beam, _turn(search.angle), search.sign, search.test
+    rows = _of_spectrum(search, equations)
+    groups = [moving] if len(rows) == 1 else _divided(moving, [abs(r[0]) for r in rows])
     found = []
-    for k in range(number):
-        own = groups[k]
-        if fit is None:
-            speed, error, share = test.speed[best] * beam, np.nan, np.nan
-            dispersion = dispersion_err = np.nan
-        else:
-            speed, error = fit.mean[k] * beam, errors.mean[k] * beam
-            dispersion, share = fit.sd[k] * beam, fit.share[k]
-            dispersion_err = dispersion / np.sqrt(2 * max(errors.number[k], 1))
-            if number == 1 and not error < WELL_KNOWN * abs(speed):
-                speed, error = _harmonic(equations, errors.number[0], sign, speed, beam)
-        across, across_err = across_of(speed / beam)
+    for row, members in zip(rows, groups, strict=True):
+        speed, error, spread, spread_err, share = row
+        across, across_err = transverse_speed(*sheet, speed / beam)
         if not np.isfinite(across_err):
             # A flow that is not resolved across: the direction is that of the grid.
             across_err = error / beam
         velocity = np.array([speed, across * beam])
-        covariance = np.diag([error**2, (across_err * beam) ** 2])
-        source, of_features = "spectrum", (np.nan, np.nan)
-        slowest = fastest = np.nan
-        if len(own.along):
-            mean = mean_speed(sign * own.along, own.along_err, own.weight)
-            of_features = mean.mean, mean.error
-            slowest, fastest = (sign * own.along).min(), (sign * own.along).max()
+        variance = np.array([error, across_err * beam]) ** 2
+        source, features, (slowest, fastest) = "spectrum", UNKNOWN, UNKNOWN
+        if len(members):
+            mean = mean_speed(sign * members.along, members.along_err, members.weight)
+            features = mean.mean, mean.error
+            slowest, fastest = np.sort(sign * members.along)[[0, -1]]
             # Of two streams the spectrum knows which is which.
-            if (covered and number == 1) or not np.isfinite(error):
-                source = "features"
-                side = mean_across(own, mean)
+            if (covered and len(rows) == 1) or not np.isfinite(error):
+                source, side = "features", mean_across(members, mean)
                 velocity = np.array([sign * mean.mean, side[0]])
-                covariance = np.diag([mean.error**2, side[1] ** 2])
-                if len(own.along) > 2:
-                    dispersion, dispersion_err = mean.dispersion, mean.dispersion_err
-        alignment = _alignment(flow.years, misaligned)
-        total = turn.T @ covariance @ turn + alignment
-        kind, reason = "not significant", ""
-        if passes:
-            fast = not len(own.along) and abs(velocity[0]) > unambiguous
-            kind, reason = verdict(
-                abs(velocity[0]),
-                np.sqrt((turn @ total @ turn.T)[0, 0]),
-                doubtful=diffusing or fast,
-                unlike=source == "spectrum" and _unlike(test),
-            )
+                variance = np.array([mean.error, side[1]]) ** 2
+                if len(members) > 2:
+                    spread, spread_err = mean.dispersion, mean.dispersion_err
         v = int(np.abs(test.speed - velocity[0] / beam).argmin())
-        found.append(
-            Stream(
-                kind=kind,
-                reason=reason,
-                velocity=turn.T @ velocity,
-                covariance=total,
-                alignment=alignment,
-                source=source,
-                share=share,
-                dispersion=dispersion,
-                dispersion_err=dispersion_err,
-                p_local=float(test.p_local[direction, v]),
-                p_global=test.p_global,
-                p_distinct=test.p_global if k == 0 else p_distinct,
-                spectrum=(abs(speed), error),
-                features=of_features,
-                members=own.number,
-                slowest=slowest,
-                fastest=fastest,
-                angle=angle if sign > 0 else angle + np.pi,
-            )
-        )
+        found.append(Stream(
+            kind="not significant", reason="", velocity=turn.T @ velocity,
+            covariance=turn.T @ np.diag(variance) @ turn + shift, alignment=shift,
+            source=source, share=share, dispersion=spread, dispersion_err=spread_err,
+            p_local=float(test.p_local[test.best[0], v]), p_global=test.p_global,
+            p_distinct=p_distinct if found else test.p_global,
+            spectrum=(abs(speed), error), features=features, members=members.number,
+            slowest=slowest, fastest=fastest,
+            angle=search.angle + (0.0 if sign > 0 else np.pi),
+        ))  # fmt: skip
     return found
+
+
+def _of_spectrum(search, equations):
+    """Return speed and dispersion with errors, in mas/yr, and share of each stream."""
+    fit, errors, beam, test = search.fit, search.errors, search.beam, search.test
+    if fit is None:
+        return [(test.speed[test.best[1]] * beam, *[np.nan] * 4)]
+    speed, error, spread = fit.mean * beam, errors.mean * beam, fit.sd * beam
+    if len(speed) == 1 and not error[0] < WELL_KNOWN * abs(speed[0]):
+        speed, error = np.reshape(_harmonic(search, equations), (2, 1))
+    spread_err = spread / np.sqrt(2 * np.maximum(errors.number, 1))
+    return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
+
+
+def _judged(stream, search, *, diffusing):
+    """Return a stream that the test finds with its kind, and the reason."""
+    turn = _turn(search.angle)
+    speed = abs((turn @ stream.velocity)[0])
+    fast = not len(stream.members) and speed > search.unambiguous
+    kind, reason = verdict(
+        speed, np.sqrt((turn @ stream.covariance @ turn.T)[0, 0]),
+        doubtful=diffusing or fast,
+        unlike=stream.source == "spectrum" and _unlike(search.test),
+    )  # fmt: skip
+    return replace(stream, kind=kind, reason=reason)
 
 
 def verdict(speed, error, *, doubtful, unlike):
@@ -510,32 +548,32 @@ def mean_across(moving, mean):
 
 def _divided(moving, speeds):
     """Return the features of each of two streams: the nearer one by ratio."""
-    limit = np.sqrt(np.prod(speeds))
-    slow = np.abs(moving.along) < limit
-    return [moving.select(slow), moving.select(~slow)]
+    slow = np.abs(moving.along) < np.sqrt(np.prod(speeds))
+    return [moving[slow], moving[~slow]]
 
 
-def _harmonic(equations, number, sign, speed, beam):
+def _harmonic(search, equations):
     """
-    Return the mean speed of a spectrum and its error, in mas/yr.
+    Return the mean speed of the spectrum of one stream and its error, in mas/yr.
 
     What is the same at v and -v is noise.  The mean is harmonic, as a fast pattern
     covers more of the way in a time.
     """
-    v, spectrum = equations.speed, deconvolve(equations)
-    half = len(v) // 2
+    sign, spectrum = search.sign, search.spectrum
+    half = len(spectrum) // 2
+    forward = equations.speed[half + 1 :]
     share = sign * (spectrum[half + 1 :] - spectrum[:half][::-1])
-    forward = v[half + 1 :]
-    span = equations.interval.max()
-    share = np.where(forward >= 1 / span, np.maximum(share, 0), 0)
+    used = forward >= 1 / equations.interval.max()
+    share = np.where(used, np.maximum(share, 0), 0)
     if not share.sum() > 0:
-        mean = abs(speed)
-        return speed, MODEL_ERROR * mean
+        speed = search.fit.mean[0] * search.beam
+        return speed, MODEL_ERROR * abs(speed)
     share = share / share.sum()
     mean = 1 / (share @ (1 / forward))
     width = mean**2 * np.sqrt(share @ (1 / forward - 1 / mean) ** 2)
-    error = np.hypot(width / np.sqrt(max(number, 1)), MODEL_ERROR * mean)
-    return sign * mean * beam, error * beam
+    number = max(search.errors.number[0], 1)
+    error = np.hypot(width / np.sqrt(number), MODEL_ERROR * mean)
+    return sign * mean * search.beam, error * search.beam
 
 
 def _alignment(years, misaligned):
@@ -551,7 +589,7 @@ def _standing(features, flow, streams, inside):
     if n == 0:
         return []
     moved, use = features.moved, np.ones(n, bool) if inside is None else inside
-    own, rows = [], []
+    members, rows = [], []
     taken = np.concatenate([[], *(s.members for s in streams)]).astype(int)
     for k in np.setdiff1d(np.flatnonzero(use), taken):
         motion, track = features.motions[k], features.tracks[k]
@@ -560,9 +598,9 @@ def _standing(features, flow, streams, inside):
             continue
         local = np.asarray(flow.frame.matrix(*motion.place))
         if np.isfinite(local).all():
-            own.append(k)
+            members.append(k)
             rows.append((*(local @ motion.velocity), motion.speed_err, len(track)))
-    if not own:
+    if not members:
         return []
     first, second, error, weight = np.array(rows, float).T
     share = weight / weight.sum()
@@ -574,7 +612,7 @@ def _standing(features, flow, streams, inside):
         Stream(
             kind="stationary", reason="", velocity=velocity,
             covariance=np.eye(2) * variance, alignment=np.zeros((2, 2)),
-            source="features", dispersion=np.nan, members=np.array(own),
+            source="features", members=np.array(members),
             features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
             slowest=speeds.min(), fastest=speeds.max(),
         )

@@ -1,95 +1,90 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The main speed from parts of the data."""
+"""Streams that are fitted to a part of a flow."""
 
-from itertools import combinations
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
-from astro_scc.columns import with_errors
-from astro_scc.spectrum.diagram import correlate
-from astro_scc.spectrum.equations import set_up
+from astro_scc.spectrum.diagram import Diagram, correlate
+from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
-from astro_scc.spectrum.gaussians import fit_streams
+from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
+from astro_scc.spectrum.permutations import EVERY
+from astro_scc.spectrum.planes import FlowPlanes
 
-#: Fewest epochs of half of the dates.
-FEWEST_OF_HALF = 6
-#: Speeds of two parts differ if their difference is larger than so many errors.
-DIFFERENT = 2.0
+#: Part of the fastest speed of the search that is not known to be slower.
+TOP = 0.99
 
 
-def part_rows(search, main, parts):
+@dataclass(frozen=True, eq=False)
+class PartFit:
+    """Streams that are fitted to a part of a flow."""
+
+    planes: FlowPlanes
+    region: np.ndarray | None
+    diagram: Diagram
+    equations: Equations
+    fit: StreamFit
+
+    def errors(self, travel=None):
+        """Return the errors, of clusters that move at a speed."""
+        return fit_errors(
+            self.planes, self.diagram, self.equations, self.fit, region=self.region,
+            travel=travel,
+        )  # fmt: skip
+
+    def knows(self, stream) -> bool:
+        """Return whether a stream is seen, and not at the limit of the search."""
+        inside = abs(self.fit.mean[stream]) < TOP * self.equations.speed[-1]
+        return bool(self.fit.amplitude[stream] > 0 and inside)
+
+
+def fit_part(
+    flow, *, sign=1.0, root=True, start=None, intervals=EVERY, diagram=None, fit=None
+):
     """
-    Fit the streams again to parts of the data.
+    Fit one stream, or those of the whole flow, to a part of it.
 
     Parameters
     ----------
-    search : ``StreamSearch``
-    main : int
-        Number of the stream that is compared, from 0.
-    parts : sequence of (str, dict), two by two
-        Name of each part, and the arguments of ``flow.part``, or ``intervals``.
+    flow : ``DecomposedFlow``
+        Along one direction.
+    sign : float, optional
+        Of the speed of one stream.
+    root : bool, optional
+        Of the square root of the planes, see `FlowPlanes.square_root`.
+    start : sequence of (mean, sd), optional
+        Streams of the whole.
+    intervals : (float, float), optional
+        Shortest and longest interval that is used, in years.
+    diagram : ``Diagram``, optional
+        That of these planes, if it is known.
+    fit : ``StreamFit``, optional
+        If it is known.
 
     Returns
     -------
-    list of dict
-        Rows of the table, as plain numbers in mas/yr; the first is the whole.
+    `PartFit` or None
     """
-    if search.fit is None:
-        return []
-    flow = search.flow
-    start = list(zip(search.fit.mean, search.fit.sd, strict=True))
-
-    def speed_of(part, intervals):
-        planes = part.planes[0].square_root()
-        region = part.regions[0]
-        diagram = correlate(planes, region=region)
-        equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
+    planes = flow.planes[0].square_root() if root else flow.planes[0]
+    if not has_flow(flow):
+        return None
+    region = flow.regions[0]
+    diagram = correlate(planes, region=region) if diagram is None else diagram
+    equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
+    if fit is None and start is None:
+        fit = one_stream(equations, 1 / np.ptp(flow.years), sign)
+    elif fit is None:
         fit = fit_streams(equations, start)
-        if not fit.amplitude[main] > 0:
-            return np.nan, np.nan
-        errors = fit_errors(planes, diagram, equations, fit, region=region)
-        speed = abs(fit.mean[main]) * flow.beam, errors.mean[main] * flow.beam
-        # What has no error, or goes to the limit of the search, is not known.
-        inside = abs(fit.mean[main]) < 0.99 * equations.speed[-1]
-        return speed if np.isfinite(speed[1]) and inside else (np.nan, np.nan)
-
-    speed, error = search.fit.mean[main], search.errors.mean[main]
-    whole = abs(speed) * flow.beam, error * flow.beam
-    rows = [_row("as measured", whole)]
-    for pair in zip(parts[::2], parts[1::2], strict=True):
-        own = []
-        for name, how in pair:
-            part = dict(how)
-            intervals = part.pop("intervals", search.intervals)
-            try:
-                found = speed_of(flow.part(**part), intervals)
-            except (np.linalg.LinAlgError, ValueError):
-                found = np.nan, np.nan
-            own.append(_row(name, found, whole))
-        # Both parts may differ from the whole, if they have other features.
-        sigma = largest_difference([*own, rows[0]])
-        for row in own:
-            p = 2 * ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
-            row |= {"change_sigma": sigma, "p_value": p}
-            row["significant"] = bool(sigma > DIFFERENT)
-        rows += own
-    return rows
+    return None if fit is None else PartFit(planes, region, diagram, equations, fit)
 
 
-def largest_difference(rows):
-    """Return the largest known difference of two speeds in errors of both, or NaN."""
-    off = [
-        abs(a["pm"] - b["pm"]) / np.hypot(a["pm_err"], b["pm_err"])
-        for a, b in combinations(rows, 2)
-    ]
-    return np.fmax.reduce(off)
+def has_flow(flow):
+    """Return whether a flow is seen in a part."""
+    return float(weight_of(flow).sum()) >= 4
 
 
-def _row(choice, measured, main=None):
-    """Return a row of the table; the whole, ``main``, does not change."""
-    speed, error = measured
-    change = (0.0, 0.0) if main is None else (speed - main[0], np.hypot(error, main[1]))
-    row = {"change_sigma": 0.0, "p_value": 1.0, "significant": False}
-    row |= {"choice": choice}
-    return row | with_errors(pm=(speed, error), change=change)
+def weight_of(flow):
+    """Return the weight of each point of the first grid, shape (n_along, n_across)."""
+    mask, region = flow.planes[0].mask, flow.regions[0]
+    return mask * 1.0 if region is None else mask * region

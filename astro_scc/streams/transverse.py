@@ -42,18 +42,13 @@ def transverse_speed(sheet, aside, speed):
     below, on, above = sheet[middle - 1 : middle + 2]
     years, x = on.years, on.displacement
     tau, epochs = years - years[:, None], np.arange(len(years))
-    top = float(on.sums[epochs, epochs, on.zero].mean())
-    both = above.sums[epochs, epochs, on.zero] + below.sums[epochs, epochs, on.zero]
-    beside = float(both.mean()) / 2
+    top, beside = on.power, (above.power + below.power) / 2
     if not 0 < beside < top:
         return 0.0, np.nan
     variance = aside**2 / (2 * np.log(top / beside))
     moved = (speed * tau)[..., None]
-    own = autocorrelation(on)
-    ray = np.interp(x - moved, x, own, left=0, right=0) * np.exp(
-        -np.abs(moved) / LENGTH
-    )
-    ray *= on.overlap
+    ray = np.interp(x - moved, x, autocorrelation(on), left=0, right=0)
+    ray *= on.overlap * np.exp(-np.abs(moved) / LENGTH)
     odd = (ray * (above.sums - below.sums)).sum(axis=2) * tau
     even = (ray * (on.sums - on.sums.mean(axis=(0, 1)))).sum(axis=2) * tau**2
     np.fill_diagonal(even, 0.0)

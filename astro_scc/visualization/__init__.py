@@ -17,35 +17,28 @@ from astro_scc.visualization.speeds import (
 
 __all__ = ["plot_profile"]
 
-
-def _of_features(plot):
-    """Return a function of a result that draws its features, coloured by stream."""
-
-    def draw(result, **options):
-        own = {"stream": result.features["stream"], **options}
-        return plot(result.tracked_features, **own)
-
-    return draw
-
-
-#: Functions of a result and of options, by the kind of figure, its name in a report.
-FIGURES = {
-    "spectrum": spectrum.plot_spectrum,
-    "distance": spectrum.plot_distance,
-    "velocity_map": velocity.plot_velocity_map,
-    "significance": velocity.plot_significance,
-    "paper": velocity.plot_map_and_significance,
-    "diagram": velocity.plot_diagram,
-    "speeds": plot_feature_speeds,
-    "tracks": _of_features(tracks.plot_tracks),
-    "separation": _of_features(tracks.plot_separation),
-    "epochs": lambda result, **how: plot_epochs(result.cube, result.ssps, **how),
-    "sensitivity": lambda result, **how: plot_sensitivity(result.sensitivity, **how),
-}
+#: Figures of a result, by their names in a report.
+FIGURES = (
+    "spectrum", "distance", "velocity_map", "significance", "paper", "diagram",
+    "speeds", "tracks", "separation", "epochs", "sensitivity",
+)  # fmt: skip
 
 
 def plot_result(result, kind, **options):
     """Return a figure of a result, see `SCCResult.plot`."""
     if kind not in FIGURES:
         raise ValueError(f"unknown figure {kind!r}: use one of {', '.join(FIGURES)}")
-    return FIGURES[kind](result, **options)
+    match kind:
+        case "spectrum" | "distance":
+            return getattr(spectrum, f"plot_{kind}")(result, **options)
+        case "tracks" | "separation":
+            options.setdefault("stream", result.features["stream"])
+            plot = getattr(tracks, f"plot_{kind}")
+            return plot(result.tracked_features, **options)
+        case "speeds":
+            return plot_feature_speeds(result, **options)
+        case "epochs":
+            return plot_epochs(result.cube, result.ssps, **options)
+        case "sensitivity":
+            return plot_sensitivity(result.sensitivity, **options)
+    return getattr(velocity, f"plot_{kind}")(result, **options)

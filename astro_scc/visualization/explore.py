@@ -34,7 +34,7 @@ COLUMNS = 240
 #: Markers of the streams in turn, so that colour is not all that tells them apart.
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 #: Names of the lines of figures, and those of the kinds of streams.
-DASH = {"-": "solid", "--": "dashed", ":": "dotted"}
+DASH = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
 DASHES = {kind: DASH[sign.line] for kind, sign in style.KINDS.items()}
 #: Milliseconds for which each of two epochs is shown; the accessibility guidelines
 #: WCAG 2.3.1 allow at most three flashes a second.
@@ -110,9 +110,9 @@ class Page:
         #: Offsets in mas, shape (2, n).
         self.place = images.sky_place(self.seen)
         self.length = offset_unit(np.hypot(*self.place).max(initial=0.0) or 1.0)
-        own = np.asarray(features["stream"])
         #: Rows of the features of each stream.
-        self.rows = [np.flatnonzero(own == n).tolist() for n in streams["stream"]]
+        of = np.asarray(features["stream"])
+        self.rows = [np.flatnonzero(of == n).tolist() for n in streams["stream"]]
         points = self._point_columns()
         self.features = models.ColumnDataSource(self._feature_columns(points))
         self.points = models.ColumnDataSource(points)
@@ -137,9 +137,9 @@ class Page:
         table = self.table
         motion = np.stack([table[k].to_value(PM_UNIT) for k in sky_columns(table)])
         # One row of each feature has its velocity on the axes of the map.
-        own = self.seen[np.searchsorted(self.row, np.arange(len(table)))]
+        first = self.seen[np.searchsorted(self.row, np.arange(len(table)))]
         if self.angle is None:
-            along = own["pm_axis1"].to_value(PM_UNIT)
+            along = first["pm_axis1"].to_value(PM_UNIT)
         else:
             angle = np.radians(self.angle)
             along = np.array([np.sin(angle), np.cos(angle)]) @ motion
@@ -157,7 +157,7 @@ class Page:
             parts = x, y, t, d, line, seen * to_time, ray * seen * to_length
             for name, values in zip(columns, parts, strict=True):
                 columns[name].append(np.round(values, 5).tolist())
-        speeds = {"pm": table, "pm_err": table, "pm_axis1": own, "pm_axis2": own}
+        speeds = {"pm": table, "pm_err": table, "pm_axis1": first, "pm_axis2": first}
         columns |= {k: of[k].to_value(self.pm_unit) for k, of in speeds.items()}
         for name in ("feature", "stream", "n_epochs", "p_false"):
             columns[name] = np.asarray(table[name])
@@ -238,9 +238,10 @@ class Page:
         points.selected.js_on_change("indices", self._call("toFeatures", **both))
         features.selected.js_on_change("indices", self._call("toPoints", **both))
         text, unit = models.Div(), unit_name(self.pm_unit)
-        of = {"features": features, "text": text, "unit": unit}
-        of |= {"prior": PRIOR, "scatter": SCATTER}
-        summary = self._call("summary", **of)
+        summary = self._call(
+            "summary", features=features, text=text, unit=unit, prior=PRIOR,
+            scatter=SCATTER,
+        )  # fmt: skip
         features.selected.js_on_change("indices", summary)
         document.js_on_event("document_ready", summary)
         panels = [self._choose(text), self._velocity(), self._sky(), self._diagram()]
@@ -253,12 +254,12 @@ class Page:
     def _choose(self, text):
         """Return a button for each stream, and the text on what is selected."""
         buttons = {models.Button(label="all features"): []}
-        for row, kind, own in zip(self.streams, self.kinds, self.rows, strict=True):
+        for row, kind, rows in zip(self.streams, self.kinds, self.rows, strict=True):
             label = f"{row['stream']}: {velocity.speed_text(row, kind)}"
-            buttons[models.Button(label=label, disabled=not own)] = own
-        for button, own in buttons.items():
-            how = {"features": self.features, "rows": own}
-            button.js_on_event("button_click", self._call("choose", **how))
+            buttons[models.Button(label=label, disabled=not rows)] = rows
+        for button, rows in buttons.items():
+            chosen = self._call("choose", features=self.features, rows=rows)
+            button.js_on_event("button_click", chosen)
         row = models.Row(*buttons, stylesheets=[":host {flex-wrap: wrap}"], **WIDE)
         return models.Column(row, text, **WIDE)
 
@@ -277,15 +278,25 @@ class Page:
         (x, y), (right, top) = corners.to_value(self.pm_unit)
         plot.image([data], x=x, y=y, dw=right - x, dh=top - y, color_mapper=mapper)
         look = {"height": 8, "title_text_font_style": "normal"}
-        look |= {"title": velocity.MAP_LABELS["coefficient"], "color_mapper": mapper}
+        look |= {"title": velocity.EXCESS, "color_mapper": mapper}
         plot.add_layout(models.ColorBar(**look), "above")
         rest = plot.scatter([0], [0], marker="cross", size=12, line_color="white")
         dots = self._dots(plot, "pm_axis1", "pm_axis2", 8, self.features)
         for glyph in (dots.glyph, dots.selection_glyph):
             glyph.update(line_color="white", line_width=0.8)
-        numbers = [str(n) for n in self.streams["stream"]]
-        dash = [DASHES[kind] for kind in self.kinds]
-        columns = {"rows": self.rows, "dash": dash, "number": numbers}
+        peaks, circles = self._draw_peaks(plot, names)
+        for axis in (plot.x_range, plot.y_range):
+            axis.update(renderers=[rest, dots, circles], range_padding=0.3)
+        plot.add_tools(models.TapTool(renderers=[circles]))
+        tapped = self._call("peak", peaks=peaks, features=self.features)
+        peaks.selected.js_on_change("indices", tapped)
+        self._tools(plot, dots, dots)
+        return plot
+
+    def _draw_peaks(self, plot, names):
+        """Draw the streams with their errors; return their source and symbols."""
+        columns = {"rows": self.rows, "dash": [DASHES[kind] for kind in self.kinds]}
+        columns["number"] = [str(n) for n in self.streams["stream"]]
         for field, width, name in zip(("v1", "v2"), "wh", names, strict=True):
             columns[field] = self.streams[name].to_value(self.pm_unit)
             error = self.streams[f"{name}_err"].to_value(self.pm_unit)
@@ -301,13 +312,7 @@ class Page:
             text_color="white", text_outline_color="black", text_font_style="bold",
             text_font_size="18px",
         )  # fmt: skip
-        for axis in (plot.x_range, plot.y_range):
-            axis.update(renderers=[rest, dots, circles], range_padding=0.3)
-        plot.add_tools(models.TapTool(renderers=[circles]))
-        tapped = self._call("peak", peaks=peaks, features=self.features)
-        peaks.selected.js_on_change("indices", tapped)
-        self._tools(plot, dots, dots)
-        return plot
+        return peaks, circles
 
     def _sky(self):
         """Return the images with the features, and the sliders."""
@@ -397,17 +402,13 @@ class Page:
     def _features_table(self):
         speed, length = unit_name(self.pm_unit), unit_name(self.length)
         shown = (
-            ("feature", "feature", "0", 55),
-            ("stream", "stream", "0", 80),
-            ("n_epochs", "epochs", "0", 55),
-            ("first", "first", None, 95),
+            ("feature", "feature", "0", 55), ("stream", "stream", "0", 80),
+            ("n_epochs", "epochs", "0", 55), ("first", "first", None, 95),
             ("last", "last", None, 95),
             ("separation", f"separation ({length})", "0.00", 115),
-            ("pm", f"pm ({speed})", "0.000", 110),
-            ("pm_err", "error", "0.000", 60),
-            ("p_false", "p_false", "0.00", 60),
-            ("secure", "secure", None, 60),
-        )
+            ("pm", f"pm ({speed})", "0.000", 110), ("pm_err", "error", "0.000", 60),
+            ("p_false", "p_false", "0.00", 60), ("secure", "secure", None, 60),
+        )  # fmt: skip
         columns = []
         for field, title, form, width in shown:
             columns.append(models.TableColumn(field=field, title=title, width=width))

@@ -159,15 +159,19 @@ def edges(middle):
 # -- images ------------------------------------------------------------------------
 
 
-def draw_image(ax, view, image, epoch=None, corner=None):
+def draw_image(ax, view, image, epoch=None, corner=None, look=None):
     """Draw an image, and the beam of an epoch in an empty corner; set the limits."""
     import matplotlib
 
-    greys = matplotlib.colormaps["Greys"].with_extremes(bad=MASKED)
+    look = style.look_of("image", look or {}, cmap="Greys")
+    for name in ("vmin", "vmax"):
+        # A norm takes its limits from itself.
+        setattr(view.norm, name, look.pop(name, getattr(view.norm, name)))
+    look["cmap"] = matplotlib.colormaps.get_cmap(look["cmap"]).with_extremes(bad=MASKED)
+    transform = view.to_offsets + ax.transData
     drawn = ax.imshow(
-        image, origin="lower", norm=view.norm, cmap=greys,
-        transform=view.to_offsets + ax.transData,
-    )  # fmt: skip
+        image, origin="lower", norm=view.norm, transform=transform, **look
+    )
     ax.set(xlim=view.limits[0, :: -1 if view.to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
     draw_beam(ax, view, epoch, corner or empty_corners(view, image)[0])
@@ -423,7 +427,7 @@ def _draw_outlines(ax, view, indices, **line):
 # -- figures -------------------------------------------------------------------------
 
 
-def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
+def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **look):
     """
     Draw one epoch in offsets from the reference pixel, east to the left.
 
@@ -449,6 +453,8 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
         Show only the part of the image that holds SSPs, except the outermost,
         which may be noise.
     colorbar : bool, optional
+    **look
+        Keywords of the image, such as ``cmap``, see `matplotlib.image.AxesImage`.
 
     Returns
     -------
@@ -463,11 +469,11 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     """
     index = epoch_index(epoch, len(cube))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
-    view = View(cube, ssp_points(cube, ssps), image, [index], **view)
+    view = View(cube, ssp_points(cube, ssps), image, [index], **_of_view(look))
     width, height = np.ptp(view.limits, axis=1)
     height = float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
-    drawn = draw_image(ax, view, image, index)
+    drawn = draw_image(ax, view, image, index, look=look)
     draw_ssps(ax, view, index)
     _label_masked(ax, view, image.mask)
     ax.set(xlabel=view.labels[0], ylabel=view.labels[1])
@@ -482,7 +488,7 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **view):
     return figure
 
 
-def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
+def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     """
     Draw up to ``max_panels`` epochs, evenly selected, with the same colours.
 
@@ -496,8 +502,8 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
     max_panels : int, optional
         If there are more epochs, the first, the last and others evenly between
         them are drawn.
-    **view
-        ``unit``, ``norm`` and ``zoom``, see `plot_epoch`.
+    **look
+        ``unit``, ``norm``, ``zoom`` and keywords of the images, see `plot_epoch`.
 
     Returns
     -------
@@ -513,12 +519,12 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
     n = len(cube)
     chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
-    view = View(cube, ssp_points(cube, ssps), images, chosen, **view)
+    view = View(cube, ssp_points(cube, ssps), images, chosen, **_of_view(look))
     figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = epoch_names(cube.times)
     of_beam, of_date, *_ = empty_corners(view, images.max(axis=0))
     for ax, index, image in zip(axes, chosen, images, strict=True):
-        drawn = draw_image(ax, view, image, index, of_beam)
+        drawn = draw_image(ax, view, image, index, of_beam, look)
         draw_ssps(ax, view, index, size=0.5)
         panel_text(ax, dates[index], of_date)
     view.add_colorbar(drawn, ax=figure.axes, pad=0.02, aspect=40)
@@ -528,6 +534,11 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **view):
         place = {"loc": "outside upper center", "markerscale": 1.6}
         figure.legend(handles=handles, **place, **LEGEND)
     return figure
+
+
+def _of_view(look):
+    """Take the keywords of a view out of those of an image, and return them."""
+    return {k: look.pop(k) for k in ("unit", "norm", "zoom") if k in look}
 
 
 def _label_masked(ax, view, mask):

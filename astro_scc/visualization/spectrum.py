@@ -7,6 +7,7 @@ import numpy as np
 from astro_scc.columns import cell
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.streams.decomposed import distances
+from astro_scc.streams.finder import frame_velocities
 from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
 from astro_scc.visualization import images, style
 
@@ -36,15 +37,12 @@ class Speeds:
         self.unit = unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
-        motions = result.tracked_features.motions
-        place, velocity, error = (
-            np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-            for name in ("place", "velocity", "velocity_err")
-        )
-        on_sky = along @ np.asarray(result.frame.matrix(*place.T))
+        features = result.tracked_features
+        velocity, covariance = frame_velocities(result.frame, features)
+        place = np.reshape([motion.place for motion in features.motions], (-1, 2))
         self.distance = np.hypot(*place.T)
-        self.feature = self.factor * (on_sky * velocity).sum(axis=1)
-        self.feature_err = self.factor * np.hypot(*(on_sky * error).T)
+        self.feature = self.factor * velocity @ along
+        self.feature_err = self.factor * np.sqrt(along @ covariance @ along)
         rows = [
             (s.velocity @ along, np.sqrt(along @ s.covariance @ along), s.dispersion)
             for s in search.streams
@@ -67,44 +65,55 @@ def _look(stream, number):
     return color, color if sure else "white"
 
 
-def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None):
+def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     """
     Draw the velocity spectrum over its significance.
 
     Above is the share of the variance of the images that moves at each speed along the
     flow; that of the opposite direction is noise where nothing moves that way.
-    Points are the streams with their errors, pale bars their dispersions, ticks the
+    Symbols are the streams with their errors, pale bars their dispersions, ticks the
     secure features.  Below is the excess over permuted innovations; a dashed line is
     the level that the largest of one in a hundred permutations exceeds.  Speeds that
     were not searched are grey; beyond the dotted line patterns can be mistaken for one
-    another.
+    another.  Further keywords are those of the line of the spectrum.
     """
     figure = style.new_figure((style.WIDTH, 4.8)) if figure is None else figure
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     search, speeds = result.search, Speeds(result, unit)
     words = ("outward", "inward") if result.flow.outward else ("along", "against")
-    speed, total = search.speed * speeds.factor, search.spectrum.sum() or 1.0
-    half = len(speed) // 2
-    share = search.spectrum / total
-    for sign, word, fill in ((1, words[0], True), (-1, words[1], False)):
-        own = share[half + 1 :] if sign > 0 else share[:half][::-1]
-        color = style.BLUE if fill else style.GREY
-        look = {"color": color, "label": word, "lw": 1.2 if fill else 0.8}
-        upper.step(speed[half + 1 :], own, where="mid", **look)
-        if fill:
-            upper.fill_between(
-                speed[half + 1 :], own, step="mid", color=color, alpha=0.2, lw=0
-            )
-    top = share[np.arange(len(share)) != half].max(initial=0.0) or 1.0
-    middle = np.sqrt(speed[half + 1] * speed[-1])
-    _draw_streams(upper, result, speeds, top, middle)
+    share = search.spectrum / (search.spectrum.sum() or 1.0)
+    half = len(share) // 2
+    speed, there = search.speed[half + 1 :] * speeds.factor, share[half + 1 :]
+    main = {"color": style.BLUE, "label": words[0], "lw": 1.2}
+    main = style.look_of("line", look, **main)
+    upper.step(speed, there, where="mid", **main)
+    fill = {"step": "mid", "color": main["color"], "alpha": 0.2, "lw": 0}
+    upper.fill_between(speed, there, **fill)
+    back = {"color": style.GREY, "lw": 0.8, "label": words[1]}
+    upper.step(speed, share[:half][::-1], where="mid", **back)
+    top = max(there.max(), share[:half].max()) or 1.0
+    _draw_streams(upper, result, speeds, top, speed[[0, -1]])
     _draw_ticks(upper, result, speeds, top)
     _draw_test(lower, search, speeds)
+    for ax in (upper, lower):
+        ax.set(xscale="log", xlim=speed[[0, -1]])
+    _draw_limits(upper, lower, search, speeds)
+    upper.set_ylabel("Share of the variance")
+    lower.set_xlabel(f"Speed along the flow ({speeds.name})")
+    upper.legend(fontsize="small", frameon=False, loc="center left")
+    style.plain_log(lower)
+    if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
+        style.plain_log(second)
+    figure.align_ylabels()
+    return figure
+
+
+def _draw_limits(upper, lower, search, speeds):
+    """Shade speeds that were not searched, and mark where they are ambiguous."""
     limits = search.slowest, search.fastest, search.unambiguous
     slowest, fastest, safe = (limit * speeds.factor for limit in limits)
-    low, high = speed[half + 1], speed[-1]
+    low, high = lower.get_xlim()
     for ax in (upper, lower):
-        ax.set(xscale="log", xlim=(low, high))
         for ends in ((low, slowest), (fastest, high)):
             ax.axvspan(*ends, color=style.GREY, alpha=0.15, lw=0, gid="not searched")
         if low < safe < high:
@@ -116,53 +125,54 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None):
             xytext=(-3 if left else 3, 0), textcoords="offset points",
             fontsize="x-small", ha="right" if left else "left", va="top",
         )  # fmt: skip
-    upper.set_ylabel("Share of the variance")
-    lower.set_xlabel(f"Speed along the flow ({speeds.name})")
-    upper.legend(fontsize="small", frameon=False, loc="center left")
-    style.plain_log(lower)
-    if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
-        style.plain_log(second)
-    figure.align_ylabels()
-    return figure
 
 
-def _draw_streams(ax, result, speeds, top, middle):
-    """Draw the streams that move as points above the spectrum, with their speeds."""
-    streams, row = result.search.streams, 0
-    for k, (stream, own) in enumerate(zip(streams, result.streams, strict=True)):
+def _draw_streams(ax, result, speeds, top, ends):
+    """Draw the streams that move above the spectrum, with their speeds inside of it."""
+    row, (low, high) = 0, ends
+    for k, (stream, line) in enumerate(
+        zip(result.search.streams, result.streams, strict=True)
+    ):
         if stream.kind == "stationary":
             continue
-        speed, color = abs(speeds.stream[k]), _look(stream, k + 1)
+        speed, (color, filling) = abs(speeds.stream[k]), _look(stream, k + 1)
         row += 1
-        y, spread = top * (1 + 0.12 * row), speeds.dispersion[k]
+        y, spread = top * (1 + 0.14 * row), speeds.dispersion[k]
         ax.plot(
             [max(speed - spread, 1e-3 * speed), speed + spread], [y, y], lw=6,
-            alpha=0.3, color=color[0], solid_capstyle="butt", gid="dispersion",
+            alpha=0.3, color=color, solid_capstyle="butt", gid="dispersion",
         )  # fmt: skip
-        text = f"{k + 1}: {cell(own, 'pm')}"
+        text = f"{k + 1}: {cell(line, 'pm')}"
         text += "" if stream.kind == "moving" else f", {stream.kind}"
         error = min(speeds.stream_err[k], 0.99 * speed)
         ax.errorbar(
-            speed, y, xerr=error, fmt="o", ms=5, capsize=2, lw=1, color=color[0],
-            mfc=color[1], zorder=4,
+            speed, y, xerr=error, fmt=style.KINDS[stream.kind].marker, ms=5, capsize=2,
+            lw=1, color=color, mfc=filling, zorder=4,
         )  # fmt: skip
-        left, wide = speed > middle, max(spread, error)
+        left, wide = speed**2 > low * high, max(spread, error)
+        x = max(speed - wide, 0.1 * speed) if left else speed + wide
+        place = {"xytext": (-6 if left else 6, 0), "ha": "right" if left else "left"}
+        if not (x > 5 * low if left else x < high / 5):
+            # There is no room beside the bar.
+            x = low if left else high
+            place = {
+                "xytext": (4 if left else -4, 8),
+                "ha": "left" if left else "right",
+            }
         ax.annotate(
-            text, (max(speed - wide, 0.1 * speed) if left else speed + wide, y),
-            xytext=(-6 if left else 6, 0), textcoords="offset points", va="center",
-            ha="right" if left else "left", fontsize="small", color=color[0],
-            path_effects=style.outline(),
+            text, (x, y), textcoords="offset points", va="center", fontsize="small",
+            color=color, path_effects=style.outline(), **place,
         )  # fmt: skip
-    ax.set_ylim(-0.06 * top, top * (1.1 + 0.12 * row))
+    ax.set_ylim(-0.06 * top, top * (1.14 + 0.14 * row))
 
 
 def _draw_ticks(ax, result, speeds, top):
     """Draw the secure features as ticks below the spectrum, in colours of streams."""
     stream, secure = result.features["stream"], result.tracked_features.secure
     for number in np.unique(stream[secure]):
-        own = np.abs(speeds.feature[secure & (stream == number)])
+        members = np.abs(speeds.feature[secure & (stream == number)])
         color = style.component_color(number) if number else style.BLACK
-        ax.vlines(own, -0.05 * top, -0.005 * top, color=color, lw=1, gid="features")
+        ax.vlines(members, -0.05 * top, -0.005 * top, color=color, lw=1, gid="features")
 
 
 def _draw_test(ax, search, speeds):
@@ -222,52 +232,33 @@ def spectra_of_bins(search):
         equations = set_up(
             part.diagram(0), fastest=flow.fastest, intervals=search.intervals
         )
-        own, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
-        own[(size < search.slowest) | (size > search.fastest)] = 0.0
-        found.append(own / (own.sum() or 1.0))
+        share, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
+        share[(size < search.slowest) | (size > search.fastest)] = 0.0
+        found.append(share / (share.sum() or 1.0))
     return edges, equations.speed * flow.beam, np.array(found).T
 
 
-def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None):
+def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
     """
     Draw speeds along the flow against distance from the core.
 
     Grey is the velocity spectrum of each bin of distance, dark where most of what moves
     there has this speed.  Points are features at the dates of their speeds, in the
     colours of their streams; those that are not secure are open.  Lines are the
-    streams.
+    streams.  Further keywords are those of the grey cells, such as ``cmap``.
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
-    speeds, features = Speeds(result, unit), result.tracked_features
+    speeds, secure = Speeds(result, unit), result.tracked_features.secure
     edges, speed, share = spectra_of_bins(result.search)
-    distance, secure = speeds.distance, features.secure
-    far = max(edges[-1], distance[secure].max(initial=0.0))
+    far = max(edges[-1], speeds.distance[secure].max(initial=0.0))
     lengths = offset_unit(far)
     scale = u.mas.to(lengths)
-    ax.pcolormesh(
-        edges * scale, images.edges(speed * speeds.factor), share, cmap="Greys",
-        vmin=0, vmax=1.4 * share.max() or 1.0, rasterized=True,
-    )  # fmt: skip
-    numbers = result.features["stream"]
-    for k in np.flatnonzero(np.isfinite(speeds.feature)):
-        color = style.component_color(numbers[k]) if numbers[k] else style.SKY_BLUE
-        look = {"ms": 3, "mfc": "white", "alpha": 0.6, "zorder": 3}
-        if secure[k]:
-            look = {"ms": 4.5, "mfc": color, "zorder": 4}
-        ax.errorbar(
-            distance[k] * scale, speeds.feature[k], speeds.feature_err[k], fmt="o",
-            lw=0.8, color=color, **look,
-        )  # fmt: skip
-    rows = zip(result.search.streams, result.streams, strict=True)
-    for k, (stream, own) in enumerate(rows):
-        color, _ = _look(stream, k + 1)
-        text = cell(own, "pm")
-        text = text if stream.kind == "moving" else f"{text}, {stream.kind}"
-        ax.axhline(
-            speeds.stream[k], color=color, lw=1.2, zorder=2, gid="stream",
-            ls=style.KINDS[stream.kind].line, label=f"{k + 1}: {text}",
-            path_effects=style.outline(2.2),
-        )  # fmt: skip
+    cells = {"cmap": "Greys", "vmin": 0, "vmax": 1.4 * share.max() or 1.0}
+    cells = style.look_of("mesh", look, rasterized=True, **cells)
+    speed = images.edges(speed * speeds.factor)
+    ax.pcolormesh(edges * scale, speed, share, **cells)
+    _draw_features(ax, result, speeds, speeds.distance * scale)
+    _draw_lines(ax, result, speeds)
     shown = [*speeds.stream, *speeds.feature[secure], 0.0]
     if not any(stream.kind == "moving" for stream in result.search.streams):
         shown += [-min(shown), -max(shown)]
@@ -279,3 +270,29 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None):
     style.legend_above(ax)
     style.add_speed_axis(ax, speeds.unit, beta_per_pm, "right")
     return figure
+
+
+def _draw_features(ax, result, speeds, distance):
+    """Draw the speeds of features, open if they are not secure."""
+    numbers, secure = result.features["stream"], result.tracked_features.secure
+    for k in np.flatnonzero(np.isfinite(speeds.feature)):
+        color = style.component_color(numbers[k]) if numbers[k] else style.SKY_BLUE
+        look = {"ms": 3, "mfc": "white", "alpha": 0.6, "zorder": 3}
+        if secure[k]:
+            look = {"ms": 4.5, "mfc": color, "zorder": 4}
+        point = distance[k], speeds.feature[k], speeds.feature_err[k]
+        ax.errorbar(*point, fmt="o", lw=0.8, color=color, **look)
+
+
+def _draw_lines(ax, result, speeds):
+    """Draw the streams as lines at their speeds."""
+    rows = zip(result.search.streams, result.streams, strict=True)
+    for k, (stream, row) in enumerate(rows):
+        color, _ = _look(stream, k + 1)
+        text = cell(row, "pm")
+        text = text if stream.kind == "moving" else f"{text}, {stream.kind}"
+        ax.axhline(
+            speeds.stream[k], color=color, lw=1.2, zorder=2, gid="stream",
+            ls=style.KINDS[stream.kind].line, label=f"{k + 1}: {text}",
+            path_effects=style.outline(2.2),
+        )  # fmt: skip

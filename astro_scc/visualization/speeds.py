@@ -28,29 +28,27 @@ EPOCHS = 10
 BINS = 20
 
 
-def plot_feature_speeds(
-    result, *, profile=None, beta_per_pm=None, stream=None, ax=None
-):
+def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **look):
     """
     Draw the radial speed of each feature against its separation from the core.
 
     Features have the colours of their streams; those that are not secure are pale.
+    Further keywords are those of their symbols.
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
     table = result.features
-    stream = table["stream"] if stream is None else stream
     separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
     unit = offset_unit(separation.max(initial=1.0))
     speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
     largest = LARGE_ERROR * np.median(error) if len(error) else 0.0
+    point = {"ms": 4, "lw": 0.8, "marker": "o"}
     for k, place in enumerate(separation * u.mas.to(unit)):
-        look = feature_look(result.tracked_features, k, stream)
-        look |= {"ms": 4, "lw": 0.8, "linestyle": "", "marker": "o"}
-        ax.errorbar(place, speed[k], min(error[k], largest), **look)
+        usual = feature_look(result.tracked_features, k, table["stream"])
+        usual = style.look_of("line", look, **usual | point | {"linestyle": ""})
+        ax.errorbar(place, speed[k], min(error[k], largest), **usual)
     if profile is not None and len(profile):
-        look = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
-        look["label"] = "mean of bin"
-        style.draw_bins(ax, profile, unit, speeds, **look)
+        mean = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
+        style.draw_bins(ax, profile, unit, speeds, label="mean of bin", **mean)
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Core separation ({unit_name(unit)})")
@@ -60,9 +58,11 @@ def plot_feature_speeds(
     return figure
 
 
-def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
+def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
     """
-    Draw the main speed with other choices of the data, beside that as measured.
+    Draw the main speed from parts of the data, beside that of the whole spectrum.
+
+    Further keywords are those of the symbols.
 
     Raises
     ------
@@ -79,9 +79,10 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None):
     ax.axvspan(*ends, color=style.GREY, alpha=0.2, lw=0)
     ax.axvline(speed[0], color=style.GREY, lw=0.8)
     row, large = np.arange(len(table)), np.asarray(table["significant"])
-    for own, color, sign in ((~large, style.BLUE, "o"), (large, style.VERMILION, "s")):
-        look = {"fmt": sign, "color": color, "ms": 4, "lw": 1}
-        ax.errorbar(speed[own], row[own], xerr=error[own], **look)
+    for use, color, sign in ((~large, style.BLUE, "o"), (large, style.VERMILION, "s")):
+        usual = {"marker": sign, "color": color, "ms": 4, "lw": 1, "linestyle": ""}
+        usual = style.look_of("line", look, **usual)
+        ax.errorbar(speed[use], row[use], xerr=error[use], **usual)
     ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
     ax.tick_params(axis="y", labelsize="small", length=0)
     ax.set_ylim(len(table) - 0.5, -0.5)
@@ -272,19 +273,17 @@ def plot_profile(
     for k, fit in enumerate(fits):
         ax.plot(
             grid.value, u.Quantity(fit(grid)).to_value(speeds), lw=1.2, zorder=2,
-            color=style.component_color(k + 2), label=fit.model, ls=style.LINES[k % 3],
+            color=style.component_color(k + 2), label=str(fit), ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
-    if len(table):
-        # Very large errors must not squeeze the rest.
-        speed = table["pm_parallel"].value
-        low, high = speed.min(initial=0.0), speed.max(initial=0.0)
-        margin = 0.35 * max(high - low, 1e-9)
-        bottom, top = ax.get_ylim()
-        ax.set_ylim(max(bottom, low - margin), min(top, high + margin))
+    # Very large errors must not squeeze the rest.
+    shown = np.append(table["pm_parallel"].value, 0.0)
+    margin = 0.35 * max(np.ptp(shown), 1e-9) if len(table) else np.inf
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(max(bottom, shown.min() - margin), min(top, shown.max() + margin))
     ax.set_xlabel("Core separation (mas)")
     ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
-    style.legend_above(ax)
+    style.legend_above(ax, columns=2)
     style.add_speed_axis(ax, speeds, beta_per_pm, "right")
     if above:
         _draw_strip(strip, cube, line, far)
@@ -300,16 +299,16 @@ def _draw_streams(ax, table):
         group = np.asarray(table["scale_group"], dtype=str)
     names = list(dict.fromkeys(group.tolist()))
     for name, kind in product(names, style.KINDS):
-        own, color = (kinds == kind) & (group == name), names.index(name) + 1
-        for part, size in ((own & main, 5), (own & ~main, 3)):
+        here, color = (kinds == kind) & (group == name), names.index(name) + 1
+        for part, size in ((here & main, 5), (here & ~main, 3)):
             if part.any():
                 label = f"{kind}, scales {name}" if name else kind
                 style.draw_bins(
                     ax, table[part], u.mas, table["pm_parallel"].unit, ms=size,
-                    fmt=style.KINDS[kind].on_profile, lw=1.0, zorder=3,
+                    fmt=style.KINDS[kind].marker, lw=1.0, zorder=3,
                     color=style.component_color(color),
                     mfc="white" if kind.startswith("not") else None,
-                    label=label if size == 5 or not (own & main).any() else None,
+                    label=label if size == 5 or not (here & main).any() else None,
                 )  # fmt: skip
 
 

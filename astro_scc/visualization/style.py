@@ -4,6 +4,7 @@
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from io import BytesIO
+from itertools import product
 from typing import NamedTuple
 
 import astropy.units as u
@@ -41,25 +42,59 @@ JOURNAL = {
 _SCALE = ContextVar("scale", default=1.0)
 #: Label of features of no stream.
 NONE = "no stream"
+#: Keywords of matplotlib's functions that are not of their artists.
+OF_PLOTS = "vmin", "vmax", "shading", "capsize", "elinewidth"
 #: Dots per inch of a page.
 DPI = 150
 
 
 class Kind(NamedTuple):
-    """Markers of a kind of component in maps, slices and profiles, and its line."""
+    """Markers of a kind of stream in maps and against an axis of speeds, its line."""
 
     on_map: str
-    on_slice: str
-    on_profile: str
+    marker: str
     line: str
 
 
 KINDS = {
-    "moving": Kind("+", "o", "o", "-"),
-    "stationary": Kind("s", "s", "s", "--"),
-    "not confirmed": Kind("x", "x", "o", ":"),
-    "not significant": Kind("x", "x", "o", ":"),
+    "moving": Kind("+", "o", "-"),
+    "stationary": Kind("s", "s", "--"),
+    "not confirmed": Kind("D", "D", "-."),
+    "not significant": Kind("x", "X", ":"),
 }
+
+
+def look_of(kind, given, **usual):
+    """
+    Return the usual keywords of an artist, with those that are given in their place.
+
+    Parameters
+    ----------
+    kind : {"line", "image", "mesh"}
+        Keywords may be short, as those of the artist of matplotlib are.
+    given : dict
+
+    Raises
+    ------
+    TypeError
+        If a keyword is none of the artist.
+    """
+    from matplotlib import cbook, collections, image, lines
+    from matplotlib.artist import ArtistInspector
+
+    kinds = {"line": lines.Line2D, "image": image.AxesImage}
+    artist = kinds.get(kind, collections.QuadMesh)
+    usual, given = (cbook.normalize_kwargs(look, artist) for look in (usual, given))
+    known = {*ArtistInspector(artist).get_setters(), *usual, *OF_PLOTS}
+    for name in given.keys() - known:
+        raise TypeError(
+            f"unknown option {name!r} of this figure: it takes its own and those of "
+            f"matplotlib's {artist.__name__}"
+        )
+    if given.get("norm") is not None:
+        # A norm has limits of its own.
+        usual = {k: v for k, v in usual.items() if k not in ("vmin", "vmax")}
+    return usual | given
 
 
 def figure_and_axes(ax, figsize):
@@ -101,27 +136,26 @@ def for_journal(columns=1):
         _SCALE.reset(token)
 
 
-def figure_files(figures, *, pdf=False):
+def figure_files(names, draw, *, pdf=False):
     """
     Return figures as the contents of files by their names.
 
     Parameters
     ----------
-    figures : dict of callable
-        Functions without arguments that draw them, by their names.
+    names : sequence of str
+    draw : callable
+        Returns the figure of a name.
     pdf : bool, optional
         Draw them for a column of a journal as well, as PDF; wide ones for two.
     """
-    files = {}
-    metadata = {"png": None, "pdf": {"CreationDate": None}}
-    for name, plot in figures.items():
-        for kind in ("png", "pdf") if pdf else ("png",):
-            width = for_journal(2 if name in WIDE else 1)
-            with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
-                figure = plot()
-                thin(figure)
-                figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata[kind])
-                files[f"{name}.{kind}"] = buffer.getvalue()
+    files, kinds = {}, {"png": None} | ({"pdf": {"CreationDate": None}} if pdf else {})
+    for name, (kind, metadata) in product(names, kinds.items()):
+        width = for_journal(2 if name in WIDE else 1)
+        with width if kind == "pdf" else nullcontext(), BytesIO() as buffer:
+            figure = draw(name)
+            thin(figure)
+            figure.savefig(buffer, format=kind, dpi=DPI, metadata=metadata)
+            files[f"{name}.{kind}"] = buffer.getvalue()
     return files
 
 
@@ -199,7 +233,7 @@ def date_axis(ax, cube, earliest=None, room=0.03):
     return convert
 
 
-def legend_above(ax):
+def legend_above(ax, columns=4):
     """Add a legend above axes, on the left, with each label once, as it is darkest."""
     pairs = zip(*ax.get_legend_handles_labels()[::-1], strict=True)
     # The lines of an errorbar are in a container.
@@ -209,7 +243,7 @@ def legend_above(ax):
     if each := {text: handle for text, _, handle in each}:
         ax.legend(
             each.values(), each.keys(), fontsize="small", frameon=False,
-            ncols=legend_columns(4), loc="lower left", bbox_to_anchor=(0, 1),
+            ncols=legend_columns(columns), loc="lower left", bbox_to_anchor=(0, 1),
             borderaxespad=0,
         )  # fmt: skip
 

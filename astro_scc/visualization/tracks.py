@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Figures of features: paths on the mean image, and separations."""
 
+from itertools import combinations
+
 import astropy.units as u
 import numpy as np
 
@@ -9,7 +11,7 @@ from astro_scc.visualization import images, style
 
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
-PALE = {"alpha": 0.5, "zorder": 2, "linestyle": ":"}
+PALE = {"alpha": 0.35, "zorder": 2, "linestyle": ":"}
 #: Of more features than these only so many have numbers and ejections, those of most
 #: epochs, and none its speed.
 CROWDED, NAMED = 40, 20
@@ -20,11 +22,15 @@ BESIDE = (
 )  # fmt: skip
 #: Ejections are shown so long before the first image, in spans of the images.
 EARLIER = 0.3
+#: Paths within this share of the image from the core have a panel of their own if two
+#: are as close; the gap between both panels, of the width.
+INNER, CLOSE, GAP = 0.3, 0.02, 0.1
 
 
 def plot_separation(
-    features, *, stream=None, beta_per_pm=None, published=None, ax=None, unit=None
-):
+    features, *, stream=None, beta_per_pm=None, published=None, ax=None, unit=None,
+    **look,
+):  # fmt: skip
     """
     Draw the core separations of features against time, with their fits.
 
@@ -47,6 +53,8 @@ def plot_separation(
         Axes to draw on instead of a new figure, without residuals.
     unit : `~astropy.units.Unit`, optional
         Unit of the separations.
+    **look
+        Keywords of the fitted lines, see `matplotlib.lines.Line2D`.
 
     Returns
     -------
@@ -57,43 +65,21 @@ def plot_separation(
     ValueError
         If the unit is not an angle.
     """
-    lower = None
+    lower, far = None, np.hypot(*features.detections.place.T).max(initial=1.0)
+    unit = offset_unit(far, unit)
     if ax is None:
         figure = style.new_figure((style.WIDTH, 5.4))
         ax, lower = figure.subplots(2, 1, sharex=True, height_ratios=(7, 3))
     figure, ax = style.figure_and_axes(ax, None)
-    d, ejected = features.detections, _ejections(features)
-    distance = np.hypot(*d.place.T)
-    unit = offset_unit(distance.max(initial=1.0), unit)
-    factor = u.mas.to(unit)
-    outward = d.place / np.maximum(distance, 1e-30)[:, None]
-    error, ends = np.hypot(*(outward * d.place_error).T), []
+    ejected = _ejections(features)
     earliest = min((date for date, _ in ejected.values()), default=None)
     room = 0.32 if beta_per_pm and len(features) <= CROWDED else 0.12
     on_axis = style.date_axis(lower or ax, features.cube, earliest, room)
     if published is not None:
         _draw_published(ax, published, features.cube, lambda p: (
             on_axis(p["date"].jyear), p["separation"].to_value(unit)))  # fmt: skip
-    for number, motion in enumerate(features.motions):
-        k = features.tracks[number].detection
-        look = feature_look(features, number, stream)
-        time = d.time[k]
-        dots = {"fmt": "o", "ms": 3, "mew": 0, "lw": 0.8, **look, "linestyle": ""}
-        ax.errorbar(on_axis(time), factor * distance[k], factor * error[k], **dots)
-        t = np.linspace(*time[[0, -1]], 50)
-        fitted = factor * np.hypot(*_fitted(motion, t).T)
-        ax.plot(on_axis(t), fitted, linewidth=1.2, **look)
-        ends.append(((on_axis(time[-1]), fitted[-1]), look["color"]))
-        if number in ejected:
-            date, date_error = ejected[number]
-            back = {"color": look["color"], "lw": 0.6, "ls": "--", "zorder": 1}
-            ax.plot(on_axis([date, time[0]]), [0, fitted[0]], gid="ejection", **back)
-            bar = {"fmt": "^", "ms": 4, "elinewidth": 0.8, "clip_on": False}
-            width = on_axis(date + date_error) - on_axis(date)
-            ax.errorbar(on_axis(date), 0, xerr=width, color=look["color"], **bar)
-        if lower is not None:
-            left = distance[k] - np.hypot(*_fitted(motion, time).T)
-            lower.errorbar(on_axis(time), factor * left, factor * error[k], **dots)
+    ends = _draw_separations(ax, lower, features, on_axis, unit, stream, look)
+    _draw_ejections(ax, ejected, ends, on_axis)
     style.legend_above(ax)
     ax.set_ylim(bottom=0)
     ax.set_ylabel(f"Core separation ({unit_name(unit)})")
@@ -102,8 +88,43 @@ def plot_separation(
         lower.axhline(0, color=style.GREY, lw=0.6, zorder=0)
         lower.set_ylabel(f"Residual ({unit_name(unit)})")
         figure.align_ylabels()
-    _write_numbers(ax, features, ends, beta_per_pm, own=lower is not None)
+    _lay_out(figure, own=lower is not None)
+    _write_numbers(ax, features, [(k[1], k[2]) for k in ends], beta_per_pm)
     return figure
+
+
+def _draw_separations(ax, lower, features, on_axis, unit, stream, given):
+    """Draw separations, fits and residuals; return ends of fits, and colours."""
+    d, factor, ends = features.detections, u.mas.to(unit), []
+    distance = np.hypot(*d.place.T)
+    outward = d.place / np.maximum(distance, 1e-30)[:, None]
+    error = np.hypot(*(outward * d.place_error).T)
+    for number, motion in enumerate(features.motions):
+        k = features.tracks[number].detection
+        look = style.look_of("line", given, **feature_look(features, number, stream))
+        dots = {"fmt": "o", "ms": 3, "mew": 0, "lw": 0.8, **look, "linestyle": ""}
+        time = d.time[k]
+        ax.errorbar(on_axis(time), factor * distance[k], factor * error[k], **dots)
+        t = np.linspace(*time[[0, -1]], 50)
+        fitted = factor * np.hypot(*_fitted(motion, t).T)
+        ax.plot(on_axis(t), fitted, **{"linewidth": 1.2, **look})
+        if lower is not None:
+            left = distance[k] - np.hypot(*_fitted(motion, time).T)
+            lower.errorbar(on_axis(time), factor * left, factor * error[k], **dots)
+        places = zip(on_axis(time[[0, -1]]), fitted[[0, -1]], strict=True)
+        ends.append((*places, look["color"]))
+    return ends
+
+
+def _draw_ejections(ax, ejected, ends, on_axis):
+    """Draw the ejections of features by their numbers, and dashes that lead there."""
+    for number, (date, error) in ejected.items():
+        (x, y), _, color = ends[number]
+        back = {"color": color, "lw": 0.6, "ls": "--", "zorder": 1}
+        ax.plot([on_axis(date), x], [0, y], gid="ejection", **back)
+        bar = {"fmt": "^", "ms": 4, "elinewidth": 0.8, "clip_on": False}
+        width = on_axis(date + error) - on_axis(date)
+        ax.errorbar(on_axis(date), 0, xerr=width, color=color, **bar)
 
 
 def _ejections(features):
@@ -114,7 +135,7 @@ def _ejections(features):
     secure = [k for k in _named(features) if features.secure[k]]
     dates = {k: motions[k].ejection(features.core_error, fwhm) for k in secure}
     # What is not known compares as false.
-    return {k: own for k, own in dates.items() if own[0] >= earliest}
+    return {k: date for k, date in dates.items() if date[0] >= earliest}
 
 
 def _named(features):
@@ -132,9 +153,9 @@ def _draw_published(ax, published, cube, place):
     published = published[(published["date"] >= first) & (published["date"] <= last)]
     look = {"color": style.GREY, "lw": 0.5, "marker": ".", "ms": 2.5, "mew": 0}
     for number in np.unique(published["published"]):
-        own = published[published["published"] == number]
+        same = published[published["published"] == number]
         line = {"alpha": 0.6, "zorder": 1, "label": "published"}
-        ax.plot(*place(own), gid=f"published {number}", **look, **line)
+        ax.plot(*place(same), gid=f"published {number}", **look, **line)
 
 
 def _fitted(motion, time):
@@ -149,29 +170,33 @@ def feature_look(features, number, stream=None):
     look = STRONG if features.secure[number] else PALE
     if stream is None:
         return {"color": style.component_color(number + 1), **look}
-    own = int(stream[number])
-    color = style.component_color(own) if own else style.BLACK
-    return {"color": color, "label": f"stream {own}" if own else style.NONE, **look}
+    k = int(stream[number])
+    color = style.component_color(k) if k else style.BLACK
+    return {"color": color, "label": f"stream {k}" if k else style.NONE, **look}
 
 
-def _write_numbers(ax, features, ends, beta_per_pm=None, *, own):
+def _lay_out(figure, *, own):
+    """Place the axes, as numbers need; nothing need be drawn for that."""
+    if engine := figure.get_layout_engine():
+        engine.execute(figure)
+    if own:
+        # A second layout takes time.
+        figure.set_layout_engine("none")
+
+
+def _write_numbers(ax, features, ends, beta_per_pm=None):
     """
     Write the numbers of features beside places, given with colours.
 
     If the speed in units of c of 1 mas/yr is known, secure features have theirs.  A
     number covers as few positions as possible; if it covers another, it is left out.
     """
-    # Numbers need the final place of the axes; nothing need be drawn for that.
-    figure = ax.get_figure()
-    if engine := figure.get_layout_engine():
-        engine.execute(figure)
-    if own:
-        # A second layout takes time.
-        figure.set_layout_engine("none")
     frame, taken = ax.get_window_extent(), []
     drawn = [np.empty((0, 2)), *(line.get_xydata() for line in ax.lines)]
     points = ax.transData.transform(np.concatenate(drawn))
     for k in _named(features):
+        if ends[k] is None:
+            continue
         place, color = ends[k]
         name = f"{features.number[k]}"
         if beta_per_pm and features.secure[k] and len(ends) <= CROWDED:
@@ -198,14 +223,17 @@ def _write_numbers(ax, features, ends, beta_per_pm=None, *, own):
             text.remove()
 
 
-def plot_tracks(features, *, stream=None, published=None, figure=None, unit=None):
+def plot_tracks(
+    features, *, stream=None, published=None, figure=None, unit=None, **look
+):
     """
     Draw the paths of features over the mean image.
 
     Contours begin at three times its noise, and each is twice the one before.  Each
     path is a line through the positions of a feature, with one dot per epoch, an
     arrow head at the last one and the number of the feature.  Those of features that
-    are not secure are pale and dotted.
+    are not secure are pale and dotted.  If paths near the core hide one another, a
+    second panel shows what is framed larger.
 
     Parameters
     ----------
@@ -215,9 +243,11 @@ def plot_tracks(features, *, stream=None, published=None, figure=None, unit=None
     published : `~astropy.table.QTable`, optional
         Features to compare with, in grey, see `plot_separation`.
     figure : `matplotlib.figure.Figure`, optional
-        Figure to draw on instead of a new one.
+        Figure to draw on instead of a new one, without a second panel.
     unit : `~astropy.units.Unit`, optional
         Unit of the offsets.
+    **look
+        Keywords of the paths, see `matplotlib.lines.Line2D`.
 
     Returns
     -------
@@ -228,28 +258,78 @@ def plot_tracks(features, *, stream=None, published=None, figure=None, unit=None
     ValueError
         If the unit is not an angle.
     """
-    d, own = features.detections, figure is None
-    place = np.concatenate([d.place, features.core.place]).T
-    points = {"place": place, "weight": np.ones(len(place.T))}
-    view, figure, (ax,) = images.mean_image_panels(
+    place = np.concatenate([features.detections.place, features.core.place])
+    points = {"place": place.T, "weight": np.ones(len(place))}
+    view, drawn, (ax,) = images.mean_image_panels(
         features.cube, points, 1, figure=figure, unit=unit, edge=0.0
     )
     images.draw_contours(ax, view)
-    if published is not None:
-        _draw_published(
-            ax, published, features.cube, lambda p: images.sky_place(p) * view.factor
-        )
+    axes, inner, box = [ax], [], None
+    if figure is None:
+        inner, box = _inner_paths(features, view)
+    if len(inner):
+        axes.append(_add_panel(drawn, ax, view, box))
+    for panel in axes:
+        if published is not None:
+            _draw_published(panel, published, features.cube,
+                            lambda p: images.sky_place(p) * view.factor)  # fmt: skip
+        last = _draw_paths(panel, features, view, stream, look)
+    style.legend_above(ax)
+    _lay_out(drawn, own=figure is None)
+    for panel in axes:
+        shown = panel is not ax
+        ends = [end if (k in inner) == shown else None for k, end in enumerate(last)]
+        _write_numbers(panel, features, ends)
+    return drawn
+
+
+def _inner_paths(features, view):
+    """Return the features near the core if paths hide one another there, their box."""
+    d, size = features.detections, np.ptp(view.limits, axis=1).max()
+    paths = [view.factor * d.place[track.detection] for track in features.tracks]
+    far = np.array([np.hypot(*path.T).max() for path in paths])
+    inner = np.flatnonzero(far < INNER * size)
+    apart = [
+        np.hypot(*np.moveaxis(paths[a][:, None] - paths[b], -1, 0)).min()
+        for a, b in combinations(inner, 2)
+    ]
+    if min(apart, default=np.inf) > CLOSE * size or len(inner) == len(paths):
+        return [], None
+    every = np.concatenate([*(paths[k] for k in inner), np.zeros((1, 2))])
+    low, high = every.min(axis=0), every.max(axis=0)
+    # A narrow strip shows nothing.
+    half = np.maximum(0.6 * (high - low), 0.2 * (high - low).max())
+    return inner, np.stack([(low + high) / 2 - half, (low + high) / 2 + half], axis=1)
+
+
+def _add_panel(figure, ax, view, box):
+    """Add axes below others that show a part of the image larger; return them."""
+    from matplotlib.patches import Rectangle
+
+    (wide, high), aspect = np.ptp(box, axis=1), np.divide(*np.ptp(view.limits, axis=1))
+    height, gap = high / wide * aspect, GAP * aspect
+    panel = ax.inset_axes((0.0, -gap - height, 1.0, height))
+    added = (figure.get_figwidth() - 0.6) / aspect * (gap + height)
+    figure.set_figheight(figure.get_figheight() + added)
+    images.draw_image(panel, view, ax.images[0].get_array()).set_alpha(0.5)
+    images.draw_contours(panel, view)
+    panel.set(xlim=box[0, :: -1 if view.to_the_left else 1], ylim=box[1])
+    frame = {"fill": False, "edgecolor": style.BLACK, "lw": 0.8, "gid": "larger below"}
+    ax.add_patch(Rectangle(box[:, 0], wide, high, **frame))
+    return panel
+
+
+def _draw_paths(ax, features, view, stream, given):
+    """Draw the paths of features; return the last place and the colour of each."""
     head = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
     head, last = head | {"linewidth": 0.9}, []
     for number, track in enumerate(features.tracks):
-        look = feature_look(features, number, stream)
-        place = view.factor * d.place[track.detection].T
-        dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0}
-        ax.plot(*place, linewidth=0.9, **dots, **look)
-        look.pop("label", None)
-        ends, arrow = place.T[-1:-3:-1], head | look
-        ax.annotate("", *ends, arrowprops=arrow, annotation_clip=True)
+        look = style.look_of("line", given, **feature_look(features, number, stream))
+        place = view.factor * features.detections.place[track.detection].T
+        dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0, "linewidth": 0.9}
+        ax.plot(*place, **dots | look)
+        line = {k: look[k] for k in ("color", "alpha", "zorder", "linestyle")}
+        ends = place.T[-1:-3:-1]
+        ax.annotate("", *ends, arrowprops=head | line, annotation_clip=True)
         last.append((place[:, -1], look["color"]))
-    style.legend_above(ax)
-    _write_numbers(ax, features, last, own=own)
-    return figure
+    return last

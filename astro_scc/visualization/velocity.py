@@ -23,6 +23,8 @@ AXIS_LABELS = {
 #: First axes of velocities on the sky.
 SKY = "east", "lon"
 MAP_LABELS = {"coefficient": "Correlation", "z_score": "z-score"}
+#: What the correlation of a map of the velocity spectrum is.
+EXCESS = "Mean correlation, less that of permuted epochs"
 #: Corners for the legend (the first preferred) and for the arrow (the second).
 CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
 CORNERS |= {"upper left": (0, 1), "lower right": (1, 0)}
@@ -77,9 +79,9 @@ class Scene:
 
     def streams(self, *columns):
         """Yield row, kind, whether it was found, and numbers in columns of each."""
-        values = [self.components[name].to_value(self.unit) for name in columns]
-        for k, (row, kind) in enumerate(zip(self.components, self.kinds, strict=True)):
-            yield row, kind, not kind.startswith("not"), [own[k] for own in values]
+        values = np.transpose([self.components[k].to_value(self.unit) for k in columns])
+        for row, kind, numbers in zip(self.components, self.kinds, values, strict=True):
+            yield row, kind, not kind.startswith("not"), numbers
 
 
 # -- the paper's stack ---------------------------------------------------------------
@@ -87,19 +89,20 @@ class Scene:
 
 def plot_velocity_map(
     result, *, ax=None, components=None, which="coefficient", unit=None,
-    beta_per_pm=None, colorbar=True,
+    beta_per_pm=None, colorbar=True, **look,
 ):  # fmt: skip
     """
     Draw the velocity map.
 
-    Components are marked with their numbers in the table, a symbol for their
-    kind (moving, stationary, not significant), and an ellipse of one standard
-    error along each axis.  The arrow shows the direction of the jet.
+    Streams are marked with their numbers in the table, a symbol for their kind
+    (moving, stationary, not confirmed, not significant), and an ellipse of one standard
+    error along each axis.  The arrow shows the direction of the jet.  Further keywords
+    are those of the image, such as ``cmap``.
     """
     image = result.velocity_map(which)
     scene = Scene(result, (style.WIDTH, 5.2), ax, components, unit)
     ax = scene.ax
-    drawn = draw_map(ax, image.data, result.grid, scene.unit)
+    drawn = draw_map(ax, image.data, result.grid, scene.unit, look)
     if scene.on_sky and scene.words[2]:
         ax.invert_xaxis()
     ax.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
@@ -114,20 +117,23 @@ def plot_velocity_map(
     _draw_jet(scene, CORNERS[second])
     style.add_speed_axis(ax, scene.unit, beta_per_pm)
     if colorbar:
-        scene.figure.colorbar(drawn, cax=style.beside(ax), label=MAP_LABELS[which])
+        excess = which == "coefficient" and hasattr(result, "search")
+        label = EXCESS if excess else MAP_LABELS[which]
+        scene.figure.colorbar(drawn, cax=style.beside(ax), label=label)
     return scene.figure
 
 
-def draw_map(ax, values, grid, unit):
+def draw_map(ax, values, grid, unit, look):
     """Draw a map of velocities."""
     sides = [PM_UNIT.to(unit, images.edges(v)[[0, -1]]) for v in (grid.v1, grid.v2)]
     values = np.ma.masked_invalid(values)
-    drawn = ax.imshow(
-        values, origin="lower", extent=np.ravel(sides), cmap="cividis", vmin=0.0,
-        vmax=values.compressed().max(initial=0.0) or 1.0, interpolation="bilinear",
-    )  # fmt: skip
-    ax.axhline(0, color="white", linewidth=0.6, alpha=0.6)
-    ax.axvline(0, color="white", linewidth=0.6, alpha=0.6)
+    usual = {"cmap": "cividis", "vmin": 0.0, "interpolation": "bilinear"}
+    usual["vmax"] = values.compressed().max(initial=0.0) or 1.0
+    look = style.look_of("image", look, **usual)
+    drawn = ax.imshow(values, origin="lower", extent=np.ravel(sides), **look)
+    rest = {"color": "white", "linewidth": 0.6, "alpha": 0.6}
+    ax.axhline(0, **rest)
+    ax.axvline(0, **rest)
     ax.set(xlim=sides[0], ylim=sides[1], aspect="equal")
     return drawn
 
@@ -176,6 +182,8 @@ def _draw_components(scene):
             fontsize="large" if strong else "small", path_effects=effects,
         )  # fmt: skip
         places = np.vstack([places, place])
+    if parts := [patch for patch in ax.patches if patch.get_gid() == "error"]:
+        parts[0].set_label("one standard error")
     return places
 
 
@@ -198,6 +206,7 @@ def _draw_jet(scene, corner):
 
 def plot_significance(
     result, *, ax=None, components=None, unit=None, beta_per_pm=None, level=None,
+    **look,
 ):  # fmt: skip
     """
     Draw the z-score along the jet, at zero speed across it.
@@ -206,7 +215,7 @@ def plot_significance(
     line is the largest z-score at any speed across the jet; components off the axis
     have open symbols; a dashed line is at ``level``, the z-score of significant
     components.  On axes east and north, the map is interpolated along
-    ``result.position_angle``.
+    ``result.position_angle``.  Further keywords are those of the line.
     """
     scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
     ax, unit = scene.ax, scene.unit
@@ -214,7 +223,8 @@ def plot_significance(
     speed = PM_UNIT.to(unit, speed)
     ax.axhline(0, color=GREY, linewidth=0.6)
     ax.plot(speed, highest, color=GREY, lw=0.8, label="highest, any transverse speed")
-    ax.plot(speed, axis, color=style.BLUE, lw=1.6, label="at zero transverse speed")
+    usual = {"color": style.BLUE, "lw": 1.6, "label": "at zero transverse speed"}
+    ax.plot(speed, axis, **style.look_of("line", look, **usual))
     if level is not None:
         ax.axhline(level, color=GREY, lw=0.8, ls="--", gid="level")
         ax.annotate(
@@ -222,24 +232,7 @@ def plot_significance(
             xytext=(-3, 2), textcoords="offset points", ha="right", va="bottom",
             fontsize="small", color=GREY,
         )  # fmt: skip
-    names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
-    least = PM_UNIT.to(unit, max(result.grid.step))
-    for row, kind, strong, numbers in scene.streams(*names):
-        along, error, across, across_error = numbers
-        z = _z_of(scene, row)
-        on_axis = abs(across) <= 3 * max(across_error, least)
-        color = style.VERMILION if strong else GREY
-        ax.errorbar(
-            along, z, xerr=error if np.isfinite(error) else 0.0,
-            fmt=KINDS[kind].on_slice, color=color, markersize=5,
-            markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
-        )  # fmt: skip
-        ax.annotate(
-            f"{row['stream']}", (along, z), xytext=(0, 6),
-            textcoords="offset points", ha="center", color=color,
-            fontweight="bold" if strong else "normal", path_effects=style.outline(),
-            clip_on=True,
-        )  # fmt: skip
+    _draw_z_scores(scene)
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), level or 0.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
@@ -254,6 +247,27 @@ def plot_significance(
     return scene.figure
 
 
+def _draw_z_scores(scene):
+    """Draw the streams at their z-scores, open if they are off the axis."""
+    names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
+    least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
+    for row, kind, strong, numbers in scene.streams(*names):
+        along, error, across, across_error = numbers
+        z, color = _z_of(scene, row), style.VERMILION if strong else GREY
+        on_axis = abs(across) <= 3 * max(across_error, least)
+        scene.ax.errorbar(
+            along, z, xerr=error if np.isfinite(error) else 0.0,
+            fmt=KINDS[kind].marker, color=color, markersize=5,
+            markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
+        )  # fmt: skip
+        scene.ax.annotate(
+            f"{row['stream']}", (along, z), xytext=(0, 6),
+            textcoords="offset points", ha="center", color=color,
+            fontweight="bold" if strong else "normal", path_effects=style.outline(),
+            clip_on=True,
+        )  # fmt: skip
+
+
 def _z_of(scene, row):
     """Return the z-score of the map at the velocity of a stream."""
     grid = scene.result.grid
@@ -263,13 +277,15 @@ def _z_of(scene, row):
     return float(scene.result.z_score[n, k])
 
 
-def plot_map_and_significance(
-    result, *, figure=None, beta_per_pm=None, level=None, **shared
-):
+def plot_paper(
+    result, *, figure=None, components=None, unit=None, beta_per_pm=None, level=None,
+    **look,
+):  # fmt: skip
     """Draw the velocity map over the z-score along the jet, as the paper's Fig. 2."""
     figure = style.new_figure((style.WIDTH, 8.0)) if figure is None else figure
     upper, lower = figure.subplots(2, 1, height_ratios=(2.0, 1.0))
-    plot_velocity_map(result, ax=upper, beta_per_pm=beta_per_pm, **shared)
+    shared = {"components": components, "unit": unit}
+    plot_velocity_map(result, ax=upper, beta_per_pm=beta_per_pm, **shared, **look)
     plot_significance(result, ax=lower, level=level, **shared)
     return figure
 
@@ -305,7 +321,7 @@ def speed_text(row, kind):
 # -- the diagram ---------------------------------------------------------------------
 
 
-def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
+def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True, **look):
     """
     Draw the displacement-interval diagram with the rays of the streams.
 
@@ -313,38 +329,28 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
     of epochs.  What moves at a constant speed lies on a ray from the origin; what
     stands still lies at zero displacement.  Thin lines on both sides of a ray are one
     dispersion of the speeds away.  Intervals are shown until the slowest moving stream
-    leaves the diagram.  A second axis shows the displacement in beams.
+    leaves the diagram.  A second axis shows the displacement in beams.  Further
+    keywords are those of the cells, such as ``cmap``.
     """
     image = result.diagram()
     _, displacement = image.wcs.pixel_to_world_values(0, np.arange(len(image.data)))
     unit = offset_unit(displacement[-1], unit)
     scene = Scene(result, (style.WIDTH, 4.2), ax, components)
-    ax, kinds = scene.ax, scene.kinds
-    slopes = ray_slopes(scene.components, kinds, image.meta["position_angle"])
+    ax, time = scene.ax, scene.unit.bases[1]
+    slopes = ray_slopes(scene.components, scene.kinds, image.meta["position_angle"])
     seen = image.meta["n_pairs"] > 0
     years, excess = image.meta["interval"].to_value(u.yr)[seen], image.data[:, seen]
-    longest = longest_interval(years, slopes, kinds, displacement[-1])
-    time = scene.unit.bases[1]
+    longest = longest_interval(years, slopes, scene.kinds, displacement[-1])
     highest = highest_excess(years, excess, longest)
+    cells = {"cmap": "RdBu_r", "vmin": -highest, "vmax": highest, "gid": "excess"}
     drawn = ax.pcolormesh(
-        u.yr.to(time, images.edges(years)),
-        u.mas.to(unit, images.edges(displacement)), excess, cmap="RdBu_r",
-        vmin=-highest, vmax=highest, rasterized=True, gid="excess",
+        u.yr.to(time, images.edges(years)), u.mas.to(unit, images.edges(displacement)),
+        excess, **style.look_of("mesh", look, rasterized=True, **cells),
     )  # fmt: skip
     ax.axhline(0, color=GREY, linewidth=0.6)
     top = u.mas.to(unit, displacement[-1])
     ax.set(xlim=(0, u.yr.to(time, longest)), ylim=(-top, top))
-    factor = PM_UNIT.to(unit / time)
-    for row, kind, slope in zip(scene.components, kinds, slopes, strict=True):
-        if not np.isfinite(slope):
-            continue
-        label = f"{row['stream']}: {speed_text(row, kind)}"
-        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
-        spread = 0.0 if kind == "stationary" else spread
-        _draw_ray(ax, slope * factor, spread * factor, kind, label)
-    if np.isfinite(slopes).any():
-        corner = "upper right" if slopes[0] < 0 else "lower right"
-        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
+    _draw_rays(scene, slopes, PM_UNIT.to(unit / time))
     ax.set_xlabel(f"Interval between epochs ({unit_name(time)})")
     ax.set_ylabel(f"{_direction(scene, image)} ({unit_name(unit)})")
     beam = image.meta["beam"].to_value(unit)
@@ -354,9 +360,23 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True):
         above = ax.inset_axes((0.0, 1.03, 1.0, 0.035))
         scene.figure.colorbar(
             drawn, cax=above, orientation="horizontal", ticklocation="top",
-            extend="both", label="Correlation",
+            extend="both", label="Correlation, less its mean over all pairs of epochs",
         )  # fmt: skip
     return scene.figure
+
+
+def _draw_rays(scene, slopes, factor):
+    """Draw the rays of the streams, with their legend."""
+    for row, kind, slope in zip(scene.components, scene.kinds, slopes, strict=True):
+        if not np.isfinite(slope):
+            continue
+        label = f"{row['stream']}: {speed_text(row, kind)}"
+        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
+        spread = 0.0 if kind == "stationary" else spread
+        _draw_ray(scene.ax, slope * factor, spread * factor, kind, label)
+    if np.isfinite(slopes).any():
+        corner = "upper right" if slopes[0] < 0 else "lower right"
+        scene.ax.legend(loc=corner, fontsize="small", framealpha=0.85)
 
 
 def _draw_ray(ax, slope, spread, kind, label):
@@ -416,9 +436,9 @@ def longest_interval(years, slopes, kinds, reach):
     """Return the longest interval that is shown, in years."""
     ends = images.edges(years)
     for shown in ("moving", "not confirmed", "not significant"):
-        own = np.abs(slopes[np.array(kinds) == shown])
-        if (own > 0).any():
-            longest = BEYOND * reach / own[own > 0].min()
+        speeds = np.abs(slopes[np.array(kinds) == shown])
+        if (speeds > 0).any():
+            longest = BEYOND * reach / speeds[speeds > 0].min()
             # A fast stream alone would leave a single column.
             return min(max(longest, ends[: FEWEST_INTERVALS + 1][-1]), ends[-1])
     return ends[-1]

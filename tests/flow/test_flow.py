@@ -23,13 +23,14 @@ from astro_scc.flow import (
 )
 from astro_scc.flow.acceleration import acceleration_of
 from astro_scc.flow.field import cell_coordinates
-from astro_scc.flow.parts import PartSpeeds, fit_part, slope_of, speeds_in_parts
+from astro_scc.flow.parts import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import feature_distances
 from astro_scc.kinematics import RadialFrame, RidgeLine
 from astro_scc.measurement.tables import stream_table
 from astro_scc.simulation import Flow, simulate_jet
 from astro_scc.streams.decomposed import decompose_flow
+from astro_scc.streams.parts import fit_part
 
 PM = u.mas / u.yr
 SCC = StackedCrossCorrelation(position_angle=270 * u.deg)

@@ -14,7 +14,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import serialize
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame, RidgeLine, SkyFrame
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.tables import paper_table, printed
+from astro_scc.measurement.tables import paper_table
 
 PM = u.mas / u.yr
 
@@ -152,7 +152,7 @@ def test_values_are_correlations_less_their_mean(uneven):
 
 
 def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):
-    table = paper_table(printed(sky_result.components))
+    table = paper_table(sky_result.components)
     page = read_page(sky_result._repr_html_())
     assert len(page.all("td")) == len(table.colnames) * len(table)
     assert table["pm"][0] in page.text

@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Speed against distance and what lies beside it, and the features of many sources."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
+from astro_scc.flow import fit_profile
 from astro_scc.units import PM_UNIT as PM
 from astro_scc.visualization import speeds
 from astro_scc.visualization.speeds import plot_profile
@@ -35,17 +37,15 @@ def table():
 
 
 def test_components_fits_and_others_have_names(table, cube):
-    def fit(r):
-        return np.full(len(r), 1.0) * PM
-
-    fit.model = "constant"
+    fit = fit_profile([1, 2, 4] * u.mas, [1.0, 1.2, 1.6] * PM, [0.1] * 3 * PM)
+    assert re.match(r"linear: 0.2\d* ± 0.0\d+ 1/yr$", str(fit))
     figure = plot_profile(
         table, cube=replace(cube, beams=None), line=WEST, fits=[fit], beta_per_pm=2.0,
         others=[("MOJAVE", [4] * u.mas, [1] * PM, [0.1] * PM)],
     )  # fmt: skip
     strip, ax = figure.axes
     assert strip.images
-    wanted = {"moving", "not significant", "stationary", "constant", "MOJAVE"}
+    wanted = {"moving", "not significant", "stationary", str(fit), "MOJAVE"}
     assert set(labels(ax)) == wanted
     # The farthest is that of others; the large error does not squeeze the rest.
     assert ax.get_xlim()[1] == pytest.approx(1.02 * 4)

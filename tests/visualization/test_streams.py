@@ -47,7 +47,7 @@ def test_the_map_has_the_axes_of_the_frame_and_the_components(frame, jet_results
     assert labels == [*LABELS[frame][:2]]
     assert ax.xaxis_inverted() == (frame == "sky")
     assert numbers(ax) == [str(n) for n in result.streams["stream"]]
-    assert legend(ax.figure) == result.streams["kind"].tolist()
+    assert legend(ax.figure) == ["one standard error", *result.streams["kind"]]
     for ellipse, stream in zip(parts(ax, "error"), result.search.streams, strict=True):
         size = ellipse.get_width(), ellipse.get_height()
         assert ellipse.get_center() == pytest.approx(1000 * stream.velocity, abs=1e-6)
@@ -73,7 +73,7 @@ def of_kinds(result, kinds=KINDS):
 def test_kinds_that_are_not_significant_and_what_is_unknown(result):
     table = of_kinds(result)
     figure = result.plot("velocity_map", components=table)
-    assert legend(figure) == KINDS
+    assert legend(figure) == ["one standard error", *KINDS]
     assert [e.get_linestyle() for e in parts(figure, "error")] == ["-", "-", ":"]
     table["pm_parallel_err"][0] = np.nan * PM_UNIT
     figure = result.plot("paper", components=table)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from astro_scc import EpochCube
 from astro_scc.visualization import style
-from astro_scc.visualization.tracks import plot_separation, plot_tracks
+from astro_scc.visualization.tracks import PALE, plot_separation, plot_tracks
 
 MODULE = "astro_scc.visualization.tracks"
 
@@ -53,7 +53,7 @@ def test_separations_fits_and_residuals(features):
     assert distance == pytest.approx(wanted)
     assert time == pytest.approx(table["date"].jyear)
     fits = [k for k in ax.lines if k.get_marker() == "None" and not k.get_gid()]
-    pale = [0.5 if k == 1 else 1.0 for k in range(len(features))]
+    pale = [PALE["alpha"] if k == 1 else 1.0 for k in range(len(features))]
     assert [line.get_alpha() for line in fits] == pale
 
     def separation(m, time):
