@@ -37,9 +37,8 @@ def frame_displacements(frame, position, motion):
     ``position`` and ``motion``, shape (n, 2), are east and north in mas.  The method
     ``displacement`` of a frame is used if it has one, or else its axes at the position.
     """
-    own = getattr(frame, "displacement", None)
-    if own is not None:
-        return own(position, motion)
+    if hasattr(frame, "displacement"):
+        return frame.displacement(position, motion)
     axes = frame.matrix(position[:, 0], position[:, 1])
     return np.einsum("nai,ni->na", axes, motion)
 
