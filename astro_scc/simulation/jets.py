@@ -742,15 +742,13 @@ def simulate_shell(
     """
     if n_epochs < 2:
         raise ValueError(f"n_epochs must be at least 2, got {n_epochs}")
-    step = u.Quantity(pixel_scale).to_value(u.mas)
-    r = u.Quantity(radius).to_value(u.mas)
+    step, r = (u.Quantity(v).to_value(u.mas) for v in (pixel_scale, radius))
     middle = u.Quantity(centre).to(u.mas)
     if 1.2 * r + np.abs(middle.value).max() > 0.5 * size * step:
         raise ValueError(f"a shell of {radius} is larger than {size} pixels can show")
     rng = random_generator(rng)
     n = n_knots + n_clumps
-    knot = np.arange(n) < n_knots
-    angle = rng.uniform(0, 2 * np.pi, n)
+    knot, angle = np.arange(n) < n_knots, rng.uniform(0, 2 * np.pi, n)
     angle[~knot] = 2 * np.pi * (np.arange(n_clumps) + rng.uniform(0, 0.7, n_clumps))
     angle[~knot] /= n_clumps
     # Knots are distributed evenly over an area.
@@ -771,10 +769,11 @@ def simulate_shell(
         y = origin + (middle[1].value + grown * north) / step
         image[:] = rng.poisson(add_gaussians(image, x, y, peak, covariance))
     cube = EpochCube.from_arrays(images, times, pixel_scale=pixel_scale)
-    truth = QTable({"group": np.where(knot, "knots", "ring")})
-    truth["east"], truth["north"] = east * u.mas, north * u.mas
-    truth["fwhm"] = fwhm * step * u.mas
-    truth["rate"] = (rate / u.yr).to(u.percent / u.yr)
+    truth = QTable({
+        "group": np.where(knot, "knots", "ring"), "east": east * u.mas,
+        "north": north * u.mas, "fwhm": fwhm * step * u.mas,
+        "rate": (rate / u.yr).to(u.percent / u.yr),
+    })  # fmt: skip
     return SimulatedShell(cube, truth, middle, r * u.mas)
 
 

@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.features.tracks import connected, lowest, rank_in_group
+from astro_scc.features.detections import rank_in_group
+from astro_scc.features.tracks import connected, lowest
 from astro_scc.images.positions import beam_fwhm, ssp_offsets
 
 #: Distance in beams beyond which features are distinguished from the core.
