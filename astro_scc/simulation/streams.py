@@ -63,7 +63,7 @@ def check_not_negative(record, names, whose=""):
                 raise ValueError(what)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Stream:
     """
     A group of features with one law of motion.
