@@ -746,8 +746,7 @@ def simulate_shell(
     middle = u.Quantity(centre).to(u.mas)
     if 1.2 * r + np.abs(middle.value).max() > 0.5 * size * step:
         raise ValueError(f"a shell of {radius} is larger than {size} pixels can show")
-    rng = random_generator(rng)
-    n = n_knots + n_clumps
+    rng, n = random_generator(rng), n_knots + n_clumps
     knot, angle = np.arange(n) < n_knots, rng.uniform(0, 2 * np.pi, n)
     angle[~knot] = 2 * np.pi * (np.arange(n_clumps) + rng.uniform(0, 0.7, n_clumps))
     angle[~knot] /= n_clumps
@@ -757,8 +756,7 @@ def simulate_shell(
     east, north = distance * np.sin(angle), distance * np.cos(angle)
     fwhm = np.where(knot, rng.uniform(3, 5, n), rng.uniform(16, 24, n))
     peak = counts * np.where(knot, rng.uniform(0.4, 1.0, n), rng.uniform(0.6, 1.0, n))
-    rates = (u.Quantity(rate).to_value(1 / u.yr) for rate in (knot_rate, ring_rate))
-    rate = np.where(knot, *rates)
+    rate = np.where(knot, knot_rate, ring_rate).to_value(1 / u.yr)
     times = Time("1980-01-01") + np.arange(n_epochs) * interval
     images = np.full((n_epochs, size, size), float(background))
     covariance = (FWHM_TO_SIGMA * fwhm)[:, None, None] ** 2 * np.eye(2)
