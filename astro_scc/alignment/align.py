@@ -23,6 +23,10 @@ from astro_scc.images.series import Series, as_times, naming, numbers
 
 # A row of a table belongs to an epoch if their dates agree to this many days.
 TOLERANCE = 1.0
+#: Methods, and the option that each has.
+METHODS = {
+    "core": "jet_pa", "correlate": "region", "table": "table", "wcs": None, "none": None
+}  # fmt: skip
 AXES = "east", "north"
 DATES = ("epoch", "date", "date_obs", "date-obs", "time", "mjd", "jd", "year")
 # Units by the words in the names of columns.
@@ -130,20 +134,24 @@ def align(
         method, table = "table", method
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"align {method!r} is none of {', '.join(METHODS)} or a file")
-    measure, own = METHODS[method]
     options = {"jet_pa": jet_pa, "region": region, "table": table}
-    options = {name: value for name, value in options.items() if value is not None}
-    if strange := sorted(options.keys() - {own}):
+    given = {name for name, value in options.items() if value is not None}
+    if strange := sorted(given - {METHODS[method]}):
         raise ValueError(f"align method {method!r} has no option {', '.join(strange)}")
     if method == "none":
         return cube.with_step("aligned by reference pixels (no shifts)")
-    pixels, covariance, what = measure(cube, **options)
-    return _move(cube, method, -pixels, covariance, what)
+    if method == "core":
+        found = _by_core(cube, jet_pa)
+    elif method == "correlate":
+        found = _by_correlation(cube, region)
+    else:
+        found = _by_table(cube, table) if method == "table" else _by_wcs(cube)
+    return _move(cube, method, *found)
 
 
-def _move(cube, method, shifts, covariance, what):
-    """Return the cube with its epochs shifted."""
-    data, mask = np.empty(cube.shape), np.empty(cube.shape, dtype=bool)
+def _move(cube, method, pixels, covariance, what):
+    """Return the cube with its epochs moved back by their offsets in pixels."""
+    data, mask, shifts = np.empty(cube.shape), np.empty(cube.shape, bool), -pixels
     for i, shift in enumerate(shifts):
         data[i], mask[i] = grid.shift_image(cube.data[i], cube.mask[i], shift)
         if mask[i].all():
@@ -152,8 +160,8 @@ def _move(cube, method, shifts, covariance, what):
                 "(x, y) takes it off the grid; leave the epoch out"
             )
     epoch_wcs = cube.epoch_wcs and tuple(
-        cube.wcs.deepcopy() if method == "wcs" else grid.moved_wcs(own, shift)
-        for own, shift in zip(cube.epoch_wcs, shifts, strict=True)
+        cube.wcs.deepcopy() if method == "wcs" else grid.moved_wcs(wcs, shift)
+        for wcs, shift in zip(cube.epoch_wcs, shifts, strict=True)
     )
     whole = np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL)
     matrix = cube.pixel_matrix.to_value(u.mas)
@@ -196,8 +204,8 @@ def _from_sky(cube, offsets, errors, what):
     return offsets @ inverse.T, covariance, what
 
 
-def _by_core(cube, **options):
-    found = core_positions(cube, **options)
+def _by_core(cube, jet_pa):
+    found = core_positions(cube, jet_pa=jet_pa)
     if n_blended := int(np.sum(found["blended"])):
         warn(
             f"the core is blended with the jet in {n_blended} of {len(cube)} epochs: "
@@ -212,7 +220,7 @@ def _by_core(cube, **options):
     return _from_sky(cube, offsets, errors, "the core")
 
 
-def _by_table(cube, *, table=None):
+def _by_table(cube, table):
     if table is None:
         raise ValueError(
             "align 'table' needs table=, a path or a Table; with --align name the file"
@@ -228,8 +236,8 @@ def _by_wcs(cube):
             "read them from FITS files, or choose another alignment"
         )
     steps = np.empty((len(cube), 2))
-    for i, own in enumerate(cube.epoch_wcs):
-        steps[i], pure = grid.grid_step(own, cube.wcs, cube.shape[1:])
+    for i, wcs in enumerate(cube.epoch_wcs):
+        steps[i], pure = grid.grid_step(wcs, cube.wcs, cube.shape[1:])
         if not pure:
             raise ValueError(
                 f"{cube.labels[i]}: is turned or stretched to the others; read the "
@@ -238,11 +246,9 @@ def _by_wcs(cube):
     return -steps, np.full((len(cube), 2, 2), np.nan), "absolute coordinates"
 
 
-def _by_correlation(cube, *, region=None):
-    inside = region_mask(cube, region)
-    reach = min(cube.shape[1:]) / 4
-    pixels = np.zeros((len(cube), 2))
-    covariance = np.zeros((len(cube), 2, 2))
+def _by_correlation(cube, region):
+    inside, reach = region_mask(cube, region), min(cube.shape[1:]) / 4
+    pixels, covariance = np.zeros((len(cube), 2)), np.zeros((len(cube), 2, 2))
     for k in range(5):
         moved = map(grid.shift_image, cube.data, cube.mask, -pixels)
         # Pixels that only some epochs have would make steps in the mean.
@@ -253,10 +259,10 @@ def _by_correlation(cube, *, region=None):
         before = pixels.copy()
         for i, label in enumerate(cube.labels):
             start = pixels[i] if k > 1 else None
-            pair = cube.data[i], cube.mask[i]
             with naming(label):
-                found = displacement(*pair, target, use, reach, start=start)
-            pixels[i], covariance[i] = found
+                pixels[i], covariance[i] = displacement(
+                    cube.data[i], cube.mask[i], target, use, reach, start
+                )
         # The mean image could drift freely, so the mean shift is kept at 0.
         pixels -= pixels.mean(axis=0)
         if np.abs(pixels - before).max() < 0.01:
@@ -363,13 +369,3 @@ def _axis(table, axis, name):
             )
         found.append(numbers(table[column], u.mas, name, own_unit=unit or units[0]))
     return found if wrong else [*found, np.full(len(table), np.nan)]
-
-
-# Name -> the function that measures the offsets, and its option.
-METHODS = {
-    "core": (_by_core, "jet_pa"),
-    "correlate": (_by_correlation, "region"),
-    "table": (_by_table, "table"),
-    "wcs": (_by_wcs, None),
-    "none": (None, None),
-}

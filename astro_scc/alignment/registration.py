@@ -233,28 +233,31 @@ def _distance2(x, y, centre, precision):
     return a * dx**2 + 2 * b * dx * dy + d * dy**2
 
 
-def displacement(image, mask, reference, use, reach, start=None):
+def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     """
     Return the displacement (dx, dy) of an image from a reference, and its covariance.
 
     It starts from ``start``, or else from the pixel within ``reach`` that has the
     largest zero-mean normalised cross-correlation of the good pixels.  From there
-    the sum of squares of ``a I(x + d) + b - R(x)`` over the pixels in ``use``,
-    which must be good in the reference, is minimised over d.  Gain a and level b
-    are solved for, and I is interpolated with cubic splines.  Pixels where the
-    slope of R is less than 1% of the steepest do not constrain d and are left out.
+    the sum of squares of ``I(x + d) - a R(x) - b`` over the pixels in ``use``,
+    which must be good in the reference, is minimised over d, gain a and level b, in
+    steps in which the slopes of R are those of I.  I is interpolated with cubic
+    splines.  Pixels where the slope of R is less than 1% of the steepest do not
+    constrain d and are left out.
 
     A source at x in the reference is at x + d in the image.  The covariance
     assumes that residuals are independent from pixel to pixel; where a beam spans
     several pixels, it is too small by a factor of half the beam's area in pixels.
+    Raises a ValueError if too few pixels are good, if d is not within ``reach`` of the
+    start, or if the correlation there is not above ``alike``.
     """
     filled = fill_masked(image, mask)
     if start is None:
-        start = _whole_pixels(filled, mask, reference, use, reach)
-    start = np.asarray(start, dtype=float)
-    slope = np.hypot(*np.gradient(fill_masked(reference, ~use)))
-    use = use & (slope >= FLAT * slope[use].max())
-    y, x = np.nonzero(use)
+        # The peak to whole pixels is off by less than one and a half pixels.
+        start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
+    slopes = np.gradient(fill_masked(reference, ~use))[::-1]
+    steep = np.hypot(*slopes)
+    y, x = np.nonzero(use & (steep >= FLAT * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the
     # fit moves by up to one and a half.
     around = ndimage.binary_dilation(mask, iterations=3).astype(float)
@@ -262,24 +265,30 @@ def displacement(image, mask, reference, use, reach, start=None):
     keep = ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
     if keep.sum() < FEWEST:
         raise ValueError("too few good pixels to compare; leave it out")
-    y, x, target = y[keep], x[keep], reference[use][keep]
-    spline = ndimage.spline_filter(filled, order=3)
-
-    def residual(d):
+    y, x = y[keep], x[keep]
+    target = reference[y, x] - reference[y, x].mean()
+    design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
+    solve = np.linalg.pinv(np.stack(design, axis=1))
+    spline, d = ndimage.spline_filter(filled, order=3), np.array(start, dtype=float)
+    for _ in range(STEPS):
         values = ndimage.map_coordinates(
             spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"
         )
-        basis = np.stack([values, np.ones_like(values)], axis=1)
-        solution = np.linalg.lstsq(basis, target, rcond=None)[0]
-        return basis @ solution - target
-
-    # The peak to whole pixels is off by less than one and a half pixels.
-    fit = optimize.least_squares(
-        residual, start, bounds=(start - 1.5, start + 1.5), diff_step=1e-3, xtol=1e-10
-    )
+        *step, gain, level = solve @ values
+        # A negative gain or a large shift shows that the steps do not converge.
+        if gain <= 0 or np.hypot(*(d - start)) > reach:
+            raise ValueError("nothing in the image correlates; leave it out")
+        step = np.array(step) / gain
+        d -= step * min(1, reach / 2 / max(np.hypot(*step), 1e-9))
+        if np.hypot(*step) < CONVERGED:
+            break
+    values = values - values.mean()
+    if values @ target <= alike * np.sqrt(values @ values * (target @ target)):
+        raise ValueError("nothing in the image correlates; leave it out")
+    left = values - gain * target
     freedom = max(len(target) - 4, 1)
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * 2 * fit.cost / freedom
-    return fit.x, covariance
+    covariance = (solve @ solve.T)[:2, :2] * (left @ left) / freedom / gain**2
+    return d, covariance
 
 
 def _whole_pixels(filled, mask, reference, use, reach):
@@ -297,9 +306,7 @@ def _whole_pixels(filled, mask, reference, use, reach):
         min_overlap=MIN_OVERLAP,
     )
     dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
-    coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, 0)
-    if coefficient.max() <= 0:
-        raise ValueError("nothing in the image correlates; leave it out")
+    coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, -1)
     best = np.unravel_index(np.argmax(coefficient), coefficient.shape)
     return dx[best], dy[best]
 
@@ -405,43 +412,16 @@ def _shift(cube, k, weights, noise, width, positions):
             x, y = np.linalg.solve(matrix, positions[k - 1 + i])
             images[i] = ndimage.shift(image, (-y, -x), order=3)
     reference = weights[0] * images[0] + weights[1] * images[2]
-    source = ~cube.mask[three].any(axis=0) & (reference > SOURCE_SNR * noise)
+    masked = cube.mask[three].any(axis=0)
+    source = ~masked & (reference > SOURCE_SNR * noise)
     reach = width / np.sqrt(abs(np.linalg.det(matrix)))
-    shift = _small_displacement(images[1], reference, source, reach)
-    return None if shift is None else matrix @ shift
-
-
-def _small_displacement(image, reference, use, reach):
-    """
-    Return the displacement (x, y) from a reference, None if they are not alike.
-
-    ``I(x + d) = a R(x) + b`` is linearised with the slopes of R and solved for
-    d, gain a and level b, iteratively.
-    """
-    y, x = np.nonzero(use)
-    if len(y) < FEWEST:
-        return None
-    slope_y, slope_x = np.gradient(reference)
-    r = reference[use] - reference[use].mean()
-    design = [slope_x[use], slope_y[use], r, np.ones_like(r)]
-    solve = np.linalg.pinv(np.stack(design, axis=1))
-    spline = ndimage.spline_filter(image, order=3)
-    shift = np.zeros(2)
-    for _ in range(STEPS):
-        values = ndimage.map_coordinates(
-            spline, [y + shift[1], x + shift[0]], order=3, prefilter=False
+    try:
+        shift, _ = displacement(
+            images[1], np.zeros_like(masked), reference, source, reach, (0, 0), ALIKE
         )
-        *step, gain, _ = solve @ values
-        # A negative gain or a large shift shows that the steps do not converge.
-        if gain <= 0 or np.hypot(*shift) > reach:
-            return None
-        step = np.array(step) / gain
-        shift -= step * min(1, reach / 2 / max(np.hypot(*step), 1e-9))
-        if np.hypot(*step) < CONVERGED:
-            break
-    values = values - values.mean()
-    alike = values @ r > ALIKE * np.sqrt(values @ values * (r @ r))
-    return shift if alike else None
+    except ValueError:
+        return None
+    return matrix @ shift
 
 
 def warn_of_misalignment(cube):

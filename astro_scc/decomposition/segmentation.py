@@ -111,23 +111,20 @@ class SSPs:
         -------
         `SSPs`
         """
-        inside = np.repeat(keep, self.n_pixels)
-        kept = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in kept.keys() - {"starts"}:
-            kept[name] = kept[name][inside if name in ("pixels", "values") else keep]
-        return SSPs(**kept | {"starts": _starts(self.n_pixels[keep])})
+        kept, inside = {}, np.repeat(keep, self.n_pixels)
+        for name in [f.name for f in fields(self) if f.name != "starts"]:
+            which = inside if name in ("pixels", "values") else keep
+            kept[name] = getattr(self, name)[which]
+        return SSPs(**kept, starts=_starts(self.n_pixels[keep]))
 
     @classmethod
     def empty(cls) -> SSPs:
         """Return a catalogue without SSPs."""
         return cls(
-            *(np.empty(0) for _ in range(8)),
-            bbox=np.empty((0, 4), dtype=int),
-            starts=np.zeros(1, dtype=int),
-            pixels=np.empty(0, dtype=np.int32),
-            values=np.empty(0, dtype=np.float32),
-            epoch=np.empty(0, dtype=int),
-        )
+            *np.empty((8, 0)), bbox=np.empty((0, 4), dtype=int),
+            starts=np.zeros(1, dtype=int), pixels=np.empty(0, dtype=np.int32),
+            values=np.empty(0, dtype=np.float32), epoch=np.empty(0, dtype=int),
+        )  # fmt: skip
 
     @classmethod
     def concatenate(cls, catalogues: Sequence[SSPs]) -> SSPs:
@@ -256,20 +253,9 @@ def find_ssps(
     noise = np.broadcast_to(np.asarray(noise, dtype=float), plane.shape)
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
     significant = valid & (plane > segmentation * noise)
-    peaks = peak_local_max(
-        np.where(significant, plane, 0.0),
-        min_distance=round(scale_size(scale)),
-        threshold_abs=0.0,
-        exclude_border=False,
-    )
-    # Missing pixels that are joined to the edge of the image are outside, others holes.
-    outside = np.pad(~valid, 1, constant_values=True)
-    if mask is not None:
-        outside, _ = ndimage.label(outside)
+    peaks = _maxima(np.where(significant, plane, 0.0), scale, ~valid)
     at = tuple(peaks.T)
-    around = sliding_window_view(outside, (3, 3))[at]
-    inside = (around != outside[0, 0]).all(axis=(1, 2))
-    peaks = peaks[inside & (plane[at] >= detection * noise[at])]
+    peaks = peaks[plane[at] >= detection * noise[at]]
     if len(peaks) == 0:
         return SSPs.empty()
     n, at = len(peaks), tuple(peaks.T)
@@ -289,20 +275,24 @@ def find_ssps(
     dy, dx, _ = quadratic_peak(sliding_window_view(known, (3, 3))[at])
     boxes = ndimage.find_objects(labels)
     return SSPs(
-        scale=np.full(n, float(scale)),
-        y=at[0] + dy,
-        x=at[1] + dx,
-        y_centroid=y_centroid,
-        x_centroid=x_centroid,
-        peak=plane[at],
-        flux=flux,
-        snr=plane[at] / noise[at],
+        scale=np.full(n, float(scale)), y=at[0] + dy, x=at[1] + dx,
+        y_centroid=y_centroid, x_centroid=x_centroid, peak=plane[at], flux=flux,
+        snr=plane[at] / noise[at], pixels=pixels, values=weight.astype(np.float32),
         bbox=np.array([(y.start, x.start, y.stop, x.stop) for y, x in boxes]),
-        starts=_starts(np.bincount(owner, minlength=n)),
-        pixels=pixels,
-        values=weight.astype(np.float32),
-        epoch=np.zeros(n, dtype=int),
-    )
+        starts=_starts(np.bincount(owner, minlength=n)), epoch=np.zeros(n, dtype=int),
+    )  # fmt: skip
+
+
+def _maxima(plane, scale, missing):
+    """Return the places of local maxima that are not at the edge of the image."""
+    peaks = peak_local_max(
+        plane, min_distance=round(scale_size(scale)), threshold_abs=0.0,
+        exclude_border=False,
+    )  # fmt: skip
+    # Missing pixels that are joined to the edge of the image are outside, others holes.
+    outside, _ = ndimage.label(np.pad(missing, 1, constant_values=True))
+    around = sliding_window_view(outside, (3, 3))[tuple(peaks.T)]
+    return peaks[(around != outside[0, 0]).all(axis=(1, 2))]
 
 
 # -- decomposition of images --------------------------------------------------------
@@ -448,19 +438,21 @@ class Decomposer:
         if self.noise == "propagated":
             if rms is None or not 0 < rms < np.inf:
                 raise ValueError(f"'propagated' needs the rms of the image, got {rms}")
-            how = {"beam_covariance": beam_covariance, "kernel": self.kernel}
-            noise = wavelet.propagated_noise(rms, self.scales, **how)
+            noise = wavelet.propagated_noise(
+                rms, self.scales, beam_covariance=beam_covariance, kernel=self.kernel
+            )
         else:
-            kinds = {"plane": wavelet.plane_noise, "local": wavelet.local_noise}
-            each = zip(planes, self.scales, strict=True)
-            noise = [kinds[self.noise](*one, mask=missing) for one in each]
-            if self.noise_factors is not None:
-                both = zip(noise, self.noise_factors, strict=True)
-                noise = [factor * sigma for sigma, factor in both]
+            local = self.noise == "local"
+            measure = wavelet.local_noise if local else wavelet.plane_noise
+            factors = self.noise_factors or (1.0,) * len(planes)
+            each = zip(planes, self.scales, factors, strict=True)
+            noise = [f * measure(plane, j, mask=missing) for plane, j, f in each]
         noise = tuple(np.maximum(sigma, floor) for sigma in noise)
-        thresholds = {"detection": self.detection, "segmentation": self.segmentation}
-        each = zip(planes, self.scales, noise, strict=True)
-        found = [find_ssps(*one, mask=missing, **thresholds) for one in each]
+        found = [
+            find_ssps(plane, j, sigma, mask=missing, detection=self.detection,
+                      segmentation=self.segmentation)
+            for plane, j, sigma in zip(planes, self.scales, noise, strict=True)
+        ]  # fmt: skip
         planes, ssps = planes.astype(np.float32), SSPs.concatenate(found)
         return Decomposition(self.scales, planes, noise, ssps, missing)
 
@@ -484,11 +476,11 @@ class Decomposer:
         -------
         share, chance : `~numpy.ndarray`, shape (n_scales,)
         """
-        each = [self._planes(*of)[:2] for of in zip(images, masks, strict=True)]
-        found = []
-        for k, scale in enumerate(self.scales):
-            pair = [(planes[k], missing) for planes, missing in each]
-            found.append(wavelet.shared_variance(pair, scale))
+        (one, mask, _), (other, other_mask, _) = map(self._planes, images, masks)
+        found = [
+            wavelet.shared_variance([(a, mask), (b, other_mask)], scale)
+            for a, b, scale in zip(one, other, self.scales, strict=True)
+        ]
         share, chance = np.array(found).T
         return share, chance
 

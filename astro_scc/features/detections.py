@@ -39,9 +39,9 @@ class Detections:
         Dates in order.
     beam : `~numpy.ndarray`, shape (2, 2)
         Covariance of the beam on the two axes, in mas^2.
-    number : `~numpy.ndarray` of int, shape (n,), optional
+    number : `~numpy.ndarray` of int, shape (n,)
         Number of each within its epoch.
-    group : `~numpy.ndarray` of int, shape (n,), optional
+    group : `~numpy.ndarray` of int, shape (n,)
         Of alternatives in an epoch: detections of one number may be parts of the one
         with its negative; zero for others.
 
@@ -52,7 +52,8 @@ class Detections:
     >>> d = Detections(
     ...     epoch=np.arange(3), place=np.array([[1.0, 0.0], [1.5, 0.0], [2.0, 0.0]]),
     ...     place_error=np.full((3, 2), 0.01), flux=np.ones(3), size=np.zeros(3),
-    ...     years=np.array([2000.0, 2001.0, 2002.0]), beam=np.eye(2) / 5.545)
+    ...     years=np.array([2000.0, 2001.0, 2002.0]), beam=np.eye(2) / 5.545,
+    ...     number=np.zeros(3, dtype=int), group=np.zeros(3, dtype=int))
     >>> d.in_beams[:, 0].round(2), d.time
     (array([1. , 1.5, 2. ]), array([2000., 2001., 2002.]))
     """
@@ -64,15 +65,8 @@ class Detections:
     size: np.ndarray
     years: np.ndarray
     beam: np.ndarray
-    number: np.ndarray | None = None
-    group: np.ndarray | None = None
-
-    def __post_init__(self):
-        if self.group is None:
-            object.__setattr__(self, "group", np.zeros(len(self), dtype=int))
-        if self.number is None:
-            first = np.searchsorted(self.epoch, self.epoch)
-            object.__setattr__(self, "number", np.arange(len(self.epoch)) - first)
+    number: np.ndarray
+    group: np.ndarray
 
     def __len__(self) -> int:
         return len(self.epoch)
@@ -97,23 +91,23 @@ class Detections:
         """Date of each, in years."""
         return self.years[self.epoch]
 
-    def velocity(self, own: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def velocity(self, which: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the slope of a straight line through some detections.
 
         Parameters
         ----------
-        own : array_like of int, shape (n,)
+        which : array_like of int, shape (n,)
 
         Returns
         -------
         velocity, variance : `~numpy.ndarray`, shape (2,)
             In mas/yr, and the formal variance.
         """
-        time = self.time[own] - self.time[own].mean()
+        time = self.time[which] - self.time[which].mean()
         response = time / (time @ time)
-        velocity = response @ self.place[own]
-        return velocity, response**2 @ self.place_error[own] ** 2
+        velocity = response @ self.place[which]
+        return velocity, response**2 @ self.place_error[which] ** 2
 
     @property
     def fwhm(self) -> float:
@@ -200,9 +194,9 @@ class Detections:
             Twice the scatter of the parts along its axis, in beams, times the square of
             the unit vector along the axis.
         """
-        own = self.parts(k)
-        share = self.flux[own] / self.flux[own].sum()
-        off = self.in_beams[own] - share @ self.in_beams[own]
+        parts = self.parts(k)
+        share = self.flux[parts] / self.flux[parts].sum()
+        off = self.in_beams[parts] - share @ self.in_beams[parts]
         variance, axes = np.linalg.eigh((share * off.T) @ off)
         return 2 * np.sqrt(variance[-1]) * np.outer(axes[:, -1], axes[:, -1])
 
@@ -221,7 +215,8 @@ class Detections:
         """
         left = np.zeros(len(self), dtype=bool)
         for k in np.flatnonzero(self.group < 0).tolist():
-            left[self.parts(k) if whole[k] else k] = True
+            parts = self.parts(k)
+            left[parts if whole[k] or len(parts) == 0 else k] = True
         return self.select(~left)
 
     def aligned(self) -> Detections:
@@ -255,6 +250,13 @@ SAME_PATTERN = 0.7
 CLEANED = 2.0
 
 
+def rank_in_group(*keys):
+    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
+    new = np.ones(len(keys[0]), bool)
+    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
+
+
 def gaussians_of(cube, *, n_workers=1, progress_bar=False):
     """
     Return the components of Gaussian models of all images as detections.
@@ -286,14 +288,14 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         np.concatenate([getattr(model, name) for model in models])
         for name in ("y", "x", "y_err", "x_err", "flux", "size", "group")
     )
+    epoch = np.repeat(every, [len(model) for model in models])
     x0, y0 = cube.reference_pixel
     errors = np.stack([y_err, x_err], axis=1)
     return Detections(
-        epoch=np.repeat(every, [len(model) for model in models]),
-        place=np.stack([y - y0, x - x0], axis=1) @ matrix.T,
+        epoch=epoch, place=np.stack([y - y0, x - x0], axis=1) @ matrix.T,
         place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T), flux=flux,
         size=size * cube.pixel_scale.value, years=_years(cube), beam=beams.mean(axis=0),
-        group=group.astype(int),
+        number=rank_in_group(epoch), group=group.astype(int),
     )  # fmt: skip
 
 
@@ -303,7 +305,7 @@ def _fit(image_mask_beam_rms):
     return fit_gaussians(image, covariance, rms, mask=mask)
 
 
-def finest_patterns(ssps, keep=None, of=True):
+def finest_patterns(ssps, keep=None, choice=True):
     """
     Return which SSPs are patterns of their own, each on the finest of its scales.
 
@@ -313,7 +315,7 @@ def finest_patterns(ssps, keep=None, of=True):
         Of all epochs.
     keep : `~numpy.ndarray` of bool, shape (n_ssps,), optional
         SSPs that are kept in any case.
-    of : array_like of bool, optional
+    choice : array_like of bool, optional
         SSPs among which others are chosen.
 
     Returns
@@ -322,9 +324,9 @@ def finest_patterns(ssps, keep=None, of=True):
         In the order of the epochs.
     """
     keep = np.zeros(len(ssps), dtype=bool) if keep is None else keep.copy()
-    of = np.broadcast_to(of, keep.shape)
+    choice = np.broadcast_to(choice, keep.shape)
     for k in np.lexsort((-ssps.snr, ssps.scale)).tolist():
-        keep[k] |= of[k] and is_new(ssps, keep, k)
+        keep[k] |= choice[k] and is_new(ssps, keep, k)
     return np.flatnonzero(keep)
 
 
@@ -335,7 +337,7 @@ def is_new(ssps, keep, k):
     return not (off <= SAME_PATTERN * scale_size(ssps.scale[k])).any()
 
 
-def ssps_of(cube, ssps, own):
+def ssps_of(cube, ssps, which):
     """
     Return SSPs as detections.
 
@@ -344,7 +346,7 @@ def ssps_of(cube, ssps, own):
     cube : `~astro_scc.epochs.EpochCube`
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
-    own : `~numpy.ndarray` of int, shape (n,)
+    which : `~numpy.ndarray` of int, shape (n,)
         Those that are detections, in the order of the epochs.
 
     Returns
@@ -359,9 +361,10 @@ def ssps_of(cube, ssps, own):
     widths = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     errors = positions.position_errors(ssps.snr, widths, 0.0)
     return Detections(
-        epoch=ssps.epoch[own], place=place[own], place_error=errors[own],
-        flux=ssps.flux[own], size=np.zeros(len(own)), years=_years(cube),
-        beam=beams.mean(axis=0),
+        epoch=ssps.epoch[which], place=place[which], place_error=errors[which],
+        flux=ssps.flux[which], size=np.zeros(len(which)), years=_years(cube),
+        beam=beams.mean(axis=0), number=rank_in_group(ssps.epoch[which]),
+        group=np.zeros(len(which), dtype=int),
     )  # fmt: skip
 
 

@@ -86,9 +86,10 @@ def measure_diffusion(features: Features) -> Diffusion:
     if not np.all(variance > 0):
         return Diffusion(len(long))
     difference = 0.0
-    for years, (own, _) in zip(span, long, strict=True):
-        half = len(own) // 2
-        (v, v_var), (w, w_var) = (d.velocity(k) for k in (own[:half], own[-half:]))
+    for years, (members, _) in zip(span, long, strict=True):
+        half = len(members) // 2
+        v, v_var = d.velocity(members[:half])
+        w, w_var = d.velocity(members[-half:])
         difference += years * ((v - w) ** 2 - v_var - w_var).sum()
     interval = np.median(np.diff(np.unique(d.time)))
     return Diffusion(
@@ -124,8 +125,8 @@ def random_walk(features: Features) -> float:
         if n < LEAST_EPOCHS - 1:
             continue
         step = np.diff(place, axis=0) - np.diff(time)[:, None] * motion.velocity
-        own = (step**2).sum() + 2 * (step[1:] * step[:-1]).sum()
+        square = (step**2).sum() + 2 * (step[1:] * step[:-1]).sum()
         # The straight line takes up one of the steps.
-        walk += own / 2 * n / (n - 1)
+        walk += square / 2 * n / (n - 1)
         years += time[-1] - time[0]
     return SLOPE * max(walk, 0.0) / years if years else 0.0

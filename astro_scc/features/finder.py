@@ -75,8 +75,9 @@ class Features:
     def motions(self) -> tuple[Motion, ...]:
         """Straight line or parabola of each feature."""
         d, each = self.detections, [track.detection for track in self.tracks]
-        of = d.time, d.place, d.place_error
-        return tuple(fit_motion(*(v[own] for v in of), d.fwhm) for own in each)
+        return tuple(
+            fit_motion(d.time[k], d.place[k], d.place_error[k], d.fwhm) for k in each
+        )
 
     @property
     def number(self) -> np.ndarray:
@@ -132,16 +133,16 @@ class Features:
         """One row for each feature and epoch, a `~astropy.table.QTable`."""
         cube, d = self.cube, self.detections
         number = np.repeat(self.number, [len(track) for track in self.tracks])
-        own = np.concatenate([[], *(track.detection for track in self.tracks)])
-        own = own.astype(int)
-        place, error = d.place[own].T * u.mas, d.place_error[own].T * u.mas
+        which = np.concatenate([[], *(track.detection for track in self.tracks)])
+        d = d.select(which.astype(int))
+        place, error = d.place.T * u.mas, d.place_error.T * u.mas
         east, north = zip(place, error, strict=True)
         offsets = with_errors(ra_offset=east, dec_offset=north)
         used = np.concatenate([[], *(m.used for m in self.motions)]).astype(bool)
         table = build_table(
-            "positions", feature=number, epoch=d.epoch[own], used=used,
-            date=_dates(cube, d.epoch[own]), **offsets,
-            flux=d.flux[own] * flux_unit(cube), size=d.size[own] * u.mas,
+            "positions", feature=number, epoch=d.epoch, used=used,
+            date=_dates(cube, d.epoch), **offsets,
+            flux=d.flux * flux_unit(cube), size=d.size * u.mas,
         )  # fmt: skip
         table.meta.update(cube.facts)
         return round_to_errors(name_by_frame(table, cube))
@@ -158,9 +159,10 @@ def find_features(
     Each image is modelled by Gaussians convolved with its beam, see
     ``fit_gaussians``, or described by its SSPs.  Where one ellipse would do as well as
     several of them, they are one detection if they keep their distance from epoch to
-    epoch.  Detections are assigned to tracks, each to one at most, see
-    ``find_tracks``; of two tracks of the same emission one is kept.  What stands at
-    the reference pixel is the core, and all offsets are from it.
+    epoch, or if it is one in other epochs, of the same size and where the ellipse is.
+    Detections are assigned to tracks, each to one at most, see ``find_tracks``; of two
+    tracks of the same emission one is kept.  What stands at the reference pixel is the
+    core, and all offsets are from it.
 
     Parameters
     ----------
@@ -211,7 +213,7 @@ def find_features(
     found = found.aligned()
     if region is not None:
         found = found.select(found.core(settings.core) | _inside(found, cube, region))
-    found = _without_alternatives(found, settings, seed)
+    found = without_alternatives(found, settings, seed)
     is_core = found.core(settings.core)
     jet = found.select(~is_core)
     tracks = distinct_tracks(jet, find_tracks(jet, settings, seed=seed))
@@ -223,7 +225,8 @@ def find_features(
 SAME_PLACE = 0.3
 #: Parts of one elongated feature keep their distance and direction: in so many epochs
 #: or more, with a scatter of less than so many beams, or such a share of the distance,
-#: beyond their errors.
+#: beyond their errors.  Where there are parts in fewer epochs, the whole has the size
+#: of the feature in the others to so many beams.
 ELONGATED_EPOCHS, STEADY = 3, 0.2
 
 
@@ -243,22 +246,35 @@ def distinct_tracks(detections, tracks):
     d, kept = detections, []
     rank = [(-len(t), -np.median(d.flux[t.detection])) for t in tracks]
     for k in sorted(range(len(tracks)), key=rank.__getitem__):
-        own = tracks[k].detection
+        one = tracks[k].detection
         for n in kept:
-            same = tracks[n].detection
-            _, one, other = np.intersect1d(
-                d.epoch[own], d.epoch[same], assume_unique=True, return_indices=True
+            other = tracks[n].detection
+            _, i, j = np.intersect1d(
+                d.epoch[one], d.epoch[other], assume_unique=True, return_indices=True
             )
-            off = d.in_beams[own[one]] - d.in_beams[same[other]]
-            if 2 * len(one) >= len(own) and np.median(np.hypot(*off.T)) < SAME_PLACE:
+            off = d.in_beams[one[i]] - d.in_beams[other[j]]
+            if 2 * len(i) >= len(one) and np.median(np.hypot(*off.T)) < SAME_PLACE:
                 break
         else:
             kept.append(k)
     return [tracks[k] for k in sorted(kept)]
 
 
-def _without_alternatives(found, settings, seed):
-    """Return detections of which those with parts are features that are elongated."""
+def without_alternatives(detections, settings, seed=0):
+    """
+    Return detections of which those with parts are features that are elongated.
+
+    Parameters
+    ----------
+    detections : ``Detections``
+    settings : `TrackSettings`
+    seed : int, optional
+
+    Returns
+    -------
+    ``Detections``
+    """
+    found = detections
     whole, every = np.zeros(len(found), dtype=bool), np.arange(len(found))
     if not np.any(found.group < 0):
         return found
@@ -267,18 +283,33 @@ def _without_alternatives(found, settings, seed):
     is_core = joined.core(settings.core)
     jet = np.flatnonzero(~is_core)
     tracks = find_tracks(joined.select(jet), settings, seed=seed)
-    for own in (np.flatnonzero(is_core), *(jet[track.detection] for track in tracks)):
-        own = every[own]
-        own = own[found.group[own] < 0]
-        if len(own) >= ELONGATED_EPOCHS:
-            each = np.array([found.elongation(k) for k in own.tolist()])
-            parts = np.concatenate([found.parts(k) for k in own.tolist()])
-            error = 0.0
-            if len(parts):
-                error = 2 * (found.place_error[parts] ** 2).mean() / found.fwhm**2
-            size = max(1.0, np.trace(each.mean(axis=0)))
-            whole[own] = each.var(axis=0).sum() < (STEADY * size) ** 2 + error
+    for members in (np.flatnonzero(is_core), *(jet[t.detection] for t in tracks)):
+        group = found.group[every[members]]
+        split, plain = every[members[group < 0]], every[members[group == 0]]
+        if len(split) >= ELONGATED_EPOCHS:
+            whole[split] = _keep_their_distance(found, split)
+        elif len(plain) >= settings.least_epochs and not is_core[members[0]]:
+            whole[split] = [_continues(found, plain, k) for k in split.tolist()]
     return found.chosen(whole)
+
+
+def _continues(found, plain, k):
+    """Return whether one, rather than a part of it, is on a track and has its size."""
+    time = found.time - found.time[k]
+    line = np.polynomial.polynomial.polyfit(time[plain], found.in_beams[plain], 1)
+    off = np.hypot(*(found.in_beams[[k, *found.parts(k)]] - line[0]).T)
+    change = abs(found.size[k] - np.median(found.size[plain]))
+    return off[0] <= off.min() and change < STEADY * found.fwhm
+
+
+def _keep_their_distance(found, split):
+    """Return whether the parts of some detections are as far apart in all epochs."""
+    each = np.array([found.elongation(k) for k in split.tolist()])
+    parts = np.concatenate([found.parts(k) for k in split.tolist()])
+    # Those that lie outside of a region have no parts.
+    error = (found.place_error[parts] ** 2).sum() / max(len(parts), 1) / found.fwhm**2
+    size = max(1.0, np.trace(each.mean(axis=0)))
+    return each.var(axis=0).sum() < (STEADY * size) ** 2 + error
 
 
 def _inside(detections, cube, region):
@@ -310,16 +341,16 @@ def feature_table(features, stream=0):
     """
     rows = [_row(features, k) for k in range(len(features))]
     cube, d, unit = features.cube, features.detections, features.cube.speed_unit
-    own = [track.detection for track in features.tracks]
+    each = [track.detection for track in features.tracks]
     years = np.array([motion.date for motion in features.motions], dtype=float)
     date = Time(years, format="jyear", scale="utc")
     date.format = "isot"
-    flux = np.array([np.median(d.flux[k]) for k in own], float) * flux_unit(cube)
+    flux = np.array([np.median(d.flux[k]) for k in each], float) * flux_unit(cube)
     table = build_table(
         "features", rows, date=date, flux=flux, feature=features.number,
         stream=np.full(len(features), stream), motion=features.moved * u.one,
-        first=_dates(cube, [d.epoch[k[0]] for k in own]),
-        last=_dates(cube, [d.epoch[k[-1]] for k in own]),
+        first=_dates(cube, [d.epoch[k[0]] for k in each]),
+        last=_dates(cube, [d.epoch[k[-1]] for k in each]),
         p_false=features.p_false, secure=features.secure,
     )  # fmt: skip
     if unit.bases[1] != u.yr:
@@ -348,7 +379,7 @@ def _dates(cube, epoch):
 def _row(features, number):
     """Return the columns of one feature as plain numbers."""
     d, track = features.detections, features.tracks[number]
-    motion, own = features.motions[number], track.detection
+    motion = features.motions[number]
     r, v = motion.place, motion.velocity
     distance, speed = np.hypot(*r), motion.speed
     outward = r / distance if distance > 0 else np.array([0.0, 1.0])
@@ -362,7 +393,7 @@ def _row(features, number):
     pa_err = min(tangential / distance, np.pi) if distance > 0 else np.pi
     bend, bend_err = motion.acceleration, motion.acceleration_err
     return {
-        "n_epochs": len(own),
+        "n_epochs": len(track),
         **with_errors(
             ra_offset=(r[0], motion.place_err[0]),
             dec_offset=(r[1], motion.place_err[1]),
@@ -378,6 +409,6 @@ def _row(features, number):
             acc_perpendicular=(bend @ across, np.hypot(*(across * bend_err))),
             t_ej=motion.ejection(features.core_error, d.fwhm),
         ),
-        "size": np.median(d.size[own]),
+        "size": np.median(d.size[track.detection]),
         "proven": track.proven,
     }

@@ -144,13 +144,13 @@ def fit_gaussians(
     if len(p) == 0:
         return Gaussians(*(np.empty(0) for _ in fields(Gaussians)))
     errors, group = _position_errors(p, data), np.zeros(len(p), dtype=int)
-    each = [(p, *errors, group)]
+    rows = [(p, *errors, group)]
     for number, (parts, ellipse) in enumerate(wholes, start=1):
         group[parts] = number
         model = np.vstack([ellipse, np.delete(p, parts, axis=0)])
         errors = (error[:1] for error in _position_errors(model, data))
-        each.append((ellipse, *errors, [-number]))
-    p, y_err, x_err, group = map(np.concatenate, zip(*each, strict=True))
+        rows.append((ellipse, *errors, [-number]))
+    p, y_err, x_err, group = map(np.concatenate, zip(*rows, strict=True))
     order = np.argsort(-p[:, _PEAK], kind="stable")
     # Their peaks are compared with the error beside them: fainter ones are needed by
     # the model, but their places mean little.
@@ -304,15 +304,7 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight
     is_round = _is_round(p)
-    n = _STRETCH if is_round.all() else p.shape[1]
-    free = np.ones((len(p), n), dtype=bool)
-    free[is_round, _STRETCH:] = False
-    free = np.flatnonzero(free)
-    variance = np.flatnonzero((free % n == _VARIANCE) & is_round[free // n])
-    largest_step = np.full((len(p), n), np.inf)
-    largest_step[:, [_Y, _X]] = np.sqrt(np.diag(data.beam))
-    largest_step = largest_step.flat[free]
-    widest = np.ptp(data.y) ** 2 + np.ptp(data.x) ** 2
+    n, free, variance, largest_step = _free(is_round, data.beam)
 
     def state(p):
         shape, gy, gx = _shapes(p, y, x, data.beam)
@@ -326,23 +318,15 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
         jacobian = _derivatives(p, *parts, n).reshape(len(p) * n, -1)
         if len(free) < len(jacobian):
             jacobian = jacobian[free]
-        normal, gradient = jacobian @ jacobian.T, jacobian @ left
-        scale = np.sqrt(normal.diagonal())
-        # A component without samples stays as it is, and so does a variance of zero
-        # that would become negative.
-        scale[scale <= 1e-9 * scale.max()] = 1.0
-        stays = (p[is_round, _VARIANCE] <= 0) & (gradient[variance] <= 0)
-        scale[variance[stays]] = np.inf
-        normal /= scale
-        normal /= scale[:, None]
-        gradient /= scale
+        zero = variance[p[is_round, _VARIANCE] <= 0]
+        normal, gradient, scale = _normal_equations(jacobian, left, zero)
         for _ in range(6):
             damped = normal.copy()
             damped.flat[:: len(free) + 1] += damping
             step = dgesv(damped, gradient)[2] / scale
             new = p[:, :n].copy()
             new.flat[free] += step.clip(-largest_step, largest_step)
-            new = _allowed(np.hstack([new, p[:, n:]]), is_round, data.beam, widest)
+            new = _allowed(np.hstack([new, p[:, n:]]), is_round, data)
             after = state(new)
             if after[2] < cost:
                 break
@@ -357,8 +341,42 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
     return p
 
 
-def _allowed(p, is_round, beam, widest):
+def _normal_equations(jacobian, left, zero):
+    """
+    Return the matrix and the gradient in units of a scale, and the scale.
+
+    Parameters that are ``zero`` do not become negative.
+    """
+    normal, gradient = jacobian @ jacobian.T, jacobian @ left
+    scale = np.sqrt(normal.diagonal())
+    # A component without samples stays as it is.
+    scale[scale <= 1e-9 * scale.max()] = 1.0
+    scale[zero[gradient[zero] <= 0]] = np.inf
+    normal /= scale
+    normal /= scale[:, None]
+    return normal, gradient / scale, scale
+
+
+def _free(is_round, beam):
+    """
+    Return which parameters are free.
+
+    These are the number of parameters of a component, the places of the free ones in a
+    row of all, which of these are variances of round ones, and their largest steps.
+    """
+    n = _STRETCH if is_round.all() else 6
+    free = np.ones((len(is_round), n), dtype=bool)
+    free[is_round, _STRETCH:] = False
+    largest_step = np.full(free.shape, np.inf)
+    largest_step[:, [_Y, _X]] = np.sqrt(np.diag(beam))
+    largest_step, free = largest_step[free], np.flatnonzero(free)
+    variance = np.flatnonzero((free % n == _VARIANCE) & is_round[free // n])
+    return n, free, variance, largest_step
+
+
+def _allowed(p, is_round, data):
     """Return components with positive peaks, and with variances that are possible."""
+    beam, widest = data.beam, np.ptp(data.y) ** 2 + np.ptp(data.x) ** 2
     p[:, _PEAK] = p[:, _PEAK].clip(0)
     p[is_round, _VARIANCE] = p[is_round, _VARIANCE].clip(0, widest)
     if not is_round.all():
@@ -367,15 +385,12 @@ def _allowed(p, is_round, beam, widest):
         root = np.linalg.cholesky(beam)
         inverse = np.linalg.inv(root)
         ratio, axes = np.linalg.eigh(inverse @ covariance.reshape(-1, 2, 2) @ inverse.T)
-        axes = (
-            root
-            @ axes
-            * np.sqrt(ratio.clip(NARROWEST**2, 1 + widest / beam.trace()))[:, None]
-        )
-        own = axes @ axes.swapaxes(1, 2) - beam
-        p[~is_round, _VARIANCE] = (own[:, 0, 0] + own[:, 1, 1]) / 2
-        p[~is_round, _STRETCH] = (own[:, 0, 0] - own[:, 1, 1]) / 2
-        p[~is_round, _TILT] = own[:, 0, 1]
+        ratio = ratio.clip(NARROWEST**2, 1 + widest / beam.trace())
+        axes = root @ axes * np.sqrt(ratio)[:, None]
+        extra = axes @ axes.swapaxes(1, 2) - beam
+        p[~is_round, _VARIANCE] = (extra[:, 0, 0] + extra[:, 1, 1]) / 2
+        p[~is_round, _STRETCH] = (extra[:, 0, 0] - extra[:, 1, 1]) / 2
+        p[~is_round, _TILT] = extra[:, 0, 1]
     return p
 
 
@@ -466,7 +481,7 @@ def _joined(p, data, least):
             gain = data.chi2(p, where) - data.chi2(new, where)
             if gain > least:
                 moved = np.cumsum(np.isin(np.arange(len(p)), parts))
-                wholes = [(own - moved[own], whole) for own, whole in wholes]
+                wholes = [(k - moved[k], ellipse) for k, ellipse in wholes]
                 seen = np.append(np.delete(seen, parts), False)
                 p = new
                 break

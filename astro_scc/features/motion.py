@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -221,72 +221,6 @@ def fit_motion(
     )  # fmt: skip
 
 
-def motion_in_intervals(
-    motion: Motion, time: np.ndarray, place: np.ndarray, beam: float,
-    intervals: tuple[float, float],
-) -> tuple[Motion, np.ndarray]:  # fmt: skip
-    r"""
-    Return a motion whose velocity is that of some intervals between its dates.
-
-    It is the least-squares velocity of the differences between two positions that
-    are so far apart in time, without outliers,
-
-    .. math::
-
-        \boldsymbol\mu = \frac{\sum (t_j - t_i) (\boldsymbol r_j - \boldsymbol r_i)}
-                               {\sum (t_j - t_i)^2},
-
-    which for all intervals is the slope of a straight line.
-
-    Parameters
-    ----------
-    motion : `Motion`
-        See `fit_motion`.
-    time : `~numpy.ndarray`, shape (n,)
-        In years.
-    place : `~numpy.ndarray`, shape (n, 2)
-        In mas.
-    beam : float
-        Full width at half maximum, in mas.
-    intervals : (float, float)
-        The shortest and the longest one, in years.
-
-    Returns
-    -------
-    motion : `Motion`
-    response : `~numpy.ndarray`, shape (n,)
-        Change of the velocity for a change of each position, in 1/yr; all zero, and
-        the velocity is NaN, if no two dates are so far apart.
-
-    Examples
-    --------
-    A feature that moves in steps is at rest in short intervals:
-
-    >>> import numpy as np
-    >>> from astro_scc.features.motion import fit_motion, motion_in_intervals
-    >>> time = np.array([0.0, 0.1, 1.0, 1.1, 2.0, 2.1])
-    >>> place = np.stack([np.round(time), 0 * time], axis=1)
-    >>> fit = fit_motion(time, place, np.full((6, 2), 0.01), 1.0)
-    >>> part, _ = motion_in_intervals(fit, time, place, 1.0, (0.0, 0.5))
-    >>> fit.velocity.round(2), part.velocity.round(2)
-    (array([0.99, 0.  ]), array([0., 0.]))
-    """
-    gap = np.subtract.outer(time, time)
-    use = (abs(gap) >= intervals[0]) & (abs(gap) <= intervals[1])
-    use &= motion.used & motion.used[:, None]
-    response = np.where(use, gap, 0.0).sum(axis=1)
-    norm = response @ time
-    if not norm > 0:
-        return replace(motion, velocity=np.full(2, np.nan)), response
-    response /= norm
-    dt = time - time.mean()
-    wander = WANDER * beam / motion.span
-    scatter = np.maximum(motion.velocity_err**2 - wander**2, 0)
-    scatter = scatter * (dt @ dt) * (response @ response)
-    error = np.hypot(np.sqrt(scatter), wander)
-    return replace(motion, velocity=response @ place, velocity_err=error), response
-
-
 #: A polynomial: coefficients and errors (degree + 1, 2), and its residuals.
 _Fit = namedtuple("_Fit", "coefficients errors residual weight cost")
 
@@ -314,5 +248,5 @@ def _robust(dt, place, scatter, degree):
     inverse = np.linalg.pinv(design.T @ (w[:, None] * design))
     errors = np.sqrt(inverse.diagonal()[:, None] * variance)
     cost = (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM).sum()
-    each = solution / span[:, None], errors / span[:, None]
-    return _Fit(*each, residual, weight, float(cost))
+    span = span[:, None]
+    return _Fit(solution / span, errors / span, residual, weight, float(cost))

@@ -11,7 +11,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse.csgraph import connected_components
 from scipy.special import gammaln, ndtri
 
-from astro_scc.features.detections import Detections
+from astro_scc.features.detections import Detections, rank_in_group
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +168,8 @@ def find_tracks(
     >>> d = Detections(
     ...     epoch=epoch, place=place, place_error=np.full((12, 2), 0.01),
     ...     flux=np.array([1.0, 0.2] * 6), size=np.zeros(12), beam=np.eye(2) / 5.545,
-    ...     years=2000.0 + np.arange(6))
+    ...     years=2000.0 + np.arange(6), number=np.tile([0, 1], 6),
+    ...     group=np.zeros(12, dtype=int))
     >>> [track.detection.tolist() for track in find_tracks(d)]
     [[0, 2, 4, 6, 8, 10], [1, 3, 5, 7, 9, 11]]
     """
@@ -211,9 +212,9 @@ def _agreed(d, settings, seed):
         share += used / len(solutions)
     links = np.divmod(links[share > settings.agreed], len(d))
     return [
-        Track(own, _same_speed(d, own, paths, solutions), proven)
-        for own in chains(*links, len(d))
-        if len(own) >= settings.least_epochs
+        Track(chain, _same_speed(d, chain, paths, solutions), proven)
+        for chain in chains(*links, len(d))
+        if len(chain) >= settings.least_epochs
     ]
 
 
@@ -221,13 +222,13 @@ def _same_speed(d, detection, paths, solutions):
     """Return the share of the assignments in which a track has the same velocity."""
     time, n_same = d.time, 0
     first, last = time[detection[[0, -1]]]
-    own, velocity = set(detection.tolist()), d.velocity(detection)[0]
+    members, velocity = set(detection.tolist()), d.velocity(detection)[0]
     for chosen in solutions:
         common, best = max(
-            ((len(own.intersection(paths[k])), k) for k in chosen.tolist()),
+            ((len(members.intersection(paths[k])), k) for k in chosen.tolist()),
             default=(0, 0),
         )
-        if common < SAME_DETECTIONS * len(own):
+        if common < SAME_DETECTIONS * len(members):
             continue
         same = np.array(paths[best])
         same = same[(time[same] >= first) & (time[same] <= last)]
@@ -339,43 +340,43 @@ class _Filter:
         # Each node is a detection after another node; hypotheses share them.
         self.detection, self.parent, self.n_nodes = [], [], 0
 
-    def _tracks(self, own, parent, **state):
+    def _tracks(self, here, parent, **state):
         """Return tracks that end with some detections after the ``parent`` nodes."""
-        self.detection.append(own)
-        self.parent.append(np.broadcast_to(parent, own.shape))
-        tracks = np.zeros(len(own), dtype=STATE)
-        tracks["node"] = self.n_nodes + np.arange(len(own))
-        self.n_nodes += len(own)
+        self.detection.append(here)
+        self.parent.append(np.broadcast_to(parent, here.shape))
+        tracks = np.zeros(len(here), dtype=STATE)
+        tracks["node"] = self.n_nodes + np.arange(len(here))
+        self.n_nodes += len(here)
         for name, values in state.items():
             tracks[name] = values
-        tracks["time"], tracks["best"] = self.time[own], tracks["score"]
+        tracks["time"], tracks["best"] = self.time[here], tracks["score"]
         return tracks
 
-    def start(self, own):
+    def start(self, here):
         """Return a new track from each detection of an epoch."""
-        state = {"x": self.u[own], "light": self.light[own], "score": self.entry}
-        tracks = self._tracks(own, -1, root=own, length=1, **state)
-        tracks["variance"][:, 0] = self.scatter[own] ** 2
+        state = {"x": self.u[here], "light": self.light[here], "score": self.entry}
+        tracks = self._tracks(here, -1, root=here, length=1, **state)
+        tracks["variance"][:, 0] = self.scatter[here] ** 2
         tracks["variance"][:, 2] = self.o.speed**2
         return tracks
 
-    def continued(self, h, own):
+    def continued(self, h, here):
         """Return tracks continued by the most likely detections of an epoch."""
         o = self.o
-        dt = np.abs(self.time[own[0]] - h["time"])
+        dt = np.abs(self.time[here[0]] - h["time"])
         p0, p1, p2 = h["variance"].T
         p0 = p0 + 2 * dt * p1 + dt**2 * p2 + o.wander * dt**3 / 3
         p1 = p1 + dt * p2 + o.wander * dt**2 / 2
         p2 = p2 + o.wander * dt
         x = h["x"] + dt[:, None] * h["v"]
-        off = self.u[own] - x[:, None]
+        off = self.u[here] - x[:, None]
         square = (off**2).sum(axis=-1)
-        variance = p0[:, None] + self.scatter[own] ** 2
+        variance = p0[:, None] + self.scatter[here] ** 2
         gain = self.entry + log_t(square, variance, o.freedom, 2)
-        change = (self.light[own] - h["light"][:, None]) ** 2
-        gain += log_t(change, o.flux_step**2, o.freedom, 1) - self.light_density[own]
+        change = (self.light[here] - h["light"][:, None]) ** 2
+        gain += log_t(change, o.flux_step**2, o.freedom, 1) - self.light_density[here]
         gain[square > o.gate**2 * variance] = -np.inf
-        n = min(o.branches, len(own))
+        n = min(o.branches, len(here))
         k = np.argsort(-gain, axis=1, kind="stable")[:, :n].ravel()
         i = np.repeat(np.arange(len(x)), n)
         use = gain[i, k] > LOWEST_GAIN
@@ -386,11 +387,11 @@ class _Filter:
         by_place, by_speed = weight * p0[i], weight * p1[i]
         parts = (1 - by_place) * p0[i], (1 - by_place) * p1[i], p2[i] - by_speed * p1[i]
         return self._tracks(
-            own[k], h["node"][i], root=h["root"][i], length=h["length"][i] + 1,
+            here[k], h["node"][i], root=h["root"][i], length=h["length"][i] + 1,
             x=x[i] + by_place[:, None] * off[i, k],
             v=h["v"][i] + by_speed[:, None] * off[i, k],
             variance=np.stack(parts, axis=1), score=h["score"][i] + gain[i, k],
-            light=0.5 * (h["light"][i] + self.light[own[k]]),
+            light=0.5 * (h["light"][i] + self.light[here[k]]),
         )  # fmt: skip
 
     def paths(self, node):
@@ -409,12 +410,12 @@ def _one_way(d, o, way):
     epochs = np.arange(d.epoch[0], d.epoch[-1] + 1)[::way]
     live, ended = None, []
     for epoch in epochs.tolist():
-        own = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
-        start = tracks_of.start(own)
+        here = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
+        start = tracks_of.start(here)
         if live is None:
             live = start
             continue
-        longer = tracks_of.continued(live, own) if len(own) else start
+        longer = tracks_of.continued(live, here) if len(here) else start
         lost = live["missed"] >= o.most_missed
         ended.append(live[lost])
         live = live[~lost]
@@ -440,13 +441,6 @@ def _one_way(d, o, way):
 
 
 # -- groups and chains -------------------------------------------------------------
-
-
-def rank_in_group(*keys):
-    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
-    new = np.ones(len(keys[0]), bool)
-    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
-    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
 
 
 def lowest(value, *keys, n=1):

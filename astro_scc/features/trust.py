@@ -40,25 +40,25 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
         nearest other detection in beams; scatter of the logarithm of its flux
         from epoch to epoch; scatter of its positions in beams.
     """
-    d, own = detections, track.detection
-    epoch, place = d.epoch[own], d.in_beams
+    d, members = detections, track.detection
+    epoch, place = d.epoch[members], d.in_beams
     distance = np.hypot(*motion.place)
     length = distance * motion.speed
     cosine = motion.velocity @ motion.place / length if length > 0 else 0.0
     nearest = []
-    for k in own.tolist():
+    for k in members.tolist():
         same = np.arange(*np.searchsorted(d.epoch, (d.epoch[k], d.epoch[k] + 1)))
         away = np.hypot(*(place[same[same != k]] - place[k]).T)
         nearest.append(away.min(initial=FAR))
     return np.array(
         [
-            np.log(len(own)),
+            np.log(len(members)),
             np.log(max(np.hypot(*d.to_beams(motion.moved)), 0.05)),
             np.log(distance / d.fwhm + 0.3),
             cosine,
-            len(own) / (epoch[-1] - epoch[0] + 1),
+            len(members) / (epoch[-1] - epoch[0] + 1),
             np.median(nearest),
-            np.diff(np.log(d.flux[own])).std(),
+            np.diff(np.log(d.flux[members])).std(),
             np.sqrt((motion.residual**2).mean()) / d.fwhm,
         ]
     )

@@ -194,10 +194,10 @@ def apparent_speed(
     """
     wanted = "must be an angle per time, such as '2 mas/yr'"
     motion = named("proper_motion", to_quantity, proper_motion, "mas/yr", wanted)
-    how = _how(redshift, cosmology, distance)
-    distance = how.get("distance")
+    given = _source(redshift, cosmology, distance)
+    distance = given.get("distance")
     if distance is None:
-        distance = how["cosmology"].comoving_transverse_distance(how["redshift"])
+        distance = given["cosmology"].comoving_transverse_distance(given["redshift"])
     motion = motion.to_value(u.rad / u.yr) / u.yr
     return (motion * distance.to(u.Mpc) / constants.c).to(u.dimensionless_unscaled)
 
@@ -212,24 +212,24 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     distance, are in its meta.  The cosmology is a dictionary that any reader of
     ECSV understands and that `to_cosmology` takes.
     """
-    how = _how(redshift, cosmology, distance)
-    for name, value in how.items():
+    given = _source(redshift, cosmology, distance)
+    for name, value in given.items():
         if np.size(value) > 1:
             raise ValueError(f"{name} must be one value, that of the source")
     table = table.copy()
     for name in ("", "_err"):
-        table[f"beta_app{name}"] = apparent_speed(table[f"pm{name}"], **how)
-    if how.get("distance", NEAR) < NEAR:
+        table[f"beta_app{name}"] = apparent_speed(table[f"pm{name}"], **given)
+    if given.get("distance", NEAR) < NEAR:
         for name in ("", "_err"):
             table[f"v_app{name}"] = (table[f"beta_app{name}"] * constants.c).to(KM_S)
     describe(table, "added")
-    if "cosmology" in how:
-        plain = how["cosmology"].to_format("mapping", cosmology_as_str=True)
+    if "cosmology" in given:
+        plain = given["cosmology"].to_format("mapping", cosmology_as_str=True)
         # A cosmology object can be read only after astropy.cosmology is imported.
-        how["cosmology"] = {
+        given["cosmology"] = {
             k: v for k, v in plain.items() if k != "meta" and v is not None
         }
-    table.meta.update(how)
+    table.meta.update(given)
     return round_to_errors(table)
 
 
@@ -249,8 +249,8 @@ def table_in_c_as(table, other):
         The same table if the meta of the other has neither a redshift nor a distance,
         see `table_in_c`.
     """
-    how = {name: other.meta[name] for name in SOURCE if name in other.meta}
-    return table_in_c(table, **how) if how else table
+    given = {name: other.meta[name] for name in SOURCE if name in other.meta}
+    return table_in_c(table, **given) if given else table
 
 
 def beta_per_pm(table):
@@ -266,12 +266,11 @@ def beta_per_pm(table):
     float or None
         None if its meta has neither a redshift nor a distance, see `table_in_c`.
     """
-    how = {name: table.meta.get(name) for name in SOURCE}
-    known = any(value is not None for value in how.values())
-    return float(apparent_speed(1 * PM_UNIT, **how)) if known else None
+    given = {k: table.meta[k] for k in SOURCE if table.meta.get(k) is not None}
+    return float(apparent_speed(1 * PM_UNIT, **given)) if given else None
 
 
-def _how(redshift, cosmology, distance):
+def _source(redshift, cosmology, distance):
     """Return the given redshift and cosmology, or the given distance."""
     if (redshift is None) == (distance is None):
         raise ValueError(

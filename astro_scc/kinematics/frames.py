@@ -37,9 +37,8 @@ def frame_displacements(frame, position, motion):
     ``position`` and ``motion``, shape (n, 2), are east and north in mas.  The method
     ``displacement`` of a frame is used if it has one, or else its axes at the position.
     """
-    own = getattr(frame, "displacement", None)
-    if own is not None:
-        return own(position, motion)
+    if hasattr(frame, "displacement"):
+        return frame.displacement(position, motion)
     axes = frame.matrix(position[:, 0], position[:, 1])
     return np.einsum("nai,ni->na", axes, motion)
 
@@ -144,7 +143,7 @@ class PositionAngleFrame:
         return _everywhere(axes_along(np.sin(angle), np.cos(angle)), east, north)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class RadialFrame:
     """
     Axes away from a point and around it.
@@ -183,7 +182,7 @@ class RadialFrame:
         origin = named("origin", to_quantity, self.origin, u.mas, wanted).to(u.mas)
         if origin.shape != (2,) or not np.all(np.isfinite(origin)):
             raise ValueError(f"origin = {origin} {wanted}")
-        object.__setattr__(self, "origin", origin)
+        self.origin = origin
 
     def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
@@ -207,7 +206,7 @@ class RadialFrame:
         return axes_along(sin, cos)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ExpansionFrame:
     """
     Expansion and rotation about a centre, as speeds at one radius.
@@ -253,9 +252,7 @@ class ExpansionFrame:
 
     def __post_init__(self):
         radius = named("radius", one_quantity, self.radius, "an angle", "100 arcsec")
-        vars(self).update(
-            centre=RadialFrame(self.centre).origin, radius=radius.to(u.mas)
-        )
+        self.centre, self.radius = RadialFrame(self.centre).origin, radius.to(u.mas)
 
     def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
@@ -326,7 +323,7 @@ def _everywhere(matrix, east, north):
 # -- the ridge line ----------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class RidgeLine:
     """
     The line along which a jet flows, and the frame along and across it.
@@ -391,8 +388,8 @@ class RidgeLine:
         if not np.all(step > 0):
             raise ValueError("the points of a ridge line must be finite and differ")
         error = 0 * u.mas if self.error is None else u.Quantity(self.error).to(u.mas)
-        error = np.broadcast_to(error, east.shape, subok=True)
-        vars(self).update(east=east, north=north, error=error)
+        self.error = np.broadcast_to(error, east.shape, subok=True)
+        self.east, self.north = east, north
 
     def __repr__(self):
         return (

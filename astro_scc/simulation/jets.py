@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import astropy.units as u
@@ -59,7 +60,7 @@ class SimulatedJet:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class JetSimulation:
     """
     A straight jet, along +x (west) by default, made of streams of features.
@@ -175,15 +176,14 @@ class JetSimulation:
         if not self.extent[0] < self.extent[1]:
             raise ValueError(f"extent must be (start, end), got {self.extent}")
         names = "noise core flux_variation memory alignment_error ripple bowl"
-        check_not_negative(vars(self), names)
-        n = len(dates)
+        check_not_negative(self, names)
+        n = self.n_epochs = len(dates)
         noise = (self.noise,) * n if np.ndim(self.noise) == 0 else self.noise
-        noise = as_epoch_tuple(noise, n, "noise levels", float)
-        beams = as_beams(self.beams, n)
-        if not (beams and noise):
+        self.noise = as_epoch_tuple(noise, n, "noise levels", float)
+        self.streams, self.dates = tuple(self.streams), dates
+        self.beams = as_beams(self.beams, n)
+        if not (self.beams and self.noise):
             raise ValueError("beams and noise need one value, or one for each epoch")
-        vars(self).update(streams=tuple(self.streams), dates=dates, n_epochs=n)
-        vars(self).update(beams=beams, noise=noise)
 
     @property
     def velocity_unit(self) -> u.Quantity:
@@ -267,7 +267,7 @@ class JetSimulation:
 
     def _images(self, features, rng, ripple_rng):
         images = np.zeros((self.n_epochs, *self.shape))
-        own = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
+        sizes = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
         rngs = rng.spawn(self.n_epochs)
         epochs = zip(images, self.beams, self.noise, rngs, strict=True)
         for i, (image, beam, noise, noise_rng) in enumerate(epochs):
@@ -275,7 +275,7 @@ class JetSimulation:
             beam_area = np.sqrt(np.linalg.det(covariance))
             there = features.flux[:, i] > 0
             x, y, flux = (values[there, i] for values in features[1:4])
-            total = own[there, i] + covariance
+            total = sizes[there, i] + covariance
             peak = flux * beam_area / np.sqrt(np.linalg.det(total))
             add_gaussians(image, x, y, peak, total)
             if self.bowl:
@@ -283,8 +283,10 @@ class JetSimulation:
             if self.ripple:
                 image += self._ripple(image.max(), ripple_rng)
             if noise:
-                how = {"beam": beam, "pixel_scale": self.pixel_scale, "rng": noise_rng}
-                image += correlated_noise(self.shape, rms=noise, **how)
+                image += correlated_noise(
+                    self.shape, rms=noise, beam=beam, pixel_scale=self.pixel_scale,
+                    rng=noise_rng,
+                )  # fmt: skip
         return images
 
     def _ripple(self, peak, rng):
@@ -333,9 +335,9 @@ class JetSimulation:
 
 def _stream_facts(stream, outward):
     """Return the parameters of a stream and the speeds of its visible features."""
-    own = outward[np.isfinite(outward).sum(axis=1) >= 2]
-    speeds = np.nanmean(own, axis=1) * u.mas / u.yr
-    return {name: _plain(value) for name, value in vars(stream).items()} | {
+    outward = outward[np.isfinite(outward).sum(axis=1) >= 2]
+    speeds = np.nanmean(outward, axis=1) * u.mas / u.yr
+    return {f.name: _plain(getattr(stream, f.name)) for f in fields(stream)} | {
         "n_seen": len(speeds),
         "mean_speed": np.mean(speeds) if len(speeds) else None,
         "std_speed": np.std(speeds, ddof=1) if len(speeds) > 1 else None,
@@ -390,9 +392,10 @@ def simulate_two_fluid(
     >>> jet.cube.shape
     (10, 128, 256)
     """
-    half_width, least_peak, own = (25.0, 0.8, 1.2) if dense else (15.0, 0.3, 0.8)
-    of_slow, of_fast = densities or (1.0, own)
-    peak = least_peak, 1.5
+    half_width, peak, usual = (15.0, (0.3, 1.5), (1.0, 0.8))
+    if dense:
+        half_width, peak, usual = (25.0, (0.8, 1.5), (1.0, 1.2))
+    of_slow, of_fast = densities or usual
     slow = Stream("slow", slow, density=of_slow, half_width=half_width, jitter=jitter)
     fast = Stream("fast", fast, density=of_fast, sigma=4.0, peak=peak, jitter=jitter)
     return _run("two-fluid", rng, options, slow, fast)
@@ -615,8 +618,9 @@ def simulate_jet(
     >>> jet.cube.shape
     (15, 128, 256)
     """
-    scatters = {"interval_scatter": interval_scatter, "noise_scatter": noise_scatter}
-    check_not_negative({"length": length, **scatters})
+    given = {"length": length, "interval_scatter": interval_scatter}
+    given = SimpleNamespace(**given, noise_scatter=noise_scatter)
+    check_not_negative(given, "length interval_scatter noise_scatter")
     rng = random_generator(rng)
     date_rng, noise_rng = rng.spawn(2)
     if dates is None:
@@ -738,15 +742,12 @@ def simulate_shell(
     """
     if n_epochs < 2:
         raise ValueError(f"n_epochs must be at least 2, got {n_epochs}")
-    step = u.Quantity(pixel_scale).to_value(u.mas)
-    r = u.Quantity(radius).to_value(u.mas)
+    step, r = (u.Quantity(v).to_value(u.mas) for v in (pixel_scale, radius))
     middle = u.Quantity(centre).to(u.mas)
     if 1.2 * r + np.abs(middle.value).max() > 0.5 * size * step:
         raise ValueError(f"a shell of {radius} is larger than {size} pixels can show")
-    rng = random_generator(rng)
-    n = n_knots + n_clumps
-    knot = np.arange(n) < n_knots
-    angle = rng.uniform(0, 2 * np.pi, n)
+    rng, n = random_generator(rng), n_knots + n_clumps
+    knot, angle = np.arange(n) < n_knots, rng.uniform(0, 2 * np.pi, n)
     angle[~knot] = 2 * np.pi * (np.arange(n_clumps) + rng.uniform(0, 0.7, n_clumps))
     angle[~knot] /= n_clumps
     # Knots are distributed evenly over an area.
@@ -755,8 +756,7 @@ def simulate_shell(
     east, north = distance * np.sin(angle), distance * np.cos(angle)
     fwhm = np.where(knot, rng.uniform(3, 5, n), rng.uniform(16, 24, n))
     peak = counts * np.where(knot, rng.uniform(0.4, 1.0, n), rng.uniform(0.6, 1.0, n))
-    rates = (u.Quantity(rate).to_value(1 / u.yr) for rate in (knot_rate, ring_rate))
-    rate = np.where(knot, *rates)
+    rate = np.where(knot, knot_rate, ring_rate).to_value(1 / u.yr)
     times = Time("1980-01-01") + np.arange(n_epochs) * interval
     images = np.full((n_epochs, size, size), float(background))
     covariance = (FWHM_TO_SIGMA * fwhm)[:, None, None] ** 2 * np.eye(2)
@@ -767,10 +767,11 @@ def simulate_shell(
         y = origin + (middle[1].value + grown * north) / step
         image[:] = rng.poisson(add_gaussians(image, x, y, peak, covariance))
     cube = EpochCube.from_arrays(images, times, pixel_scale=pixel_scale)
-    truth = QTable({"group": np.where(knot, "knots", "ring")})
-    truth["east"], truth["north"] = east * u.mas, north * u.mas
-    truth["fwhm"] = fwhm * step * u.mas
-    truth["rate"] = (rate / u.yr).to(u.percent / u.yr)
+    truth = QTable({
+        "group": np.where(knot, "knots", "ring"), "east": east * u.mas,
+        "north": north * u.mas, "fwhm": fwhm * step * u.mas,
+        "rate": (rate / u.yr).to(u.percent / u.yr),
+    })  # fmt: skip
     return SimulatedShell(cube, truth, middle, r * u.mas)
 
 

@@ -17,6 +17,7 @@ from astro_scc.simulation.streams import (
     RAMP,
     Features,
     check_not_negative,
+    in_view,
     raised_cosine,
 )
 
@@ -104,24 +105,25 @@ class Layer:
     counter_jet: float = 0.0
 
     def __post_init__(self):
-        whose = f"layer {self.name!r}: "
+        whose, life = f"layer {self.name!r}: ", u.Quantity(self.life).to_value(u.yr)
+        size = u.Quantity(self.size).to_value(u.mas)
         columns = {
             "distance": u.mas, "speed": u.mas / u.yr, "half_width": u.mas,
             "brightness": u.Jy / u.beam,
         }  # fmt: skip
-        units = columns | {"size": u.mas, "life": u.yr}
-        values = {k: u.Quantity(getattr(self, k)).to_value(v) for k, v in units.items()}
-        names = "scatter n_clumps flux_scatter counter_jet"
-        check_not_negative(vars(self), names, whose)
-        check_not_negative(values, " ".join([*columns, "size"]), whose)
-        distance, speed, life = (values[k] for k in ("distance", "speed", "life"))
-        if any(values[k].shape != (distance.size,) for k in columns):
+        columns = {
+            k: u.Quantity(getattr(self, k)).to_value(columns[k]) for k in columns
+        }
+        numbers = "scatter n_clumps flux_scatter counter_jet size"
+        check_not_negative(self, f"{numbers} {' '.join(columns)}", whose)
+        distance, speed = columns["distance"], columns["speed"]
+        if any(column.shape != (distance.size,) for column in columns.values()):
             raise ValueError(f"{whose}{', '.join(columns)} must have one length")
         if distance.size < 2 or not np.all(np.diff(distance) > 0):
             raise ValueError(f"{whose}distance must increase, got {self.distance}")
         if speed.min() == 0 < speed.max():
             raise ValueError(f"{whose}speed must be positive, or zero everywhere")
-        if values["size"].shape != (2,) or np.diff(values["size"]) < 0:
+        if size.shape != (2,) or np.diff(size) < 0:
             raise ValueError(f"{whose}size must be two limits, got {self.size}")
         if len(self.across) == 0:
             raise ValueError(f"{whose}across needs one place or more")
@@ -179,10 +181,7 @@ class Layer:
         flux = np.nan_to_num(factor * flux)
         seen = (flux > 0).any(axis=1)
         x, y = jet.extent[0] + side * r / scale, jet.axis + y / scale
-        values = (
-            value[seen] for value in (x, y, flux, fwhm / scale + np.zeros_like(x))
-        )
-        return Features(np.full(seen.sum(), name), *values)
+        return in_view(name, seen, x, y, flux, fwhm / scale)
 
     def _moved(self, start, age):
         """Return distances at ages in years of clumps that were born at ``start``."""

@@ -37,21 +37,27 @@ class Features(NamedTuple):
     fwhm: np.ndarray
 
 
+def in_view(name, seen, x, y, flux, fwhm):
+    """Return the features of one group that are seen, from arrays (n, n_epochs)."""
+    values = (np.broadcast_to(value, x.shape)[seen] for value in (x, y, flux, fwhm))
+    return Features(np.full(seen.sum(), name), *values)
+
+
 def raised_cosine(part):
     """Return the fraction of the flux that is seen, from 0 to 1 as ``part`` goes."""
     return 0.5 * (1 - np.cos(np.pi * np.clip(np.nan_to_num(part), 0, 1)))
 
 
-def check_not_negative(values, names=None, whose=""):
+def check_not_negative(record, names, whose=""):
     """
-    Refuse negative and infinite parameters.
+    Refuse negative and infinite fields of a record; None is accepted.
 
-    ``values`` are parameters by their names; ``names`` those that are checked, by
-    default all, separated by blanks.  None is accepted.  ``whose`` is the beginning of
-    the message of the ValueError.
+    ``names`` are those of the fields, separated by blanks.  ``whose`` is the beginning
+    of the message of the ValueError.
     """
-    for name in values if names is None else names.split():
-        for number in np.ravel([] if values[name] is None else values[name]):
+    for name in names.split():
+        value = getattr(record, name)
+        for number in np.ravel([] if value is None else getattr(value, "value", value)):
             if not 0 <= number < np.inf:
                 what = f"{whose}{name} must be zero or positive, got {number}"
                 raise ValueError(what)
@@ -123,15 +129,12 @@ class Stream:
         named(f"{whose}: motion", check_choice, self.motion, *motions)
         if (self.half_width is None) == (self.sigma is None):
             raise ValueError(f"{whose} needs one of half_width and sigma, its width")
-        names = "density half_width sigma jitter"
-        check_not_negative(vars(self), names, f"{whose}: ")
-        for name in ("fwhm", "peak"):
-            low, high = given = getattr(self, name)
+        check_not_negative(self, "density half_width sigma jitter", f"{whose}: ")
+        for name, (low, high) in (("fwhm", self.fwhm), ("peak", self.peak)):
             if not 0 <= low <= high < np.inf:
                 wanted = "must be two limits 0 <= low <= high"
-                raise ValueError(f"{whose}: {name} {wanted}, got {given}")
-        for name in ("dx", "dy"):
-            value = getattr(self, name)
+                raise ValueError(f"{whose}: {name} {wanted}, got {(low, high)}")
+        for name, value in (("dx", self.dx), ("dy", self.dy)):
             # What a function returns is not known here.
             limits = 0 if callable(value) else getattr(value, "value", value)
             if np.size(limits) > 2 or not np.all(np.isfinite(limits)):
@@ -158,8 +161,7 @@ class Stream:
         visible = raised_cosine(np.minimum(x - start, end - x) / TAPER)
         flux = peak * (beam**2 + fwhm**2) / beam**2 * visible
         seen = ((x >= start) & (x <= end)).any(axis=1)
-        values = (value[seen] for value in (x, y, flux, fwhm + np.zeros_like(x)))
-        return Features(np.full(seen.sum(), self.name), *values)
+        return in_view(self.name, seen, x, y, flux, fwhm)
 
     def _trajectories(self, jet, rng):
         """
@@ -196,13 +198,13 @@ class Stream:
             return places.reshape(2, -1, jet.n_epochs)
         places = np.empty((2, n, jet.n_epochs))
         places[:, :, 0] = begin()
-        own = [_draw(law, *places[:, :, 0], rng) for law in laws]
+        speeds = [_draw(law, *places[:, :, 0], rng) for law in laws]
         for i, step in enumerate(steps):
             for k, law in enumerate(laws):
                 # Velocities from a function depend on position; drawn ones are kept.
                 if self.motion == "random" or callable(law):
-                    own[k] = _draw(law, *places[:, :, i], rng)
-            for at, speed in zip(places, own, strict=True):
+                    speeds[k] = _draw(law, *places[:, :, i], rng)
+            for at, speed in zip(places, speeds, strict=True):
                 at[:, i + 1] = at[:, i] + speed * step + rng.normal(0, self.jitter, n)
         return places
 
@@ -214,7 +216,7 @@ def _draw(value, x, y, rng):
     return value if np.ndim(value) == 0 else rng.uniform(*value, x.size)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Flow:
     """
     Features ejected from the core, whose speeds scatter about a mean.
@@ -289,15 +291,15 @@ class Flow:
         distributions = "normal", "lognormal", "uniform"
         named(f"{whose}distribution", check_choice, self.distribution, *distributions)
         if self.positions is not None:
-            positions = tuple(float(p) for p in self.positions)
-            if self.speed != 0 or not all(p >= 0 for p in positions):
+            self.positions = tuple(float(p) for p in self.positions)
+            self.n_features = len(self.positions)
+            if self.speed != 0 or not all(p >= 0 for p in self.positions):
                 raise ValueError(
                     f"{whose}positions must be zero or positive, and the speed zero: "
                     "they are those of standing features"
                 )
-            vars(self).update(positions=positions, n_features=len(positions))
         names = "speed dispersion n_features acceleration flux flux_scatter fading size"
-        check_not_negative(vars(self), f"{names} widening width", whose)
+        check_not_negative(self, f"{names} widening width", whose)
         if self.acceleration == 0:
             raise ValueError(f"{whose}acceleration must be positive")
 
@@ -351,8 +353,8 @@ class Flow:
         flux = flux * (1 + s) ** -self.fading * raised_cosine((length - s) / RAMP)
         fwhm = self.size * (1 + s) ** self.widening
         x, y = jet.extent[0] + beam * s, jet.axis + beam * across
-        group = np.full(n, self.name)
-        return Features(group, x, y, np.nan_to_num(flux), beam * fwhm)
+        every = np.ones(n, dtype=bool)
+        return in_view(self.name, every, x, y, np.nan_to_num(flux), beam * fwhm)
 
     def _moving(self, times, length, rng):
         """Return distances from the core; NaN before the ejection and after the end."""

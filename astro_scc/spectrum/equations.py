@@ -132,7 +132,7 @@ def interval_bins(years):
     return bins, number, np.bincount(index, tau[use]) / number
 
 
-def set_up(diagram, *, fastest=None, own=None, intervals=EVERY):
+def set_up(diagram, *, fastest=None, intervals=EVERY):
     """
     Set up the equations of a diagram.
 
@@ -148,8 +148,6 @@ def set_up(diagram, *, fastest=None, own=None, intervals=EVERY):
     diagram : ``Diagram``
     fastest : float, optional
         Largest speed, in beams/yr.
-    own : `~numpy.ndarray`, shape (n_d,), optional
-        The images' own correlation, by default that of the diagram.
     intervals : (float, float), optional
         Shortest and longest interval that is used, in years.
 
@@ -161,15 +159,15 @@ def set_up(diagram, *, fastest=None, own=None, intervals=EVERY):
     bins, number, interval = interval_bins(years)
     used = within(np.abs(interval), intervals)
     speed = spectrum_speeds(years, fastest, intervals)
-    own = autocorrelation(diagram) if own is None else own
+    alike = autocorrelation(diagram)
     # The last row is the interval zero, of each epoch with itself.
     tau = np.append(interval, 0.0)
     moved = speed[:, None] * tau
-    shape = np.interp(x - moved[..., None], x, own, left=0, right=0)
+    shape = np.interp(x - moved[..., None], x, alike, left=0, right=0)
     shape *= np.exp(-np.abs(moved) / LENGTH)[..., None]
     span = np.ptp(years)
     memory = np.exp(-np.abs(tau) / (span * np.array(STANDING)[:, None]))
-    shape = np.concatenate([shape, memory[..., None] * own])
+    shape = np.concatenate([shape, memory[..., None] * alike])
     index = np.where(bins < 0, len(number), bins)
     of_first = np.zeros((n, len(tau)))
     np.add.at(of_first, (np.repeat(np.arange(n), n), index.ravel()), 1 / n)

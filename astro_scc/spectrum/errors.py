@@ -22,8 +22,8 @@ class SpeedErrors:
 
     Attributes
     ----------
-    mean, amplitude : `~numpy.ndarray`, shape (k,)
-        Standard errors of mean speeds and amplitudes.
+    mean : `~numpy.ndarray`, shape (k,)
+        Standard errors of mean speeds.
     number : `~numpy.ndarray`, shape (k,)
         Effective number of clusters of each stream.
     clusters : list of `~numpy.ndarray`
@@ -34,7 +34,6 @@ class SpeedErrors:
     """
 
     mean: np.ndarray
-    amplitude: np.ndarray
     number: np.ndarray
     clusters: list
     epochs: np.ndarray
@@ -79,7 +78,7 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
     all_rows = np.concatenate([own, standing_columns(equations)])
     model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows
     model = np.tensordot(model, equations.design, 1)
-    found = {"mean": [], "amplitude": [], "number": [], "clusters": [], "epochs": []}
+    errors, numbers, clusters, epochs = [], [], [], []
     for i in range(k):
         speed = fit.mean[i] if travel is None else travel
         of_speed = function_of(equations, weights[k + i])
@@ -90,21 +89,15 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
         sums, parts = clusters_of(flow, pieces, speed)
         number = np.mean([_effective(part) for part in parts])
         factor = stdtrit(max(number - 1, 1.0), ONE_SIGMA)
-        residual = diagram.means - unbinned(equations, model)
-        epochs = [_of_epochs(f, residual) for f in (of_speed, of_share)]
-        errors = []
-        for values, deleted in zip((sums, parts), epochs, strict=True):
-            clusters = np.mean([_variance(v) for v in values])
-            errors.append(np.sqrt(factor**2 * clusters + (deleted**2).sum()))
+        deleted = _of_epochs(of_speed, diagram.means - unbinned(equations, model))
+        variance = factor**2 * np.mean([_variance(v) for v in sums])
         unequal = max(fit.sd[i] ** 2 - (FLOOR * fit.mean[i]) ** 2, 0) / max(number, 1)
-        found["mean"].append(np.sqrt(errors[0] ** 2 + unequal))
-        found["amplitude"].append(errors[1])
-        found["number"].append(number)
-        found["clusters"].append([factor * v for v in sums])
-        found["epochs"].append(epochs[0])
-    arrays = {name: np.array(found[name]) for name in ("mean", "amplitude", "number")}
-    epochs = np.reshape(found["epochs"], (k, -1))
-    return SpeedErrors(**arrays, clusters=found["clusters"], epochs=epochs)
+        errors.append(np.sqrt(variance + (deleted**2).sum() + unequal))
+        numbers.append(number)
+        clusters.append([factor * v for v in sums])
+        epochs.append(deleted)
+    epochs = np.reshape(epochs, (k, -1))
+    return SpeedErrors(np.array(errors), np.array(numbers), clusters, epochs)
 
 
 def function_of(equations, weights):

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.features.detections import Detections
+from astro_scc.features.detections import Detections, rank_in_group
 
 #: Covariance of a round beam of 1 mas.
 ROUND = np.eye(2) / (8 * np.log(2))
@@ -24,7 +24,8 @@ def series():
         return Detections(
             epoch=epoch, place=rows[:, 1:3], flux=rows[:, 3], beam=beam,
             place_error=np.full((len(rows), 2), error), size=np.zeros(len(rows)),
-            years=np.asarray(years, dtype=float),
+            years=np.asarray(years, dtype=float), number=rank_in_group(epoch),
+            group=np.zeros(len(rows), dtype=int),
         )  # fmt: skip
 
     return make

@@ -13,7 +13,6 @@ from astro_scc.features.motion import (
     WANDER,
     Motion,
     fit_motion,
-    motion_in_intervals,
 )
 from astro_scc.features.tracks import Track
 from astro_scc.features.trust import (
@@ -156,30 +155,6 @@ def test_dates_without_meaning_are_not_given(bad):
     # The core may be missed by one beam.
     aside = {"place": 4 * np.array([4.3, 2.6]), "place_err": np.zeros(2)}
     assert np.isfinite(motion(**aside).ejection(0.0, 2.0)[0])
-
-
-def test_velocities_of_some_intervals():
-    rng = np.random.default_rng(3)
-    place = on_line(TIME, (3.0, -1.0), (0.4, -0.2)) + rng.normal(0, 0.05, (8, 2))
-    fit = fit_motion(TIME, place, ERROR, 1.0)
-    for low, high in ((0.0, 2.0), (2.0, np.inf), (0.0, np.inf)):
-        part, response = motion_in_intervals(fit, TIME, place, 1.0, (low, high))
-        # The slope through the origin of the differences of pairs.
-        i, j = np.nonzero(np.triu(np.ones((8, 8)), 1) * fit.used * fit.used[:, None])
-        dt, dr = TIME[j] - TIME[i], place[j] - place[i]
-        keep = (dt >= low) & (dt <= high)
-        wanted = dt[keep] @ dr[keep] / (dt[keep] @ dt[keep])
-        np.testing.assert_allclose(part.velocity, wanted)
-        np.testing.assert_allclose(response @ place, wanted)
-        # A straight line through all positions is the best estimate of all.
-        assert (part.velocity_err >= fit.velocity_err * (1 - 1e-9)).all()
-    assert part.velocity_err == pytest.approx(fit.velocity_err, rel=1e-3)
-    slope = np.polyfit(TIME[fit.used], place[fit.used], 1)[0]
-    np.testing.assert_allclose(part.velocity, slope)
-
-    nothing, response = motion_in_intervals(fit, TIME, place, 1.0, (9, 10))
-    assert np.isnan(nothing.velocity).all()
-    assert not response.any()
 
 
 # -- probabilities of tracks that differ in one respect ---------------------------
