@@ -161,9 +161,9 @@ def write_images(components, folder, how, *, overwrite=False):
     """Restore images of components into a folder, see `images_of`, and return them."""
     pixel, noise, seed = (how[k] for k in ("pixel_scale", "noise", "seed"))
     with product_folder(folder, overwrite=overwrite) as part:
-        own = components.select(after=how["after"], before=how["before"])
-        grid = {"beam": own.beams, "pixel_scale": pixel}
-        cube = EpochCube.from_components(own, noise=noise, rng=seed, **grid)
+        chosen = components.select(after=how["after"], before=how["before"])
+        grid = {"beam": chosen.beams, "pixel_scale": pixel}
+        cube = EpochCube.from_components(chosen, noise=noise, rng=seed, **grid)
         if noise is not None:
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         write_epochs(cube, part)
@@ -232,8 +232,8 @@ def _read(files, beam):
             cube = EpochCube.read(files, beams=beam)
         except (ValueError, OSError, MemoryError) as error:
             refusal = str(error)
-    own = [str(w.message) for w in caught if issubclass(w.category, AstroSccWarning)]
-    return cube, refusal, own
+    said = [str(w.message) for w in caught if issubclass(w.category, AstroSccWarning)]
+    return cube, refusal, said
 
 
 def _facts_of_cube(cube):

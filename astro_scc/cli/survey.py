@@ -22,7 +22,7 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
-from astro_scc.cli.inputs import read_epochs, read_table, workers_of
+from astro_scc.cli.inputs import read_epochs, read_table, refuse_paper, workers_of
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
@@ -417,11 +417,10 @@ def _measure_parts(source, output, part, report, said):
     """Measure all regions and scale groups of a source into a folder."""
     epochs = read_epochs(source.settings, moving=True)
     cube, settings = epochs.cube, epochs.settings
-    if settings.method != "spectrum":
-        raise ValueError(
-            f"method is {settings.method!r}, which astro-scc measure has: leave it out"
-        )
-    published = source.compare and published_positions(source.compare, cube)
+    refuse_paper(settings)
+    if source.compare:
+        published = published_positions(source.compare, cube)
+        epochs = epochs._replace(published=published)
     for path in filter(None, source.regions.values()):
         refuse_pixels(path, settings.crop is not None, cube)
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
@@ -444,8 +443,8 @@ def _measure_parts(source, output, part, report, said):
                 (part / names).mkdir(parents=True)
                 result = _measure(decomposed[region], chosen)
                 write_measurement(
-                    result, chosen, part / names, output=output / where, report=report,
-                    archives=report, published=published, left_out=epochs.left_out,
+                    result, epochs._replace(settings=chosen), part / names,
+                    output=output / where, report=report, archives=report,
                     title=_title(source.name, region, group),
                     warnings=_lines([*of_all, *said[before:]]),
                 )  # fmt: skip

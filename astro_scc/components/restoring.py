@@ -140,13 +140,13 @@ def restore(
             f"the images of shape {shape}; give a larger shape, or none"
         )
 
-    own = _covariances(components) / scale**2
+    sizes = _covariances(components) / scale**2
     flux = (components.flux / u.beam).to_value(unit)
     data = np.zeros((n_epochs, *shape))
     for i, noise_rng in enumerate(random_generator(rng).spawn(n_epochs)):
         here = components.epoch == i
         blur = in_pixels(beams[i], pixel_scale)
-        total = own[here] + blur
+        total = sizes[here] + blur
         peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
         add_gaussians(data[i], x[here], y[here], peak, total)
         if noise is not None:

@@ -238,8 +238,8 @@ def source_list(path):
     columns = _find_columns(table)
     names = source_names(table, columns)
     if names is None:
-        own = next((str(table.meta[k]) for k in NAMES if k in table.meta), path.stem)
-        names = np.array([own] * len(table))
+        name = next((str(table.meta[k]) for k in NAMES if k in table.meta), path.stem)
+        names = np.array([name] * len(table))
     dates = np.array(_dates(table, columns, date, path))
     return [
         (name, also_named(name), np.unique(dates[names == name]).tolist())
@@ -276,27 +276,27 @@ def _sizes(values, path):
 
 def _meta(table, columns, path):
     """Return facts about the source, from the meta and the columns of a table."""
-    own = table.meta
-    meta = {name: own[name] for name in FACTS if name in own}
-    name = own.get("name") or own.get("source") or own.get("object")
+    facts = table.meta
+    meta = {name: facts[name] for name in FACTS if name in facts}
+    name = facts.get("name") or facts.get("source") or facts.get("object")
     if name is None and "source" in columns:
         name = str(table[columns["source"]][0]).strip()
     if name is not None:
         meta["object"] = str(name)
-    names = [str(own[key]) for key in NAMES if key in own] + [str(name or "")]
+    names = [str(facts[key]) for key in NAMES if key in facts] + [str(name or "")]
     places = {one: place_of(one) for one in names}
     known = [one for one in names if places[one] is not None]
     if (place := table_position(table)) is not None:
         meta["position"] = place
     elif known:
         meta |= {"position": places[known[0]], "position_from": known[0]}
-    if isinstance(text := own.get("beam"), str):
+    if isinstance(text := facts.get("beam"), str):
         with naming(f"{path}, beam in its meta"):
             meta["beam"] = parse_beam(text)
-    if "redshift" in own:
-        meta["redshift"] = float(own["redshift"])
-    if "frequency" in own:
-        meta["frequency"] = u.Quantity(own["frequency"], u.Hz).value
+    if "redshift" in facts:
+        meta["redshift"] = float(facts["redshift"])
+    if "frequency" in facts:
+        meta["frequency"] = u.Quantity(facts["frequency"], u.Hz).value
     return meta
 
 
@@ -422,4 +422,4 @@ FORMATS = {
     FITS: _open_aips,
 }
 #: Suffixes of files that have a list and no image.
-LISTS = {suffix for own in FORMATS for suffix in own} - {*FITS}
+LISTS = {suffix for suffixes in FORMATS for suffix in suffixes} - {*FITS}

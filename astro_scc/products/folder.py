@@ -278,11 +278,11 @@ def write_tables(tables, folder, meta, *, configuration=None, text=None):
         meta = {"configuration": configuration, **kept}
     written, paths = {}, []
     for name, table in tables.items():
-        written[name] = own = table.copy(copy_data=False)
+        written[name] = copy = table.copy(copy_data=False)
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
-        own.meta = plain_meta(meta | note)
+        copy.meta = plain_meta(meta | note)
         paths.append(Path(folder, f"{name}.ecsv"))
-        own.write(paths[-1], format="ascii.ecsv", overwrite=True)
+        copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
     if text is not None:
         paths.append(Path(folder, "config.toml"))
         paths[-1].write_text(text, encoding="utf-8")

@@ -476,10 +476,10 @@ def with_published(
         return table
     d, paths = features.detections, {}
     for number in np.unique(published["published"]).tolist():
-        own = published[published["published"] == number]
-        if len(own) >= LEAST:
-            place = [own[k].to_value(u.mas) for k in ("ra_offset", "dec_offset")]
-            paths[number] = own["date"].jyear, np.stack(place)
+        seen = published[published["published"] == number]
+        if len(seen) >= LEAST:
+            place = [seen[k].to_value(u.mas) for k in ("ra_offset", "dec_offset")]
+            paths[number] = seen["date"].jyear, np.stack(place)
     rows = []
     for track in features.tracks:
         time, place = d.time[track.detection], d.place[track.detection].T
