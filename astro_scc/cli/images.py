@@ -181,29 +181,19 @@ def inspect(args, reporter):
     files = find_files(args.epochs, missing_ok=True)
     kinds = {kind_of(file) for file in files}
     cube, refusal, remarks = _read(files, _beam(args))
-    if kinds not in ({"cube"}, {"components"}):
+    if kinds in ({"cube"}, {"components"}):
+        if cube is None:
+            raise ValueError(refusal)
+        names, facts, problems = cube.labels, _facts_of_cube(cube), []
+    else:
         facts = inspect_epochs(files)
         names = [Path(file).name for file in facts["file"]]
-        problems = [
-            f"{row['file']}: {row['problem']}" for row in facts if row["problem"]
-        ]
-        if not any(facts["nx"]):
-            more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
-            raise ValueError(f"{problems[0]}{more}")
-        if refusal:
-            problems.append(f"as one series: {refusal}")
-    elif cube is None:
-        raise ValueError(refusal)
-    else:
-        names, facts, problems = cube.labels, _facts_of_cube(cube), []
+        problems = _problems(facts, refusal)
     if kinds != {"components"}:
-        known = "; ".join(problems)
         # Of the same problem the first words are the same.
-        problems += [
-            text
-            for text in remarks
-            if " ".join(text.split(": ")[-1].split()[:3]) not in known
-        ]
+        known = "; ".join(problems)
+        words = {text: " ".join(text.split(": ")[-1].split()[:3]) for text in remarks}
+        problems += [text for text in remarks if words[text] not in known]
     angle = readable_angle(np.nanmin(facts["pixel"])).split()[1]
     origin = facts.meta.get("origin") or "the reference pixel"
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube, angle)
@@ -221,6 +211,15 @@ def inspect(args, reporter):
     if cube is not None:
         lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
         reporter.say("", *lines)
+
+
+def _problems(facts, refusal):
+    """Return what is wrong with files; raise it if none of them is an image."""
+    found = [f"{row['file']}: {row['problem']}" for row in facts if row["problem"]]
+    if not any(facts["nx"]):
+        more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
+        raise ValueError(f"{found[0]}{more}")
+    return [*found, f"as one series: {refusal}"] if refusal else found
 
 
 def _read(files, beam):
