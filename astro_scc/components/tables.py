@@ -5,7 +5,7 @@ import re
 import warnings
 from contextlib import suppress
 from difflib import get_close_matches
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import astropy.units as u
 import numpy as np
@@ -56,6 +56,10 @@ UNDATED = (
     "no DATE-OBS in the header, or no date in a name like source_2006-03-09.mod; "
     "write it there, or give dates"
 )
+#: Suffixes of tables of many epochs, and of difmap models.
+ECSV, MACHINE_READABLE, DIFMAP = ".ecsv", (".txt", ".dat", ".mrt"), (".mod", ".mdl")
+#: Suffixes of files that have a list and no image.
+LISTS = {ECSV, *MACHINE_READABLE, *DIFMAP}
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
 #: What is wrong with a list where images are wanted.
@@ -82,12 +86,22 @@ def source_names(table, columns=None):
 
 
 def open_table(path):
-    """Return the table in a file, and the date of the file, see ``FORMATS``."""
+    """
+    Return the table in a file, and the date of the file.
+
+    The date is "" if the file should have one and has none, None if the table has the
+    dates.
+    """
     suffix = path.suffix.lower()
-    for suffixes, read in FORMATS.items():
-        if suffix in suffixes:
-            return read(path)
-    known = ", ".join(suffix for suffixes in FORMATS for suffix in suffixes)
+    if suffix == ECSV:
+        return _open_ascii(path, "ascii.ecsv"), None
+    if suffix in MACHINE_READABLE:
+        return _open_mrt(path), None
+    if suffix in DIFMAP:
+        return _open_difmap(path)
+    if suffix in FITS:
+        return _open_aips(path)
+    known = ", ".join((ECSV, *MACHINE_READABLE, *DIFMAP, *FITS))
     raise ValueError(f"{path}: its suffix is none of {known}; rename it")
 
 
@@ -300,10 +314,6 @@ def _meta(table, columns, path):
     return meta
 
 
-# Each returns a table and the date of the file: "" if it should have a date and has
-# none, None if the table has the dates.
-
-
 def _open_ascii(path, kind, **options):
     # A survey compares each of its sources with the same table.
     state = path.stat()
@@ -315,7 +325,7 @@ def _opened(path, kind, state, **options):
     try:
         # The units of the columns that are needed are checked later.
         with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
-            return Table.read(path, format=kind, **options), None
+            return Table.read(path, format=kind, **options)
     except Exception as error:  # astropy's parsers raise errors of many kinds
         what = f"not a readable {kind} table: {first_line(error)}"
         raise OSError(f"{path}: {what}") from None
@@ -412,14 +422,3 @@ def _aips_table(hdu):
         table[name] = np.array(hdu.data[column.name], dtype=float).ravel()
         table[name].unit = u.Unit(unit, parse_strict="silent")
     return table
-
-
-# Suffixes of files -> the function that opens them.
-FORMATS = {
-    (".ecsv",): partial(_open_ascii, kind="ascii.ecsv"),
-    (".txt", ".dat", ".mrt"): _open_mrt,
-    (".mod", ".mdl"): _open_difmap,
-    FITS: _open_aips,
-}
-#: Suffixes of files that have a list and no image.
-LISTS = {suffix for suffixes in FORMATS for suffix in suffixes} - {*FITS}
