@@ -415,22 +415,15 @@ def measure_source(source, output, report=False, parts=None):
 
 def _measure_parts(source, output, part, report, said):
     """Measure all regions and scale groups of a source into a folder."""
-    epochs = read_epochs(source.settings, moving=True)
+    epochs = _epochs(source)
     cube, settings = epochs.cube, epochs.settings
-    refuse_paper(settings)
-    if source.compare:
-        published = published_positions(source.compare, cube)
-        epochs = epochs._replace(published=published)
-    for path in filter(None, source.regions.values()):
-        refuse_pixels(path, settings.crop is not None, cube)
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
     every, decomposed = StackedCrossCorrelation.from_settings(settings), {}
     first, last = cube.times.isot[[0, -1]].tolist()
     of_all, outcomes = said.copy(), []
     for region, group in source.parts:
-        file, scales = source.regions[region], source.scale_groups[group]
-        scales = settings.scales if scales is None else scales
-        names, before = Path(regions[region], groups[group]), len(said)
+        file, before = source.regions[region], len(said)
+        names = Path(regions[region], groups[group])
         outcome = Outcome(
             source.name, region, group, "empty", NO_PATTERN, "", len(cube), first, last
         )
@@ -438,6 +431,8 @@ def _measure_parts(source, output, part, report, said):
             if region not in decomposed:
                 decomposed[region] = every.decompose(cube, region=file)
             if decomposed[region].select.any():
+                scales = source.scale_groups[group]
+                scales = settings.scales if scales is None else scales
                 chosen = settings.changed(region=file, scales=scales)
                 where = Path(SOURCES, source.folder, names)
                 (part / names).mkdir(parents=True)
@@ -456,6 +451,16 @@ def _measure_parts(source, output, part, report, said):
             outcome = replace(outcome, status="failed", message=_reason(error))
         outcomes.append(outcome)
     return outcomes
+
+
+def _epochs(source):
+    """Return the epochs of a source with its published features."""
+    epochs = read_epochs(source.settings, moving=True)
+    refuse_paper(epochs.settings)
+    for path in filter(None, source.regions.values()):
+        refuse_pixels(path, epochs.settings.crop is not None, epochs.cube)
+    published = source.compare and published_positions(source.compare, epochs.cube)
+    return epochs._replace(published=published)
 
 
 def _measure(decomposed, settings):

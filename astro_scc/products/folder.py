@@ -74,9 +74,9 @@ def product_folder(
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
     # On the same disk as the target, so that files only have to be renamed.
-    place = target.parent, f".{target.name}.partial-"
-    if exists:
-        place = target, ".partial-"
+    place = (
+        (target, ".partial-") if exists else (target.parent, f".{target.name}.partial-")
+    )
     try:
         # Neither what a killed run has left nor kept matches are products.
         names = [path.name for path in target.iterdir()] if exists else []
