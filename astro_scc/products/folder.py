@@ -68,15 +68,14 @@ def product_folder(
     >>> [path.name for path in Path("out").iterdir()]
     ['a.txt']
     """
-    target, folder = Path(path), None
-    exists = target.is_dir()
+    target, folder, exists = Path(path), None, Path(path).is_dir()
     if target.exists() and not exists:
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
     # On the same disk as the target, so that files only have to be renamed.
-    place = (
-        (target, ".partial-") if exists else (target.parent, f".{target.name}.partial-")
-    )
+    place = target.parent, f".{target.name}.partial-"
+    if exists:
+        place = target, ".partial-"
     try:
         # Neither what a killed run has left nor kept matches are products.
         names = [path.name for path in target.iterdir()] if exists else []
