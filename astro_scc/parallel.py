@@ -263,12 +263,7 @@ def _processes(number, context):
     message, for the rest of which the executor would wait for ever.
     """
     pool = ProcessPoolExecutor(number, get_context(context), initializer=_begin)
-    # Also for the error if processes cannot start at all.
-    _result(_submit(pool, int, 0), number)
     processes, results = pool._processes, pool._result_queue._writer
-
-    def sentinels():
-        return [process.sentinel for process in list(processes.values())]
 
     def end():
         for process in list(processes.values()):
@@ -276,18 +271,23 @@ def _processes(number, context):
 
     def watch():
         # More processes may start.
-        while not wait_for_any(sentinels(), LOOK):
+        while not wait_for_any([p.sentinel for p in list(processes.values())], LOOK):
             pass
         end()
         results.close()
 
     guard = threading.Thread(target=watch, daemon=True)
-    guard.start()
     try:
+        first = _submit(pool, int, 0)
+        # After the processes, since those that are forked should have one thread.
+        guard.start()
+        # If processes cannot start at all, this is the error.
+        _result(first, number)
         yield pool
     finally:
         end()
-        guard.join()
+        if guard.ident:
+            guard.join()
         pool.shutdown(cancel_futures=True)
 
 
