@@ -5,32 +5,33 @@ import importlib
 import logging
 import math
 import os
+import pickle
 import signal
 import threading
-import time
-import traceback
 import warnings
+from collections import deque
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
     CancelledError,
-    ThreadPoolExecutor,
+    Future,
+    ProcessPoolExecutor,
     wait,
 )
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for_any
-from multiprocessing.reduction import ForkingPickler
 from numbers import Integral
 from pathlib import Path
-from queue import SimpleQueue
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.
 WAITING = 2
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 15
-#: Seconds to wait for workers of a cluster that has none, and between two checks.
+#: Seconds to wait for workers of a cluster that has none, and between two looks at
+#: the processes or the cluster.
 WITHOUT_WORKERS = 45
 LOOK = 1
 #: Limits of containers and of the jobs of batch systems.
@@ -109,9 +110,14 @@ def in_order(function, pieces, n_workers, *, context=None):
         if workers == 1:
             yield from map(function, pieces)
             return
-        with _pool(workers, context, function) as pool:
-            for _, future in _each_done(pool, function, enumerate(pieces)):
-                yield _result(future)
+        waiting = deque()
+        with _executor(workers, function, context) as pool:
+            for piece in pieces:
+                waiting.append(_submit(pool, function, piece))
+                if len(waiting) > WAITING * _number(workers):
+                    yield _result(waiting.popleft(), workers)
+            while waiting:
+                yield _result(waiting.popleft(), workers)
 
 
 def as_done(function, pieces, n_workers, *, context=None):
@@ -119,36 +125,37 @@ def as_done(function, pieces, n_workers, *, context=None):
     Apply a function to pieces of work that may fail.
 
     Yields, in the order of completion, the index of a piece and its result, or the
-    `Exception` that was raised.  A piece whose process dies is tried once more, alone,
-    before it counts as failed.  Arguments and errors are those of `in_order`.
+    `Exception` that was raised.  Pieces that are at work when a process dies are tried
+    once more, each alone, before they count as failed.  Arguments and errors are those
+    of `in_order`.
     """
-    items, lost = enumerate(pieces), []
-
-    def until_lost():
-        while not lost and (item := next(items, None)):
-            yield item
-
+    items, lost = enumerate(pieces), [None]
     with workers_of(n_workers) as workers:
         if workers == 1:
             for index, piece in items:
                 yield index, _outcome(function, piece)
             return
-        while True:
-            lost.clear()
-            with _pool(workers, context, function) as pool:
-                done = _each_done(pool, function, until_lost(), ordered=False)
-                for item, future in done:
-                    died = not future.cancelled() and future.exception()
-                    if isinstance(died, BrokenExecutor):
-                        lost.append(item)
-                    else:
-                        yield item[0], _outcome(_result, future)
+        # After the death of a process, a fresh executor goes on.
+        while lost:
+            lost, waiting = [], {}
+            with _executor(workers, function, context) as pool:
+                while True:
+                    free = 0 if lost else _number(workers) - len(waiting)
+                    for item in islice(items, max(free, 0)):
+                        waiting[_submit(pool, function, item[1])] = item
+                    if not waiting:
+                        break
+                    for future in _wait(waiting, workers):
+                        item = waiting.pop(future)
+                        died = not future.cancelled() and future.exception()
+                        if isinstance(died, BrokenExecutor):
+                            lost.append(item)
+                        else:
+                            yield item[0], _outcome(_result, future, workers)
             for index, piece in lost:
                 # Alone, so that it has all of the memory.
-                with _pool(1, context, function) as pool:
-                    yield index, _outcome(_result, pool.submit(function, piece))
-            if not lost:
-                return
+                with _executor(1, function, context) as pool:
+                    yield index, _outcome(_result, _submit(pool, function, piece), 1)
 
 
 def _outcome(function, *args):
@@ -158,8 +165,72 @@ def _outcome(function, *args):
         return error
 
 
-def _result(future):
+def _number(workers):
+    """Return the number of processes, or of threads of all workers of a cluster."""
+    if isinstance(workers, int):
+        return workers
+    try:
+        return max(sum(workers.nthreads().values()), 1)
+    except Exception:
+        raise OSError(LOST) from None
+
+
+def _submit(pool, function, piece):
+    """Return the future of a call; that of an executor that is broken has its error."""
+    try:
+        with warnings.catch_warnings():
+            # Pieces are large, but each is sent once to one worker.  Scattered data
+            # would be lost with the worker that holds them.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            return pool.submit(_call, function, piece)
+    except BrokenExecutor as error:
+        future = Future()
+        future.set_exception(error)
+        return future
+
+
+def _call(function, piece):
+    """Work in a process, on one thread, since the workers share the processor."""
+    from threadpoolctl import threadpool_limits
+
+    try:
+        with threadpool_limits(1):
+            return function(piece)
+    except Exception as error:
+        found = error
+    try:
+        pickle.loads(pickle.dumps(found))
+    except Exception:
+        # An error that cannot be sent would break the executor.
+        found = RuntimeError(f"{type(found).__name__}: {found}")
+    # Outside of the handlers, as the error before may be sent with it.
+    raise found
+
+
+def _wait(futures, workers):
+    """Return the futures that are done, at least one, as long as there are workers."""
+    while not (done := wait(futures, LOOK, FIRST_COMPLETED).done):
+        if not isinstance(workers, int):
+            _require_workers(workers)
+    return done
+
+
+def _require_workers(client):
+    """Raise an OSError if a cluster remains without workers, or is lost."""
+    try:
+        client.wait_for_workers(1, timeout=WITHOUT_WORKERS)
+    except TimeoutError:
+        raise OSError(
+            f"the scheduler has had no workers for {WITHOUT_WORKERS} s; start some, or "
+            "see in their logs why they end"
+        ) from None
+    except Exception:
+        raise OSError(LOST) from None
+
+
+def _result(future, workers):
     """Return the result of a future, or raise a uniform error for lost workers."""
+    _wait([future], workers)
     try:
         return future.result()
     except BrokenExecutor:
@@ -176,123 +247,58 @@ def _result(future):
         ) from None
 
 
-def _each_done(pool, function, items, *, ordered=True):
-    """Yield numbered pieces and their futures, once they are done."""
-    waiting = {}
-
-    def next_done():
-        futures = list(waiting)[: 1 if ordered else None]
-        pool.wait(futures)
-        done = next(future for future in futures if future.done())
-        return waiting.pop(done), done
-
-    for item in items:
-        waiting[pool.submit(function, item[1])] = item
-        if len(waiting) > WAITING * pool.n_workers:
-            yield next_done()
-    while waiting:
-        yield next_done()
+def _executor(workers, function, context):
+    """Return the context of an executor that can work on a function."""
+    if isinstance(workers, int):
+        return _processes(workers, context)
+    return _cluster(workers, function)
 
 
 @contextmanager
-def _pool(workers, context, function):
-    """Open processes or a cluster that can work on a function."""
-    local = isinstance(workers, int)
-    pool = _Processes(workers, context) if local else _Cluster(workers)
-    with closing(pool):
-        pool.check(function)
-        yield pool
-
-
-class _Processes:
+def _processes(number, context):
     """
-    Processes that share nothing: each has a pipe, and a thread here that waits for it.
+    Provide an executor of processes, which are killed at the end, even at work.
 
-    One that is killed, at whatever moment, ends its own message and holds no lock, as
-    it would with the queues of `concurrent.futures`.
+    When one has died, the others are killed, too: it may have left a lock or half a
+    message, for the rest of which the executor would wait for ever.
     """
+    pool = ProcessPoolExecutor(number, get_context(context), initializer=_begin)
+    processes, results = pool._processes, pool._result_queue._writer
 
-    def __init__(self, n_workers, context):
-        self.n_workers = n_workers
-        context, self._processes, self._pipes = get_context(context), [], SimpleQueue()
-        self._threads = ThreadPoolExecutor(n_workers)
-        try:
-            for _ in range(n_workers):
-                ours, theirs = context.Pipe()
-                process = context.Process(target=_serve, args=(theirs,), daemon=True)
-                # The end of the file is only seen where nobody else can write.
-                with theirs:
-                    process.start()
-                self._processes.append(process)
-                self._pipes.put(ours)
-        except BaseException:
-            self.close()
-            raise
-
-    def check(self, function):
-        """Raise an error if processes cannot start at all."""
-        _result(self.submit(eval, "None"))
-
-    def submit(self, function, piece):
-        """Return the future of a call."""
-        return self._threads.submit(self._call, function, piece)
-
-    def _call(self, *task):
-        pipe = self._pipes.get()
-        try:
-            pipe.send_bytes(ForkingPickler.dumps(task))
-            answer = pipe.recv_bytes()
-        except (EOFError, OSError):
-            raise BrokenExecutor from None
-        finally:
-            self._pipes.put(pipe)
-        error, result = ForkingPickler.loads(answer)
-        if error is not None:
-            raise error
-        return result
-
-    def wait(self, futures):
-        """Wait until one future is done."""
-        wait(futures, return_when=FIRST_COMPLETED)
-
-    def close(self):
-        """Kill the processes, even at work."""
-        for process in self._processes:
+    def end():
+        for process in list(processes.values()):
             process.kill()
-            process.join()
-        self._threads.shutdown(cancel_futures=True)
+
+    def watch():
+        # More processes may start.
+        while not wait_for_any([p.sentinel for p in list(processes.values())], LOOK):
+            pass
+        end()
+        results.close()
+
+    guard = threading.Thread(target=watch, daemon=True)
+    try:
+        first = _submit(pool, int, 0)
+        # After the processes, since those that are forked should have one thread.
+        guard.start()
+        # If processes cannot start at all, this is the error.
+        _result(first, number)
+        yield pool
+    finally:
+        end()
+        if guard.ident:
+            guard.join()
+        pool.shutdown(cancel_futures=True)
 
 
-def _serve(pipe):
-    """Work in a process."""
+def _begin():
+    """Prepare a process for its work."""
     # The parent handles the signals of its terminal, and then ends its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    from threadpoolctl import threadpool_limits
-
-    # The workers already share the processor.
-    threadpool_limits(1)
-    # The parent may be killed.
-    with suppress(EOFError, ConnectionError):
-        while True:
-            pipe.send_bytes(_answer(pipe.recv_bytes()))
-
-
-def _answer(task):
-    """Return the error and the result of a call, of which one is None, as bytes."""
-    try:
-        function, piece = ForkingPickler.loads(task)
-        return ForkingPickler.dumps((None, function(piece)))
-    except BaseException as error:
-        error.add_note(f"In a worker process:\n{traceback.format_exc()}")
-        try:
-            return ForkingPickler.dumps((error, None))
-        except Exception:
-            error = RuntimeError(f"{type(error).__name__}: {error}")
-            return ForkingPickler.dumps((error, None))
 
 
 def _end_with_parent():
@@ -326,76 +332,31 @@ def open_client(address):
         yield stack.enter_context(client)
 
 
-class _Cluster:
-    """A Dask cluster, on which another worker repeats a piece whose worker dies."""
+@contextmanager
+def _cluster(client, function):
+    """
+    Provide the executor of a cluster; what is not done at the end is cancelled.
 
-    def __init__(self, client):
-        self._client, self._pool = client, client.get_executor(pure=False)
-
-    def check(self, function):
-        """Raise an OSError if the workers cannot import the function."""
-        function = getattr(function, "func", function)
-        name = getattr(function, "__module__", None) or "builtins"
-
-        def load(_):
-            # Pickled by value, since this module may be the missing one.
-            importlib.import_module(name)
-
-        future = self._submit(load, None)
-        self.wait([future])
-        try:
-            _result(future)
-        except ImportError as error:
-            raise OSError(
-                f"workers of the scheduler cannot import {name} ({error}); install "
-                "there what is installed here"
-            ) from None
-
-    @property
-    def n_workers(self):
-        """Number of threads of all workers, at least 1."""
-        return max(sum(self._ask(self._client.nthreads).values()), 1)
-
-    def submit(self, function, piece):
-        """Return the future of a call."""
-        return self._submit(_one_thread, function, piece)
-
-    def _submit(self, *call):
-        with warnings.catch_warnings():
-            # Pieces are large, but each is sent once to one worker.  Scattered data
-            # would be lost with the worker that holds them.
-            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-            return self._ask(self._pool.submit, *call)
-
-    def wait(self, futures):
-        """Wait until one future is done, as long as there are workers."""
-        last = time.monotonic()
-        while not wait(futures, LOOK, FIRST_COMPLETED).done:
-            if self._ask(self._client.nthreads):
-                last = time.monotonic()
-            elif time.monotonic() - last >= WITHOUT_WORKERS:
-                raise OSError(
-                    f"the scheduler has had no workers for {WITHOUT_WORKERS} s; start "
-                    "some, or see in their logs why they end"
-                )
-
-    def _ask(self, ask, *args):
-        """Ask the scheduler, and raise a uniform error if it is lost."""
-        try:
-            return ask(*args)
-        except Exception as error:
-            if self._client.status == "running" and not isinstance(error, OSError):
-                raise
-            raise OSError(LOST) from None
-
-    def close(self):
-        """Cancel what is not done."""
-        if self._client.status == "running":
-            self._pool.shutdown(wait=False)
-
-
-def _one_thread(function, piece):
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):
-        return function(piece)
+    Another worker repeats a piece whose worker dies.  Raises an OSError if there are
+    no workers, or they cannot import the function.
+    """
+    module = getattr(getattr(function, "func", function), "__module__", None)
+    _require_workers(client)
+    pool = client.get_executor(pure=False)
+    try:
+        if module:
+            _result(pool.submit(importlib.import_module, module), client)
+    except ImportError as error:
+        raise OSError(
+            f"workers of the scheduler cannot import {module} ({error}); install "
+            "there what is installed here"
+        ) from None
+    try:
+        yield pool
+    except Exception:
+        if client.status == "running":
+            raise
+        raise OSError(LOST) from None
+    finally:
+        if client.status == "running":
+            pool.shutdown(wait=False)

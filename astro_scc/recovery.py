@@ -327,39 +327,12 @@ def completeness(
     -------- --------- ----------
         12.0       2.0          3
     """
-    n_trials, orders = require("n_trials", n_trials), factorial(max(len(cube) - 1, 0))
-    smallest = max(1 / orders, 1 / (n_trials + 1))
-    if smallest > scc.alpha:
-        few = 1 / orders > scc.alpha
-        more = "measure more epochs" if few else "give more n_trials"
-        raise ValueError(
-            f"{len(cube)} epochs (1/(N-1)!) and {n_trials} trials allow no p_global "
-            f"below {smallest:.2g}, so nothing can be found at level {scc.alpha:g}: "
-            f"{more}"
-        )
-    position_angle, largest_part = _direction(position_angle, scc.position_angle)
-    if fwhm is None and cube.beams is None:
-        raise ValueError(NO_BEAMS)
-    gaps, beam = np.diff(cube.years.to_value(u.yr)), flow_beam(cube)
-    given = "fwhm", q.one_quantity, fwhm, "an angle", "1 mas"
-    width = beam if fwhm is None else q.named(*given).to_value(u.mas)
-    if tolerance is None:
-        tolerance = TOLERANCE * width / np.median(gaps[gaps > 0]) * PM_UNIT
-    given = "tolerance", q.one_quantity, tolerance, "a proper motion", "2 mas/yr"
-    tolerance = q.named(*given).to_value(PM_UNIT)
+    n_trials = require("n_trials", n_trials)
+    _require_findable(len(cube), n_trials, scc.alpha)
+    position_angle, along = _direction(position_angle, scc.position_angle)
+    width, tolerance = _lengths(cube, fwhm, tolerance)
     region = None if region is None else cube.region_mask(region)
-    if scc.max_speed is None:
-        years, intervals = cube.years.to_value(u.yr), used_intervals(cube, scc.baseline)
-        limit = beam * fastest_speed(years, intervals)
-    else:
-        limit = scc.max_speed.to_value(PM_UNIT)
-    speeds = _positive("speeds", speeds, PM_UNIT)
-    # The component along the axis must be searched.
-    if np.any(speeds * largest_part > limit):
-        raise ValueError(
-            f"speed {speeds.max():.4g} mas/yr is beyond the largest that is searched, "
-            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
-        )
+    speeds = _searched(speeds, along, cube, scc)
     noise = float(np.median(cube.noise_rms().value))
     peaks = _peaks(fluxes, cube.unit, noise).tolist()
     q.named("n_injections", q.check_integer, n_injections, 1)
@@ -367,31 +340,19 @@ def completeness(
     if not 0 <= scatter < np.inf:
         raise ValueError(f"scatter must be zero or positive, got {scatter}")
     rng, seed = seeded(rng)
-    own_rng, root = random_generator(rng).spawn(2)
-
-    def measure(decomposed, rng):
-        try:
-            return scc.measure(decomposed, n_trials=n_trials, rng=rng)
-        except NoFlowError:
-            return None
-
-    with warnings.catch_warnings():
-        # Features are injected even if the region has no SSP.
-        warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
-        decomposed = scc.decompose(cube, region=region)
-        area = area_for_features(decomposed, region)
-        bare = measure(decomposed, own_rng)
-    own = np.reshape([s.velocity for s in moving_streams(bare)], (-1, 2))
+    bare_rng, root = random_generator(rng).spawn(2)
+    area, bare = _bare(cube, scc, region, n_trials, bare_rng)
     axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
-    flow = {"position_angle": position_angle, "n_features": n_features}
-    flow["scatter"] = scatter * width * u.mas
 
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
-        paths = draw_paths(cube, area, speed=speed * PM_UNIT, rng=path_rng, **flow)
+        paths = draw_paths(
+            cube, area, speed=speed * PM_UNIT, position_angle=position_angle,
+            n_features=n_features, scatter=scatter * width * u.mas, rng=path_rng,
+        )  # fmt: skip
         fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
-        found = moving_streams(measure(scc.decompose(fuller, region=region), trial_rng))
-        stream = recovered(found, own, speed * axis, tolerance=tolerance)
+        found = _streams(scc, scc.decompose(fuller, region=region), n_trials, trial_rng)
+        stream = recovered(found, bare, speed * axis, tolerance=tolerance)
         if stream is None:
             return None
         variance = axis @ stream.covariance @ axis
@@ -400,20 +361,93 @@ def completeness(
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
-    rows = []
-    for (speed, peak), found in zip(cells, outcomes, strict=True):
-        snr = peak / noise if noise > 0 else None
-        there = _nearest(dict(enumerate(own)), speed * axis, tolerance) is not None
-        rows.append({"speed": speed, "snr": snr, **_counted(found), "own": there})
-    peaks = np.array([peak for _, peak in cells]) * cube.unit
-    table = build_table("completeness", rows, flux=peaks)
+    there = [
+        _nearest(dict(enumerate(bare)), speed * axis, tolerance) is not None
+        for speed, _ in cells
+    ]
+    table = _table_of_cells(cells, outcomes, there, noise, cube.unit)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,
         "tolerance": tolerance * PM_UNIT, "alpha": scc.alpha, "n_features": n_features,
-        "n_trials": n_trials, "scatter": scatter, "own_velocities": own * PM_UNIT,
+        "n_trials": n_trials, "scatter": scatter, "own_velocities": bare * PM_UNIT,
         "seed": seed, "versions": versions(),
     }  # fmt: skip
     return table
+
+
+def _table_of_cells(cells, outcomes, there, noise, unit):
+    """Return the table of `completeness` without its meta."""
+    rows = []
+    for (speed, peak), found, seen in zip(cells, outcomes, there, strict=True):
+        row = {"speed": speed, "snr": peak / noise if noise > 0 else None, "own": seen}
+        rows.append(row | _counted(found))
+    peaks = np.array([peak for _, peak in cells]) * unit
+    return build_table("completeness", rows, flux=peaks)
+
+
+def _require_findable(n_epochs, n_trials, alpha):
+    """Refuse so few epochs or trials that nothing could be found."""
+    orders = factorial(max(n_epochs - 1, 0))
+    smallest = max(1 / orders, 1 / (n_trials + 1))
+    if smallest > alpha:
+        few = 1 / orders > alpha
+        more = "measure more epochs" if few else "give more n_trials"
+        raise ValueError(
+            f"{n_epochs} epochs (1/(N-1)!) and {n_trials} trials allow no p_global "
+            f"below {smallest:.2g}, so nothing can be found at level {alpha:g}: {more}"
+        )
+
+
+def _lengths(cube, fwhm, tolerance):
+    """Return the width of features in mas, and the tolerance in mas/yr."""
+    if fwhm is not None:
+        width = q.named("fwhm", q.one_quantity, fwhm, "an angle", "1 mas")
+        width = width.to_value(u.mas)
+    elif cube.beams is None:
+        raise ValueError(NO_BEAMS)
+    else:
+        width = flow_beam(cube)
+    if tolerance is None:
+        gaps = np.diff(cube.years.to_value(u.yr))
+        return width, TOLERANCE * width / np.median(gaps[gaps > 0])
+    wanted = "a proper motion", "2 mas/yr"
+    tolerance = q.named("tolerance", q.one_quantity, tolerance, *wanted)
+    return width, tolerance.to_value(PM_UNIT)
+
+
+def _searched(speeds, along, cube, scc):
+    """Return speeds in mas/yr, whose part along the axis must be searched."""
+    if scc.max_speed is None:
+        years, intervals = cube.years.to_value(u.yr), used_intervals(cube, scc.baseline)
+        limit = flow_beam(cube) * fastest_speed(years, intervals)
+    else:
+        limit = scc.max_speed.to_value(PM_UNIT)
+    speeds = _positive("speeds", speeds, PM_UNIT)
+    if np.any(speeds * along > limit):
+        raise ValueError(
+            f"speed {speeds.max():.4g} mas/yr is beyond the largest that is searched, "
+            f"{limit:.4g} mas/yr: give StackedCrossCorrelation a larger max_speed"
+        )
+    return speeds
+
+
+def _bare(cube, scc, region, n_trials, rng):
+    """Return where features are injected, and the velocities that are there already."""
+    with warnings.catch_warnings():
+        # Features are injected even if the region has no SSP.
+        warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
+        decomposed = scc.decompose(cube, region=region)
+        area = area_for_features(decomposed, region)
+        found = _streams(scc, decomposed, n_trials, rng)
+    return area, np.reshape([stream.velocity for stream in found], (-1, 2))
+
+
+def _streams(scc, decomposed, n_trials, rng):
+    """Return the streams that move in decomposed epochs."""
+    try:
+        return moving_streams(scc.measure(decomposed, n_trials=n_trials, rng=rng))
+    except NoFlowError:
+        return []
 
 
 def _direction(position_angle, axis):
@@ -429,8 +463,8 @@ def _direction(position_angle, axis):
             f"position_angle {given} does not go with that of the measurement, {axis}: "
             "features move on straight lines, so give both an angle, or both 'radial'"
         )
-    how = q.one_quantity, given, "an angle", "65 deg", False
-    angle = q.named("position_angle", *how).to(u.deg)
+    wanted = "an angle", "65 deg", False
+    angle = q.named("position_angle", q.one_quantity, given, *wanted).to(u.deg)
     return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
 
 
@@ -480,9 +514,9 @@ def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
     """
     q.named("n_workers", q.check_integer, n_workers, 1)
     jobs = [
-        (cell, own)
+        (cell, generator)
         for cell, root in zip(cells, rng.spawn(len(cells)), strict=True)
-        for own in root.spawn(number)
+        for generator in root.spawn(number)
     ]
     with (
         # Each measurement limits the threads of matrix products by itself; limits
@@ -530,12 +564,11 @@ def velocity_along(frame, position_angle):
 
 
 def moving_streams(result):
-    """Return the streams of a result that move; of None, none."""
-    streams = () if result is None else result.search.streams
-    return [stream for stream in streams if stream.kind == "moving"]
+    """Return the streams of a result that move."""
+    return [stream for stream in result.search.streams if stream.kind == "moving"]
 
 
-def recovered(streams, own, velocity, *, tolerance):
+def recovered(streams, claims, velocity, *, tolerance):
     """
     Return the stream that is due to injected features, or None.
 
@@ -543,7 +576,7 @@ def recovered(streams, own, velocity, *, tolerance):
     ----------
     streams : sequence of ``Stream``
         Those that move.
-    own : `~numpy.ndarray`, shape (n, 2)
+    claims : `~numpy.ndarray`, shape (n, 2)
         Velocities that the epochs have without features; each claims the stream
         nearest to it within the tolerance.
     velocity : `~numpy.ndarray`, shape (2,)
@@ -557,7 +590,7 @@ def recovered(streams, own, velocity, *, tolerance):
         The nearest one that is left, within the tolerance.
     """
     left = {k: stream.velocity for k, stream in enumerate(streams)}
-    for v in np.reshape(own, (-1, 2)):
+    for v in np.reshape(claims, (-1, 2)):
         left.pop(_nearest(left, v, tolerance), None)
     nearest = _nearest(left, np.asarray(velocity), tolerance)
     return None if nearest is None else streams[nearest]

@@ -63,8 +63,8 @@ BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
 def _comparable(value):
     """Return a value with tuples, which can be hashed, for what holds several."""
     if is_dataclass(value):
-        own = (_comparable(getattr(value, one.name)) for one in fields(value))
-        return type(value).__name__, *own
+        parts = (_comparable(getattr(value, one.name)) for one in fields(value))
+        return type(value).__name__, *parts
     if hasattr(value, "unit"):
         return str(value.unit), _comparable(value.value)
     if hasattr(value, "tolist"):

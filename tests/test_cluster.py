@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.parallel import _Cluster, _result, as_done, in_order, workers_of
+from astro_scc.parallel import _result, as_done, in_order, workers_of
 
 distributed = pytest.importorskip("distributed")
 
@@ -121,7 +121,7 @@ def test_a_scheduler_that_is_lost(monkeypatch):
     for future in futures:
         future.cancel()
         future.set_running_or_notify_cancel()
-    monkeypatch.setattr(_Cluster, "submit", lambda *_: futures.pop())
+    monkeypatch.setattr("astro_scc.parallel._submit", lambda *_: futures.pop())
     with cluster_of(1) as client:
         found = dict(as_done(operator.neg, [1, 2], client))
     assert {str(error).split(";")[0] for error in found.values()} == {
@@ -134,13 +134,13 @@ def test_work_that_is_not_done():
     future.cancel()
     future.set_running_or_notify_cancel()
     with pytest.raises(OSError, match="was lost; start it and this again"):
-        _result(future)
+        _result(future, 2)
     # As the scheduler says after four workers died of one piece.
     future = Future()
     worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
     future.set_exception(distributed.KilledWorker("piece", worker, 3))
     with pytest.raises(ChildProcessError, match="several workers died of one piece"):
-        _result(future)
+        _result(future, 2)
 
 
 def test_without_dask_or_a_scheduler(monkeypatch):

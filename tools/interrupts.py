@@ -29,7 +29,7 @@ from astropy.io import fits
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 #: Suffixes of tables, maps and pages; other files hold settings and states.
-TABLES = (".ecsv", ".fits", ".vot", ".dat", ".html")
+TABLES = (".ecsv", ".fits", ".vot", ".txt", ".html")
 
 
 def launch(words, log):

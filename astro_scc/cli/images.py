@@ -161,9 +161,9 @@ def write_images(components, folder, how, *, overwrite=False):
     """Restore images of components into a folder, see `images_of`, and return them."""
     pixel, noise, seed = (how[k] for k in ("pixel_scale", "noise", "seed"))
     with product_folder(folder, overwrite=overwrite) as part:
-        own = components.select(after=how["after"], before=how["before"])
-        grid = {"beam": own.beams, "pixel_scale": pixel}
-        cube = EpochCube.from_components(own, noise=noise, rng=seed, **grid)
+        chosen = components.select(after=how["after"], before=how["before"])
+        grid = {"beam": chosen.beams, "pixel_scale": pixel}
+        cube = EpochCube.from_components(chosen, noise=noise, rng=seed, **grid)
         if noise is not None:
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         write_epochs(cube, part)
@@ -181,29 +181,19 @@ def inspect(args, reporter):
     files = find_files(args.epochs, missing_ok=True)
     kinds = {kind_of(file) for file in files}
     cube, refusal, remarks = _read(files, _beam(args))
-    if kinds not in ({"cube"}, {"components"}):
+    if kinds in ({"cube"}, {"components"}):
+        if cube is None:
+            raise ValueError(refusal)
+        names, facts, problems = cube.labels, _facts_of_cube(cube), []
+    else:
         facts = inspect_epochs(files)
         names = [Path(file).name for file in facts["file"]]
-        problems = [
-            f"{row['file']}: {row['problem']}" for row in facts if row["problem"]
-        ]
-        if not any(facts["nx"]):
-            more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
-            raise ValueError(f"{problems[0]}{more}")
-        if refusal:
-            problems.append(f"as one series: {refusal}")
-    elif cube is None:
-        raise ValueError(refusal)
-    else:
-        names, facts, problems = cube.labels, _facts_of_cube(cube), []
+        problems = _problems(facts, refusal)
     if kinds != {"components"}:
-        known = "; ".join(problems)
         # Of the same problem the first words are the same.
-        problems += [
-            text
-            for text in remarks
-            if " ".join(text.split(": ")[-1].split()[:3]) not in known
-        ]
+        known = "; ".join(problems)
+        words = {text: " ".join(text.split(": ")[-1].split()[:3]) for text in remarks}
+        problems += [text for text in remarks if words[text] not in known]
     angle = readable_angle(np.nanmin(facts["pixel"])).split()[1]
     origin = facts.meta.get("origin") or "the reference pixel"
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube, angle)
@@ -223,6 +213,15 @@ def inspect(args, reporter):
         reporter.say("", *lines)
 
 
+def _problems(facts, refusal):
+    """Return what is wrong with files; raise it if none of them is an image."""
+    found = [f"{row['file']}: {row['problem']}" for row in facts if row["problem"]]
+    if not any(facts["nx"]):
+        more = f" (and {len(facts) - 1} more like it)" if len(facts) > 1 else ""
+        raise ValueError(f"{found[0]}{more}")
+    return [*found, f"as one series: {refusal}"] if refusal else found
+
+
 def _read(files, beam):
     """Return the files as a cube or None, why they are none, and the warnings."""
     cube = refusal = None
@@ -232,8 +231,8 @@ def _read(files, beam):
             cube = EpochCube.read(files, beams=beam)
         except (ValueError, OSError, MemoryError) as error:
             refusal = str(error)
-    own = [str(w.message) for w in caught if issubclass(w.category, AstroSccWarning)]
-    return cube, refusal, own
+    said = [str(w.message) for w in caught if issubclass(w.category, AstroSccWarning)]
+    return cube, refusal, said
 
 
 def _facts_of_cube(cube):

@@ -17,6 +17,7 @@ from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.grid import refuse_pixels
 from astro_scc.images.headers import first_line
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.products.publication import published_positions
 from astro_scc.quantities import to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
@@ -75,11 +76,11 @@ def workers_of(args, cube=None):
     return args.workers or 1
 
 
-def override(given, own):
+def override(given, others):
     """Return settings updated by others; distance and redshift replace each other."""
     replaced = {"distance": ("redshift", "cosmology"), "redshift": ("distance",)}
-    out = next((names for name, names in replaced.items() if name in own), ())
-    return {name: value for name, value in given.items() if name not in out} | own
+    out = next((names for name, names in replaced.items() if name in others), ())
+    return {name: value for name, value in given.items() if name not in out} | others
 
 
 def settings_of(args, reporter, **defaults):
@@ -112,8 +113,10 @@ def settings_of(args, reporter, **defaults):
     )
     if other:
         reporter.note(f"{args.config} was written with {other}: numbers may differ")
-    own = {k: v for k, v in vars(args).items() if k in OPTIONS and v not in (None, [])}
-    settings = Settings(**defaults | override(given, own))
+    typed = {
+        k: v for k, v in vars(args).items() if k in OPTIONS and v not in (None, [])
+    }
+    settings = Settings(**defaults | override(given, typed))
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     # Refused before the images are read.
@@ -167,6 +170,19 @@ def read_epochs(settings, args=None, *, note=None, features=False, moving=False)
         args.compare, cube
     )
     return Inputs(cube, settings, left_out, chosen, n_workers, published)
+
+
+def refuse_paper(settings):
+    """Refuse the paper's method where only the velocity spectrum is measured."""
+    if settings.method != "spectrum":
+        raise ValueError(
+            f"method is {settings.method!r}, which astro-scc measure has: leave it out"
+        )
+
+
+def with_speeds_in_c(table, settings):
+    """Return a table with speeds in units of c, if the settings have a distance."""
+    return table_in_c(table, **settings.in_c) if settings.in_c else table
 
 
 def require_epochs(cube):

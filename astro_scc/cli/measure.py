@@ -59,15 +59,15 @@ def measure(args, reporter):
         result = _measured(epochs, reporter)
         flow = flow_lines(result)
         streams = write_measurement(
-            result, epochs.settings, folder, output=output, published=epochs.published,
-            report=not args.no_report, warnings=reporter.warnings,
-            left_out=epochs.left_out, chosen=epochs.chosen, pdf=args.pdf,
-            all_figures=args.all_figures, compare=args.compare, flow=flow,
+            result, epochs, folder, output=output, report=not args.no_report,
+            warnings=reporter.warnings, pdf=args.pdf, all_figures=args.all_figures,
+            compare=args.compare, flow=flow,
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
-    own = result.features, result.tracked_features
-    features = with_published(*own, epochs.published)
+    features = with_published(
+        result.features, result.tracked_features, epochs.published
+    )
     reporter.say(
         *answer.stream_lines(streams, features),
         *answer.published_lines(features),
@@ -94,10 +94,8 @@ def _measured(epochs, reporter):
 
 def _as_in_paper(epochs, folder, args, reporter):
     """Measure epochs by the paper's method, write the products; return lines on it."""
-    settings = epochs.settings
-    result = _measured(epochs, reporter)
-    how = settings.in_c
-    streams = result.components_in_c(**how) if how else result.streams
+    settings, result = epochs.settings, _measured(epochs, reporter)
+    streams = inputs.with_speeds_in_c(result.streams, settings)
     write_paper_products(
         result, streams, folder, configuration=settings.to_dict(),
         text=settings.to_toml(versions=versions()),
@@ -112,8 +110,7 @@ def _as_in_paper(epochs, folder, args, reporter):
 
 
 def write_measurement(
-    result, settings, folder, *, output, report=True, archives=True, published=None,
-    compare=None, **page
+    result, epochs, folder, *, output, report=True, archives=True, compare=None, **page
 ):  # fmt: skip
     """
     Write tables, maps, settings and report of a measurement.
@@ -121,7 +118,8 @@ def write_measurement(
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
-    settings : `~astro_scc.settings.Settings`
+    epochs : `~astro_scc.cli.inputs.Inputs`
+        The epochs, the settings and the published features.
     folder : path
         Where to write.
     output : `~pathlib.Path`
@@ -129,20 +127,18 @@ def write_measurement(
     report : bool, optional
     archives : bool, optional
         Write the tables in the forms of journals and archives, too.
-    published : `~astropy.table.QTable`, optional
-        Published features to compare with.
     compare : str, optional
-        The file that has them.
+        The file of the published features.
     **page
-        Arguments of `~astro_scc.report.write_report`.
+        Further arguments of `~astro_scc.report.write_report`.
 
     Returns
     -------
     `~astropy.table.QTable`
         The streams.
     """
-    how = settings.in_c
-    streams = result.components_in_c(**how) if how else result.streams
+    settings, published = epochs.settings, epochs.published
+    streams = inputs.with_speeds_in_c(result.streams, settings)
     write_products(
         result, streams, folder, configuration=settings.to_dict(),
         text=settings.to_toml(versions=versions()), published=published,
@@ -154,7 +150,8 @@ def write_measurement(
             rerun += f" --compare {shlex.quote(compare)}"
         write_report(
             result, folder, streams=streams, rerun=rerun, published=published,
-            explore=f"astro-scc explore {output}", **page,
+            explore=f"astro-scc explore {output}", left_out=epochs.left_out,
+            chosen=epochs.chosen, **page,
         )  # fmt: skip
     return streams
 
@@ -167,10 +164,7 @@ def profile(args, reporter):
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     if settings.bins is None:
         raise ValueError('--bins is missing: give limits such as "0.5 1.5 2.5 mas"')
-    if settings.method != "spectrum":
-        raise ValueError(
-            f"method is {settings.method!r}, which astro-scc measure has: leave it out"
-        )
+    inputs.refuse_paper(settings)
     # Wrong --bins are refused before the images are read.
     bins_of(settings.bins, window=settings.window)
     output = inputs.output_of(args, settings)
@@ -195,13 +189,12 @@ def _profile(epochs, folder, reporter):
         scale_groups=settings.scale_groups, n_trials=settings.n_trials,
         rng=settings.seed, **shown,
     )  # fmt: skip
-    how = settings.in_c
-    streams = found.components_in_c(**how) if how else found.components
+    streams = inputs.with_speeds_in_c(found.components, settings)
     streams.meta |= cube.facts
     several = len(found.groups) > 1
     lines = [
-        f"scales {name}: {own}" if several else str(own)
-        for name, own in found.accelerations.items()
+        f"scales {name}: {line}" if several else str(line)
+        for name, line in found.accelerations.items()
     ]
     if several:
         of_scales = in_speed_unit(compare_scales(found), cube.speed_unit)
@@ -244,8 +237,9 @@ def demo(args, reporter):
         paths = [str(output / path.relative_to(folder)) for path in (region, *files)]
         settings = epochs.settings.changed(region=paths[0], epochs=paths[1:])
         streams = write_measurement(
-            result, settings, folder, output=output, warnings=reporter.warnings
-        )
+            result, epochs._replace(settings=settings), folder, output=output,
+            warnings=reporter.warnings,
+        )  # fmt: skip
     reporter.say(
         *_truth_lines(jet),
         "\nMeasured:",
@@ -258,9 +252,10 @@ def _truth_lines(jet):
     """Return the simulated velocities as lines."""
     rows = []
     for name in dict.fromkeys(jet.truth["group"]):
-        own = jet.truth[jet.truth["group"] == name]
+        rows_of_stream = jet.truth[jet.truth["group"] == name]
         east, north = (
-            own[f"pm_{axis}"].mean().to_value("mas / yr") for axis in ("east", "north")
+            rows_of_stream[f"pm_{axis}"].mean().to_value("mas / yr")
+            for axis in ("east", "north")
         )
         row = {"stream": str(name)}
         row["proper motion (mas / yr)"] = f"{math.hypot(east, north):.2f}"

@@ -216,24 +216,27 @@ def _ended_by_signals():
         yield
 
 
-def _add(parser, *arguments):
+def _add(parser, arguments):
     """Add options and settings by their names, and what argparse takes."""
-    for how in arguments:
-        if isinstance(how, str):
-            known = OWN.get(how) or {k: OPTIONS[how][k] for k in ("help", "metavar")}
-            place = {"flags": option_name(how)}
-            if how == "epochs":
-                place = {"flags": how, "nargs": "*"}
-            how = place | known
-        how = how.copy()
-        flags, kind = how.pop("flags").split(), TYPES.get(how.pop("type", None), str)
-        if how.get("metavar") == "true|false":
-            how = {"help": how["help"], "action": argparse.BooleanOptionalAction}
-        elif "metavar" in how or "choices" in how:
-            how["type"] = kind
+    for argument in arguments:
+        if isinstance(argument, str):
+            name, flags = argument, {"flags": option_name(argument)}
+            if name == "epochs":
+                flags = {"flags": name, "nargs": "*"}
+            known = OWN.get(name) or {k: OPTIONS[name][k] for k in ("help", "metavar")}
+            argument = flags | known
+        options = argument.copy()
+        flags, kind = options.pop("flags").split(), options.pop("type", None)
+        if options.get("metavar") == "true|false":
+            options = {
+                "help": options["help"],
+                "action": argparse.BooleanOptionalAction,
+            }
+        elif "metavar" in options or "choices" in options:
+            options["type"] = TYPES.get(kind, str)
         else:
-            how["action"] = "store_true"
-        parser.add_argument(*flags, **how)
+            options["action"] = "store_true"
+        parser.add_argument(*flags, **options)
 
 
 def build_parser():
@@ -261,23 +264,23 @@ def build_parser():
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command", required=True
     )
-    for name, own in COMMANDS.items():
-        texts = {key: own[key] for key in ("help", "description", "epilog")}
+    for name, about in COMMANDS.items():
+        texts = {key: about[key] for key in ("help", "description", "epilog")}
         command = commands.add_parser(name, **texts)
-        _add(command, *own["arguments"])
+        _add(command, about["arguments"])
         settings = [
             (facts["group"], setting)
             for setting, facts in OPTIONS.items()
             if name in facts["commands"] and facts["metavar"]
         ]
         for group in GROUPS if settings else ():
-            names = (setting for own, setting in settings if own == group)
-            _add(command.add_argument_group(group), *names)
+            names = (setting for place, setting in settings if place == group)
+            _add(command.add_argument_group(group), names)
         if settings:
-            _add(command, "config")
-        for group, names in own.get("groups", {}).items():
-            _add(command.add_argument_group(group), *names)
-        _add(command.add_argument_group("messages"), "quiet")
+            _add(command, ["config"])
+        for group, names in about.get("groups", {}).items():
+            _add(command.add_argument_group(group), names)
+        _add(command.add_argument_group("messages"), ["quiet"])
         command.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
     return parser
 

@@ -13,9 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, contextmanager
-from dataclasses import asdict
-from functools import partial
-from itertools import chain
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +22,7 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
-from astro_scc.cli.inputs import read_epochs, read_table, workers_of
+from astro_scc.cli.inputs import read_epochs, read_table, refuse_paper, workers_of
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
@@ -69,21 +67,7 @@ def survey(args, reporter):
     """Measure the sources of a survey according to the arguments."""
     n_workers, output = workers_of(args), Path(args.output)
     reporter.resumes = True
-    of_file = Path(args.survey).suffix.lower() == ".toml"
-    if of_file or Path(args.survey).is_dir():
-        for name in RESTORING:
-            if getattr(args, name) is not None:
-                raise ValueError(
-                    f"--{name} is for a table of components, not for {args.survey}; "
-                    "settings are written into survey.toml"
-                )
-    redshifts = sources.read_redshifts(args.redshifts) if args.redshifts else {}
-    path = args.survey if of_file else sources.write_survey(args, output, reporter)
-    plan = sources.read_survey(path, redshifts)
-    report = of_file if args.report is None else args.report
-    if unknown := redshifts.keys() - {source.name for source in plan.sources}:
-        some = "source is" if len(unknown) == 1 else "sources are"
-        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
+    plan, report = _plan(args, output, reporter)
 
     def done(name, outcomes, before):
         failed = {o.message for o in outcomes if o.status == "failed"}
@@ -95,8 +79,10 @@ def survey(args, reporter):
     with parallel.workers_of(n_workers) as workers:
         if workers is not n_workers:
             reporter.note(f"dashboard of the cluster: {workers.dashboard_link}")
-        how = {"n_workers": workers, "progress_bar": reporter.progress}
-        table = run_survey(plan, output, report=report, done=done, **how)
+        table = run_survey(
+            plan, output, n_workers=workers, report=report, done=done,
+            progress_bar=reporter.progress,
+        )  # fmt: skip
     reporter.say(*_summary(table))
     if set(table["status"]) == {"failed"}:
         raise ValueError(f"no source could be measured; {output / TABLE} says why")
@@ -107,24 +93,43 @@ def survey(args, reporter):
     )
 
 
+def _plan(args, output, reporter):
+    """Return the survey of the arguments, and whether it has reports."""
+    of_file = Path(args.survey).suffix.lower() == ".toml"
+    if of_file or Path(args.survey).is_dir():
+        for name in RESTORING:
+            if getattr(args, name) is not None:
+                raise ValueError(
+                    f"--{name} is for a table of components, not for {args.survey}; "
+                    "settings are written into survey.toml"
+                )
+    redshifts = sources.read_redshifts(args.redshifts) if args.redshifts else {}
+    path = args.survey if of_file else sources.write_survey(args, output, reporter)
+    plan = sources.read_survey(path, redshifts)
+    if unknown := redshifts.keys() - {source.name for source in plan.sources}:
+        some = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
+    return plan, of_file if args.report is None else args.report
+
+
 def _summary(table):
     """Yield lines on the numbers of sources and of streams that move."""
     rows = []
     for status in ("measured", "empty", "failed"):
-        own = table["source"][table["status"] == status]
-        counts = {"sources": str(len(set(own))), "rows": str(len(own))}
-        rows.append({"status": status} | counts)
+        names = table["source"][table["status"] == status]
+        sizes = {"sources": str(len(set(names))), "rows": str(len(names))}
+        rows.append({"status": status} | sizes)
     yield from table_lines(rows)
     measured = table[table["status"] == "measured"]
     if len(measured):
         p_fdr = measured["p_fdr"][measured["kind"] == "moving"]
         small = sum(p <= 0.05 for p in p_fdr)
         yield f"moving: {len(p_fdr)}, {small} of them with p_fdr <= 0.05"
-    how = (
+    speeds = (
         cosmology_text(meta["cosmology"]) if "cosmology" in meta else "distances"
         for meta in table.meta["speeds_in_c"].values()
     )
-    for text, n in Counter(how).items():
+    for text, n in Counter(speeds).items():
         yield f"speeds in c: {text}, sources {n}"
 
 
@@ -205,11 +210,48 @@ def run_survey(
     return table
 
 
+def _outcomes(every, output, report, n_workers, done, progress_bar):
+    """Measure all sources, and return the outcomes of their parts in their order."""
+    found = {}
+    # The largest first, so that no process waits for one at the end.
+    order = sorted(every, key=sources.Source.size, reverse=True)
+    with (
+        progress(len(every), "Sources", show=progress_bar) as step,
+        # What terminated workers leave in this folder is deleted with it.
+        writing.partial_folder(output, PARTIAL) as parts,
+        closing(
+            parallel.as_done(
+                _measure_unless_finished,
+                ((source, output, report, parts) for source in order),
+                n_workers,
+            )
+        ) as results,
+    ):
+        for k, result in results:
+            if isinstance(result, Exception):
+                # The worker failed, not the measurement: it died, or its disk is full.
+                result = _failed(order[k], result), False
+            found[order[k].name], before = result
+            step(1)
+            if done is not None:
+                done(order[k].name, found[order[k].name], before)
+    return [outcome for source in every for outcome in found[source.name]]
+
+
+def _measure_unless_finished(task):
+    """Return the outcomes of a source, and whether an earlier run has measured it."""
+    source, output, report, parts = task
+    finished = sources.finished_outcomes(source, output, report)
+    if finished is not None:
+        return finished, True
+    return measure_source(source, output, report=report, parts=parts), False
+
+
 def _write_catalogues(table, features, output):
     """Write the streams and features of all sources, also for archives."""
-    for name, own in ((TABLE, table), (FEATURES, features)):
+    for name, catalogue in ((TABLE, table), (FEATURES, features)):
         with writing.replace_when_complete(output / name, overwrite=True) as part:
-            own.write(part, format="ascii.ecsv")
+            catalogue.write(part, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
     with _new_folder(output / FOLDER, output) as part:
@@ -226,36 +268,6 @@ def _new_folder(path, parts):
         if path.exists():
             os.replace(path, parent / "old")
         os.replace(part, path)
-
-
-def _outcomes(every, output, report, n_workers, done, progress_bar):
-    """Return the outcomes of the sources, in their order."""
-    found = [sources.finished_outcomes(source, output, report) for source in every]
-    left = [k for k, outcomes in enumerate(found) if outcomes is None]
-    before = [(k, own) for k, own in enumerate(found) if own is not None]
-    # The largest first, so that no process waits for one at the end.
-    left.sort(key=lambda k: -every[k].size())
-    with (
-        progress(len(every), "Sources", show=progress_bar) as step,
-        # What terminated workers leave in this folder is deleted with it.
-        writing.partial_folder(output, PARTIAL) as parts,
-        closing(
-            parallel.as_done(
-                partial(measure_source, output=output, report=report, parts=parts),
-                (every[k] for k in left),
-                n_workers,
-            )
-        ) as new,
-    ):
-        for k, outcomes in chain(before, ((left[i], own) for i, own in new)):
-            if isinstance(outcomes, Exception):
-                # The worker failed, not the measurement: it died, or its disk is full.
-                outcomes = _failed(every[k], outcomes)
-            found[k] = outcomes
-            step(1)
-            if done is not None:
-                done(every[k].name, outcomes, k not in left)
-    return [outcome for outcomes in found for outcome in outcomes]
 
 
 # -- the catalogues -------------------------------------------------------------------
@@ -292,14 +304,14 @@ def catalogues(outcomes, every, output):
     redshifts = {source.name: source.settings.redshift for source in every}
     table = _with_head(table, outcomes, redshifts)
     measured = {outcomes[k].source for k in searched}
-    in_c = {own.name: own.settings.in_c for own in every if own.name in measured}
+    in_c = {one.name: one.settings.in_c for one in every if one.name in measured}
     table.meta = {
         "versions": writing.versions(),
         "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
         "speeds_in_c": {
-            name: plain_meta(table_in_c(empty, **how).meta)
-            for name, how in in_c.items()
-            if how
+            name: plain_meta(table_in_c(empty, **options).meta)
+            for name, options in in_c.items()
+            if options
         },
     }
     features = _with_head(features, outcomes, redshifts)
@@ -344,9 +356,10 @@ def _with_head(table, outcomes, redshifts):
     number = np.asarray(table["outcome"], dtype=int)
     table.remove_column("outcome")
     for k, (name, text) in enumerate(HEAD.items()):
-        values = np.array([getattr(own, name) for own in outcomes], dtype=str)[number]
-        table.add_column(Column(values, description=text), index=k, name=name)
-    z = np.array([redshifts[own.source] or np.nan for own in outcomes])[number]
+        values = np.array([getattr(part, name) for part in outcomes], dtype=str)
+        column = Column(values[number], description=text)
+        table.add_column(column, index=k, name=name)
+    z = np.array([redshifts[part.source] or np.nan for part in outcomes])[number]
     column = MaskedColumn(z, mask=np.isnan(z), format="g")
     column.description = "redshift of the source, if it was given"
     table.add_column(column, index=1, name="redshift")
@@ -386,7 +399,7 @@ def measure_source(source, output, report=False, parts=None):
     ):
         warnings.simplefilter("always")
         try:
-            outcomes = _measure(source, output, part, report, said)
+            outcomes = _measure_parts(source, output, part, report, said)
         except Exception as error:
             _note_error(part)
             outcomes = _failed(source, error)
@@ -400,54 +413,65 @@ def measure_source(source, output, report=False, parts=None):
     return outcomes
 
 
-def _measure(source, output, part, report, said):
-    """Measure the parts of a source."""
-    cube, settings, left_out, *_ = read_epochs(source.settings, moving=True)
-    if settings.method != "spectrum":
-        raise ValueError(
-            f"method is {settings.method!r}, which astro-scc measure has: leave it out"
-        )
-    published = source.compare and published_positions(source.compare, cube)
-    for path in filter(None, source.regions.values()):
-        refuse_pixels(path, settings.crop is not None, cube)
-    masks = {path: path and cube.region_mask(path) for path in source.regions.values()}
-    every, decomposed = StackedCrossCorrelation.from_settings(settings), {}
+def _measure_parts(source, output, part, report, said):
+    """Measure all regions and scale groups of a source into a folder."""
+    epochs = _epochs(source)
+    cube, settings = epochs.cube, epochs.settings
     regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
-    of_all, outcomes = len(said), []
+    every, decomposed = StackedCrossCorrelation.from_settings(settings), {}
     first, last = cube.times.isot[[0, -1]].tolist()
-    seen = {"n_epochs": len(cube), "first": first, "last": last}
+    of_all, outcomes = said.copy(), []
     for region, group in source.parts:
-        outcome = partial(Outcome, source.name, region, group, **seen)
-        where = Path(SOURCES, source.folder, regions[region], groups[group])
-        folder = part / regions[region] / groups[group]
-        folder.mkdir(parents=True)
-        names = (name for name in (region, group) if name != sources.WHOLE)
-        page = {"title": ", ".join([source.name, *names]), "left_out": left_out}
-        page |= {"report": report, "archives": report, "published": published}
-        before, scales = len(said), source.scale_groups[group]
-        scales = settings.scales if scales is None else scales
-        own = settings.changed(region=source.regions[region], scales=scales)
+        file, before = source.regions[region], len(said)
+        names = Path(regions[region], groups[group])
+        outcome = Outcome(
+            source.name, region, group, "empty", NO_PATTERN, "", len(cube), first, last
+        )
         try:
             if region not in decomposed:
-                decomposed[region] = every.decompose(cube, region=masks[own.region])
-            if not decomposed[region].select.any():
-                shutil.rmtree(folder)
-                outcomes.append(outcome("empty", NO_PATTERN))
-                continue
-            scc = StackedCrossCorrelation.from_settings(own)
-            result = scc.measure(
-                decomposed[region], n_trials=own.n_trials, rng=own.seed
-            )
-            page["warnings"] = _lines([*said[:of_all], *said[before:]])
-            page["output"] = output / where
-            write_measurement(result, own, folder, **page)
+                decomposed[region] = every.decompose(cube, region=file)
+            if decomposed[region].select.any():
+                scales = source.scale_groups[group]
+                scales = settings.scales if scales is None else scales
+                chosen = settings.changed(region=file, scales=scales)
+                where = Path(SOURCES, source.folder, names)
+                (part / names).mkdir(parents=True)
+                result = _measure(decomposed[region], chosen)
+                write_measurement(
+                    result, epochs._replace(settings=chosen), part / names,
+                    output=output / where, report=report, archives=report,
+                    title=_title(source.name, region, group),
+                    warnings=_lines([*of_all, *said[before:]]),
+                )  # fmt: skip
+                folder = where.as_posix()
+                outcome = replace(outcome, status="measured", message="", folder=folder)
         except Exception as error:
-            shutil.rmtree(folder)
             _note_error(part, f"{region}, {group}:\n")
-            outcomes.append(outcome("failed", _reason(error)))
-            continue
-        outcomes.append(outcome("measured", folder=where.as_posix()))
+            shutil.rmtree(part / names, ignore_errors=True)
+            outcome = replace(outcome, status="failed", message=_reason(error))
+        outcomes.append(outcome)
     return outcomes
+
+
+def _epochs(source):
+    """Return the epochs of a source with its published features."""
+    epochs = read_epochs(source.settings, moving=True)
+    refuse_paper(epochs.settings)
+    for path in filter(None, source.regions.values()):
+        refuse_pixels(path, epochs.settings.crop is not None, epochs.cube)
+    published = source.compare and published_positions(source.compare, epochs.cube)
+    return epochs._replace(published=published)
+
+
+def _measure(decomposed, settings):
+    """Return the measurement of decomposed epochs with the settings of a part."""
+    scc = StackedCrossCorrelation.from_settings(settings)
+    return scc.measure(decomposed, n_trials=settings.n_trials, rng=settings.seed)
+
+
+def _title(source, *names):
+    """Return the title of a part."""
+    return ", ".join([source, *(name for name in names if name != sources.WHOLE)])
 
 
 def _failed(source, error):

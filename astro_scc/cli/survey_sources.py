@@ -76,7 +76,7 @@ class Source:
         """Return a check sum of the settings, versions and files that products need."""
         groups = self.scale_groups.values()
         settings = [self.settings.changed(scales=scales) for scales in groups]
-        settings = [own.to_dict() for own in (self.settings, *settings)]
+        settings = [one.to_dict() for one in (self.settings, *settings)]
         others = self.settings.crop, self.settings.align, self.compare
         files = {*self.regions.values(), *others}.difference(ALIGNMENTS)
         files |= self._epochs()
@@ -335,44 +335,25 @@ def write_survey(args, output, reporter):
         If there are no images, if the table lacks the source that is asked for, or if
         the images of no source can be restored.
     """
-    source, found, how, published = Path(args.survey), {}, {}, ""
-    made_of = str(source.absolute())
+    source, path = Path(args.survey), output / PLAN
+    found, how, defaults, made_of = {}, {}, "", str(source.absolute())
     if source.is_dir():
         epochs = _images_in(source)
     else:
         found, how = _components(args, reporter)
-        target = {k: output / IMAGES / v for k, v in folder_names(list(found)).items()}
-        epochs = {k: f"{IMAGES}/{own.name}/*.fits" for k, own in target.items()}
-        if any((own.feature > 0).any() for own in found.values()):
-            published = f"[defaults]\ncompare = {json.dumps(made_of)}\n"
+        folders = folder_names(list(found))
+        epochs = {name: f"{IMAGES}/{folders[name]}/*.fits" for name in found}
+        if any((components.feature > 0).any() for components in found.values()):
+            defaults = f"[defaults]\ncompare = {json.dumps(made_of)}\n"
         state = source.stat()
         asked = {k: str(v) for k, v in how.items()} | {"seed": args.seed}
         made_of = [made_of, state.st_size, state.st_mtime_ns, asked]
-    head, path = f"{HEAD} {json.dumps(made_of)}", output / PLAN
-    values, before = read_toml(path) if path.is_file() else ({}, "")
-    # Images that were not restored here must not be deleted.
-    if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
-        raise OSError(
-            f"{output}: exists and is not of a survey of a table; choose another folder"
-        )
-    # What was added to the file stays, and so do the sources of other calls.
-    text, known = before, values.get("sources", {})
-    if not text.startswith(f"{head}\n"):
-        text, known = f"{head}\n\n{published}", {}
-    for name, files in epochs.items():
-        if name not in known:
-            table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
-            text = f"{text.rstrip()}\n\n{table}"
-    if text != before:
-        if not known:
-            shutil.rmtree(output / IMAGES, ignore_errors=True)
-        output.mkdir(parents=True, exist_ok=True)
-        with replace_when_complete(path, overwrite=True) as part:
-            part.write_text(text, encoding="utf-8")
-    left = [name for name in found if not target[name].is_dir()]
-    work = ((found[name], target[name], how) for name in left)
-    done = in_order(_restore, work, args.workers or 1)
-    for name, problem in zip(left, done, strict=True):
+    _update_plan(path, f"{HEAD} {json.dumps(made_of)}", defaults, epochs)
+    targets = {name: output / IMAGES / folders[name] for name in found}
+    left = [name for name in found if not targets[name].is_dir()]
+    work = ((found[name], targets[name], how) for name in left)
+    problems = in_order(_restore, work, args.workers or 1)
+    for name, problem in zip(left, problems, strict=True):
         if problem:
             reporter.warn(f"{name}: no images: {problem}")
     if found and not (output / IMAGES).is_dir():
@@ -383,14 +364,38 @@ def write_survey(args, output, reporter):
     return path
 
 
+def _update_plan(path, head, defaults, epochs):
+    """Add sources to the file of a survey, or begin it anew if its head is another."""
+    output = path.parent
+    values, before = read_toml(path) if path.is_file() else ({}, "")
+    # Images that were not restored here must not be deleted.
+    if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
+        raise OSError(
+            f"{output}: exists and is not of a survey of a table; choose another folder"
+        )
+    # What was added to the file stays, and so do the sources of other calls.
+    text, known = before, values.get("sources", {})
+    if not text.startswith(f"{head}\n"):
+        text, known = f"{head}\n\n{defaults}", {}
+        shutil.rmtree(output / IMAGES, ignore_errors=True)
+    for name, files in epochs.items():
+        if name not in known:
+            table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
+            text = f"{text.rstrip()}\n\n{table}"
+    if text != before:
+        output.mkdir(parents=True, exist_ok=True)
+        with replace_when_complete(path, overwrite=True) as part:
+            part.write_text(text, encoding="utf-8")
+
+
 def _restore(task):
     """Restore the images of a source, and return why that is not possible, or None."""
-    own, target, how = task
+    components, target, how = task
     try:
         if how["pixel_scale"] is None or how["noise"] is None:
             given = {k: v for k, v in how.items() if v is not None}
-            how = how | suited(own) | given
-        images.write_images(own, target, how)
+            how = how | suited(components) | given
+        images.write_images(components, target, how)
     except ValueError as error:
         return str(error)
     return None
@@ -402,7 +407,7 @@ def _components(args, reporter):
     options, found = {"origin": args.origin, "beams": how["beam"]}, {}
     for name in args.source.split(",") if args.source else (None,):
         found |= read_sources(args.survey, source=name, **options)
-    if not all(own.beams for own in found.values()):
+    if not all(components.beams for components in found.values()):
         # That of the whole table, so that no source depends on which others are chosen.
         every = read_sources(args.survey, **options) if args.source else found
         how["beam"] = beam = _typical_beam(every.values())
@@ -423,10 +428,10 @@ def _components(args, reporter):
 def _typical_beam(lists):
     """Return a circular beam that separates half of the components of an epoch."""
     nearest = []
-    for own in lists:
-        places = np.stack([own.east, own.north], axis=1).to_value(u.mas)
-        for epoch in range(own.n_epochs):
-            here = places[own.epoch == epoch]
+    for components in lists:
+        places = np.stack([components.east, components.north], axis=1).to_value(u.mas)
+        for epoch in range(components.n_epochs):
+            here = places[components.epoch == epoch]
             if len(here) > 1:
                 # The nearest of all is the component itself.
                 nearest += cKDTree(here).query(here, k=2)[0][:, 1].tolist()
@@ -440,13 +445,13 @@ def _typical_beam(lists):
 def _images_in(folder):
     """Return the patterns of the images in each folder of a folder, by its name."""
     found = {}
-    for own in sorted(path for path in folder.iterdir() if path.is_dir()):
+    for path in sorted(path for path in folder.iterdir() if path.is_dir()):
         # A measurement beside its images is no source.
-        if own.name.startswith(".") or (own / COMPONENTS).is_file():
+        if path.name.startswith(".") or (path / COMPONENTS).is_file():
             continue
-        here = Path(glob.escape(str(own.absolute())))
-        if kinds := [k for k in PATTERNS if next(own.glob(k), None)]:
-            found[own.name] = [str(here / kind) for kind in kinds]
+        here = Path(glob.escape(str(path.absolute())))
+        if kinds := [kind for kind in PATTERNS if next(path.glob(kind), None)]:
+            found[path.name] = [str(here / kind) for kind in kinds]
     if not found:
         raise ValueError(
             f"{folder}: has no folder of FITS images; a survey is a folder with one "

@@ -7,7 +7,7 @@ from astro_scc.cli import inputs
 from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import find_features
-from astro_scc.kinematics.cosmology import beta_per_pm, table_in_c
+from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.patterns import decompose_epochs
 from astro_scc.products.folder import product_folder, write_files, write_tables
 from astro_scc.products.publication import with_published, write_publication
@@ -54,13 +54,16 @@ def _find(epochs, reporter):
     """Return the features of a cube."""
     cube, settings, ssps = epochs.cube, epochs.settings, None
     warn_of_misalignment(cube)
-    how = {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
+    n_workers, progress_bar = epochs.n_workers, reporter.progress
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        ssps = SSPs.of_epochs(decompose_epochs(cube, decomposer, **how))
+        decomposed = decompose_epochs(
+            cube, decomposer, n_workers=n_workers, progress_bar=progress_bar
+        )
+        ssps = SSPs.of_epochs(decomposed)
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
-        seed=settings.seed, **how,
+        seed=settings.seed, n_workers=n_workers, progress_bar=progress_bar,
     )  # fmt: skip
     if len(features.detections) == 0:
         where = "" if settings.region is None else f" in {settings.region}"
@@ -71,9 +74,9 @@ def _find(epochs, reporter):
 
 def _write(features, epochs, folder):
     """Write the tables, and return that of the features."""
-    how, cube = epochs.settings.in_c, features.cube
+    cube = features.cube
     table = with_published(features.table, features, epochs.published)
-    table = table_in_c(table, **how) if how else table
+    table = inputs.with_speeds_in_c(table, epochs.settings)
     meta = {
         "configuration": epochs.settings.to_dict("track"),
         **table.meta,

@@ -298,12 +298,12 @@ def read_components(
     beams = as_beams(beams, len(paths)) or [None] * len(paths)
     lists = []
     for path, date, beam in zip(paths, dates, beams, strict=True):
-        own = read_fields(path, source, origin, date)
-        found = own["meta"].pop("beam", None)
+        fields = read_fields(path, source, origin, date)
+        found = fields["meta"].pop("beam", None)
         beam = found if beam is None else beam
-        own["beams"] = () if beam is None else (beam,) * len(own["times"])
+        fields["beams"] = () if beam is None else (beam,) * len(fields["times"])
         with naming(path):
-            lists.append(ComponentList(**own))
+            lists.append(ComponentList(**fields))
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
         warn(
@@ -343,9 +343,9 @@ def read_sources(
     """
     (path,), options = find_files(path), {"origin": origin, "beams": beams}
     if source is not None:
-        own = read_components(path, source=source, **options)
-        same = plain(own.meta.get("object", source)) == plain(source)
-        return {source if same else own.meta["object"]: own}
+        components = read_components(path, source=source, **options)
+        same = plain(components.meta.get("object", source)) == plain(source)
+        return {source if same else components.meta["object"]: components}
     found, names = {}, source_names(open_table(path)[0])
     if names is None or len(names) == 0:
         # A table without rows is refused as any other.

@@ -105,15 +105,15 @@ def same_source(wanted, names):
     match = iau_name(wanted)
     if match is None:
         return []
-    own = [(name, iau_name(name)) for name in names]
-    own = [(name, other) for name, other in own if other]
-    same = [name for name, other in own if _digits(other) == _digits(match)]
-    place, place_by_name = place_of(wanted), {n: place_of(n) for n, _ in own}
+    named = [(name, iau_name(name)) for name in names]
+    named = [(name, other) for name, other in named if other]
+    same = [name for name, other in named if _digits(other) == _digits(match)]
+    place, place_by_name = place_of(wanted), {n: place_of(n) for n, _ in named}
     if same or place is None:
         return same
     near = [
         name
-        for name, other in own
+        for name, other in named
         if (other[1] == "J" or bool(other[8])) != (match[1] == "J" or bool(match[8]))
         and place_by_name[name] is not None
         and place.separation(place_by_name[name]) < NEAR
@@ -130,11 +130,11 @@ def table_position(table):
     """Return the position of the source that a table has, None if it has none."""
     facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
     units = {name: table[name].unit for name in table.colnames}
-    own = {re.sub(r"[^a-z0-9]", "", str(key).lower()): key for key in facts}
-    place = facts.get(own.get("position"))
+    keys = {re.sub(r"[^a-z0-9]", "", str(key).lower()): key for key in facts}
+    place = facts.get(keys.get("position"))
     if isinstance(place, SkyCoord):
         return place.icrs
-    found = {label: facts[key] for label, key in own.items()}
+    found = {label: facts[key] for label, key in keys.items()}
     pairs = [pair for pair in PLACES if found.keys() >= {*pair}]
     # Words that are no angles are none of a position.
     with suppress(TypeError, ValueError, u.UnitsError):
@@ -146,7 +146,7 @@ def table_position(table):
             lon, lat = " ".join(words[:3]), sign + " ".join(words[3:])
             return SkyCoord(lon, lat, unit=(u.hourangle, u.deg))
         for pair in pairs:
-            lon, lat = (_angle(found[label], units.get(own[label])) for label in pair)
+            lon, lat = (_angle(found[label], units.get(keys[label])) for label in pair)
             old = "1950" in pair[0]
             frame = FK4(equinox="B1950") if old else "icrs"
             text = {"unit": (u.hourangle, u.deg)} if isinstance(lon, str) else {}

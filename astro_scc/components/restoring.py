@@ -109,61 +109,71 @@ def restore(
     >>> cube.shape, round(float(cube.data[0].max()), 3)
     ((2, 83, 85), 1.0)
     """
-    n_epochs = components.n_epochs
-    beams, unit = as_beams(beam, n_epochs), u.Jy / u.beam
+    n_epochs, unit = components.n_epochs, u.Jy / u.beam
+    beams, noise = as_beams(beam, n_epochs), as_noise(noise, n_epochs, unit)
     if not beams:
         raise ValueError("restore needs a beam; give one, or one for each epoch")
-    noise = as_noise(noise, n_epochs, unit)
+    scale = _side(pixel_scale, beams)
+    x, y = -components.east.value / scale, components.north.value / scale
+    if shape is None:
+        if reference_pixel is not None:
+            raise ValueError("reference_pixel needs a shape; give both, or neither")
+        border = MARGIN * max(beam.major.value for beam in beams) / scale
+        shape, reference_pixel = _grid(x, y, components.major.value / scale + border)
+    shape = as_shape(shape)
+    if reference_pixel is None:
+        reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+    x, y = x + reference_pixel[0], y + reference_pixel[1]
+    _warn_of_components_outside(x, y, shape)
+    flux = (components.flux / u.beam).to_value(unit)
+    sizes, data = _covariances(components) / scale**2, np.zeros((n_epochs, *shape))
+    for i, noise_rng in enumerate(random_generator(rng).spawn(n_epochs)):
+        here, blur = components.epoch == i, in_pixels(beams[i], pixel_scale)
+        total = sizes[here] + blur
+        peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
+        add_gaussians(data[i], x[here], y[here], peak, total)
+        if noise is not None:
+            rms, grid = noise[i].value, {"pixel_scale": pixel_scale, "rng": noise_rng}
+            data[i] += correlated_noise(shape, rms=rms, beam=beams[i], **grid)
+    meta = components.meta
+    facts = {name: meta[name] for name in FACTS if name in meta}
+    return cls.from_arrays(
+        data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
+        reference_pixel=reference_pixel, position=meta.get("position"), unit=unit,
+        labels=components.labels, epoch_meta=[facts] * n_epochs,
+        meta={**meta, "history": [_step(components, noise)]},
+    )  # fmt: skip
+
+
+def _side(pixel_scale, beams):
+    """Return the side of a pixel in mas, which the beams must be wider than."""
     scale = pixel_side(pixel_scale).to_value(u.mas)
-    narrow = min(b.minor.value for b in beams)
+    narrow = min(beam.minor.value for beam in beams)
     if scale > narrow:
         raise ValueError(
             f"a pixel of {scale:g} mas is larger than the beam of {narrow:g} mas; give "
             "a fifth of the beam or less"
         )
-    x, y = -components.east.value / scale, components.north.value / scale
-    if shape is None:
-        if reference_pixel is not None:
-            raise ValueError("reference_pixel needs a shape; give both, or neither")
-        border = MARGIN * max(b.major.value for b in beams) / scale
-        border = components.major.value / scale + border
-        shape, reference_pixel = _grid(x, y, border)
-    else:
-        shape = as_shape(shape)
-        if reference_pixel is None:
-            reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
-    x, y = x + reference_pixel[0], y + reference_pixel[1]
+    return scale
+
+
+def _warn_of_components_outside(x, y, shape):
     outside = (x < -0.5) | (x > shape[1] - 0.5) | (y < -0.5) | (y > shape[0] - 0.5)
     if outside.any():
         warn(
-            f"{np.count_nonzero(outside)} of {len(components)} components lie outside "
+            f"{np.count_nonzero(outside)} of {len(x)} components lie outside "
             f"the images of shape {shape}; give a larger shape, or none"
         )
 
-    own = _covariances(components) / scale**2
-    flux = (components.flux / u.beam).to_value(unit)
-    data = np.zeros((n_epochs, *shape))
-    for i, noise_rng in enumerate(random_generator(rng).spawn(n_epochs)):
-        here = components.epoch == i
-        blur = in_pixels(beams[i], pixel_scale)
-        total = own[here] + blur
-        peak = flux[here] * np.sqrt(np.linalg.det(blur) / np.linalg.det(total))
-        add_gaussians(data[i], x[here], y[here], peak, total)
-        if noise is not None:
-            options = {"beam": beams[i], "pixel_scale": pixel_scale, "rng": noise_rng}
-            data[i] += correlated_noise(shape, rms=noise[i].value, **options)
 
-    facts = {name: components.meta[name] for name in FACTS if name in components.meta}
+def _step(components, noise):
+    """Return a line of the history."""
     added = "" if noise is None else ", noise added"
+    n_epochs = components.n_epochs
     line = f"restored {len(components)} components at {n_epochs} epochs{added}"
     if name := components.meta.get("position_from"):
         line += f", at the position that the name {name} tells, to some arcmin"
-    return cls.from_arrays(
-        data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
-        reference_pixel=reference_pixel, position=components.meta.get("position"),
-        unit=unit, labels=components.labels, epoch_meta=[facts] * n_epochs,
-        meta={**components.meta, "history": [line]},
-    )  # fmt: skip
+    return line
 
 
 def restore_files(cls, files, *, times=None, beams=None):
@@ -182,15 +192,15 @@ def restore_files(cls, files, *, times=None, beams=None):
     components = read_components(files, dates=times, beams=beams)
     if not components.beams:
         raise ValueError(f"{files[0]}: {NO_BEAM}")
-    how = suited(components)
+    options = suited(components)
     first, *others = components.beams
     differ = " and others" * any(beam != first for beam in others)
     warn(
         f"lists of components were restored with the beam {first}{differ}, pixels of "
-        f"{how['pixel_scale']:.3g} and noise of {how['noise']:.2g}; make images with "
-        "astro-scc restore to choose these"
+        f"{options['pixel_scale']:.3g} and noise of {options['noise']:.2g}; make "
+        "images with astro-scc restore to choose these"
     )
-    return restore(cls, components, **how, rng=0)
+    return restore(cls, components, **options, rng=0)
 
 
 def suited(components):

@@ -5,7 +5,7 @@ import re
 import warnings
 from contextlib import suppress
 from difflib import get_close_matches
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import astropy.units as u
 import numpy as np
@@ -56,6 +56,10 @@ UNDATED = (
     "no DATE-OBS in the header, or no date in a name like source_2006-03-09.mod; "
     "write it there, or give dates"
 )
+#: Suffixes of tables of many epochs, and of difmap models.
+ECSV, MACHINE_READABLE, DIFMAP = ".ecsv", (".txt", ".dat", ".mrt"), (".mod", ".mdl")
+#: Suffixes of files that have a list and no image.
+LISTS = {ECSV, *MACHINE_READABLE, *DIFMAP}
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
 #: What is wrong with a list where images are wanted.
@@ -82,12 +86,22 @@ def source_names(table, columns=None):
 
 
 def open_table(path):
-    """Return the table in a file, and the date of the file, see ``FORMATS``."""
+    """
+    Return the table in a file, and the date of the file.
+
+    The date is "" if the file should have one and has none, None if the table has the
+    dates.
+    """
     suffix = path.suffix.lower()
-    for suffixes, read in FORMATS.items():
-        if suffix in suffixes:
-            return read(path)
-    known = ", ".join(suffix for suffixes in FORMATS for suffix in suffixes)
+    if suffix == ECSV:
+        return _open_ascii(path, "ascii.ecsv"), None
+    if suffix in MACHINE_READABLE:
+        return _open_mrt(path), None
+    if suffix in DIFMAP:
+        return _open_difmap(path)
+    if suffix in FITS:
+        return _open_aips(path)
+    known = ", ".join((ECSV, *MACHINE_READABLE, *DIFMAP, *FITS))
     raise ValueError(f"{path}: its suffix is none of {known}; rename it")
 
 
@@ -238,8 +252,8 @@ def source_list(path):
     columns = _find_columns(table)
     names = source_names(table, columns)
     if names is None:
-        own = next((str(table.meta[k]) for k in NAMES if k in table.meta), path.stem)
-        names = np.array([own] * len(table))
+        name = next((str(table.meta[k]) for k in NAMES if k in table.meta), path.stem)
+        names = np.array([name] * len(table))
     dates = np.array(_dates(table, columns, date, path))
     return [
         (name, also_named(name), np.unique(dates[names == name]).tolist())
@@ -276,32 +290,28 @@ def _sizes(values, path):
 
 def _meta(table, columns, path):
     """Return facts about the source, from the meta and the columns of a table."""
-    own = table.meta
-    meta = {name: own[name] for name in FACTS if name in own}
-    name = own.get("name") or own.get("source") or own.get("object")
+    facts = table.meta
+    meta = {name: facts[name] for name in FACTS if name in facts}
+    name = facts.get("name") or facts.get("source") or facts.get("object")
     if name is None and "source" in columns:
         name = str(table[columns["source"]][0]).strip()
     if name is not None:
         meta["object"] = str(name)
-    names = [str(own[key]) for key in NAMES if key in own] + [str(name or "")]
+    names = [str(facts[key]) for key in NAMES if key in facts] + [str(name or "")]
     places = {one: place_of(one) for one in names}
     known = [one for one in names if places[one] is not None]
     if (place := table_position(table)) is not None:
         meta["position"] = place
     elif known:
         meta |= {"position": places[known[0]], "position_from": known[0]}
-    if isinstance(text := own.get("beam"), str):
+    if isinstance(text := facts.get("beam"), str):
         with naming(f"{path}, beam in its meta"):
             meta["beam"] = parse_beam(text)
-    if "redshift" in own:
-        meta["redshift"] = float(own["redshift"])
-    if "frequency" in own:
-        meta["frequency"] = u.Quantity(own["frequency"], u.Hz).value
+    if "redshift" in facts:
+        meta["redshift"] = float(facts["redshift"])
+    if "frequency" in facts:
+        meta["frequency"] = u.Quantity(facts["frequency"], u.Hz).value
     return meta
-
-
-# Each returns a table and the date of the file: "" if it should have a date and has
-# none, None if the table has the dates.
 
 
 def _open_ascii(path, kind, **options):
@@ -315,7 +325,7 @@ def _opened(path, kind, state, **options):
     try:
         # The units of the columns that are needed are checked later.
         with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
-            return Table.read(path, format=kind, **options), None
+            return Table.read(path, format=kind, **options)
     except Exception as error:  # astropy's parsers raise errors of many kinds
         what = f"not a readable {kind} table: {first_line(error)}"
         raise OSError(f"{path}: {what}") from None
@@ -412,14 +422,3 @@ def _aips_table(hdu):
         table[name] = np.array(hdu.data[column.name], dtype=float).ravel()
         table[name].unit = u.Unit(unit, parse_strict="silent")
     return table
-
-
-# Suffixes of files -> the function that opens them.
-FORMATS = {
-    (".ecsv",): partial(_open_ascii, kind="ascii.ecsv"),
-    (".txt", ".dat", ".mrt"): _open_mrt,
-    (".mod", ".mdl"): _open_difmap,
-    FITS: _open_aips,
-}
-#: Suffixes of files that have a list and no image.
-LISTS = {suffix for own in FORMATS for suffix in own} - {*FITS}

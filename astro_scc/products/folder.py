@@ -68,8 +68,7 @@ def product_folder(
     >>> [path.name for path in Path("out").iterdir()]
     ['a.txt']
     """
-    target, folder = Path(path), None
-    exists = target.is_dir()
+    target, folder, exists = Path(path), None, Path(path).is_dir()
     if target.exists() and not exists:
         raise OSError(f"{path}: is a file; choose another folder")
     made = [parent for parent in target.absolute().parents if not parent.exists()]
@@ -278,11 +277,11 @@ def write_tables(tables, folder, meta, *, configuration=None, text=None):
         meta = {"configuration": configuration, **kept}
     written, paths = {}, []
     for name, table in tables.items():
-        written[name] = own = table.copy(copy_data=False)
+        written[name] = copy = table.copy(copy_data=False)
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
-        own.meta = plain_meta(meta | note)
+        copy.meta = plain_meta(meta | note)
         paths.append(Path(folder, f"{name}.ecsv"))
-        own.write(paths[-1], format="ascii.ecsv", overwrite=True)
+        copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
     if text is not None:
         paths.append(Path(folder, "config.toml"))
         paths[-1].write_text(text, encoding="utf-8")

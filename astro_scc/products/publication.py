@@ -76,8 +76,8 @@ def write_publication(
     -------
     list of `~pathlib.Path`
         For each table NAME, ``NAME_aastex.tex`` and ``NAME_aa.tex`` if it has proper
-        motions, ``NAME_mrt.txt`` for the AAS, ``NAME.dat`` for the CDS, of which
-        ``ReadMe`` describes all, and ``NAME.vot``, in the folder ``publication``.
+        motions, ``NAME_mrt.txt`` for the AAS and the CDS, and ``NAME.vot``, in the
+        folder ``publication``.
 
     Raises
     ------
@@ -93,23 +93,21 @@ def write_publication(
     >>> Path("out").mkdir()
     >>> table = QTable({"pm": [0.5] * u.mas / u.yr})
     >>> paths = write_publication({"speeds": table}, "out")
-    >>> sorted(path.name for path in paths)[:3]
-    ['ReadMe', 'speeds.dat', 'speeds.vot']
+    >>> sorted(path.name for path in paths)[1:]
+    ['speeds_aa.tex', 'speeds_aastex.tex', 'speeds_mrt.txt']
     """
     folder = Path(directory, FOLDER)
     folder.mkdir(exist_ok=True)
-    texts, files = {}, []
+    texts = {}
     for name, table in tables.items():
         if "pm" in table.colnames:
             for journal, text in latex_texts_of(table, name).items():
                 texts[f"{name}_{journal}.tex"] = text
-        about = {"name": name, "caption": _caption(table, name)}
-        about |= {"data": fixed_width(table), "facts": facts_of(table.meta)}
-        files.append(about)
-        texts[f"{name}_mrt.txt"] = _rendered("mrt.txt", **about)
-        texts[f"{name}.dat"] = "".join(f"{row}\n" for row in about["data"]["rows"])
-    about = wrap(" ".join(files[0]["facts"]), 80, initial_indent="    ")
-    texts["ReadMe"] = _rendered("ReadMe.txt", files=files, description=about)
+        description, rows = fixed_width(table)
+        texts[f"{name}_mrt.txt"] = _rendered(
+            "mrt.txt", name=name, caption=_caption(table, name), rows=rows,
+            description=description, facts=facts_of(table.meta),
+        )  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     paths = [folder / name for name in texts]
@@ -233,12 +231,12 @@ def _latex_unit(name, unit):
     return "(deg)" if unit == u.deg else f"({unit.to_string('latex_inline')})"
 
 
-# -- CDS and MRT -------------------------------------------------------------------
+# -- machine-readable --------------------------------------------------------------
 
 
 def fixed_width(table):
     """
-    Return the rows of a table in columns of fixed width, and the description of these.
+    Return the description and the rows of a table in columns of fixed width, as lines.
 
     Standard errors are labelled ``e_`` and the name of their column, as archives do,
     and what is not known is blank.  Floating-point numbers have as many digits after
@@ -262,7 +260,7 @@ def fixed_width(table):
             described += wrap(blank + about, 80, **indents)
             begin = end + 2
     rows = [" ".join(row) for row in zip(*columns, strict=True)]
-    return {"rows": rows, "description": described}
+    return described, rows
 
 
 def _cells(column):
@@ -347,41 +345,53 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
         # Units that the Virtual Observatory lacks, such as DN, are written as they are.
         warnings.simplefilter("ignore", W50)
         votable = from_table(plain)
-    resource, written = votable.resources[0], votable.get_first_table()
-    written.description = " ".join(facts_of(table.meta)) or None
-    for field in written.fields:
+        _describe_columns(votable, dates)
+        _describe_source(votable, table.meta)
+        if len(table) > MANY_ROWS:
+            votable.get_first_table().format = "binary2"
+        path = os.fspath(path)
+        with writing.replace_when_complete(path, overwrite=overwrite) as part:
+            votable.to_xml(str(part))
+
+
+def _describe_columns(votable, dates):
+    """Give the columns UCDs and units, and those of dates their time system."""
+    for field in votable.get_first_table().fields:
         field.ucd = column_of(field.name).ucd or None
         if field.unit is None and field.datatype == "double":
             field.unit = u.one
         if field.name in dates:
             field.ref, field.xtype = "utc", "timestamp"
     if dates:
-        system = {"timescale": "UTC", "refposition": "TOPOCENTER"}
         # Otherwise astropy warns that it does not know the version.
-        system["config"] = {"version_1_4_or_later": True}
-        resource.time_systems.append(TimeSys(ID="utc", **system))
-    position = table.meta.get("position")
+        known = {"version_1_4_or_later": True}
+        utc = TimeSys(ID="utc", timescale="UTC", refposition="TOPOCENTER", config=known)
+        votable.resources[0].time_systems.append(utc)
+
+
+def _describe_source(votable, meta):
+    """Add sentences on the source, its position, and what else the meta has."""
+    written, position = votable.get_first_table(), meta.get("position")
+    written.description = " ".join(facts_of(meta)) or None
     if position is not None:
-        resource.coordinate_systems.append(CooSys(ID="icrs", system="ICRS"))
+        votable.resources[0].coordinate_systems.append(CooSys(ID="icrs", system="ICRS"))
         where = SkyCoord(position).icrs
-        number = {"datatype": "double", "unit": "deg", "ref": "icrs"}
         for name, value in (("ra", where.ra.deg), ("dec", where.dec.deg)):
-            about = {"name": name, "ucd": f"pos.eq.{name};meta.main", "value": value}
-            written.params.append(Param(votable, **about, **number))
+            param = Param(
+                votable, name=name, value=value, ucd=f"pos.eq.{name};meta.main",
+                datatype="double", unit="deg", ref="icrs",
+            )  # fmt: skip
+            written.params.append(param)
     datatype = {bool: "boolean", int: "long", float: "double"}
-    for key, value in table.meta.items():
+    for key, value in meta.items():
         if isinstance(value, bool | int | float | str) and value not in ("", position):
             kind = datatype.get(type(value), "unicodeChar")
-            size = {"arraysize": "*"} if kind == "unicodeChar" else {}
-            param = Param(votable, name=key, datatype=kind, value=value, **size)
-            param.ucd = "meta.id;src" if key == "object" else None
+            size = "*" if kind == "unicodeChar" else None
+            ucd = "meta.id;src" if key == "object" else None
+            param = Param(
+                votable, name=key, datatype=kind, value=value, arraysize=size, ucd=ucd
+            )
             written.params.append(param)
-    if len(table) > MANY_ROWS:
-        written.format = "binary2"
-    with writing.replace_when_complete(os.fspath(path), overwrite=overwrite) as part:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", W50)
-            votable.to_xml(str(part))
 
 
 # -- published features beside those that were measured -----------------------------
@@ -466,10 +476,10 @@ def with_published(
         return table
     d, paths = features.detections, {}
     for number in np.unique(published["published"]).tolist():
-        own = published[published["published"] == number]
-        if len(own) >= LEAST:
-            place = [own[k].to_value(u.mas) for k in ("ra_offset", "dec_offset")]
-            paths[number] = own["date"].jyear, np.stack(place)
+        seen = published[published["published"] == number]
+        if len(seen) >= LEAST:
+            place = [seen[k].to_value(u.mas) for k in ("ra_offset", "dec_offset")]
+            paths[number] = seen["date"].jyear, np.stack(place)
     rows = []
     for track in features.tracks:
         time, place = d.time[track.detection], d.place[track.detection].T

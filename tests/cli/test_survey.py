@@ -264,11 +264,11 @@ def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
     *_, two, _ = read_survey(folder / "survey.toml").sources
     real = survey.write_measurement
 
-    def wrong(result, settings, *args, **options):
-        if settings.scales == (1,):
+    def wrong(result, epochs, *args, **options):
+        if epochs.settings.scales == (1,):
             # As a mistake of the program.
             raise AssertionError("odd")
-        return real(result, settings, *args, **options)
+        return real(result, epochs, *args, **options)
 
     monkeypatch.setattr(survey, "write_measurement", wrong)
     fine, coarse = measure_source(two, tmp_path)

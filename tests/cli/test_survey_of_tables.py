@@ -81,7 +81,6 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
         assert np.all(ecsv["redshift"].mask[ecsv["source"] == "0010+405"])
         readers = [
             Table.read(folder / f"{name}_mrt.txt", format="mrt"),
-            Table.read(folder / f"{name}.dat", readme=folder / "ReadMe", format="cds"),
             QTable.read(folder / f"{name}.vot"),
         ]
         for found in readers:

@@ -279,4 +279,3 @@ def test_only_what_moves_is_found():
     kinds = [SimpleNamespace(kind=k) for k in ("moving", "stationary", "not confirmed")]
     result = SimpleNamespace(search=SimpleNamespace(streams=kinds))
     assert moving_streams(result) == kinds[:1]
-    assert moving_streams(None) == []
