@@ -39,7 +39,9 @@ def feature_speeds(components, distances, near=2.0):
             # Straight lines, as in the paper, through five dates or more.
             if seen.sum() >= 5:
                 own.append(np.polyfit(years[seen], along[seen], 1)[0])
-        speeds.append((np.mean(own), np.std(own, ddof=1) / len(own) ** 0.5, len(own)))
+        # One feature has no scatter.
+        error = np.std(own, ddof=1) / len(own) ** 0.5 if len(own) > 1 else np.nan
+        speeds.append((np.mean(own) if own else np.nan, error, len(own)))
     return np.array(speeds).T
 
 
