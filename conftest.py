@@ -57,6 +57,8 @@ def find_shared_data():
     return folder if folder.is_dir() else None
 
 
+#: Table 4 of Lister et al. (2021), of which the pages say where it is.
+MOJAVE_TABLE = "apjac230ft4_mrt.txt"
 NO_DATA = (
     "the test data are not part of the repository: lay them in ../shared/data beside "
     "the clone or name their folder in ASTRO_SCC_DATA"
@@ -77,17 +79,22 @@ def _scratch_folder_for_doctests(request, monkeypatch, tmp_path_factory):
     """
     Run doctests in a folder of their own, so that they may write files.
 
-    The test data are in ``../shared/data``, as they are for a reader who pastes the
-    example in a clone; a page that names them is skipped where there are none.
+    The test data are in ``../shared/data``, and the journal's table of MOJAVE in the
+    folder itself, as they are for a reader who pastes the example in a clone; a page
+    that names them is skipped where there are none.
     """
     if isinstance(request.node, pytest.Function):
         return
     folder = find_shared_data()
-    if folder is None and "../shared/data" in request.node.dtest.docstring:
+    needed = "../shared/data", MOJAVE_TABLE
+    if folder is None and any(x in request.node.dtest.docstring for x in needed):
         pytest.skip(NO_DATA)
     scratch = tmp_path_factory.mktemp("doctest")
     if folder is not None:
         (scratch / "shared").mkdir()
         (scratch / "shared" / "data").symlink_to(folder, target_is_directory=True)
     (scratch / "clone").mkdir()
+    if folder is not None:
+        table = folder / "mojave_xviii" / MOJAVE_TABLE
+        (scratch / "clone" / MOJAVE_TABLE).symlink_to(table)
     monkeypatch.chdir(scratch / "clone")

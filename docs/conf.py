@@ -6,6 +6,7 @@ import ast
 import csv
 import json
 import os
+from base64 import b64encode
 from pathlib import Path
 from textwrap import indent
 from unittest import mock
@@ -187,7 +188,11 @@ def write_explore(app):
 
 
 def notebook_of(script):
-    """Return an example as a notebook: a cell for each group of its statements."""
+    """
+    Return an example as a notebook: a cell for each group of its statements.
+
+    The last two cells have the table and the figure that the script has written.
+    """
     source = script.read_text(encoding="utf-8")
     lines, (title, *body) = source.splitlines(), ast.parse(source).body
     common = (script.parent / "common.py").read_text(encoding="utf-8")
@@ -211,17 +216,24 @@ def notebook_of(script):
     helper = "from common import brief, run"
     cells[0] = cells[0].replace(helper, "from astropy.table import QTable")
     cells.insert(1, brief)
-    needs_data = any(arg.arg == "data" for arg in body[-2].args.args)
-    if needs_data:
-        cells[0] = f"from pathlib import Path\n\n{cells[0]}"
-    folder = 'Path("../shared/data")' if needs_data else ""
-    cells += [f"table, figure = measure({folder})\ntable", "figure"]
+    needs_data = "data=True" in lines[-1]
+    argument = '"apjac230ft4_mrt.txt"' if needs_data else ""
+    cells += [f"table, figure = measure({argument})\ntable", "figure"]
     words = ast.get_docstring(ast.parse(source)).splitlines()[0]
     code = {"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": []}
+    cells = [code | {"source": cell} for cell in cells]
+    results = script.parent / "results"
+    text = (results / f"{script.stem}.txt").read_text(encoding="utf-8")
+    image = b64encode((results / f"{script.stem}.png").read_bytes()).decode()
+    shown = {"text/plain": text}, {"image/png": image, "text/plain": "<Figure>"}
+    for cell, data in zip(cells[-2:], shown, strict=True):
+        cell["outputs"] = [
+            {"output_type": "display_data", "metadata": {}, "data": data}
+        ]
     return {
         "cells": [
             {"cell_type": "markdown", "metadata": {}, "source": f"# {words}"},
-            *(code | {"source": cell} for cell in cells),
+            *cells,
         ],
         "metadata": {
             "kernelspec": {

@@ -16,7 +16,7 @@ def run(measure, doc, *, data=False):
     Parameters
     ----------
     measure : callable
-        Returns a table and a figure.  Its argument is the folder of the data
+        Returns a table and a figure.  Its argument is the journal's table of MOJAVE
         if the example needs data.
     doc : str
         The docstring of the example.
@@ -25,12 +25,14 @@ def run(measure, doc, *, data=False):
     """
     parser = argparse.ArgumentParser(description=doc.strip().splitlines()[0])
     if data:
-        parser.add_argument("data", type=Path, help="folder of the data")
+        parser.add_argument(
+            "table", type=Path, help="apjac230ft4_mrt.txt of Lister et al. (2021)"
+        )
     parser.add_argument(
         "--output", type=Path, default=RESULTS, help="folder for table and figure"
     )
     args = parser.parse_args()
-    table, figure = measure(args.data) if data else measure()
+    table, figure = measure(args.table) if data else measure()
     name = measure.__module__ if measure.__module__ != "__main__" else _script()
     args.output.mkdir(parents=True, exist_ok=True)
     text = as_text(table)
@@ -46,8 +48,9 @@ def _script():
 
 
 def as_text(table):
-    """Return a table as the text that is printed."""
+    """Return a table, and the notes in its meta, as the text that is printed."""
     lines = table.pformat(max_lines=-1, max_width=-1, show_unit=True)
+    lines += table.meta.get("notes", [])
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 

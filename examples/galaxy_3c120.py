@@ -1,47 +1,116 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Measure speed against distance in 3C 120, restored from the features of MOJAVE.
+Measure speed and Lorentz factor against distance in 3C 120, from the table of MOJAVE.
 
-    python examples/galaxy_3c120.py ../shared/data
+    python examples/galaxy_3c120.py apjac230ft4_mrt.txt
 """
 
 import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+from astropy.table import QTable
 from common import brief, run
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import read_components, restore
-from astro_scc.flow import measure_profile
-from astro_scc.kinematics import apparent_speed, paper_cosmology
-from astro_scc.visualization import plot_profile
+from astro_scc.flow import fit_profile, measure_profile
+from astro_scc.kinematics import apparent_speed, beta_intrinsic, lorentz_factor
+
+#: The jet's direction, its angle to the line of sight, and c of 1 mas/yr.
+DIRECTION, VIEW = -112 * u.deg, 15 * u.deg
+PER_C = apparent_speed(1 * u.mas / u.yr, redshift=0.033)
 
 
-def measure(data, before="2011-01-01", n_trials=200):
-    """Return the main speeds of six rings about the core, and their figure."""
-    components = read_components(data / "mojave_xviii" / "0430+052.ecsv")
+def gamma_of(beta_app):
+    """Return Lorentz factors at the angle to the line of sight."""
+    return lorentz_factor(beta_intrinsic(beta_app, VIEW))
+
+
+def feature_speeds(components, distances, near=2.0):
+    """Return mean speeds of the survey's features near distances, and their errors."""
+    direction = DIRECTION.to_value(u.rad)
+    east, north = (x.to_value(u.mas) for x in (components.east, components.north))
+    along = east * np.sin(direction) + north * np.cos(direction)
+    years, speeds = components.times.jyear[components.epoch], []
+    for distance in distances.to_value(u.mas):
+        part, own = np.abs(along - distance) <= near, []
+        for feature in np.unique(components.feature[part & (components.feature > 0)]):
+            seen = part & (components.feature == feature)
+            # Straight lines, as in the paper, through five dates or more.
+            if seen.sum() >= 5:
+                own.append(np.polyfit(years[seen], along[seen], 1)[0])
+        # One feature has no scatter.
+        error = np.std(own, ddof=1) / len(own) ** 0.5 if len(own) > 1 else np.nan
+        speeds.append((np.mean(own) if own else np.nan, error, len(own)))
+    return np.array(speeds).T
+
+
+def measure(table, before="2011-01-01", n_trials=200):
+    """Return speeds and Lorentz factors in ten bins of 1 mas, and their figure."""
+    components = read_components(table, source="0430+052").select(before=before)
     cube = restore(
-        components.select(before=before),
+        components,
         beam=Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),
         pixel_scale=0.1 * u.mas,
         noise=0.3 * u.mJy / u.beam,
         rng=1,
     )
-    scc = StackedCrossCorrelation(
-        scales=[1, 2, 3, 4],
-        max_speed=5 * u.mas / u.yr,
-        position_angle=-112 * u.deg,
-        baseline=[0.1, 0.6] * u.yr,
-    )
-    edges = [0.5, 1.5, 2.5, 3.5, 5.5, 7.5, 10.5] * u.mas
+    scc = StackedCrossCorrelation(position_angle=DIRECTION)
+    edges = np.arange(0.5, 11) * u.mas
     profile = measure_profile(scc, cube, edges, n_trials=n_trials, rng=1)
-    distance = {"redshift": 0.033, "cosmology": paper_cosmology()}
-    table = profile.components_in_c(**distance)
-    table = table[table["main"]]
-    columns = "pm_parallel", "pm_parallel_err", "beta_app", "beta_app_err", "p_global"
-    figure = plot_profile(
-        profile.components,
-        beta_per_pm=float(apparent_speed(1 * u.mas / u.yr, **distance)),
+    # One speed for each bin that has one, and how they depend on each other.
+    bins = profile.components.meta["covariance"]["all"]
+    r, beta_app = bins["distance"], (bins["speed"] * PER_C).to_value(u.mas / u.yr)
+    covariance = bins["covariance"].to_value((u.mas / u.yr) ** 2) * PER_C.value**2
+    error = np.sqrt(np.diag(covariance))
+    gamma = gamma_of(beta_app).value
+    slope = (gamma_of(beta_app + 0.01) - gamma_of(beta_app - 0.01)).value / 0.02
+    gamma_covariance = slope[:, None] * covariance * slope
+    gamma_err = np.sqrt(np.diag(gamma_covariance))
+    power = fit_profile(
+        r, gamma, gamma_err, model="power-law", covariance=gamma_covariance
     )
-    return brief(table, "r_min", "r_max", "kind", *columns, "n_features"), figure
+    line = fit_profile(r, beta_app, error, covariance=covariance)
+    feature_speed, feature_err, n = feature_speeds(components, r)
+    found = QTable(
+        {
+            "r": r,
+            "beta_app": beta_app,
+            "beta_app_err": error,
+            "features": feature_speed * PER_C.value,
+            "features_err": feature_err * PER_C.value,
+            "n": n.astype(int),
+            "gamma": gamma,
+            "gamma_err": gamma_err,
+        }
+    )
+    columns = [name for name in found.colnames if name not in ("r", "n")]
+    found = brief(found, "r", *columns[:4], "n", *columns[4:], digits=1)
+    found.meta["notes"] = [
+        f"{profile.acceleration}",
+        f"beta_app: {line.parameters['gradient'].value:.2f} +- "
+        f"{line.errors['gradient'].value:.2f} c/mas, p {line.p_constant:.2g}",
+        f"gamma = a z^k: k {power.parameters['index'].value:.2f} +- "
+        f"{power.errors['index'].value:.2f}, p {power.p_constant:.2g}",
+    ]
+    figure, (above, below) = plt.subplots(
+        2, 1, figsize=(6, 6), sharex=True, layout="compressed"
+    )
+    beside = r + 0.12 * u.mas, found["features"], found["features_err"]
+    above.errorbar(r.value, beta_app, error, fmt="o", label="bins of the images")
+    above.errorbar(
+        beside[0].value, *beside[1:], fmt="D", ms=4, color="0.5", label="features"
+    )
+    z = np.linspace(0.5, 10.5) * u.mas
+    above.plot(z, line(z), color="C0", lw=1)
+    above.set_ylabel("Apparent speed (c)")
+    above.legend()
+    below.errorbar(r.value, gamma, gamma_err, fmt="o", color="C1")
+    below.plot(z, power(z), color="C1", lw=1)
+    below.set(xlabel="Core separation (mas)", ylabel=f"Lorentz factor at {VIEW:g}")
+    for ax, values in ((above, beta_app), (below, gamma)):
+        ax.set_ylim(0, 1.6 * np.max(values))
+    return found, figure
 
 
 if __name__ == "__main__":

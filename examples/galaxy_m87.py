@@ -2,7 +2,7 @@
 """
 Search for motion in M 87, restored from the features of MOJAVE.
 
-    python examples/galaxy_m87.py ../shared/data
+    python examples/galaxy_m87.py apjac230ft4_mrt.txt
 """
 
 import astropy.units as u
@@ -15,9 +15,9 @@ from astro_scc.kinematics import apparent_speed
 from astro_scc.visualization import plot_profile
 
 
-def measure(data, before=None, n_trials=1000):
+def measure(table, before=None, n_trials=1000):
     """Return the speeds that are tested in four rings about the core."""
-    components = read_components(data / "mojave_xviii" / "1228+126.ecsv")
+    components = read_components(table, source="1228+126")
     cube = restore(
         components.select(before=before),
         beam=Beam(1.2 * u.mas, 0.6 * u.mas, 0 * u.deg),
@@ -33,14 +33,14 @@ def measure(data, before=None, n_trials=1000):
     )
     edges = [0.5, 2, 4, 8, 16] * u.mas
     profile = measure_profile(scc, cube, edges, n_trials=n_trials, rng=1)
-    table = profile.components_in_c(distance=16.7 * u.Mpc)
+    found = profile.components_in_c(distance=16.7 * u.Mpc)
     columns = "pm_parallel", "pm_parallel_err", "p_global", "p_fdr"
     figure = plot_profile(
         profile.components,
         beta_per_pm=float(apparent_speed(1 * u.mas / u.yr, distance=16.7 * u.Mpc)),
     )
-    table = brief(table, "r_min", "r_max", "kind", *columns, "n_features", digits=3)
-    return table, figure
+    found = brief(found, "r_min", "r_max", "kind", *columns, "n_features", digits=3)
+    return found, figure
 
 
 if __name__ == "__main__":
