@@ -230,7 +230,7 @@ def prepare(cube, settings, *, note=None, features=False):
     cube = cube.align(found.get("align", settings.align))
     if features:
         return cube, found, chosen
-    if settings.scales is None:
+    if settings.scales is None and settings.method == "paper":
         found["scales"], reason = plan.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
     if settings.position_angle is None:
