@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
 import astropy.units as u
 import numpy as np
@@ -48,6 +50,8 @@ POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
 BELONGING = {
     "filter": "the filter",
     "wavelength": "the wavelength (WAVELNTH)",
+    "low": "energies (ENERGYLO) from",
+    "high": "energies (ENERGYHI) up to",
     "band": "the band",
     "polarisation": "the polarisation (POLARIZ)",
     "type": "the type (BTYPE)",
@@ -462,6 +466,19 @@ def _same_dates(planes):
         yield Problem(other, what, advice)
 
 
+def repeated(cube):
+    """Return a line about the first image with the pixels of an earlier one, or ""."""
+    known = {}
+    for i, image in enumerate(cube.data):
+        first = known.setdefault(crc32(np.ascontiguousarray(image)), i)
+        if first != i and np.array_equal(image, cube.data[first], equal_nan=True):
+            return (
+                f"{cube.labels[i]}: has the same pixels as {cube.labels[first]}, of "
+                "another date; leave one out, or correct its date"
+            )
+    return ""
+
+
 def _same_pixels(one, other):
     """Return whether two images that have been read are the same."""
     if one.data is None or other.data is None:
@@ -524,9 +541,17 @@ def _other_frequencies(planes, known):
         yield Problem(int(odd[0]), what, OTHER_CHANNEL, refused=False)
 
 
+def _key(text):
+    """Return a name or wavelength without what may be written in several ways."""
+    with suppress(TypeError, ValueError, u.UnitConversionError):
+        return f"{u.Quantity(text).to_value(u.m):.6g}"
+    # A hyphen behind a letter is none of the signs of a position.
+    return re.sub(r"[\s_]|(?<=[A-Z])-", "", text.upper())
+
+
 def _minority(values):
     """Return the entries that differ from the most common value (first of equals)."""
-    keys = [v and v.upper().replace(" ", "").replace("_", "") for v in values]
+    keys = [v and _key(v) for v in values]
     count = Counter(key for key in keys if key)
     if len(count) < 2:
         return []

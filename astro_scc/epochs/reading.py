@@ -21,7 +21,7 @@ from astro_scc.images.brightness import logarithm
 from astro_scc.images.cards import get
 from astro_scc.images.frames import in_frame, north_in, turned, with_frame
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
-from astro_scc.images.pixels import padding
+from astro_scc.images.pixels import missing
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
@@ -126,14 +126,14 @@ def _in_reach(plane):
 
 def _plane_of_nddata(image, name):
     data = series.as_numbers(np.ma.getdata(image.data))
-    mask = ~np.isfinite(data)
-    if image.mask is not None:
-        mask |= np.asarray(image.mask, dtype=bool)
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
         raise ValueError(f"has shape {data.shape}, an image has two axes")
+    mask, remark = missing(data.reshape(data.shape[-2:]))
+    mask = mask.reshape(data.shape)
+    if image.mask is not None:
+        mask |= np.asarray(image.mask, dtype=bool)
     if image.unit is not None and (problem := logarithm(image.unit)):
         raise ValueError(problem)
-    mask |= padding(data.reshape(data.shape[-2:])).reshape(mask.shape)
     if mask.all():
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
@@ -145,6 +145,7 @@ def _plane_of_nddata(image, name):
         own.setdefault("beam_problem", "its psf is an image, of which no beam is made")
     own |= {"data": data.reshape(shape), "mask": mask.reshape(shape), "shape": shape}
     own |= {"unit": image.unit or u.one, "uncertainty": image.uncertainty}
+    own["mask_remarks"] = (remark,) if remark else ()
     return fits.Plane(name=name, wcs=as_celestial(image.wcs), **own)
 
 

@@ -62,8 +62,9 @@ def _of_channel(header, table):
     """Return the beam of the channel of an image, of a table of all channels."""
     n = len(table.data)
     rows = np.arange(n)
-    if n == 1:
-        return _row(table, 0)
+    every = [_row(table, row) for row in rows if _angle(table, "BMAJ", row) > 0]
+    if every and different_beam(every) is None:
+        return every[0]
     columns = {name.upper(): name for name in table.columns.names}
     for column, axis in (("CHAN", _spectral(header)), ("POL", "STOKES")):
         if column in columns and len(rows) > 1:

@@ -30,8 +30,19 @@ EXPOSURES = "EXPTIME", "XPOSURE", "EXPOSURE", "TEXPTIME", "EXP_TIME", "EXPOS"
 #: Time scales by their names in headers; dates of others are in UTC.
 SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg", "ut1")}
 SCALES |= {"IAT": "tai", "GPS": "tai", "TDT": "tt", "ET": "tt"}
+SCALES |= dict.fromkeys(("UTC", "UT", "GMT", "Z"), "utc")
+#: Units of time in comments of cards, in seconds.
+WORDS = {
+    r"(?i)\[h|\bho?u?rs?\b": 3600.0,
+    r"(?i)\[min|\bmin(ute)?s?\b": 60.0,
+    r"(?i)\[ms|\bms(ec)?\b|\bmillisec": 1e-3,
+    r"(?i)\[s|\bsec": 1.0,
+}
 #: Hours of a day.
 HOURS = 24
+#: Days by which dates with a time of the day may differ and be of one exposure, or of
+#: one night by the clock of the place.
+LONGEST = 0.9
 #: GPS time is behind atomic time.
 GPS = 19 * u.s
 #: Smallest Julian date that is no modified one.
@@ -42,7 +53,10 @@ UNITS = {"": "s", "sec": "s", "secs": "s", "seconds": "s", "a": "yr", "days": "d
 AXES = "TIME", "UTC", "UT", "TAI", "IAT", "TT", "TDT", "TDB", "MJD", "JD", "GPS"
 #: Names of columns of times.
 COLUMNS = "TIME", "MJD", "JD", "DATE-OBS", "DATE_OBS", "DATE", "TIME-OBS"
-_CLOCK = re.compile(r"(\d{1,2})[: ](\d{1,2})(?:[: ](\d{1,2})(\.\d*)?)?$")
+_CLOCK = re.compile(
+    r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
+    r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
+)
 _SUFFIX = re.compile(r"[ _](UTC|UT|TAI|TT|TDB)$")
 
 
@@ -81,7 +95,7 @@ def observing_time(header, *, start=False):
     for keyword in (*STARTS, *MIDDLES):
         if isinstance(value := get(header, keyword), Time):
             return value, ""
-    scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    scale = _scale_of(header)
     starts, problem = _texts(header, STARTS, scale)
     starts += _days(header, DAYS, scale)
     middles, other = _texts(header, MIDDLES, scale, middle=True)
@@ -94,19 +108,12 @@ def observing_time(header, *, start=False):
     first = every[0]
     if first.day_only and not first.middle:
         starts[:1] = [first, *_with_clock(header, first)]
-    exposure = get(header, *EXPOSURES, kind=float) or 0.0
+    exposure = _exposure(header)
     agreed = [one for one in starts if _agrees(one, first)]
     begin = min(agreed, key=_precision, default=None)
-    remark = "; ".join(
-        f"{one.keyword} is of {one.time.isot[:10]}"
-        for one in starts
-        if abs((one.time - first.time).jd) > 1.5
-    )
-    if remark:
-        remark = (
-            f"its {first.keyword} is of {first.time.isot[:10]}, which is taken, and "
-            f"{remark}; correct the header if that is wrong"
-        )
+    remark = _contradictions(starts, first) or _unknown_scale(scale)
+    if first.day_only and not first.middle:
+        remark = remark or _hours_or_seconds(header)
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
     half = _half_exposure(header, begin, exposure, scale)
@@ -119,9 +126,56 @@ def observing_time(header, *, start=False):
     )
     if middle is not None and (begin is None or _better(middle, begin)):
         return _in_utc(middle.time), remark
-    if begin is not None and begin.day_only:
-        remark = remark or _hours_or_seconds(header)
     return _in_utc((begin or first).time + half), remark
+
+
+def _scale_of(header):
+    """Return the time scale of a header, TT for ``TT(TAI)``."""
+    scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    return scale.partition("(")[0].strip()
+
+
+def _unknown_scale(scale):
+    """Return a remark on a time scale that is not known."""
+    if scale in SCALES:
+        return ""
+    return (
+        f"its time scale TIMESYS = {scale} is not known and taken for UTC; correct its "
+        "dates, and TIMESYS, if they are local"
+    )
+
+
+def _contradictions(starts, first):
+    """Return a remark on dates that are of other days than the first one."""
+    others = "; ".join(
+        f"{one.keyword} is of {one.time.isot[:10]}"
+        for one in starts
+        # Of a day alone, the other may be of its last second or of another scale.
+        if abs((one.time - first.time).jd)
+        > (1.5 if one.day_only or first.day_only else LONGEST)
+    )
+    if not others:
+        return ""
+    return (
+        f"its {first.keyword} is of {first.time.isot[:10]}, which is taken, and "
+        f"{others}; correct the header if that is wrong"
+    )
+
+
+def _exposure(header):
+    """Return the exposure in seconds, also where its comment says another unit."""
+    for keyword in EXPOSURES:
+        if value := get(header, keyword, kind=float):
+            return value * _unit_of(header, keyword, 1.0)
+    return 0.0
+
+
+def _unit_of(header, keyword, default):
+    """Return the seconds of a unit of time that the comment of a card names."""
+    comment = ""
+    with suppress(AttributeError, KeyError):
+        comment = str(header.comments[keyword])
+    return next((s for word, s in WORDS.items() if re.search(word, comment)), default)
 
 
 def _precision(found):
@@ -159,11 +213,14 @@ def _half_exposure(header, begin, exposure, scale):
     """Return half of the exposure, none if the time of its start is not known."""
     if begin is None or begin.day_only:
         return TimeDelta(0, format="sec")
-    if not exposure > 0:
-        later = [one for one in _ends(header, scale) if one.time > begin.time]
-        if later:
-            end = min(later, key=_precision)
-            exposure = (end.time - begin.time).to_value(u.s)
+    later = [one for one in _ends(header, scale) if one.time > begin.time]
+    if later:
+        # Exposures leave out the pauses.
+        end = min(later, key=_precision)
+        exposure = max(exposure, (end.time - begin.time).to_value(u.s))
+    elif exposure > u.day.to(u.s):
+        # It is the sum of many, of which the dates are not known.
+        exposure = 0.0
     return TimeDelta(max(exposure, 0.0) / 2, format="sec")
 
 
@@ -185,24 +242,20 @@ def _hours_or_seconds(header):
     """Return a remark if a time of the day is a number of which the unit is unknown."""
     for keyword in CLOCKS:
         number = get(header, keyword, kind=float)
-        if _is_doubtful(header, keyword, number):
-            return (
-                f"its {keyword} = {number:g} may be hours or seconds and is left out; "
-                "write it as HH:MM:SS"
-            )
+        if number is None or not 0 < number <= HOURS or _unit_of(header, keyword, 0.0):
+            continue
+        what = "is left out" if _is_doubtful(header, keyword, number) else "is seconds"
+        return (
+            f"its {keyword} = {number:g} may be hours or seconds and {what}; write it "
+            "as HH:MM:SS"
+        )
     return ""
 
 
 def _is_doubtful(header, keyword, number):
     """Return whether a number may be hours, which is likely for universal time."""
-    known = number is None or not 0 < number <= HOURS or not keyword.startswith("UT")
-    return not (known or re.search(r"\[s|sec|\[h|hour", _comment(header, keyword)))
-
-
-def _comment(header, keyword):
-    with suppress(AttributeError, KeyError):
-        return str(header.comments[keyword]).lower()
-    return ""
+    likely = 0 < number <= HOURS and keyword.startswith("UT")
+    return likely and not _unit_of(header, keyword, 0.0)
 
 
 def _texts(header, keywords, scale, middle=False):
@@ -251,6 +304,9 @@ def _days(header, keywords, scale, middle=False):
         if not day > 0:
             continue
         form = "jd" if day > FIRST_JD else "mjd"
+        if form == "mjd" and keyword.startswith("JD"):
+            # A part of a Julian date, of which nothing says which.
+            continue
         time = Time(day, format=form, scale=SCALES.get(scale, "utc"))
         digits = len(repr(day).partition(".")[2].rstrip("0"))
         precision = u.day.to(u.s) * 10.0**-digits
@@ -279,7 +335,8 @@ def _seconds(header, keyword):
     text = re.split(r"[T_ ](?=\d{1,2}:)", text.upper())[-1]
     text = re.sub(r"(Z| ?UTC?)$", "", text).strip()
     if match := _CLOCK.match(text):
-        hours, minutes, seconds, fraction = match.groups()
+        # Of one of the two forms.
+        hours, minutes, seconds, fraction = match.groups()[4 * (match[1] is None) :][:4]
         total = 3600 * int(hours) + 60 * int(minutes) + float(seconds or 0)
         if int(hours) > 24 or int(minutes) > 59:
             return None, 0.0
@@ -292,7 +349,7 @@ def _seconds(header, keyword):
     if _is_doubtful(header, keyword, number):
         return None, 0.0
     digits = len(text.partition(".")[2].rstrip("0"))
-    unit = 3600.0 if re.search(r"\[h|hour", _comment(header, keyword)) else 1.0
+    unit = _unit_of(header, keyword, 1.0)
     return number * unit, unit * 10.0**-digits
 
 
@@ -356,7 +413,7 @@ def axis_times(header, axis, hdus=()):
         what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
         raise ValueError(what) from None
     scale = next((part for part in (name, name[:3]) if part in SCALES), None)
-    scale = scale or (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    scale = scale or _scale_of(header)
     return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
 
 
@@ -413,7 +470,7 @@ def _of_table(header, axis, hdus, n):
             if len(values) != n:
                 continue
             if values.dtype.kind in "SU":
-                scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
+                scale = _scale_of(header)
                 every = [_of_text(str(text), scale)[0] for text in values]
                 return Time(every), ""
             unit = table.columns[names[own]].unit or ""

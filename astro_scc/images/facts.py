@@ -17,6 +17,8 @@ FACTS = {
     "polarisation": ("POLARIZ", "POLARISA", "POLAR"),
     "channel": ("SPECTRAL",),
     "type": ("BTYPE",),
+    "low": ("ENERGYLO", "ENERG_LO", "E_MIN"),
+    "high": ("ENERGYHI", "ENERG_HI", "E_MAX"),
 }
 #: Names of axes of wavelengths and velocities.
 SPECTRAL = "WAVE", "AWAV", "VRAD", "VOPT", "VELO", "FELO", "ZOPT", "ENER", "WAVN"

@@ -34,7 +34,7 @@ from astro_scc.images.extensions import (
 )
 from astro_scc.images.facts import bandwidth
 from astro_scc.images.grid import cut_wcs
-from astro_scc.images.pixels import flagged, padding
+from astro_scc.images.pixels import flagged, missing
 from astro_scc.images.uncertainty import uncertainty_noise, uncertainty_of
 
 # Value of CREATOR that marks the files of EpochCube.write.
@@ -101,8 +101,10 @@ class Plane:
     def take_uncertainty(self):
         """Make the uncertainty the noise, and mask the pixels without one."""
         if self.uncertainty is not None:
+            # Errors that are larger than all that is seen mark pixels without a value.
+            whole = float(np.ptp(self.data[~self.mask]))
             self.noise, bad, even = uncertainty_noise(
-                self.uncertainty, self.unit, self.mask
+                self.uncertainty, self.unit, self.mask, most=whole
             )
             self.mask |= bad
             self.uncertainty = None
@@ -332,11 +334,13 @@ def _load(plane, hdus, hdu, index, window):
             plane.mask |= bad
             plane.mask_remarks += (remark,) if remark else ()
             why = f" by its extension {other.name}"
-    if not plane.mask.all():
-        plane.mask |= padding(plane.data)
+    # What extensions mark needs no remark.
+    bad, remark = missing(np.where(plane.mask, np.nan, plane.data))
+    plane.mask |= bad
+    plane.mask_remarks += (remark,) if remark else ()
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in beside(hdus, hdu, UNCERTAIN, _shape_of(hdu, plane))[:1]:
+    for other in beside(hdus, hdu, "|".join(UNCERTAIN), _shape_of(hdu, plane))[:1]:
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)

@@ -490,7 +490,7 @@ def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
 
 def _combine(cube, items, name, places):
     """Return the pixels in any region that is included and in none excluded."""
-    from regions import PixelRegion, SkyRegion
+    from regions import CompoundPixelRegion, PixCoord, PixelRegion, SkyRegion
 
     shape = cube.shape[1:]
     wanted = [bool(item.meta.get("include", True)) for item in items]
@@ -501,9 +501,15 @@ def _combine(cube, items, name, places):
             pixel = item
             if not isinstance(item, PixelRegion):
                 pixel = region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
-            if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
+            target = pixel.bounding_box.get_overlap_slices(shape)[0]
+            if target is None:
                 continue
-            mask = pixel.to_mask(mode="center")
+            if not (isinstance(pixel, CompoundPixelRegion) or pixel.area > 0):
+                raise ValueError("it is a point, a line or text")
+            # A mask of the region may be far larger than the image.
+            y, x = np.mgrid[target]
+            # Some versions of regions turn excluded ones over, others do not.
+            within = pixel.copy(meta={}).contains(PixCoord(x, y))
         except (NotImplementedError, OverflowError, ValueError):
             raise ValueError(
                 f"{name}: a {type(item).__name__} has no inside on the image; use "
@@ -511,10 +517,9 @@ def _combine(cube, items, name, places):
                 "that the images show"
             ) from None
         if places and isinstance(item, SkyRegion):
-            _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
-        # Masks ignore "include".
-        target, source = mask.get_overlap_slices(shape)
-        inside[include][target] |= mask.data[source] > 0
+            size = min(pixel.bounding_box.shape)
+            _refuse_rounded(item, size, cube.wcs, places, name)
+        inside[include][target] |= within
     return inside[True] & ~inside[False]
 
 

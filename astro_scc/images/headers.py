@@ -4,6 +4,7 @@
 import re
 import warnings
 from contextlib import suppress
+from itertools import product
 from numbers import Integral
 
 import astropy.units as u
@@ -97,12 +98,38 @@ def celestial_wcs(header, fobj=None):
             del clean[key]
     with warnings.catch_warnings(action="ignore"):
         try:
+            _complete_polynomials(clean, axes)
             wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
         except Exception as error:
             reason = _reason(str(error))
             raise ContentError(f"its coordinates cannot be read: {reason}") from None
+    if np.linalg.matrix_rank(wcs.pixel_scale_matrix) < 2:
+        raise ContentError("its axes are parallel by its PC or CD; correct them")
     return as_celestial(wcs)
+
+
+def _complete_polynomials(header, axes):
+    """
+    Put the pixel scale of ``TPV`` into the matrix, and defaults to it, in place.
+
+    wcslib takes the polynomials for those of pixels where ``CDELT`` is not 1, and for
+    zero where their linear terms are missing.
+    """
+    if not any("TPV" in str(header[f"CTYPE{axis}"]) for axis in axes):
+        return
+    plain = header.copy()
+    for i in axes:
+        plain[f"CTYPE{i}"] = plain[f"CTYPE{i}"].replace("TPV", "TAN")
+    for key in [key for key in header if re.match(r"PV|CDELT|CROTA|(PC|CD)\d+_", key)]:
+        del (plain if key.startswith("PV") else header)[key]
+    matrix = WCS(plain).celestial.pixel_scale_matrix
+    for i in range(1, WCS(plain).naxis + 1):
+        header[f"CD{i}_{i}"] = 1.0
+    for (i, j), part in zip(product(axes, axes), matrix.flat, strict=True):
+        header[f"CD{i}_{j}"] = part
+    for i in axes:
+        header.setdefault(f"PV{i}_1", 1.0)
 
 
 def _reason(text):
@@ -149,12 +176,22 @@ def _standard(keyword, value):
         return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
     if keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
         return "deg"
+    if keyword in ("RADESYS", "RADECSYS"):
+        return _frame_name(keyword, str(value).strip().upper())
     if not _WCS_NUMBER.match(keyword):
         return value
     number = get({keyword: value}, keyword, kind=float)
     if number is None:
         raise ContentError(f"{keyword} = {value!r} is not a finite number")
     return number
+
+
+def _frame_name(keyword, name):
+    """Return the name of a frame as the standard has it, "" if it is left out."""
+    name = {"J2000": "FK5", "B1950": "FK4", "GAPPT": "", "UNKNOWN": ""}.get(name, name)
+    if name not in ("", "ICRS", "FK5", "FK4", "FK4-NO-E"):
+        raise ContentError(f"{keyword} = {name!r} is no frame; write ICRS, FK5 or FK4")
+    return name
 
 
 def fits_wcs(wcs):

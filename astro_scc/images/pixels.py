@@ -11,9 +11,51 @@ EACH_SIGN = 0.1
 #: ... or the smallest tenth is above this part of the median, as it is where the sky
 #: is not zero; where zeros are faint values they go over into others.
 JUMP = 0.5
+#: A number that stands for missing pixels is this many times as far from all others as
+#: the most extreme of them is from their median.
+ALONE = 3
 #: Share of the other pixels that is in blocks, or no brighter than those beside zeros;
 #: and the share that flags hardly call bad in an image worth measuring.
 MOST = 0.5
+
+
+def missing(image):
+    """
+    Return the pixels of an image without a value, and a remark on those of a number.
+
+    They are not finite, exact zeros that pad the image, or of a number that is written
+    where there is no value, see `placeholders`.
+    """
+    bad, filled = ~np.isfinite(image), placeholders(image)
+    for number in filled:
+        bad |= image == number
+    bad |= padding(np.where(bad, np.nan, image))
+    texts = ", ".join(f"{number:g}" for number in filled)
+    said = f"its pixels of exactly {texts} are taken for missing ones"
+    return bad, f"{said}; write NaN to such pixels" if filled else ""
+
+
+def placeholders(image):
+    """
+    Return the numbers that stand for missing pixels, such as -999 or 1e20.
+
+    Such a number is the smallest or largest one, as far from all others as no noise
+    and no source is, and many pixels have exactly this one.
+    """
+    found = []
+    values = image[np.isfinite(image)]
+    for extreme in (np.min, np.max):
+        if values.size == 0 or (number := extreme(values)) == 0:
+            continue
+        others = values[values != number]
+        if values.size - others.size < BLOCK**2 or others.size < MOST * BLOCK**2:
+            continue
+        nearest = extreme(others)
+        spread = abs(nearest - np.median(others))
+        if spread > 0 and abs(number - nearest) > ALONE * spread:
+            found.append(float(number))
+            values = others
+    return found
 
 
 def padding(image):

@@ -70,11 +70,17 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     if not isinstance(position, SkyCoord | None):
         raise TypeError(f"position must be a SkyCoord, got {position!r}")
     position = SkyCoord(*UNKNOWN, unit=u.deg) if position is None else position.icrs
+    try:
+        x, y = (u.Quantity(v, u.pix).value.item() for v in reference_pixel)
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(
+            f"reference_pixel must be two numbers (x, y), got {reference_pixel!r}"
+        ) from None
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
     wcs.wcs.cunit = "deg", "deg"
     wcs.wcs.crval = position.ra.deg, position.dec.deg
-    wcs.wcs.crpix = np.asarray(reference_pixel, dtype=float) + 1
+    wcs.wcs.crpix = x + 1, y + 1
     wcs.wcs.cdelt = -step, step
     wcs.wcs.radesys = "ICRS"
     wcs.wcs.name = PLANE

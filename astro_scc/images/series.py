@@ -26,6 +26,7 @@ from astro_scc.images import local, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
 from astro_scc.images.brightness import logarithm
 from astro_scc.images.headers import as_celestial, epoch_header
+from astro_scc.images.pixels import missing
 from astro_scc.quantities import parse_date, without_doubt
 from astro_scc.units import PM_UNIT, speed_unit
 
@@ -422,10 +423,13 @@ def as_numbers(data):
 
 
 def as_mask(data, mask):
-    """Return the mask, to which pixels that are not finite are added."""
+    """Return the mask, with pixels that are not finite and zeros that pad images."""
     if mask is not None and np.shape(mask) != data.shape:
         raise ValueError(f"mask has shape {np.shape(mask)}, data has {data.shape}")
-    bad = ~np.isfinite(data)
+    every, remarks = zip(*map(missing, data), strict=True)
+    for remark in filter(None, dict.fromkeys(remarks)):
+        warn(remark)
+    bad = np.stack(every)
     return bad if mask is None else bad | np.asarray(mask).astype(bool)
 
 
@@ -440,7 +444,8 @@ def as_times(times, n):
             if all(isinstance(value, str) for value in times):
                 raise
             raise TypeError(
-                f"times must be a Time or strings such as '2006-03-09', got {times!r}"
+                "times must be a Time or strings such as '2006-03-09', got "
+                f"{type(times).__name__}; of numbers make Time(numbers, format='mjd')"
             ) from error
         times = Time(dates or [], format=None if dates else "jd")
     times = times.reshape(1) if times.isscalar else times
@@ -492,7 +497,7 @@ def as_beams(beams, n):
         # A radio_beam.Beams has arrays of the axes of all beams.
         each = zip(beams.major, beams.minor, beams.pa, strict=True)
         beams = [Beam(*one) for one in each]
-    beams = [beams] * n if hasattr(beams, "major") else beams
+    beams = beams if np.iterable(beams) or beams is None else [beams] * n
     return as_epoch_tuple(beams, n, "beams", as_beam)
 
 

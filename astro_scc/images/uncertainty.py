@@ -39,13 +39,14 @@ def uncertainty_of(hdu, values, unit, mask):
     return kind(values, unit=own, copy=False)
 
 
-def uncertainty_noise(uncertainty, unit, mask):
+def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf):
     """
     Return the noise of an image whose pixels have uncertainties.
 
     The noise is the median standard deviation of the valid pixels, in the ``unit`` of
     the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without a finite standard deviation, and whether
+    also returns a mask of the pixels without one that is finite and no larger than
+    ``most`` where most pixels have a smaller one, and whether
     the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
     """
     kind, sigma = type(uncertainty).__name__, uncertainty
@@ -74,5 +75,8 @@ def uncertainty_noise(uncertainty, unit, mask):
     if valid.size == 0:
         raise ValueError("its uncertainty is finite at no valid pixel; remove it")
     noise = np.median(valid)
+    if 0 < noise < most:
+        bad |= sigma > most
+        valid = sigma[~(mask | bad)]
     even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
     return noise * unit, bad, even
