@@ -19,6 +19,7 @@ from astro_scc.images.facts import FACTS, header_facts
 
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
 _SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
+_MATRIX = re.compile(r"PV|CDELT|CROTA|(PC|CD)\d+_|WCSAXES|NAXIS|CRPIX[3-9]")
 _CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
 
 
@@ -111,21 +112,19 @@ def celestial_wcs(header, fobj=None):
 
 def _complete_polynomials(header, axes):
     """
-    Put the pixel scale of ``TPV`` into the matrix, and defaults to it, in place.
+    Put the pixel scale of ``TPV`` into the matrix of two axes, in place.
 
-    wcslib takes the polynomials for those of pixels where ``CDELT`` is not 1, and for
-    zero where their linear terms are missing.
+    wcslib takes the polynomials for those of pixels where ``CDELT`` is not 1 and for
+    zero where their linear terms are missing, and has none beside other axes.
     """
     if not any("TPV" in str(header[f"CTYPE{axis}"]) for axis in axes):
         return
     plain = header.copy()
     for i in axes:
         plain[f"CTYPE{i}"] = plain[f"CTYPE{i}"].replace("TPV", "TAN")
-    for key in [key for key in header if re.match(r"PV|CDELT|CROTA|(PC|CD)\d+_", key)]:
+    for key in [key for key in header if _MATRIX.match(key)]:
         del (plain if key.startswith("PV") else header)[key]
     matrix = WCS(plain).celestial.pixel_scale_matrix
-    for i in range(1, WCS(plain).naxis + 1):
-        header[f"CD{i}_{i}"] = 1.0
     for (i, j), part in zip(product(axes, axes), matrix.flat, strict=True):
         header[f"CD{i}_{j}"] = part
     for i in axes:
