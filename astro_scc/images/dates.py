@@ -378,23 +378,25 @@ def _from_reference(header, name, seconds, scale):
     """Return times that are given in seconds from the reference of a header."""
     known = SCALES.get(scale, "utc")
     reference = observing_time(header, start=True)[0]
-    days = {key: get(header, key, kind=float) for key in REFERENCES}
-    # wcslib writes a reference of 0 to every header.
-    given = [k for k, d in days.items() if d or (d == 0 and reference is None)]
-    if given:
-        more = get(header, "MJDREFF", kind=float) if given[0] == "MJDREFI" else None
-        form = REFERENCES[given[0]]
-        reference = Time(days[given[0]], more or 0.0, format=form, scale=known)
+    keyword = next((k for k in REFERENCES if get(header, k, kind=float)), None)
+    if keyword is not None:
+        more = get(header, "MJDREFF", kind=float) if keyword == "MJDREFI" else None
+        day, form = get(header, keyword, kind=float), REFERENCES[keyword]
+        reference = Time(day, more or 0.0, format=form, scale=known)
     elif text := get(header, "DATEREF", kind=str):
         reference = Time(_of_text(text, scale)[1], scale=known)
     else:
         days = seconds / DAY
         form = "jd" if days[0] > FIRST_JD else "mjd"
-        near = reference is not None and abs(
-            Time(days[0], format=form, scale=known).mjd - reference.mjd
+        found = Time(days, format=form, scale=known)
+        # wcslib writes a reference of 0 to every header.
+        absolute = name.startswith(JULIAN) or (
+            get(header, "MJDREF", kind=float) == 0
+            if reference is None
+            else abs(found[0].mjd - reference.mjd) < 2
         )
-        if name.startswith(("MJD", "JD")) or (near is not False and near < 2):
-            return Time(days, format=form, scale=known)
+        if absolute:
+            return found
     if reference is None:
         raise ValueError(
             f"has times on axis {name} and no date from which they count; write "
