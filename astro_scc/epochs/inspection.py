@@ -28,11 +28,12 @@ from astro_scc.images.fits import (
     file_of,
     find_files,
     frames_of,
+    labelled,
     looks_like_mask,
     open_fits,
     read_plane,
 )
-from astro_scc.images.frames import in_frame, north_in, separation
+from astro_scc.images.frames import on_one_sky, separation
 from astro_scc.images.grid import ONE_SHIFT, finest, whole_step
 from astro_scc.images.positions import readable_angle, resolution
 from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
@@ -55,6 +56,7 @@ BELONGING = {
     "band": "the band",
     "polarisation": "the polarisation (POLARIZ)",
     "type": "the type (BTYPE)",
+    "channel": "the channel",
 }
 #: What to do with an image that is slightly different.
 OTHER_CHANNEL = "leave it out if it shows something else"
@@ -136,8 +138,8 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
         for index, what, *_ in (*problems(found, peaks), *_warned(found)):
             rows[read[index]]["problem"].append(what)
     columns = {name: [row[name] for row in rows] for name in rows[0]}
-    for name, own in COLUMNS.items():
-        columns[name] = u.Quantity(columns[name], own or unit)
+    for name, usual in COLUMNS.items():
+        columns[name] = u.Quantity(columns[name], usual or unit)
     columns["problem"] = ["; ".join(texts) for texts in columns["problem"]]
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
@@ -173,8 +175,7 @@ def _frames(path):
 
 def _row_of(path, frame):
     """Return the row of an image, with its `Plane` if it can be read."""
-    name = str(path) if frame is None else f"{path}, image {frame + 1}"
-    row = {"file": name, "date": None, "nx": 0, "ny": 0}
+    row = {"file": labelled(path, frame), "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
     row |= {"object": "", "frequency": row.pop("frequency")}
     row |= {"problem": [], "plane": None, "origin": None}
@@ -402,8 +403,8 @@ def problems(planes, peaks):
             odd.append((what, "correct its unit or scale"))
         found += [Problem(i, *words, refused=False) for words in odd]
         if not plane.unit.is_equivalent(unit):
-            own, other = (one.to_string() or "none" for one in (plane.unit, unit))
-            what = f"its unit is {own}, that of others is {other}"
+            mine, other = (one.to_string() or "none" for one in (plane.unit, unit))
+            what = f"its unit is {mine}, that of others is {other}"
             found.append(Problem(i, what, "leave one out"))
         if some_have_beams and plane.beam is None:
             what = "no beam where other epochs have one"
@@ -432,10 +433,7 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = [
-        in_frame(plane.wcs, "offset", north_in(plane.wcs, planes[0].wcs))
-        for plane in planes
-    ]
+    frames = on_one_sky([plane.wcs for plane in planes], planes[0].wcs, "offset")
     k = finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
@@ -502,19 +500,16 @@ def _strangers(planes):
         advice = "leave it out if it is another object" if same else UNCHECKED
         yield Problem(i, what, advice, refused=not same)
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
-    other_kinds = [("Stokes", intensity)] + [
-        (what, [plane.facts.get(fact) for plane in planes])
-        for fact, what in BELONGING.items()
-    ]
-    for what, values in other_kinds:
-        for i, mine, others in _minority(values):
-            yield Problem(i, f"is of {what} {mine}, others are of {others}")
-    channels = [plane.facts.get("channel") for plane in planes]
     hands = [None if s in POLARISED else s for s in stokes]
-    for what, values in (("Stokes", hands), ("the channel", channels)):
-        for i, mine, others in _minority(values)[:1]:
-            what = f"is of {what} {mine}, others are of {others}"
-            yield Problem(i, what, OTHER_CHANNEL, refused=False)
+    kinds = [("Stokes", intensity, UNCHECKED)]
+    for fact, what in BELONGING.items():
+        advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
+        kinds.append((what, [plane.facts.get(fact) for plane in planes], advice))
+    for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):
+        refused = advice == UNCHECKED
+        for i, mine, others in _minority(values)[: None if refused else 1]:
+            what_is = f"is of {what} {mine}, others are of {others}"
+            yield Problem(i, what_is, advice, refused)
     yield from _other_frequencies(planes, known)
 
 

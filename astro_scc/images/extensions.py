@@ -156,15 +156,14 @@ def beside(hdus, image, names, shape, *, strict=True):
     """
     Return the extensions that tell of an image, of its shape.
 
-    ``names`` is a regular expression of their names.
-    Of several images, those of its version do.  Others of one name but another shape
-    are refused if ``strict``.
+    ``names`` is a regular expression of their names.  Of several images, those of its
+    version do.  Others of one name but another shape are refused if ``strict``.
     """
     found = []
     for hdu in hdus:
         if hdu is image or not re.fullmatch(names, hdu.name) or not is_image(hdu):
             continue
-        several = sum(own.name == hdu.name for own in hdus) > 1
+        several = sum(other.name == hdu.name for other in hdus) > 1
         if several and version(hdus, hdu) != version(hdus, image):
             continue
         if tuple(n for n in hdu.shape if n > 1) == tuple(n for n in shape if n > 1):

@@ -154,14 +154,16 @@ def cut_wcs(wcs, window):
     return part
 
 
-def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXEL):
+def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=WHOLE_PIXEL):
     """
     Return images and bad pixels on another grid, and whether pixels were copied.
 
-    They are copied if the grids differ by whole pixels to within ``near``.  Otherwise
-    they are interpolated, or averaged over the new pixels, NaN where bad, and
-    intensities per pixel are scaled to the area of the new pixels.
+    The grid is a WCS with its ``array_shape``.  They are copied if the grids differ by
+    whole pixels to within ``near``.  Otherwise they are interpolated, or averaged over
+    the new pixels, NaN where bad, and intensities per pixel are scaled to the area of
+    the new pixels.
     """
+    shape = grid.array_shape
     whole = whole_step(wcs, grid, data.shape[-2:], near)
     if whole is not None:
         if not whole.any() and shape == data.shape[-2:]:
@@ -275,22 +277,26 @@ def reproject_cube(
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
     side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
-    own = np.sqrt(pixel_area(cube.wcs)) * u.deg
+    present = np.sqrt(pixel_area(cube.wcs)) * u.deg
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
-    coarse = side > 1.01 * max(own, min(sampled, default=own))
-    options = {"shape": shape, "unit": cube.unit, "averaged": coarse}
-    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
-    flat = wcs.deepcopy()
+    coarse = side > 1.01 * max(present, min(sampled, default=present))
+    flat = wcs = wcs.deepcopy()
+    wcs.array_shape = shape
+    data, mask, copied = regrid(
+        cube.data, cube.mask, cube.wcs, wcs, unit=cube.unit, averaged=coarse
+    )
     if not local.is_flat(wcs, shape):
         flat = flat_wcs(wcs, data, mask)
-    fields = {"data": data, "mask": mask, "wcs": flat, "epoch_wcs": None}
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
         f"reprojected onto {shape[1]} x {shape[0]} pixels of "
-        f"{side.to_value(u.mas):.4g} mas ({how})",
+        f"{side.to_value(u.mas):.4g} mas ({how})",  # fmt: skip
+        data=data,
+        mask=mask,
+        wcs=flat,
+        epoch_wcs=None,
         noise=cube.noise if copied else None,
-        **fields,
     )
 
 
@@ -384,15 +390,15 @@ def flatten(fields, name, whole, unit):
         return ""
     if flat is not None:
         place = flat.wcs.crpix - 1
-        own = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
+        every = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
         line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
         line = line.format(*place)
     else:
         with naming(f"{name} and the other images"):
             flat, turn = local.tangent_grid(wcs, mean)
         shape, code = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
-        data, mask, _ = regrid(data, mask, wcs, flat, shape=shape, unit=unit)
-        own = [flat] * len(data)
+        data, mask, _ = regrid(data, mask, wcs, flat, unit=unit)
+        every = [flat] * len(data)
         line = f"{RESAMPLED} of {shape[1]} x {shape[0]} pixels at the structure"
         warn(
             f"all images are {line}: their projection ({code}) changes the scale over "
@@ -404,7 +410,7 @@ def flatten(fields, name, whole, unit):
             f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
             "structure to its edges; directions refer to north in the middle"
         )
-    fields |= {"wcs": flat, "epoch_wcs": tuple(own)}
+    fields |= {"wcs": flat, "epoch_wcs": tuple(every)}
     return line
 
 
@@ -650,9 +656,9 @@ def crop(cube: Series, region: Any, pad: int = 0) -> Series:
     """
     window = box(cube, region, pad)
     cut = {name: getattr(cube, name)[:, *window].copy() for name in ("data", "mask")}
-    own = cube.epoch_wcs and [cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
+    every = cube.epoch_wcs and [cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
     wcs = cut_wcs(cube.wcs, window)
-    return cube.with_step(crop_line(window), wcs=wcs, epoch_wcs=own, **cut)
+    return cube.with_step(crop_line(window), wcs=wcs, epoch_wcs=every, **cut)
 
 
 def crop_line(window):

@@ -93,10 +93,6 @@ def celestial_wcs(header, fobj=None):
             clean.remove(f"{name}{axis}", ignore_missing=True)
         for key in [key for key in clean if re.match(rf"P[SV]{axis}_\d+$", key)]:
             del clean[key]
-    if not any("-SIP" in str(clean[f"CTYPE{axis}"]) for axis in axes):
-        # Left over in images from which the distortion has been removed.
-        for key in [key for key in clean if _SIP.match(key)]:
-            del clean[key]
     with warnings.catch_warnings(action="ignore"):
         try:
             _complete_polynomials(clean, axes)
@@ -155,7 +151,7 @@ def _repaired(header):
             with suppress(fits.VerifyError, ValueError):
                 cards[keyword] = fits.Card(keyword, value)
     clean = fits.Header(cards.values())
-    if not any("-SIP" in str(clean.get(f"CTYPE{axis}")) for axis in (1, 2)):
+    if not any("-SIP" in str(value) for value in clean["CTYPE*"].values()):
         # Images that were resampled keep the coefficients of the distorted ones.
         for keyword in [key for key in clean if _SIP.match(key)]:
             del clean[keyword]

@@ -4,6 +4,8 @@
 import numpy as np
 from scipy import ndimage
 
+from astro_scc.images.headers import ContentError
+
 #: Side of a block of exact zeros, in pixels, that no noise makes.
 BLOCK = 3
 #: Beside zeros that pad an image, at least this share of pixels has each sign ...
@@ -96,13 +98,13 @@ def padding(image):
     return padded if low > JUMP * middle and brighter <= MOST else none
 
 
-def flagged(flags, image, name, *, telescope=""):
+def flagged(flags, image, name, telescope=""):
     """
     Return the pixels that flags call bad, and a remark on what they mean.
 
     Flags other than 0 are bad, of JWST those with the bit of 1 (DO_NOT_USE).  A mask
     of 0 and 1 may mean the opposite, which pixels without a value tell; where nothing
-    does and most pixels would be bad it is refused with a ValueError.
+    does and most pixels would be bad it is refused.
     """
     values = np.nan_to_num(np.asarray(flags)).astype(np.int64)
     bad = (values & 1 if telescope == "JWST" and name == "DQ" else values) != 0
@@ -118,7 +120,7 @@ def flagged(flags, image, name, *, telescope=""):
             )
     elif empty[bad].mean() > MOST:
         return bad, ""
-    raise ValueError(
+    raise ContentError(
         f"its extension {name} marks {100 * share:.0f}% of the pixels, which are bad "
         "in masks of astropy and good in others; write NaN to the bad pixels instead, "
         f"and remove {name}"

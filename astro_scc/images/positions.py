@@ -159,8 +159,8 @@ def name_by_frame(table, cube):
         new, about = name, table[name].info.description or ""
         for pattern, replacement in LONGITUDE.items():
             new = re.sub(pattern, replacement, new)
-        own = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
-        for old, word in {**own, **words}.items():
+        renamed = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
+        for old, word in {**renamed, **words}.items():
             about = about.replace(old, word)
         if new != name:
             table.rename_column(name, new)
@@ -205,7 +205,9 @@ def beam_fwhm(cube, epoch, scale, axes):
     >>> beam_fwhm(cube, [0], [2], np.eye(2))
     array([[1., 1.]])
     """
-    return widths_along(beam_covariance(cube, epoch, scale), axes)
+    covariance = beam_covariance(cube, epoch, scale)
+    variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
+    return np.sqrt(8 * np.log(2) * variance)
 
 
 def beam_covariance(cube, epoch, scale):
@@ -227,12 +229,6 @@ def beam_covariance(cube, epoch, scale):
         return variance[..., None, None] / (8 * np.log(2)) * np.eye(2)
     each = np.stack([beam.covariance.value for beam in cube.beams])
     return each[np.asarray(epoch)]
-
-
-def widths_along(covariance, axes):
-    """Return the full widths at half maximum of Gaussians along two axes, (n, 2)."""
-    variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
-    return np.sqrt(8 * np.log(2) * variance)
 
 
 def position_errors(snr, fwhm, fraction):

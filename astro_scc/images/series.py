@@ -72,11 +72,11 @@ class ImageSeries:
         labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
         facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
         facts = facts or tuple({} for _ in range(n))
-        own = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+        each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
         beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
         vars(self).update(data=data, mask=as_mask(data, mask), unit=unit, noise=noise)
         vars(self).update(times=times, beams=beams, labels=labels, epoch_meta=facts)
-        vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=own)
+        vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=each_wcs)
         vars(self).update(meta=dict(self.meta))
         self._refuse_empty()
         if not local.is_flat(self.wcs, data.shape[1:]):
@@ -154,8 +154,8 @@ class ImageSeries:
         return arrays | {k: tuple(v[i] for i in epochs) for k, v in tuples.items()}
 
     def _changed(self, **changes):
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        return self._of(**own | changes)
+        present = {each.name: getattr(self, each.name) for each in fields(self)}
+        return self._of(**present | changes)
 
     def with_step(self, line: str, **changes: Any) -> Self:
         """
@@ -206,12 +206,14 @@ class ImageSeries:
             keep = keep[order_of(self.times[keep])]
             return self._changed(**self._picked(keep))
         index = epoch_index(item, len(self))
-        own = {"unit": self.unit, "wcs": self.wcs.deepcopy()}
+        noise = None
         if self.noise is not None:
             every = np.full(self.shape[1:], self.noise[index].value)
-            own["uncertainty"] = StdDevUncertainty(every, unit=self.unit, copy=False)
-        mask, meta = self.mask[index], epoch_header(self, index)
-        return CCDData(self.data[index], mask=mask, meta=meta, **own)
+            noise = StdDevUncertainty(every, unit=self.unit, copy=False)
+        return CCDData(
+            self.data[index], mask=self.mask[index], unit=self.unit, uncertainty=noise,
+            wcs=self.wcs.deepcopy(), meta=epoch_header(self, index),
+        )  # fmt: skip
 
     def mean_image(self) -> CCDData:
         """

@@ -24,9 +24,9 @@ def uncertainty_of(hdu, values, unit, mask):
     ``values`` are its pixels in the part that is read; ``unit`` and ``mask`` are those
     of the image.
     """
-    name, own = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
+    name, text = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
     kind = UNCERTAINTIES[name if name in UNCERTAINTIES else UNCERTAIN[hdu.name]]
-    own = None if own is None else parse_unit(own)
+    given = None if text is None else parse_unit(text)
     values = np.array(values, dtype=float)
     if hdu.name != "UNCERT":
         # Telescopes write 0 where there is no error, and units that do not fit.
@@ -34,9 +34,9 @@ def uncertainty_of(hdu, values, unit, mask):
         if np.isnan(values[~mask]).all():
             return None
         power = 2 if kind is VarianceUncertainty else 1
-        if own is not None and not own.is_equivalent(unit**power):
-            own = None
-    return kind(values, unit=own, copy=False)
+        if given is not None and not given.is_equivalent(unit**power):
+            given = None
+    return kind(values, unit=given, copy=False)
 
 
 def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf):

@@ -610,7 +610,7 @@ def fit_position_angle(
     >>> bool(abs(angle.value - 270) < 3)
     True
     """
-    image, noise = _mean(cube)
+    image, noise, sky = _mean(cube)
     x, y = (offset.value for offset in cube.offsets())
     use = (image > threshold * noise) & (np.hypot(x, y) > mean_width(cube))
     if not use.any():
@@ -618,7 +618,7 @@ def fit_position_angle(
             f"no pixel of the mean image is above {threshold:g} times its noise, a "
             "beam or more from the core: give a position angle"
         )
-    each = np.where(cube.mask, 0.0, cube.data)[:, use]
+    each = np.where(cube.mask, 0.0, cube.data - sky)[:, use]
     sums = np.stack([each @ x[use], each @ y[use]], axis=-1)
     total = sums.sum(axis=0)
     angle = np.arctan2(*total)
@@ -679,7 +679,7 @@ def find_ridge_line(
     >>> bool(abs(line.at(line.length / 2)[1].value) < 0.5)
     True
     """
-    image, noise = _mean(cube)
+    image, noise, _ = _mean(cube)
     width = mean_width(cube)
     step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
@@ -780,10 +780,10 @@ def _smoothed(points, error, width):
 
 
 def _mean(cube):
-    """Return the mean image, with NaN for masked pixels, and its noise."""
+    """Return the mean image above its sky, NaN where masked, its noise, and the sky."""
     image = np.asarray(cube.mean_image().data, dtype=float)
-    noise = cube.noise_rms().value
-    return image, float(np.sqrt(np.mean(noise**2) / len(cube)))
+    sky, noise = np.nanmedian(image), cube.noise_rms().value
+    return image - sky, float(np.sqrt(np.mean(noise**2) / len(cube))), sky
 
 
 def mean_width(cube):

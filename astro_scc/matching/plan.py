@@ -547,7 +547,9 @@ def choose_direction(cube):
         angle, error = fit_position_angle(cube)
     except ValueError:
         return None, "nothing is seen beyond a beam from the core"
-    image = np.nan_to_num(np.asarray(cube.mean_image().data, dtype=float))
+    image = np.asarray(cube.mean_image().data, dtype=float)
+    # A sky that is not zero would be an excess where the other side is not seen.
+    image = np.nan_to_num(image - np.nanmedian(image))
     east, north = cube.offsets()
     offset = np.stack([east, north], axis=-1).to_value(u.mas)
     r = np.hypot(*np.moveaxis(offset, -1, 0))
