@@ -35,7 +35,7 @@ from astro_scc.images.fits import (
 )
 from astro_scc.images.frames import on_one_sky, separation
 from astro_scc.images.grid import ONE_SHIFT, finest, whole_step
-from astro_scc.images.positions import readable_angle, resolution
+from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
@@ -340,7 +340,7 @@ def plan_intervals(cube: ImageSeries) -> IntervalPlan:
     days = np.unique((cube.times - cube.times[0]).jd) * u.day
     if days.size < 2:
         raise ValueError("velocities need at least two epochs of different date")
-    width = resolution(cube)
+    width = cube.resolution
     sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
     gaps, span = np.diff(days), days[-1] - days[0]
     median = np.median(gaps)

@@ -281,13 +281,7 @@ def _assemble(planes, times, beams, frame, check, source):
     frame = _trusted(planes, frame)
     for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
         warn(f"{planes[k].name}: {what}; {advice}")
-    unit = planes[0].unit
-    for plane in planes:
-        with series.naming(plane.name):
-            factor = plane.unit.to(unit)
-        if factor != 1:
-            plane.data = plane.data * factor
-            plane.noise = None if plane.noise is None else plane.noise.to(unit)
+    unit = _in_one_unit(planes)
     fields, resampled = lay_on_one_grid(planes, frame, unit)
     if resampled:
         ny, nx = fields["data"].shape[1:]
@@ -313,6 +307,18 @@ def _assemble(planes, times, beams, frame, check, source):
     fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
     fields |= {"beams": beams, "noise": noise}
     return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
+
+
+def _in_one_unit(planes):
+    """Convert images to the unit of the first one, which is returned."""
+    unit = planes[0].unit
+    for plane in planes:
+        with series.naming(plane.name):
+            factor = plane.unit.to(unit)
+        if factor != 1:
+            plane.data = plane.data * factor
+            plane.noise = None if plane.noise is None else plane.noise.to(unit)
+    return unit
 
 
 def _trusted(planes, frame):

@@ -244,10 +244,7 @@ def open_fits(file, *, known=False, **options):
 
 def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     """Return the `Plane` of an open file, see `read_plane`."""
-    if "SCCVERS" in hdus[0].header:
-        what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
-        reader = what if what == "EpochCube" else "SCCResult"
-        raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
+    _refuse_whole(hdus[0].header)
     file, choice = file_of(Path(path))
     hdu = find_image(hdus, path, choice)
     header = hdu.header.copy()
@@ -257,11 +254,11 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     text = get(header, "BUNIT", kind=str)
     if problem := logarithm(text) or _stretched(header):
         raise headers.ContentError(problem)
+    wcs = headers.celestial_wcs(header, fobj=hdus)
     index = _plane_index(header, frame)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
     record = headers.read_header(header, tables)
-    wcs = headers.celestial_wcs(header, fobj=hdus)
     plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, **record)
     plane.bandwidth = bandwidth(header)
     if (axis := time_axis(header)) is not None:
@@ -283,6 +280,14 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     if pixels:
         _load(plane, hdus, hdu, index, window or (slice(None), slice(None)))
     return plane
+
+
+def _refuse_whole(header):
+    """Refuse what this package wrote that is more than an image."""
+    if "SCCVERS" in header:
+        what = header["CREATOR"].removeprefix("astro_scc ")
+        reader = what if what == "EpochCube" else "SCCResult"
+        raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
 
 
 def labelled(name, frame):

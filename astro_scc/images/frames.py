@@ -59,7 +59,10 @@ def frame_of(wcs):
 
 def place_of(wcs, frame=None):
     """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
-    place = SkyCoord(*wcs.wcs.crval, unit=u.deg, frame=frame_of(wcs) or "icrs")
+    known = frame_of(wcs)
+    place = SkyCoord(
+        *wcs.wcs.crval, unit=u.deg, frame="icrs" if known is None else known
+    )
     return place if frame is None else place.transform_to(frame)
 
 

@@ -277,32 +277,24 @@ def reproject_cube(
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
     side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
-    present = np.sqrt(pixel_area(cube.wcs)) * u.deg
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
+    present = cube.pixel_scale
     coarse = side > 1.01 * max(present, min(sampled, default=present))
-    flat = wcs = wcs.deepcopy()
+    wcs = wcs.deepcopy()
     wcs.array_shape = shape
     data, mask, copied = regrid(
         cube.data, cube.mask, cube.wcs, wcs, unit=cube.unit, averaged=coarse
     )
     if not local.is_flat(wcs, shape):
-        flat = flat_wcs(wcs, data, mask)
+        wcs = flat_wcs(wcs, data, mask)
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
         f"reprojected onto {shape[1]} x {shape[0]} pixels of "
-        f"{side.to_value(u.mas):.4g} mas ({how})",  # fmt: skip
-        data=data,
-        mask=mask,
-        wcs=flat,
-        epoch_wcs=None,
+        f"{side.to_value(u.mas):.4g} mas ({how})",
+        data=data, mask=mask, wcs=wcs, epoch_wcs=None,
         noise=cube.noise if copied else None,
-    )
-
-
-def pixel_area(wcs):
-    """Return the solid angle of the reference pixel in square degrees."""
-    return abs(np.linalg.det(wcs.pixel_scale_matrix))
+    )  # fmt: skip
 
 
 def finest(grids):
@@ -535,7 +527,7 @@ def _refuse_rounded(item, size, wcs, places, name):
 
     Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
     """
-    side = np.sqrt(pixel_area(wcs))
+    side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
     lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
     names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")

@@ -88,13 +88,6 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     return wcs
 
 
-def resolution(cube):
-    """Return the median width of the beams, or three pixels without beams."""
-    if cube.beams is None:
-        return PIXELS_RESOLVED * cube.pixel_scale
-    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in cube.beams]))
-
-
 def axis_words(cube):
     """
     Return where longitude and latitude increase, and if longitude does so leftwards.

@@ -260,8 +260,7 @@ class ImageSeries:
         days = np.unique((self.times - self.times[0]).jd) * u.day
         if len(days) < 2:
             return PM_UNIT
-        width, median = positions.resolution(self), np.median(np.diff(days))
-        return speed_unit(days[-1], width, median)
+        return speed_unit(days[-1], self.resolution, np.median(np.diff(days)))
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -295,6 +294,13 @@ class ImageSeries:
     def pixel_scale(self) -> u.Quantity:
         """Side of a square pixel with the area of the cube's pixels."""
         return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
+
+    @property
+    def resolution(self) -> u.Quantity:
+        """Width of one beam, the epochs' median; three pixels without beams."""
+        if self.beams is None:
+            return positions.PIXELS_RESOLVED * self.pixel_scale
+        return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in self.beams]))
 
     @property
     def reference_pixel(self) -> tuple[float, float]:

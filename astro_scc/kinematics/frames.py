@@ -612,7 +612,9 @@ def fit_position_angle(
     """
     image, noise, sky = _mean(cube)
     x, y = (offset.value for offset in cube.offsets())
-    use = (image > threshold * noise) & (np.hypot(x, y) > mean_width(cube))
+    use = (image > threshold * noise) & (
+        np.hypot(x, y) > cube.resolution.to_value(u.mas)
+    )
     if not use.any():
         raise ValueError(
             f"no pixel of the mean image is above {threshold:g} times its noise, a "
@@ -680,7 +682,7 @@ def find_ridge_line(
     True
     """
     image, noise, _ = _mean(cube)
-    width = mean_width(cube)
+    width = cube.resolution.to_value(u.mas)
     step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
     smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
@@ -707,7 +709,7 @@ def find_ridge_line(
 
 def _follow(cube, image, direction, half, faintest):
     """Return the points of slices from the core onwards, and the slices' maxima."""
-    width = mean_width(cube)
+    width = cube.resolution.to_value(u.mas)
     step = STEP * width
     points, tops = [np.zeros(2)], [np.nan]
     # It ends: a line that does not come near itself cannot be longer than the image has
@@ -784,14 +786,6 @@ def _mean(cube):
     image = np.asarray(cube.mean_image().data, dtype=float)
     sky, noise = np.nanmedian(image), cube.noise_rms().value
     return image - sky, float(np.sqrt(np.mean(noise**2) / len(cube))), sky
-
-
-def mean_width(cube):
-    """Return the resolution in mas: the mean beam, or four pixels without beams."""
-    if cube.beams is None:
-        return 4 * cube.pixel_scale.value
-    areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
-    return float(np.sqrt(np.mean(areas)))
 
 
 def _length(name, value):

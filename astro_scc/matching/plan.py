@@ -18,7 +18,6 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
-from astro_scc.kinematics.frames import mean_width
 from astro_scc.paper.trials import DatePairs, baseline_pairs, consecutive_pairs
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.spectrum.permutations import fastest_speed
@@ -431,7 +430,7 @@ def flow_beam(cube):
     if cube.beams is None:
         return structure_size(cube) * pixel
     # Nothing is smaller than what pixels resolve.
-    return max(mean_width(cube), PIXELS_RESOLVED * pixel)
+    return max(cube.resolution.to_value(u.mas), PIXELS_RESOLVED * pixel)
 
 
 def choose_scales(cube):
@@ -572,6 +571,6 @@ def choose_direction(cube):
     if length <= ONE_SIDED * excess.sum() or error.value > CERTAIN:
         return None, "the structure is not on one side of the reference pixel"
     share = np.cumsum(excess) / excess.sum()
-    if r[np.searchsorted(share, INNER)] > NEAR * mean_width(cube):
+    if r[np.searchsorted(share, INNER)] > NEAR * cube.resolution.to_value(u.mas):
         return None, "the structure does not begin at the reference pixel"
     return np.round(angle), "that of the mean image"

@@ -371,6 +371,8 @@ def test_images_of_a_neighbouring_channel_are_named(make_fits, changes, words):
         {"OBJECT": "3C_273"},
         {"OBJECT": "3c-273"},
         {"BAND": "l"},
+        {"CRVAL3": 15.4, "CDELT3": 0.064, "CUNIT3": "GHz"},
+        {"CRVAL3": 15400.0, "CUNIT3": "MHZ"},
     ],
 )
 def test_facts_that_are_written_in_several_ways(make_fits, cards):
