@@ -120,10 +120,15 @@ def grid_step(wcs, target, shape):
     """
     if is_same(wcs, target):
         return np.zeros(2), True
-    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
-    pixels = np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
+    pixels = _few(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
     return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < ONE_SHIFT))
+
+
+def _few(shape):
+    """Return the middle and the corners of an image as pixels x and y, shape (2, 5)."""
+    places = np.array([[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]])
+    return places * [[shape[1] - 1], [shape[0] - 1]]
 
 
 def whole_step(wcs, target, shape, near):
@@ -189,14 +194,12 @@ def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=WHOLE_PIXEL):
 
 def area_ratio(wcs, grid, shape):
     """Return the areas of the pixels (ny, nx) of a grid over those of a WCS there."""
-    ny, nx = shape
-    x, y = np.array([[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]) * [[nx - 1], [ny - 1]]
 
     def ratio(x, y):
         there = pixel_to_pixel(grid, wcs, x, y)
         return local.local_area(grid, x, y) / local.local_area(wcs, *there)
 
-    few = ratio(x, y)
+    few = ratio(*_few(shape))
     if np.allclose(few, few[0], rtol=1e-6):
         return 1.0 if np.isclose(few[0], 1, rtol=1e-6) else few[0]
     return ratio(*np.indices(shape)[::-1])
@@ -343,14 +346,10 @@ def shared_grid(grids):
     """
     areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
     fine = grids[finest(grids)][1]
-    edge = np.linspace(0, 1, 33)
-    sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
-    outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     corners = []
-    for (ny, nx), wcs in grids:
-        x, y = outline * [[nx - 1], [ny - 1]]
-        same = is_same(wcs, fine)
-        corners.append([x, y] if same else pixel_to_pixel(wcs, fine, x, y))
+    for shape, wcs in grids:
+        edge = local.outline(local.whole(shape))
+        corners.append(edge if is_same(wcs, fine) else pixel_to_pixel(wcs, fine, *edge))
     corners = np.concatenate(corners, axis=1)
     # Rounding errors must not add a row.
     first = np.floor(corners.min(axis=1) + 0.01)

@@ -49,8 +49,10 @@ def placeholders(image):
     for extreme in (np.min, np.max):
         if values.size == 0 or (number := extreme(values)) == 0:
             continue
+        if np.count_nonzero(values == number) < BLOCK**2:
+            continue
         others = values[values != number]
-        if values.size - others.size < BLOCK**2 or others.size < MOST * BLOCK**2:
+        if others.size < MOST * BLOCK**2:
             continue
         nearest = extreme(others)
         spread = abs(nearest - np.median(others))
