@@ -124,17 +124,18 @@ def _plane_of_nddata(image, name):
     data = series.as_numbers(np.ma.getdata(image.data))
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
         raise ValueError(f"has shape {data.shape}, an image has two axes")
-    mask, remark = missing(data.reshape(data.shape[-2:]))
-    mask = mask.reshape(data.shape)
-    if image.mask is not None:
-        mask |= np.asarray(image.mask, dtype=bool)
+    shape = data.shape[-2:]
+    mask = np.zeros(data.shape) if image.mask is None else image.mask
+    mask = np.broadcast_to(np.asarray(mask, dtype=bool), data.shape).reshape(shape)
+    data = data.reshape(shape)
+    mask, remark = missing(data, mask)
     if image.unit is not None and (problem := logarithm(image.unit)):
         raise ValueError(problem)
     if mask.all():
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
-    facts, shape = read_header(image.meta), data.shape[-2:]
+    facts = read_header(image.meta)
     if hasattr(image, "global_coords"):
         facts |= _of_ndcube(image)
     if facts["beam"] is None and getattr(image, "psf", None) is not None:
@@ -142,8 +143,8 @@ def _plane_of_nddata(image, name):
             "beam_problem", "its psf is an image, of which no beam is made"
         )
     return fits.Plane(
-        name=name, wcs=as_celestial(image.wcs), shape=shape, data=data.reshape(shape),
-        mask=mask.reshape(shape), mask_remarks=(remark,) if remark else (),
+        name=name, wcs=as_celestial(image.wcs), shape=shape, data=data, mask=mask,
+        mask_remarks=(remark,) if remark else (),
         unit=image.unit or u.one, uncertainty=image.uncertainty, **facts,
     )  # fmt: skip
 

@@ -342,8 +342,7 @@ def _load(plane, hdus, hdu, index, window):
         remarks.append(remark)
         why = f" by its extension {other.name}"
     # What extensions mark needs no remark.
-    bad, remark = missing(np.where(plane.mask, np.nan, plane.data))
-    plane.mask |= bad
+    plane.mask, remark = missing(plane.data, plane.mask)
     plane.mask_remarks = tuple(filter(None, (*remarks, remark)))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")

@@ -21,14 +21,15 @@ ALONE = 3
 MOST = 0.5
 
 
-def missing(image):
+def missing(image, mask=False):
     """
     Return the pixels of an image without a value, and a remark on those of a number.
 
-    They are not finite, exact zeros that pad the image, or of a number that is written
-    where there is no value, see `placeholders`.
+    They are masked, not finite, exact zeros that pad the image, or of a number that is
+    written where there is no value, see `placeholders`.
     """
-    bad, filled = ~np.isfinite(image), placeholders(image)
+    bad = ~np.isfinite(image) | mask
+    filled = placeholders(image[~bad])
     for number in filled:
         bad |= image == number
     bad |= padding(np.where(bad, np.nan, image))
@@ -37,15 +38,14 @@ def missing(image):
     return bad, f"{said}; write NaN to such pixels" if filled else ""
 
 
-def placeholders(image):
+def placeholders(values):
     """
-    Return the numbers that stand for missing pixels, such as -999 or 1e20.
+    Return the numbers of finite pixels that stand for missing ones: -999 or 1e20.
 
     Such a number is the smallest or largest one, as far from all others as no noise
     and no source is, and many pixels have exactly this one.
     """
     found = []
-    values = image[np.isfinite(image)]
     for extreme in (np.min, np.max):
         if values.size == 0 or (number := extreme(values)) == 0:
             continue

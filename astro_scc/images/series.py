@@ -434,11 +434,13 @@ def as_mask(data, mask):
     """Return the mask, with pixels that are not finite and zeros that pad images."""
     if mask is not None and np.shape(mask) != data.shape:
         raise ValueError(f"mask has shape {np.shape(mask)}, data has {data.shape}")
-    every, remarks = zip(*map(missing, data), strict=True)
+    mask = np.zeros(data.shape) if mask is None else mask
+    every, remarks = zip(
+        *map(missing, data, np.asarray(mask).astype(bool)), strict=True
+    )
     for remark in filter(None, dict.fromkeys(remarks)):
         warn(remark)
-    bad = np.stack(every)
-    return bad if mask is None else bad | np.asarray(mask).astype(bool)
+    return np.stack(every)
 
 
 def as_times(times, n):
