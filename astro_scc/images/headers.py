@@ -18,6 +18,11 @@ from astro_scc.images.dates import observing_time
 from astro_scc.images.facts import FACTS, header_facts
 
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
+#: Units of celestial axes by the starts of their names, in lower case.
+ANGLES = {
+    **{"deg": "deg", "rad": "rad", "arcm": "arcmin"},
+    **dict.fromkeys(("arcs", "asec"), "arcsec"),
+}
 _SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
 _MATRIX = re.compile(r"PV|CDELT|CROTA|(PC|CD)\d+_|WCSAXES|NAXIS|CRPIX[3-9]")
 _CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
@@ -169,8 +174,9 @@ def _standard(keyword, value):
             return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
         # AIPS and difmap omit the projection if it is orthographic.
         return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
-    if keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
-        return "deg"
+    if keyword.startswith("CUNIT"):
+        text = str(value).strip().lower()
+        return next((unit for s, unit in ANGLES.items() if text.startswith(s)), value)
     if keyword in ("RADESYS", "RADECSYS"):
         return _frame_name(keyword, str(value).strip().upper())
     if not _WCS_NUMBER.match(keyword):
