@@ -16,7 +16,6 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
-from astro_scc.kinematics.frames import mean_width
 from astro_scc.paper.trials import baseline_pairs, consecutive_pairs
 from astro_scc.settings import require
 
@@ -269,7 +268,7 @@ def flow_beam(cube):
     if cube.beams is None:
         return structure_size(cube) * pixel
     # Nothing is smaller than what pixels resolve.
-    return max(mean_width(cube), PIXELS_RESOLVED * pixel)
+    return max(cube.resolution.to_value(u.mas), PIXELS_RESOLVED * pixel)
 
 
 def choose_scales(cube):
@@ -384,7 +383,9 @@ def choose_direction(cube):
         angle, error = fit_position_angle(cube)
     except ValueError:
         return None, "nothing is seen beyond a beam from the core"
-    image = np.nan_to_num(np.asarray(cube.mean_image().data, dtype=float))
+    image = np.asarray(cube.mean_image().data, dtype=float)
+    # A sky that is not zero would be an excess where the other side is not seen.
+    image = np.nan_to_num(image - np.nanmedian(image))
     east, north = cube.offsets()
     offset = np.stack([east, north], axis=-1).to_value(u.mas)
     r = np.hypot(*np.moveaxis(offset, -1, 0))
@@ -407,6 +408,6 @@ def choose_direction(cube):
     if length <= ONE_SIDED * excess.sum() or error.value > CERTAIN:
         return None, "the structure is not on one side of the reference pixel"
     share = np.cumsum(excess) / excess.sum()
-    if r[np.searchsorted(share, INNER)] > NEAR * mean_width(cube):
+    if r[np.searchsorted(share, INNER)] > NEAR * cube.resolution.to_value(u.mas):
         return None, "the structure does not begin at the reference pixel"
     return np.round(angle), "that of the mean image"

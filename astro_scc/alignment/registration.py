@@ -356,7 +356,7 @@ def misalignment(cube: ImageSeries) -> float | None:
     middle = 1 + np.flatnonzero(years[2:] > years[:-2])
     if cube.beams is None or len(middle) == 0:
         return None
-    width = np.mean([np.sqrt(b.major * b.minor).to_value(u.mas) for b in cube.beams])
+    width = cube.resolution.to_value(u.mas)
     # Weights of the epochs before and after.
     weights = {
         k: np.diff(years[k - 1 : k + 2])[::-1] / (years[k + 1] - years[k - 1])

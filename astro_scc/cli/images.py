@@ -283,7 +283,7 @@ def _cores(cube, angle):
     except ValueError:
         return {}, 0.0
     east, north = found["east"].value, found["north"].value
-    width = np.mean([np.sqrt(b.major * b.minor).value for b in cube.beams])
+    width = cube.resolution.to_value(u.mas)
     offsets = (u.Quantity(v, u.mas).to_value(angle) for v in (east, north))
     cores = dict(zip(cube.labels, map(_offset, *offsets), strict=True))
     return cores, max(east.std(), north.std()) / width

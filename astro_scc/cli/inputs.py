@@ -13,6 +13,8 @@ from astropy.table import QTable
 
 from astro_scc import plan
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.inspection import repeated
+from astro_scc.exceptions import warn
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files, read_plane
 from astro_scc.images.grid import refuse_pixels
@@ -159,6 +161,8 @@ def read_epochs(settings, args=None, *, note=None, features=False, moving=False)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     if settings.region is not None:
         refuse_pixels(settings.region, False, cube)
+    if said := repeated(cube):
+        warn(said)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     if moving:
         require_epochs(cube)

@@ -158,6 +158,8 @@ class Reporter:
 
         with warnings.catch_warnings():
             warnings.filterwarnings("always", category=AstropyWarning)
+            # What ERFA says of leap seconds to come concerns no user.
+            warnings.filterwarnings("ignore", "ERFA function")
             warnings.showwarning = show
             yield
 

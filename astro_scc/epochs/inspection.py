@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
 import astropy.units as u
 import numpy as np
@@ -26,13 +28,14 @@ from astro_scc.images.fits import (
     file_of,
     find_files,
     frames_of,
+    labelled,
     looks_like_mask,
     open_fits,
     read_plane,
 )
-from astro_scc.images.frames import in_frame, north_in, separation
+from astro_scc.images.frames import on_one_sky, separation
 from astro_scc.images.grid import ONE_SHIFT, finest, whole_step
-from astro_scc.images.positions import readable_angle, resolution
+from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
 
 # Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
@@ -48,9 +51,12 @@ POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
 BELONGING = {
     "filter": "the filter",
     "wavelength": "the wavelength (WAVELNTH)",
+    "low": "energies (ENERGYLO) from",
+    "high": "energies (ENERGYHI) up to",
     "band": "the band",
     "polarisation": "the polarisation (POLARIZ)",
     "type": "the type (BTYPE)",
+    "channel": "the channel",
 }
 #: What to do with an image that is slightly different.
 OTHER_CHANNEL = "leave it out if it shows something else"
@@ -132,8 +138,8 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
         for index, what, *_ in (*problems(found, peaks), *_warned(found)):
             rows[read[index]]["problem"].append(what)
     columns = {name: [row[name] for row in rows] for name in rows[0]}
-    for name, own in COLUMNS.items():
-        columns[name] = u.Quantity(columns[name], own or unit)
+    for name, usual in COLUMNS.items():
+        columns[name] = u.Quantity(columns[name], usual or unit)
     columns["problem"] = ["; ".join(texts) for texts in columns["problem"]]
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
@@ -169,8 +175,7 @@ def _frames(path):
 
 def _row_of(path, frame):
     """Return the row of an image, with its `Plane` if it can be read."""
-    name = str(path) if frame is None else f"{path}, image {frame + 1}"
-    row = {"file": name, "date": None, "nx": 0, "ny": 0}
+    row = {"file": labelled(path, frame), "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
     row |= {"object": "", "frequency": row.pop("frequency")}
     row |= {"problem": [], "plane": None, "origin": None}
@@ -335,7 +340,7 @@ def plan_intervals(cube: ImageSeries) -> IntervalPlan:
     days = np.unique((cube.times - cube.times[0]).jd) * u.day
     if days.size < 2:
         raise ValueError("velocities need at least two epochs of different date")
-    width = resolution(cube)
+    width = cube.resolution
     sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
     gaps, span = np.diff(days), days[-1] - days[0]
     median = np.median(gaps)
@@ -398,8 +403,8 @@ def problems(planes, peaks):
             odd.append((what, "correct its unit or scale"))
         found += [Problem(i, *words, refused=False) for words in odd]
         if not plane.unit.is_equivalent(unit):
-            own, other = (one.to_string() or "none" for one in (plane.unit, unit))
-            what = f"its unit is {own}, that of others is {other}"
+            mine, other = (one.to_string() or "none" for one in (plane.unit, unit))
+            what = f"its unit is {mine}, that of others is {other}"
             found.append(Problem(i, what, "leave one out"))
         if some_have_beams and plane.beam is None:
             what = "no beam where other epochs have one"
@@ -428,10 +433,7 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = [
-        in_frame(plane.wcs, "offset", north_in(plane.wcs, planes[0].wcs))
-        for plane in planes
-    ]
+    frames = on_one_sky([plane.wcs for plane in planes], planes[0].wcs, "offset")
     k = finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
@@ -462,6 +464,19 @@ def _same_dates(planes):
         yield Problem(other, what, advice)
 
 
+def repeated(cube):
+    """Return a line about the first image with the pixels of an earlier one, or ""."""
+    known = {}
+    for i, image in enumerate(cube.data):
+        first = known.setdefault(crc32(np.ascontiguousarray(image)), i)
+        if first != i and np.array_equal(image, cube.data[first], equal_nan=True):
+            return (
+                f"{cube.labels[i]}: has the same pixels as {cube.labels[first]}, of "
+                "another date; leave one out, or correct its date"
+            )
+    return ""
+
+
 def _same_pixels(one, other):
     """Return whether two images that have been read are the same."""
     if one.data is None or other.data is None:
@@ -485,19 +500,16 @@ def _strangers(planes):
         advice = "leave it out if it is another object" if same else UNCHECKED
         yield Problem(i, what, advice, refused=not same)
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
-    other_kinds = [("Stokes", intensity)] + [
-        (what, [plane.facts.get(fact) for plane in planes])
-        for fact, what in BELONGING.items()
-    ]
-    for what, values in other_kinds:
-        for i, mine, others in _minority(values):
-            yield Problem(i, f"is of {what} {mine}, others are of {others}")
-    channels = [plane.facts.get("channel") for plane in planes]
     hands = [None if s in POLARISED else s for s in stokes]
-    for what, values in (("Stokes", hands), ("the channel", channels)):
-        for i, mine, others in _minority(values)[:1]:
-            what = f"is of {what} {mine}, others are of {others}"
-            yield Problem(i, what, OTHER_CHANNEL, refused=False)
+    kinds = [("Stokes", intensity, UNCHECKED)]
+    for fact, what in BELONGING.items():
+        advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
+        kinds.append((what, [plane.facts.get(fact) for plane in planes], advice))
+    for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):
+        refused = advice == UNCHECKED
+        for i, mine, others in _minority(values)[: None if refused else 1]:
+            what_is = f"is of {what} {mine}, others are of {others}"
+            yield Problem(i, what_is, advice, refused)
     yield from _other_frequencies(planes, known)
 
 
@@ -524,9 +536,17 @@ def _other_frequencies(planes, known):
         yield Problem(int(odd[0]), what, OTHER_CHANNEL, refused=False)
 
 
+def _key(text):
+    """Return a name or wavelength without what may be written in several ways."""
+    with suppress(TypeError, ValueError, u.UnitConversionError):
+        return f"{u.Quantity(text).to_value(u.m):.6g}"
+    # A hyphen behind a letter is none of the signs of a position.
+    return re.sub(r"[\s_]|(?<=[A-Z])-", "", text.upper())
+
+
 def _minority(values):
     """Return the entries that differ from the most common value (first of equals)."""
-    keys = [v and v.upper().replace(" ", "").replace("_", "") for v in values]
+    keys = [v and _key(v) for v in values]
     count = Counter(key for key in keys if key)
     if len(count) < 2:
         return []

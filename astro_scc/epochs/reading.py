@@ -19,9 +19,9 @@ from astro_scc.images import fits, grid, local, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.brightness import logarithm
 from astro_scc.images.cards import get
-from astro_scc.images.frames import in_frame, north_in, turned, with_frame
+from astro_scc.images.frames import north_in, on_one_sky, placed_as, turned
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
-from astro_scc.images.pixels import padding
+from astro_scc.images.pixels import missing
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
@@ -41,9 +41,9 @@ def read_files(files, times, beams, frame, *, check, region, pad):
             raise ValueError(f"{path}: {NO_IMAGE}")
     images = images_of(files)
     given = _given(times, beams, len(images), frame)
-    names = [_label(path.name, k) for path, k in images]
+    names = [fits.labelled(path.name, k) for path, k in images]
     if len(set(names)) < len(names):
-        names = [_label(path, k) for path, k in images]
+        names = [fits.labelled(path, k) for path, k in images]
     windows = [None] * len(images)
     if region is not None:
         planes = [
@@ -89,10 +89,6 @@ def images_of(files):
     return found
 
 
-def _label(name, frame):
-    return str(name) if frame is None else f"{name}, image {frame + 1}"
-
-
 def read_images(images, times, beams, frame, *, check):
     """Return the fields of a cube of images; see `EpochCube.from_ccddata`."""
     given = _given(times, beams, len(images), frame)
@@ -126,26 +122,31 @@ def _in_reach(plane):
 
 def _plane_of_nddata(image, name):
     data = series.as_numbers(np.ma.getdata(image.data))
-    mask = ~np.isfinite(data)
-    if image.mask is not None:
-        mask |= np.asarray(image.mask, dtype=bool)
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
         raise ValueError(f"has shape {data.shape}, an image has two axes")
+    shape = data.shape[-2:]
+    mask = np.zeros(data.shape) if image.mask is None else image.mask
+    mask = np.broadcast_to(np.asarray(mask, dtype=bool), data.shape).reshape(shape)
+    data = data.reshape(shape)
+    mask, remark = missing(data, mask)
     if image.unit is not None and (problem := logarithm(image.unit)):
         raise ValueError(problem)
-    mask |= padding(data.reshape(data.shape[-2:])).reshape(mask.shape)
     if mask.all():
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
-    own, shape = read_header(image.meta), data.shape[-2:]
+    facts = read_header(image.meta)
     if hasattr(image, "global_coords"):
-        own |= _of_ndcube(image)
-    if own["beam"] is None and getattr(image, "psf", None) is not None:
-        own.setdefault("beam_problem", "its psf is an image, of which no beam is made")
-    own |= {"data": data.reshape(shape), "mask": mask.reshape(shape), "shape": shape}
-    own |= {"unit": image.unit or u.one, "uncertainty": image.uncertainty}
-    return fits.Plane(name=name, wcs=as_celestial(image.wcs), **own)
+        facts |= _of_ndcube(image)
+    if facts["beam"] is None and getattr(image, "psf", None) is not None:
+        facts.setdefault(
+            "beam_problem", "its psf is an image, of which no beam is made"
+        )
+    return fits.Plane(
+        name=name, wcs=as_celestial(image.wcs), shape=shape, data=data, mask=mask,
+        mask_remarks=(remark,) if remark else (),
+        unit=image.unit or u.one, uncertainty=image.uncertainty, **facts,
+    )  # fmt: skip
 
 
 def epochs_of(ndcube, times=None):
@@ -188,13 +189,13 @@ def epochs_of(ndcube, times=None):
 def _of_ndcube(image):
     """Return the date of an epoch of an NDCube, and what `to_ndcube` keeps of it."""
     dates = [v for v in image.global_coords.values() if isinstance(v, Time)]
-    own = {"time": dates[0].reshape(-1)[0]} if dates else {}
+    found = {"time": dates[0].reshape(-1)[0]} if dates else {}
     wcs, _, _ = fits_wcs(image.wcs)
     if AXIS in wcs.wcs.ctype and set(KEPT) <= image.meta.keys():
         i = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
         values = [image.meta[name] and image.meta[name][i] for name in KEPT]
-        own |= dict(zip(("label", "beam", "facts"), values, strict=True))
-    return own
+        found |= dict(zip(("label", "beam", "facts"), values, strict=True))
+    return found
 
 
 def _given(times, beams, n, frame):
@@ -233,7 +234,7 @@ def _completed(planes, times, beams):
             plane.beam = None
     for plane, time, beam in zip(planes, times, beams, strict=True):
         plane.time = _observed(plane, time)
-        own, notes = plane.beam, []
+        written, notes = plane.beam, []
         if beam is not None:
             if beam.major.to_value(u.deg) > plane.extent:
                 raise ValueError(
@@ -241,7 +242,7 @@ def _completed(planes, times, beams):
                     "image; give another"
                 )
             plane.beam, plane.beam_problem, plane.beam_choice = beam, "", ""
-            if own is not None and different_beam((beam, own)):
+            if written is not None and different_beam((beam, written)) is not None:
                 notes = [f"the beam that is given, {beam}, replaces that of the header"]
         if plane.beam_choice:
             raise ValueError(f"{plane.name}: {plane.beam_choice}")
@@ -281,13 +282,7 @@ def _assemble(planes, times, beams, frame, check, source):
     frame = _trusted(planes, frame)
     for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
         warn(f"{planes[k].name}: {what}; {advice}")
-    unit = planes[0].unit
-    for plane in planes:
-        with series.naming(plane.name):
-            factor = plane.unit.to(unit)
-        if factor != 1:
-            plane.data = plane.data * factor
-            plane.noise = None if plane.noise is None else plane.noise.to(unit)
+    unit = _in_one_unit(planes)
     fields, resampled = lay_on_one_grid(planes, frame, unit)
     if resampled:
         ny, nx = fields["data"].shape[1:]
@@ -313,6 +308,18 @@ def _assemble(planes, times, beams, frame, check, source):
     fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
     fields |= {"beams": beams, "noise": noise}
     return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
+
+
+def _in_one_unit(planes):
+    """Convert images to the unit of the first one, which is returned."""
+    unit = planes[0].unit
+    for plane in planes:
+        with series.naming(plane.name):
+            factor = plane.unit.to(unit)
+        if factor != 1:
+            plane.data = plane.data * factor
+            plane.noise = None if plane.noise is None else plane.noise.to(unit)
+    return unit
 
 
 def _trusted(planes, frame):
@@ -343,12 +350,10 @@ def windows_of(planes, first, frame, region, pad=0):
     offsets, and slightly more if images are not whole pixels apart.  An image without
     a pixel in the region raises a ValueError.
     """
-    own, *frames = [
-        in_frame(plane.wcs, frame, north_in(plane.wcs, first.wcs))
-        for plane in (first, *planes)
-    ]
+    every = [plane.wcs for plane in (first, *planes)]
+    here, *frames = on_one_sky(every, first.wcs, frame)
     copied = (
-        grid.whole_step(own, wcs, first.shape, grid.ONE_SHIFT) is not None
+        grid.whole_step(here, wcs, first.shape, grid.ONE_SHIFT) is not None
         for wcs in frames
     )
     if not all(copied):
@@ -361,7 +366,7 @@ def windows_of(planes, first, frame, region, pad=0):
     corners = np.array([[x0, x1, x0, x1], [y0, y0, y1, y1]], dtype=float)
     windows = []
     for plane, wcs in zip(planes, frames, strict=True):
-        there = np.array(pixel_to_pixel(own, wcs, *corners))
+        there = np.array(pixel_to_pixel(here, wcs, *corners))
         # Rounding errors must not add a row.
         low = np.floor(there.min(axis=1) + grid.ONE_SHIFT)
         high = np.ceil(there.max(axis=1) - grid.ONE_SHIFT)
@@ -400,13 +405,39 @@ def lay_on_one_grid(planes, frame, unit):
         Names of the images that were interpolated.
     """
     norths, resampled = [north_in(p.wcs, planes[0].wcs) for p in planes], []
-    frames = [
-        in_frame(plane.wcs, frame, north)
-        for plane, north in zip(planes, norths, strict=True)
-    ]
+    frames = on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
+    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
+    _refuse_misfits(planes, grids)
+    new, shape = grid.shared_grid(grids)
+    every = [new] * len(planes)
+    if frame == "offset":
+        every = [
+            placed_as(turned(new, -north), plane.wcs)
+            for plane, north in zip(planes, norths, strict=True)
+        ]
+    else:
+        norths = [north_in(plane.wcs, new) for plane in planes]
+    for plane, north in zip(planes, norths, strict=True):
+        if plane.beam is not None and north != 0:
+            pa = plane.beam.pa + north * u.rad
+            plane.beam = Beam(plane.beam.major, plane.beam.minor, pa)
+    data = np.empty((len(planes), *shape))
+    mask = np.empty(data.shape, dtype=bool)
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        one = slice(i, i + 1)
+        data[one], mask[one], copied = grid.regrid(
+            plane.data[None], plane.mask[None], wcs, new, unit=unit, near=grid.ONE_SHIFT
+        )
+        resampled += [] if copied else [plane.name]
+        plane.data = plane.mask = None
+    fields = {"data": data, "mask": mask, "wcs": every[0], "epoch_wcs": tuple(every)}
+    return fields, resampled
+
+
+def _refuse_misfits(planes, grids):
+    """Refuse an image whose pixels or position differ too much from the others'."""
     sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
-    grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     for plane, size, one in zip(planes, sizes, grids, strict=True):
         # The finest grid would be huge otherwise.
         if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
@@ -421,32 +452,3 @@ def lay_on_one_grid(planes, frame, unit):
                 f"{plane.name}: lies too far from {planes[0].name} to share a grid "
                 "with it, by its coordinates; leave one of them out"
             ) from None
-    new, shape = grid.shared_grid(grids)
-    own = [new] * len(planes)
-    if frame == "offset":
-        names = ("crval", "radesys", "equinox", "lonpole", "latpole")
-        inner = [plane.wcs.wcs for plane in planes]
-        own = [
-            with_frame(
-                turned(new, -north), w.ctype, **{n: getattr(w, n) for n in names}
-            )
-            for w, north in zip(inner, norths, strict=True)
-        ]
-    else:
-        norths = [north_in(plane.wcs, new) for plane in planes]
-    for plane, north in zip(planes, norths, strict=True):
-        if plane.beam is not None and north != 0:
-            pa = plane.beam.pa + north * u.rad
-            plane.beam = Beam(plane.beam.major, plane.beam.minor, pa)
-    data = np.empty((len(planes), *shape))
-    mask = np.empty(data.shape, dtype=bool)
-    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
-        one = slice(i, i + 1)
-        options = {"shape": shape, "unit": unit, "near": grid.ONE_SHIFT}
-        data[one], mask[one], copied = grid.regrid(
-            plane.data[None], plane.mask[None], wcs, new, **options
-        )
-        resampled += [] if copied else [plane.name]
-        plane.data = plane.mask = None
-    fields = {"data": data, "mask": mask, "wcs": own[0], "epoch_wcs": tuple(own)}
-    return fields, resampled

@@ -140,9 +140,10 @@ def write_object(value, path, *, creator, overwrite=False, images=None):
     primary.header["SCCVERS"] = LAYOUT, "version of this layout"
     hdus = [primary, fits.ImageHDU(np.frombuffer(text.encode(), np.uint8), name="META")]
     for name, array in arrays:
-        own = np.ascontiguousarray(array)
-        own = own if own.dtype.str[1:] in FITS_TYPES else own.view(np.uint8)
-        hdus.append(fits.ImageHDU(own, (images or {}).get(name), name=name))
+        pixels = np.ascontiguousarray(array)
+        if pixels.dtype.str[1:] not in FITS_TYPES:
+            pixels = pixels.view(np.uint8)
+        hdus.append(fits.ImageHDU(pixels, (images or {}).get(name), name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:
         fits.HDUList(hdus).writeto(part, checksum=True)
 
@@ -256,16 +257,17 @@ class _Loader(yaml.AstropyLoader):
             made = made.reshape(packed["shape"])
         elif name is not None:
             module, _, name = name.rpartition(".")
-            own = None
+            kind = None
             if module.startswith(PACKAGE):
                 with suppress(ImportError):
-                    own = getattr(import_module(module), name, None)
-            if not is_dataclass(own) or {f.name for f in fields(own)} != packed.keys():
+                    kind = getattr(import_module(module), name, None)
+            names = {f.name for f in fields(kind)} if is_dataclass(kind) else None
+            if names != packed.keys():
                 raise ValueError(
                     f"its {name} is of another version of astro_scc; {OTHER_VERSION}"
                 )
             # Checks and conversions were made when it was first made.
-            made = object.__new__(own)
+            made = object.__new__(kind)
             vars(made).update(packed)
         return packed if name is None else made
 
@@ -330,13 +332,13 @@ def write_epochs(
         raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")
     directory.mkdir(parents=True, exist_ok=True)
     # The dates of wcslib would be those of the first epoch.
-    own = without_dates(cube.wcs.to_header())
-    own["BUNIT"] = _fits_unit(cube.unit)
+    shared = without_dates(cube.wcs.to_header())
+    shared["BUNIT"] = _fits_unit(cube.unit)
     for line in cube.meta.get("history", ()):
-        own.add_history(str(line).encode("ascii", "replace").decode())
+        shared.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
         image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
-        header = fits.Header([*epoch_header(cube, i).cards, *own.cards])
+        header = fits.Header([*epoch_header(cube, i).cards, *shared.cards])
         with replace_when_complete(path, overwrite=True) as part:
             # The header is in order, and verifying it takes a third of the time.
             fits.PrimaryHDU(image, header).writeto(part, output_verify="ignore")

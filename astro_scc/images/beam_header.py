@@ -62,14 +62,15 @@ def _of_channel(header, table):
     """Return the beam of the channel of an image, of a table of all channels."""
     n = len(table.data)
     rows = np.arange(n)
-    if n == 1:
-        return _row(table, 0)
+    every = {row: _row(table, row) for row in rows if _angle(table, "BMAJ", row) > 0}
+    if every and different_beam([*every.values()]) is None:
+        return next(iter(every.values()))
     columns = {name.upper(): name for name in table.columns.names}
     for column, axis in (("CHAN", _spectral(header)), ("POL", "STOKES")):
         if column in columns and len(rows) > 1:
             values = np.asarray(table.data[columns[column]], dtype=int)
             rows = rows[np.isin(values[rows], _plane_of(header, axis, values))]
-    beams = [_row(table, row) for row in rows if _angle(table, "BMAJ", row) > 0]
+    beams = [every[row] for row in rows if row in every]
     if not beams or different_beam(beams) is not None:
         raise SeveralBeamsError(
             f"its table BEAMS has {n} beams, and which one is that of its channel "

@@ -119,12 +119,12 @@ def common_beam(cube: Series, beam: Beam | None = None) -> Series:
     to_pixels = np.linalg.inv(cube.pixel_matrix.to_value(u.mas))
     data = cube.data.copy()
     changed = []
-    for i, own in enumerate(cube.beams):
-        covariance = own.covariance.value
+    for i, beam_now in enumerate(cube.beams):
+        covariance = beam_now.covariance.value
         excess = beam_excess(goal, covariance)
         if excess > 1 + CONTAINS:
             raise ValueError(
-                f"{cube.labels[i]}: its beam {own} does not fit into {target}; "
+                f"{cube.labels[i]}: its beam {beam_now} does not fit into {target}; "
                 "choose a larger one, or none for the smallest common beam"
             )
         if max(excess, beam_excess(covariance, goal)) <= 1 + EQUAL:
@@ -134,7 +134,7 @@ def common_beam(cube: Series, beam: Beam | None = None) -> Series:
         difference = (axes * np.maximum(variances, 0)) @ axes.T
         data[i] = gaussian_smooth(data[i], difference, cube.mask[i])
         if is_per(cube.unit, "beam"):
-            data[i] *= float(target.area / own.area)
+            data[i] *= float(target.area / beam_now.area)
         changed.append(i)
     line = f"common beam {target} ({len(changed)} of {len(cube)} epochs convolved)"
     noise = None if changed else cube.noise

@@ -4,22 +4,29 @@
 import re
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import astropy.units as u
 import numpy as np
 from astropy.time import Time, TimeDelta
 
-from astro_scc.images.cards import get
+from astro_scc.images.cards import axis_numbers, get
 from astro_scc.quantities import parse_date
 
 #: Keywords of dates as text and as (modified) Julian dates: of the start of the
 #: exposure, of its middle and of its end, the first ones before the others.
-STARTS = "DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE_BEG"
-MIDDLES = "DATE-AVG", "DATE_AVG", "DATE-MID", "DATEMID", "T_OBS"
-DAYS = ("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "JD", "JD-OBS")
-MIDDLE_DAYS = "MJD-AVG", "MJD_AVG", "MJD-MID", "EXPMID"
-ENDS, END_DAYS = ("DATE-END", "DATE_END"), ("MJD-END", "EXPEND")
+STARTS = (
+    *("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE_BEG"),
+    *("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "JD", "JD-OBS"),
+)
+MIDDLES = (
+    *("DATE-AVG", "DATE_AVG", "DATE-MID", "DATEMID", "T_OBS"),
+    *("MJD-AVG", "MJD_AVG", "MJD-MID", "EXPMID"),
+)
+ENDS = "DATE-END", "DATE_END", "MJD-END", "EXPEND"
+#: Starts of keywords of Julian dates.
+JULIAN = "MJD", "JD", "EXP"
 #: Keywords of the time of the day, text or seconds, beside a date without it.
 CLOCKS = (
     *("TIME-OBS", "TIME_OBS", "UT", "UTC-OBS", "UTC_OBS", "UT-OBS", "UTC", "UTSTART"),
@@ -30,8 +37,19 @@ EXPOSURES = "EXPTIME", "XPOSURE", "EXPOSURE", "TEXPTIME", "EXP_TIME", "EXPOS"
 #: Time scales by their names in headers; dates of others are in UTC.
 SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg", "ut1")}
 SCALES |= {"IAT": "tai", "GPS": "tai", "TDT": "tt", "ET": "tt"}
-#: Hours of a day.
-HOURS = 24
+SCALES |= dict.fromkeys(("UTC", "UT", "GMT", "Z"), "utc")
+#: Units of time in comments of cards, in seconds.
+WORDS = {
+    r"(?i)\[h|\bho?u?rs?\b": 3600.0,
+    r"(?i)\[min|\bmin(ute)?s?\b": 60.0,
+    r"(?i)\[ms|\bms(ec)?\b|\bmillisec": 1e-3,
+    r"(?i)\[s|\bsec": 1.0,
+}
+#: Seconds of a day; hours of a day.
+DAY, HOURS = 86400.0, 24
+#: Days by which dates with a time of the day may differ and be of one exposure, or of
+#: one night by the clock of the place.
+LONGEST = 0.9
 #: GPS time is behind atomic time.
 GPS = 19 * u.s
 #: Smallest Julian date that is no modified one.
@@ -40,29 +58,35 @@ FIRST_JD = 2.4e6
 UNITS = {"": "s", "sec": "s", "secs": "s", "seconds": "s", "a": "yr", "days": "d"}
 #: Names of axes of time.
 AXES = "TIME", "UTC", "UT", "TAI", "IAT", "TT", "TDT", "TDB", "MJD", "JD", "GPS"
+#: Keywords of the date from which an axis of time counts, and its form.
+REFERENCES = {"MJDREF": "mjd", "MJDREFI": "mjd", "JDREF": "jd"}
 #: Names of columns of times.
 COLUMNS = "TIME", "MJD", "JD", "DATE-OBS", "DATE_OBS", "DATE", "TIME-OBS"
-_CLOCK = re.compile(r"(\d{1,2})[: ](\d{1,2})(?:[: ](\d{1,2})(\.\d*)?)?$")
+_CLOCK = re.compile(
+    r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
+    r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
+)
 _SUFFIX = re.compile(r"[ _](UTC|UT|TAI|TT|TDB)$")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class Found:
     """
     A date of a header: its Time, how precise it is, and of which keyword.
 
     ``precision`` is in seconds, that of a whole day if there is no time of the day.
+    Dates are in the order of their precision.
     """
 
-    time: Time
     precision: float
-    keyword: str
-    middle: bool = False
+    time: Time = field(compare=False)
+    keyword: str = field(compare=False)
+    middle: bool = field(compare=False, default=False)
 
     @property
     def day_only(self):
         """Whether nothing but the day is known."""
-        return self.precision >= u.day.to(u.s)
+        return self.precision >= DAY
 
 
 def observing_time(header, *, start=False):
@@ -81,145 +105,164 @@ def observing_time(header, *, start=False):
     for keyword in (*STARTS, *MIDDLES):
         if isinstance(value := get(header, keyword), Time):
             return value, ""
-    scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
-    starts, problem = _texts(header, STARTS, scale)
-    starts += _days(header, DAYS, scale)
-    middles, other = _texts(header, MIDDLES, scale, middle=True)
-    middles += _days(header, MIDDLE_DAYS, scale, middle=True)
-    every = [*starts, *middles]
-    if not every:
+    scale = _scale_of(header)
+    starts, problem = _dates(header, STARTS, scale)
+    middles, other = _dates(header, MIDDLES, scale, middle=True)
+    if not (starts or middles):
         if problem or other:
             raise ValueError(problem or other)
         return None, ""
-    first = every[0]
-    if first.day_only and not first.middle:
-        starts[:1] = [first, *_with_clock(header, first)]
-    exposure = get(header, *EXPOSURES, kind=float) or 0.0
-    agreed = [one for one in starts if _agrees(one, first)]
-    begin = min(agreed, key=_precision, default=None)
-    remark = "; ".join(
-        f"{one.keyword} is of {one.time.isot[:10]}"
-        for one in starts
-        if abs((one.time - first.time).jd) > 1.5
-    )
-    if remark:
-        remark = (
-            f"its {first.keyword} is of {first.time.isot[:10]}, which is taken, and "
-            f"{remark}; correct the header if that is wrong"
-        )
+    first = [*starts, *middles][0]
+    day_alone = first.day_only and not first.middle
+    if day_alone:
+        starts[1:1] = _with_clock(header, first)
+    begin = min((one for one in starts if _agrees(one, first)), default=None)
+    remark = _contradictions(starts, first) or _unknown_scale(scale)
+    if day_alone:
+        remark = remark or _hours_or_seconds(header)
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
-    half = _half_exposure(header, begin, exposure, scale)
+    exposure = _exposure(header)
+    ends = [one for one in _dates(header, ENDS, scale)[0] if not one.day_only]
     if (begin or first).day_only:
-        middles += _before_end(header, exposure, scale)
+        half = TimeDelta(exposure / 2, format="sec")
+        middles += [replace(one, time=one.time - half, middle=True) for one in ends]
     middle = min(
         (one for one in middles if _follows(one, begin or first, exposure)),
-        key=_precision,
         default=None,
     )
     if middle is not None and (begin is None or _better(middle, begin)):
         return _in_utc(middle.time), remark
-    if begin is not None and begin.day_only:
-        remark = remark or _hours_or_seconds(header)
+    half = TimeDelta(_lasted(begin, ends, exposure) / 2, format="sec")
     return _in_utc((begin or first).time + half), remark
 
 
-def _precision(found):
-    return found.precision
+def _scale_of(header):
+    """Return the time scale of a header, TT for ``TT(TAI)``."""
+    scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    return scale.partition("(")[0].strip()
+
+
+def _unknown_scale(scale):
+    """Return a remark on a time scale that is not known."""
+    if scale in SCALES:
+        return ""
+    return (
+        f"its time scale TIMESYS = {scale} is not known and taken for UTC; correct its "
+        "dates, and TIMESYS, if they are local"
+    )
+
+
+def _contradictions(starts, first):
+    """Return a remark on dates that are of other days than the first one."""
+    others = "; ".join(
+        f"{one.keyword} is of {one.time.isot[:10]}"
+        for one in starts
+        # Of a day alone, the other may be of its last second or of another scale.
+        if abs((one.time - first.time).jd)
+        > (1.5 if one.day_only or first.day_only else LONGEST)
+    )
+    if not others:
+        return ""
+    return (
+        f"its {first.keyword} is of {first.time.isot[:10]}, which is taken, and "
+        f"{others}; correct the header if that is wrong"
+    )
+
+
+def _exposure(header):
+    """Return the exposure in seconds, also where its comment says another unit."""
+    for keyword in EXPOSURES:
+        if (value := get(header, keyword, kind=float) or 0) > 0:
+            return value * _unit_of(header, keyword, 1.0)
+    return 0.0
+
+
+def _unit_of(header, keyword, default):
+    """Return the seconds of a unit of time that the comment of a card names."""
+    comment = ""
+    with suppress(AttributeError, KeyError):
+        comment = str(header.comments[keyword])
+    return next((s for word, s in WORDS.items() if re.search(word, comment)), default)
 
 
 def _better(middle, begin):
     """Return whether the middle is more precise than the start, or than their gap."""
-    if middle.precision <= begin.precision:
-        return True
-    return middle.precision < abs((middle.time - begin.time).to_value(u.s))
+    gap = abs((middle.time - begin.time).to_value(u.s))
+    return middle.precision <= max(begin.precision, gap)
 
 
 def _agrees(one, first):
     """Return whether two dates of the start may be of the same instant."""
-    gap = abs((one.time - first.time).to_value(u.s))
     if first.day_only or one.day_only:
         return one.time.isot[:10] == first.time.isot[:10] or (
             _in_utc(one.time).isot[:10] == _in_utc(first.time).isot[:10]
         )
+    gap = abs((one.time - first.time).to_value(u.s))
     return gap <= first.precision + one.precision
 
 
 def _follows(middle, begin, exposure):
     """Return whether a middle of an exposure may be that of its start."""
     gap = (middle.time - begin.time).to_value(u.s)
-    day = u.day.to(u.s)
     if middle.day_only:
-        return begin.day_only and 0 <= gap < day
+        return begin.day_only and 0 <= gap < DAY
     # A day that is given in UTC may begin later in other scales.
-    return -min(begin.precision, 100.0) <= gap <= max(day, exposure)
+    return -min(begin.precision, 100.0) <= gap <= max(DAY, exposure)
 
 
-def _half_exposure(header, begin, exposure, scale):
-    """Return half of the exposure, none if the time of its start is not known."""
+def _lasted(begin, ends, exposure):
+    """Return the seconds from a start to the end, 0 if its time is not known."""
     if begin is None or begin.day_only:
-        return TimeDelta(0, format="sec")
-    if not exposure > 0:
-        later = [one for one in _ends(header, scale) if one.time > begin.time]
-        if later:
-            end = min(later, key=_precision)
-            exposure = (end.time - begin.time).to_value(u.s)
-    return TimeDelta(max(exposure, 0.0) / 2, format="sec")
-
-
-def _ends(header, scale):
-    """Return the dates of the end of the exposure that have the time of the day."""
-    ends = _texts(header, ENDS, scale)[0] + _days(header, END_DAYS, scale)
-    return [one for one in ends if not one.day_only]
-
-
-def _before_end(header, exposure, scale):
-    """Return half of the exposure before its end."""
-    half = TimeDelta(exposure / 2, format="sec")
-    return [
-        replace(one, time=one.time - half, middle=True) for one in _ends(header, scale)
-    ]
+        return 0.0
+    end = min((one for one in ends if one.time > begin.time), default=None)
+    if end is not None:
+        # Exposures leave out the pauses.
+        return max(exposure, (end.time - begin.time).to_value(u.s))
+    # A longer one is the sum of many, of which the dates are not known.
+    return exposure if exposure <= DAY else 0.0
 
 
 def _hours_or_seconds(header):
     """Return a remark if a time of the day is a number of which the unit is unknown."""
     for keyword in CLOCKS:
         number = get(header, keyword, kind=float)
-        if _is_doubtful(header, keyword, number):
-            return (
-                f"its {keyword} = {number:g} may be hours or seconds and is left out; "
-                "write it as HH:MM:SS"
-            )
+        if number is None or not 0 < number <= HOURS or _unit_of(header, keyword, 0.0):
+            continue
+        what = "is left out" if keyword.startswith("UT") else "is seconds"
+        return (
+            f"its {keyword} = {number:g} may be hours or seconds and {what}; write it "
+            "as HH:MM:SS"
+        )
     return ""
 
 
-def _is_doubtful(header, keyword, number):
-    """Return whether a number may be hours, which is likely for universal time."""
-    known = number is None or not 0 < number <= HOURS or not keyword.startswith("UT")
-    return not (known or re.search(r"\[s|sec|\[h|hour", _comment(header, keyword)))
-
-
-def _comment(header, keyword):
-    with suppress(AttributeError, KeyError):
-        return str(header.comments[keyword]).lower()
-    return ""
-
-
-def _texts(header, keywords, scale, middle=False):
-    """Return the dates that are written as text, and why one could not be read."""
+def _dates(header, keywords, scale, *, middle=False):
+    """Return the dates of some keywords, and why one could not be read."""
     found, problem = [], ""
     for keyword in keywords:
-        if (text := get(header, keyword, kind=str)) is None:
-            continue
-        try:
-            found.append(Found(*_of_text(text, scale), keyword, middle))
-        except ValueError as error:
-            problem = problem or f"{keyword}: {error}"
+        if keyword.startswith(JULIAN):
+            day = get(header, keyword, kind=float) or 0
+            if day > FIRST_JD or (day > 0 and not keyword.startswith("JD")):
+                form = "jd" if day > FIRST_JD else "mjd"
+                time = Time(day, format=form, scale=SCALES.get(scale, "utc"))
+                precision = DAY * _last_digit(repr(day))
+                found.append(Found(precision, _in_scale(time, scale), keyword, middle))
+        elif (text := get(header, keyword, kind=str)) is not None:
+            try:
+                found.append(Found(*_of_text(text, scale), keyword, middle))
+            except ValueError as error:
+                problem = problem or f"{keyword}: {error}"
     return found, problem
 
 
+def _last_digit(text):
+    """Return what one of the last digit of a number is that is not zero."""
+    return 10.0 ** -len(text.partition(".")[2].rstrip("0"))
+
+
 def _of_text(text, scale):
-    """Return the Time of a text and its precision in seconds."""
+    """Return the precision of a date that is text, in seconds, and its Time."""
     plain = text.strip()
     if suffix := _SUFFIX.search(plain.upper()):
         plain, scale = plain[: suffix.start()], suffix[1]
@@ -230,77 +273,51 @@ def _of_text(text, scale):
     plain = re.sub(r"(?<=\d)_(?=\d\d:)", "T", plain)
     time = _in_scale(parse_date(plain, SCALES.get(scale, "utc")), scale)
     if re.fullmatch(r"\d{4}\.\d+", plain):
-        return time, u.yr.to(u.s) * 10.0 ** -len(plain[5:])
-    clock = re.search(r"[T ](\d.*?)(Z|\+.*)?$", plain.upper())
-    return time, _of_clock(clock[1].strip() if clock else "")
-
-
-def _of_clock(clock):
-    """Return the precision of a time of the day, that of a day for midnight."""
-    if not clock or not re.search(r"[1-9]", clock):
-        return u.day.to(u.s)
-    _, _, fraction = clock.partition(".")
-    return 10.0 ** -len(fraction) if clock.count(":") > 1 else 60.0
-
-
-def _days(header, keywords, scale, middle=False):
-    """Return the dates that are written as (modified) Julian dates."""
-    found = []
-    for keyword in keywords:
-        day = get(header, keyword, kind=float) or 0
-        if not day > 0:
-            continue
-        form = "jd" if day > FIRST_JD else "mjd"
-        time = Time(day, format=form, scale=SCALES.get(scale, "utc"))
-        digits = len(repr(day).partition(".")[2].rstrip("0"))
-        precision = u.day.to(u.s) * 10.0**-digits
-        found.append(Found(_in_scale(time, scale), precision, keyword, middle))
-    return found
+        return u.yr.to(u.s) * 10.0 ** -len(plain[5:]), time
+    clock = re.search(r"[T ](\d[\d:]*)(\.\d*)?", plain.upper())
+    if not clock or not re.search(r"[1-9]", clock[0]):
+        # Midnight stands for a day alone.
+        return DAY, time
+    minutes = clock[1].count(":") < 2
+    return (60.0 if minutes else 10.0 ** -len((clock[2] or ".")[1:])), time
 
 
 def _with_clock(header, day):
     """Return the date of a day alone with its times of the day in other keywords."""
     found = []
     for keyword in CLOCKS:
-        seconds, precision = _seconds(header, keyword)
+        precision, seconds = _seconds(header, keyword)
         if seconds is not None:
             # On the day itself, so that leap seconds do not move it.
             time = day.time + TimeDelta(seconds, format="sec")
-            found.append(Found(time, precision, f"{day.keyword} and {keyword}"))
+            found.append(Found(precision, time, f"{day.keyword} and {keyword}"))
     return found
 
 
 def _seconds(header, keyword):
-    """Return a time of the day in seconds, and its precision; None if it is none."""
-    text = get(header, keyword, kind=str)
-    if text is None:
-        return None, 0.0
+    """Return the precision of a time of the day, and it in seconds, None if none."""
+    text = get(header, keyword, kind=str) or ""
     # It may have the day, too.
     text = re.split(r"[T_ ](?=\d{1,2}:)", text.upper())[-1]
     text = re.sub(r"(Z| ?UTC?)$", "", text).strip()
     if match := _CLOCK.match(text):
-        hours, minutes, seconds, fraction = match.groups()
+        # Of one of the two forms.
+        hours, minutes, seconds, fraction = match.groups()[4 * (match[1] is None) :][:4]
+        if int(hours) > HOURS or int(minutes) > 59:
+            return DAY, None
         total = 3600 * int(hours) + 60 * int(minutes) + float(seconds or 0)
-        if int(hours) > 24 or int(minutes) > 59:
-            return None, 0.0
-        digits = len((fraction or ".")[1:])
-        precision = 60.0 if seconds is None else 10.0**-digits
-        return total + float(fraction or 0), precision
-    number = get(header, keyword, kind=float)
-    if number is None or not 0 <= number <= u.day.to(u.s):
-        return None, 0.0
-    if _is_doubtful(header, keyword, number):
-        return None, 0.0
-    digits = len(text.partition(".")[2].rstrip("0"))
-    unit = 3600.0 if re.search(r"\[h|hour", _comment(header, keyword)) else 1.0
-    return number * unit, unit * 10.0**-digits
+        precision = 60.0 if seconds is None else 10.0 ** -len((fraction or ".")[1:])
+        return precision, total + float(fraction or 0)
+    number, unit = get(header, keyword, kind=float), _unit_of(header, keyword, 0.0)
+    doubtful = keyword.startswith("UT") and not unit and 0 < (number or 0) <= HOURS
+    if number is None or not 0 <= number <= DAY or doubtful:
+        return DAY, None
+    return (unit or 1.0) * _last_digit(text), (unit or 1.0) * number
 
 
 def _in_scale(time, scale):
     """Return a time that was read in the scale of a name as what it means."""
-    if scale == "GPS":
-        return time + GPS
-    return time
+    return time + GPS if scale == "GPS" else time
 
 
 def _in_utc(time):
@@ -331,58 +348,55 @@ def axis_times(header, axis, hdus=()):
     """
     n = header[f"NAXIS{axis}"]
     name = str(header[f"CTYPE{axis}"]).upper().strip()
-    unit = get(header, f"CUNIT{axis}", kind=str) or ""
-    values = _of_table(header, axis, hdus, n)
-    if values is not None:
-        values, unit = values[0], values[1] or unit
-        if isinstance(values, Time):
-            return _in_utc(values)
-    elif name.endswith("-TAB"):
-        raise ValueError(f"has times in a table on axis {name}, which is not there")
-    else:
-        start = get(header, f"CRVAL{axis}", kind=float) or 0.0
-        step = get(header, f"CDELT{axis}", f"CD{axis}_{axis}", kind=float)
-        pixel = get(header, f"CRPIX{axis}", kind=float)
+    given = get(header, f"CUNIT{axis}", kind=str) or ""
+    values, unit = _of_table(header, axis, hdus, n)
+    if isinstance(values, Time):
+        return _in_utc(values)
+    if values is None:
+        if name.endswith("-TAB"):
+            raise ValueError(f"has times in a table on axis {name}, which is not there")
+        start, pixel, step = axis_numbers(header, axis)
+        step = step or get(header, f"CD{axis}_{axis}", kind=float) or 0.0
         if n > 1 and not step:
             raise ValueError(f"has no step on axis {name} (CDELT{axis}); write it")
-        steps = np.arange(1, n + 1) - (1.0 if pixel is None else pixel)
-        values = start + steps * (step or 0.0)
-    unit = UNITS.get(unit.strip().lower(), unit.strip())
-    if unit == "s" and not get(header, f"CUNIT{axis}", kind=str):
-        unit = "d" if name.startswith(("MJD", "JD")) else unit
+        values = (start or 0.0) + (np.arange(1, n + 1) - pixel) * step
+    unit = (unit or given).strip()
+    unit = UNITS.get(unit.lower(), unit)
+    if unit == "s" and not given and name.startswith(("MJD", "JD")):
+        unit = "d"
     try:
         seconds = np.asarray(values, dtype=float) * u.Unit(unit).to(u.s)
     except (TypeError, ValueError, u.UnitsError):
         what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
         raise ValueError(what) from None
     scale = next((part for part in (name, name[:3]) if part in SCALES), None)
-    scale = scale or (get(header, "TIMESYS", kind=str) or "UTC").upper()
+    scale = scale or _scale_of(header)
     return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
 
 
 def _from_reference(header, name, seconds, scale):
     """Return times that are given in seconds from the reference of a header."""
-    own = SCALES.get(scale, "utc")
-    days = seconds / u.day.to(u.s)
-    reference = None
-    if (day := get(header, "MJDREF", kind=float)) is not None:
-        reference = Time(day, format="mjd", scale=own)
-    elif parts := get(header, "MJDREFI", kind=float):
-        part = get(header, "MJDREFF", kind=float) or 0.0
-        reference = Time(parts, part, format="mjd", scale=own)
-    elif (day := get(header, "JDREF", kind=float)) is not None:
-        reference = Time(day, format="jd", scale=own)
+    known = SCALES.get(scale, "utc")
+    reference = observing_time(header, start=True)[0]
+    keyword = next((k for k in REFERENCES if get(header, k, kind=float)), None)
+    if keyword is not None:
+        more = get(header, "MJDREFF", kind=float) if keyword == "MJDREFI" else None
+        day, form = get(header, keyword, kind=float), REFERENCES[keyword]
+        reference = Time(day, more or 0.0, format=form, scale=known)
     elif text := get(header, "DATEREF", kind=str):
-        reference = Time(_of_text(text, scale)[0], scale=own)
-    start = observing_time(header, start=True)[0]
-    if reference is None:
-        absolute = "jd" if days[0] > FIRST_JD else "mjd"
-        near = start is not None and abs(
-            Time(days[0], format=absolute, scale=own).mjd - start.mjd
+        reference = Time(_of_text(text, scale)[1], scale=known)
+    else:
+        days = seconds / DAY
+        form = "jd" if days[0] > FIRST_JD else "mjd"
+        found = Time(days, format=form, scale=known)
+        # wcslib writes a reference of 0 to every header.
+        absolute = name.startswith(JULIAN) or (
+            get(header, "MJDREF", kind=float) == 0
+            if reference is None
+            else abs(found[0].mjd - reference.mjd) < 2
         )
-        if name.startswith(("MJD", "JD")) or (near is not False and near < 2):
-            return Time(days, format=absolute, scale=own)
-        reference = start
+        if absolute:
+            return found
     if reference is None:
         raise ValueError(
             f"has times on axis {name} and no date from which they count; write "
@@ -394,30 +408,23 @@ def _from_reference(header, name, seconds, scale):
 
 
 def _of_table(header, axis, hdus, n):
-    """Return the times in a table and their unit, None if there is none."""
-    tables = [h for h in hdus if hasattr(h, "columns")]
-    name = get(header, f"PS{axis}_0", kind=str)
-    column = get(header, f"PS{axis}_1", kind=str)
+    """Return the n times in a table and their unit, None if there is none."""
+    tables, wanted = [h for h in hdus if hasattr(h, "columns")], COLUMNS
+    name, column = (get(header, f"PS{axis}_{k}", kind=str) for k in (0, 1))
     tabled = str(header[f"CTYPE{axis}"]).strip().upper().endswith("-TAB")
     if tabled and name and column:
         tables = [table for table in tables if table.name == name.upper()]
         wanted = [column.upper()]
-    else:
-        wanted = COLUMNS
-    for table in tables:
-        names = {own.upper(): own for own in table.columns.names}
-        for own in wanted:
-            if own not in names:
-                continue
-            values = np.asarray(table.data[names[own]]).reshape(-1)
-            if len(values) != n:
-                continue
-            if values.dtype.kind in "SU":
-                scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
-                every = [_of_text(str(text), scale)[0] for text in values]
-                return Time(every), ""
-            unit = table.columns[names[own]].unit or ""
-            if not unit and own in ("MJD", "JD"):
-                unit = "d"
-            return values.astype(float), unit
-    return None
+    for table, want in product(tables, wanted):
+        names = {name.upper(): name for name in table.columns.names}
+        if want not in names or len(table.data) == 0:
+            continue
+        values = np.asarray(table.data[names[want]]).reshape(-1)
+        if len(values) != n:
+            continue
+        if values.dtype.kind in "SU":
+            scale = _scale_of(header)
+            return Time([_of_text(str(text), scale)[1] for text in values]), ""
+        unit = table.columns[names[want]].unit or ""
+        return values.astype(float), unit or ("d" if want in ("MJD", "JD") else "")
+    return None, ""

@@ -12,9 +12,9 @@ from astro_scc.images.cards import get
 from astro_scc.images.dates import time_axis
 
 #: Names of extensions with flags, of which any but 0 is bad.
-FLAGS = "DQ", "MASK", "BPM", "BADPIX", "FLAGS"
+FLAGS = r"\w*(DQ|MASK|QUAL|FLAG|BADPIX)\w*|BAD|BPM|FLG|MSK|DQM"
 #: Names of extensions with weights or exposures, of which 0 is bad.
-WEIGHTS = "WHT", "WEIGHT", "IVAR", "COVERAGE", "EXPOSURE", "EXP"
+WEIGHTS = "WHT|WEIGHT|IVAR|COVERAGE|EXPOSURE|EXP"
 #: Names of extensions with uncertainties, and how astropy names their kind.
 UNCERTAIN = {
     "UNCERT": "StdDevUncertainty",
@@ -23,7 +23,7 @@ UNCERTAIN = {
 }
 #: Names of images that tell of others.
 _BESIDE = re.compile(
-    rf"({'|'.join((*FLAGS, *WEIGHTS, *UNCERTAIN))}|VAR_\w+|CON|CTX|PSF|BEAM|SAMP|TIME|"
+    rf"({'|'.join((FLAGS, WEIGHTS, *UNCERTAIN))}|VAR_\w+|CON|CTX|PSF|BEAM|SAMP|TIME|"
     r"RMS|NOISE|HITS|NCOMBINE|BACKGROUND|BKG|SKY|FLAT|DARK|AUX)\d*$"
 )
 #: Types of images (BTYPE) that show no brightness.
@@ -154,16 +154,16 @@ def _is_science(hdu):
 
 def beside(hdus, image, names, shape, *, strict=True):
     """
-    Return the extensions of some names that tell of an image, of its shape.
+    Return the extensions that tell of an image, of its shape.
 
-    Of several images, those of its version do.  Others of one name but another shape
-    are refused if ``strict``.
+    ``names`` is a regular expression of their names.  Of several images, those of its
+    version do.  Others of one name but another shape are refused if ``strict``.
     """
     found = []
     for hdu in hdus:
-        if hdu is image or hdu.name not in names or not is_image(hdu):
+        if hdu is image or not re.fullmatch(names, hdu.name) or not is_image(hdu):
             continue
-        several = sum(own.name == hdu.name for own in hdus) > 1
+        several = sum(other.name == hdu.name for other in hdus) > 1
         if several and version(hdus, hdu) != version(hdus, image):
             continue
         if tuple(n for n in hdu.shape if n > 1) == tuple(n for n in shape if n > 1):

@@ -17,9 +17,13 @@ FACTS = {
     "polarisation": ("POLARIZ", "POLARISA", "POLAR"),
     "channel": ("SPECTRAL",),
     "type": ("BTYPE",),
+    "low": ("ENERGYLO", "ENERG_LO", "E_MIN"),
+    "high": ("ENERGYHI", "ENERG_HI", "E_MAX"),
 }
 #: Names of axes of wavelengths and velocities.
 SPECTRAL = "WAVE", "AWAV", "VRAD", "VOPT", "VELO", "FELO", "ZOPT", "ENER", "WAVN"
+#: Units of frequency other than that of the standard, in Hz.
+HERTZ = {"KHZ": 1e3, "MHZ": 1e6, "GHZ": 1e9}
 #: Numbers of filter wheels.
 WHEELS = "1", "2", "3", "01", "02", "03"
 
@@ -36,7 +40,8 @@ def header_facts(header):
         fact: get(header, *keywords, kind=float if fact == "frequency" else str)
         for fact, keywords in FACTS.items()
     }
-    facts["frequency"] = axis_value(header, "FREQ") or facts["frequency"]
+    if frequency := axis_value(header, "FREQ"):
+        facts["frequency"] = frequency * _hertz(header)
     facts["filter"] = _filters(header, facts["filter"])
     if (stokes := axis_value(header, "STOKES")) is not None:
         facts["stokes"] = _STOKES.get(round(stokes))
@@ -58,7 +63,13 @@ def bandwidth(header):
     """Return the width of a frequency channel in Hz, None without one."""
     axis = axis_of(header, "FREQ")
     step = axis and get(header, f"CDELT{axis}", kind=float)
-    return abs(step) if step else None
+    return abs(step) * _hertz(header) if step else None
+
+
+def _hertz(header):
+    """Return the unit of the axis of frequencies in Hz."""
+    unit = get(header, f"CUNIT{axis_of(header, 'FREQ')}", kind=str) or ""
+    return HERTZ.get(unit.upper(), 1.0)
 
 
 def _filters(header, name):

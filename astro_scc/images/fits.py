@@ -34,7 +34,7 @@ from astro_scc.images.extensions import (
 )
 from astro_scc.images.facts import bandwidth
 from astro_scc.images.grid import cut_wcs
-from astro_scc.images.pixels import flagged, padding
+from astro_scc.images.pixels import flagged, missing
 from astro_scc.images.uncertainty import uncertainty_noise, uncertainty_of
 
 # Value of CREATOR that marks the files of EpochCube.write.
@@ -51,6 +51,8 @@ AS_TABLE = (
 )
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
+#: Cards that are of one image alone.
+_OF_ONE = re.compile(r"(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA|PC|CD)\d|B(UNIT|TYPE)$")
 _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 
 
@@ -101,8 +103,10 @@ class Plane:
     def take_uncertainty(self):
         """Make the uncertainty the noise, and mask the pixels without one."""
         if self.uncertainty is not None:
+            # Errors that are larger than all that is seen mark pixels without a value.
+            whole = float(np.ptp(self.data[~self.mask]))
             self.noise, bad, even = uncertainty_noise(
-                self.uncertainty, self.unit, self.mask
+                self.uncertainty, self.unit, self.mask, most=whole
             )
             self.mask |= bad
             self.uncertainty = None
@@ -156,7 +160,7 @@ def _chosen(name):
     if choice is None:
         return []
     files = [file] if os.path.exists(file) else sorted(glob.glob(file, recursive=True))
-    return [f"{own}[{choice}]" for own in files if not os.path.isdir(own)]
+    return [f"{name}[{choice}]" for name in files if not os.path.isdir(name)]
 
 
 def file_of(path):
@@ -240,10 +244,7 @@ def open_fits(file, *, known=False, **options):
 
 def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     """Return the `Plane` of an open file, see `read_plane`."""
-    if "SCCVERS" in hdus[0].header:
-        what = hdus[0].header["CREATOR"].removeprefix("astro_scc ")
-        reader = what if what == "EpochCube" else "SCCResult"
-        raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
+    _refuse_whole(hdus[0].header)
     file, choice = file_of(Path(path))
     hdu = find_image(hdus, path, choice)
     header = hdu.header.copy()
@@ -258,8 +259,7 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
     record = headers.read_header(header, tables)
-    name = str(path) if frame is None else f"{path}, image {frame + 1}"
-    plane = Plane(name=name, wcs=wcs, shape=shape, **record)
+    plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, **record)
     plane.bandwidth = bandwidth(header)
     if (axis := time_axis(header)) is not None:
         try:
@@ -267,9 +267,9 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
         except ValueError as error:
             if frame is not None:
                 raise headers.ContentError(str(error)) from None
-    if (unit := parse_unit(text)) is not None:
-        plane.unit = unit
-    else:
+    plane.unit = parse_unit(text)
+    if plane.unit is None:
+        plane.unit = u.dimensionless_unscaled
         plane.unit_problem = (
             f"its unit {text!r} is not known and taken as dimensionless; write one "
             "that FITS knows, such as JY/BEAM, to BUNIT"
@@ -282,13 +282,26 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     return plane
 
 
+def _refuse_whole(header):
+    """Refuse what this package wrote that is more than an image."""
+    if "SCCVERS" in header:
+        what = header["CREATOR"].removeprefix("astro_scc ")
+        reader = what if what == "EpochCube" else "SCCResult"
+        raise headers.ContentError(f"is a whole {what}; give it alone to {reader}.read")
+
+
+def labelled(name, frame):
+    """Return the name of an image, with its number on an axis of time if any."""
+    return str(name) if frame is None else f"{name}, image {frame + 1}"
+
+
 def _inherited(primary, hdu):
     """Return the cards of the first header that may be those of a later image."""
     if not (headers.has_celestial(hdu.header) and "NAXIS1" in primary.header):
         return primary.header
     # Coordinates and units of another image are not those of this one.
-    own = re.compile(r"(CTYPE|CRVAL|CRPIX|CDELT|CUNIT|CROTA|PC|CD)\d|B(UNIT|TYPE)$")
-    return fits.Header([c for c in primary.header.cards if not own.match(c.keyword)])
+    cards = primary.header.cards
+    return fits.Header([card for card in cards if not _OF_ONE.match(card.keyword)])
 
 
 def _stretched(header):
@@ -316,27 +329,24 @@ def _load(plane, hdus, hdu, index, window):
             data = data[_dated(hdu, index)]
         return data[window]
 
-    for other in beside(hdus, hdu, WEIGHTS, _shape_of(hdu, plane), strict=False):
-        if not plane.mask.all():
-            plane.mask |= ~(pixels(other) > 0)
-            why = f" by its extension {other.name}"
-    for other in beside(hdus, hdu, FLAGS, _shape_of(hdu, plane)):
-        if not plane.mask.all():
-            telescope = plane.facts.get("telescope", "").upper()
-            try:
-                bad, remark = flagged(
-                    pixels(other), plane.data, other.name, telescope=telescope
-                )
-            except ValueError as error:
-                raise headers.ContentError(str(error)) from None
-            plane.mask |= bad
-            plane.mask_remarks += (remark,) if remark else ()
-            why = f" by its extension {other.name}"
-    if not plane.mask.all():
-        plane.mask |= padding(plane.data)
+    shape, telescope = _shape_of(hdu, plane), plane.facts.get("telescope", "").upper()
+    weights = beside(hdus, hdu, WEIGHTS, shape, strict=False)
+    remarks = []
+    for other in (*weights, *beside(hdus, hdu, FLAGS, shape)):
+        if plane.mask.all():
+            break
+        bad, remark = ~(pixels(other) > 0), ""
+        if other not in weights:
+            bad, remark = flagged(pixels(other), plane.data, other.name, telescope)
+        plane.mask |= bad
+        remarks.append(remark)
+        why = f" by its extension {other.name}"
+    # What extensions mark needs no remark.
+    plane.mask, remark = missing(plane.data, plane.mask)
+    plane.mask_remarks = tuple(filter(None, (*remarks, remark)))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in beside(hdus, hdu, UNCERTAIN, _shape_of(hdu, plane))[:1]:
+    for other in beside(hdus, hdu, "|".join(UNCERTAIN), shape)[:1]:
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)

@@ -26,6 +26,11 @@ def in_frame(wcs, frame, north=0.0):
     return turned(placed, north)
 
 
+def on_one_sky(every, first, frame):
+    """Return WCS as `in_frame` does, each turned to the north of the first one."""
+    return [in_frame(wcs, frame, north_in(wcs, first)) for wcs in every]
+
+
 def turned(wcs, angle):
     """Return a WCS whose offsets are turned through east by an angle in radians."""
     if angle == 0:
@@ -54,8 +59,10 @@ def frame_of(wcs):
 
 def place_of(wcs, frame=None):
     """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
-    own = frame_of(wcs)
-    place = SkyCoord(*wcs.wcs.crval, unit=u.deg, frame="icrs" if own is None else own)
+    known = frame_of(wcs)
+    place = SkyCoord(
+        *wcs.wcs.crval, unit=u.deg, frame="icrs" if known is None else known
+    )
     return place if frame is None else place.transform_to(frame)
 
 
@@ -98,6 +105,13 @@ def north_of(place, frame):
         .position_angle(ahead.transform_to(frame))
         .to_value(u.rad)
     )
+
+
+def placed_as(wcs, other):
+    """Return a WCS with the reference point, frame and axes of another one."""
+    names = ("crval", "radesys", "equinox", "lonpole", "latpole")
+    values = {name: getattr(other.wcs, name) for name in names}
+    return with_frame(wcs, other.wcs.ctype, **values)
 
 
 def with_frame(wcs, axes, **values):

@@ -120,10 +120,15 @@ def grid_step(wcs, target, shape):
     """
     if is_same(wcs, target):
         return np.zeros(2), True
-    corners = [[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]
-    pixels = np.array(corners) * [[shape[1] - 1], [shape[0] - 1]]
+    pixels = _few(shape)
     step = np.array(pixel_to_pixel(wcs, target, *pixels)) - pixels
     return step[:, 0], bool(np.all(np.abs(step - step[:, :1]) < ONE_SHIFT))
+
+
+def _few(shape):
+    """Return the middle and the corners of an image as pixels x and y, shape (2, 5)."""
+    places = np.array([[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]])
+    return places * [[shape[1] - 1], [shape[0] - 1]]
 
 
 def whole_step(wcs, target, shape, near):
@@ -154,14 +159,16 @@ def cut_wcs(wcs, window):
     return part
 
 
-def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXEL):
+def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=WHOLE_PIXEL):
     """
     Return images and bad pixels on another grid, and whether pixels were copied.
 
-    They are copied if the grids differ by whole pixels to within ``near``.  Otherwise
-    they are interpolated, or averaged over the new pixels, NaN where bad, and
-    intensities per pixel are scaled to the area of the new pixels.
+    The grid is a WCS with its ``array_shape``.  They are copied if the grids differ by
+    whole pixels to within ``near``.  Otherwise they are interpolated, or averaged over
+    the new pixels, NaN where bad, and intensities per pixel are scaled to the area of
+    the new pixels.
     """
+    shape = grid.array_shape
     whole = whole_step(wcs, grid, data.shape[-2:], near)
     if whole is not None:
         if not whole.any() and shape == data.shape[-2:]:
@@ -187,14 +194,12 @@ def regrid(data, bad, wcs, grid, *, shape, unit, averaged=False, near=WHOLE_PIXE
 
 def area_ratio(wcs, grid, shape):
     """Return the areas of the pixels (ny, nx) of a grid over those of a WCS there."""
-    ny, nx = shape
-    x, y = np.array([[0.5, 0, 1, 0, 1], [0.5, 0, 0, 1, 1]]) * [[nx - 1], [ny - 1]]
 
     def ratio(x, y):
         there = pixel_to_pixel(grid, wcs, x, y)
         return local.local_area(grid, x, y) / local.local_area(wcs, *there)
 
-    few = ratio(x, y)
+    few = ratio(*_few(shape))
     if np.allclose(few, few[0], rtol=1e-6):
         return 1.0 if np.isclose(few[0], 1, rtol=1e-6) else few[0]
     return ratio(*np.indices(shape)[::-1])
@@ -275,28 +280,24 @@ def reproject_cube(
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
     side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
-    own = np.sqrt(pixel_area(cube.wcs)) * u.deg
     sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
-    coarse = side > 1.01 * max(own, min(sampled, default=own))
-    options = {"shape": shape, "unit": cube.unit, "averaged": coarse}
-    data, mask, copied = regrid(cube.data, cube.mask, cube.wcs, wcs, **options)
-    flat = wcs.deepcopy()
+    present = cube.pixel_scale
+    coarse = side > 1.01 * max(present, min(sampled, default=present))
+    wcs = wcs.deepcopy()
+    wcs.array_shape = shape
+    data, mask, copied = regrid(
+        cube.data, cube.mask, cube.wcs, wcs, unit=cube.unit, averaged=coarse
+    )
     if not local.is_flat(wcs, shape):
-        flat = flat_wcs(wcs, data, mask)
-    fields = {"data": data, "mask": mask, "wcs": flat, "epoch_wcs": None}
+        wcs = flat_wcs(wcs, data, mask)
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
         f"reprojected onto {shape[1]} x {shape[0]} pixels of "
         f"{side.to_value(u.mas):.4g} mas ({how})",
+        data=data, mask=mask, wcs=wcs, epoch_wcs=None,
         noise=cube.noise if copied else None,
-        **fields,
-    )
-
-
-def pixel_area(wcs):
-    """Return the solid angle of the reference pixel in square degrees."""
-    return abs(np.linalg.det(wcs.pixel_scale_matrix))
+    )  # fmt: skip
 
 
 def finest(grids):
@@ -345,14 +346,10 @@ def shared_grid(grids):
     """
     areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
     fine = grids[finest(grids)][1]
-    edge = np.linspace(0, 1, 33)
-    sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
-    outline = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     corners = []
-    for (ny, nx), wcs in grids:
-        x, y = outline * [[nx - 1], [ny - 1]]
-        same = is_same(wcs, fine)
-        corners.append([x, y] if same else pixel_to_pixel(wcs, fine, x, y))
+    for shape, wcs in grids:
+        edge = local.outline(local.whole(shape))
+        corners.append(edge if is_same(wcs, fine) else pixel_to_pixel(wcs, fine, *edge))
     corners = np.concatenate(corners, axis=1)
     # Rounding errors must not add a row.
     first = np.floor(corners.min(axis=1) + 0.01)
@@ -384,15 +381,15 @@ def flatten(fields, name, whole, unit):
         return ""
     if flat is not None:
         place = flat.wcs.crpix - 1
-        own = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
+        every = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
         line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
         line = line.format(*place)
     else:
         with naming(f"{name} and the other images"):
             flat, turn = local.tangent_grid(wcs, mean)
         shape, code = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
-        data, mask, _ = regrid(data, mask, wcs, flat, shape=shape, unit=unit)
-        own = [flat] * len(data)
+        data, mask, _ = regrid(data, mask, wcs, flat, unit=unit)
+        every = [flat] * len(data)
         line = f"{RESAMPLED} of {shape[1]} x {shape[0]} pixels at the structure"
         warn(
             f"all images are {line}: their projection ({code}) changes the scale over "
@@ -404,7 +401,7 @@ def flatten(fields, name, whole, unit):
             f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
             "structure to its edges; directions refer to north in the middle"
         )
-    fields |= {"wcs": flat, "epoch_wcs": tuple(own)}
+    fields |= {"wcs": flat, "epoch_wcs": tuple(every)}
     return line
 
 
@@ -490,7 +487,7 @@ def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
 
 def _combine(cube, items, name, places):
     """Return the pixels in any region that is included and in none excluded."""
-    from regions import PixelRegion, SkyRegion
+    from regions import CompoundPixelRegion, PixCoord, PixelRegion, SkyRegion
 
     shape = cube.shape[1:]
     wanted = [bool(item.meta.get("include", True)) for item in items]
@@ -501,9 +498,15 @@ def _combine(cube, items, name, places):
             pixel = item
             if not isinstance(item, PixelRegion):
                 pixel = region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
-            if pixel.bounding_box.get_overlap_slices(shape)[0] is None:
+            target = pixel.bounding_box.get_overlap_slices(shape)[0]
+            if target is None:
                 continue
-            mask = pixel.to_mask(mode="center")
+            if not (isinstance(pixel, CompoundPixelRegion) or pixel.area > 0):
+                raise ValueError("it is a point, a line or text")
+            # A mask of the region may be far larger than the image.
+            y, x = np.mgrid[target]
+            # Some versions of regions turn excluded ones over, others do not.
+            within = pixel.copy(meta={}).contains(PixCoord(x, y))
         except (NotImplementedError, OverflowError, ValueError):
             raise ValueError(
                 f"{name}: a {type(item).__name__} has no inside on the image; use "
@@ -511,10 +514,9 @@ def _combine(cube, items, name, places):
                 "that the images show"
             ) from None
         if places and isinstance(item, SkyRegion):
-            _refuse_rounded(item, min(mask.shape), cube.wcs, places, name)
-        # Masks ignore "include".
-        target, source = mask.get_overlap_slices(shape)
-        inside[include][target] |= mask.data[source] > 0
+            size = min(pixel.bounding_box.shape)
+            _refuse_rounded(item, size, cube.wcs, places, name)
+        inside[include][target] |= within
     return inside[True] & ~inside[False]
 
 
@@ -524,7 +526,7 @@ def _refuse_rounded(item, size, wcs, places, name):
 
     Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
     """
-    side = np.sqrt(pixel_area(wcs))
+    side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
     lon, lat = np.atleast_1d(where.lon.deg), np.atleast_1d(where.lat.deg)
     names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
@@ -645,9 +647,9 @@ def crop(cube: Series, region: Any, pad: int = 0) -> Series:
     """
     window = box(cube, region, pad)
     cut = {name: getattr(cube, name)[:, *window].copy() for name in ("data", "mask")}
-    own = cube.epoch_wcs and [cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
+    every = cube.epoch_wcs and [cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
     wcs = cut_wcs(cube.wcs, window)
-    return cube.with_step(crop_line(window), wcs=wcs, epoch_wcs=own, **cut)
+    return cube.with_step(crop_line(window), wcs=wcs, epoch_wcs=every, **cut)
 
 
 def crop_line(window):

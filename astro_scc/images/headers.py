@@ -4,6 +4,7 @@
 import re
 import warnings
 from contextlib import suppress
+from itertools import product
 from numbers import Integral
 
 import astropy.units as u
@@ -17,7 +18,13 @@ from astro_scc.images.dates import observing_time
 from astro_scc.images.facts import FACTS, header_facts
 
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
+#: Units of celestial axes by the starts of their names, in lower case.
+ANGLES = {
+    **{"deg": "deg", "rad": "rad", "arcm": "arcmin"},
+    **dict.fromkeys(("arcs", "asec"), "arcsec"),
+}
 _SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
+_MATRIX = re.compile(r"PV|CDELT|CROTA|(PC|CD)\d+_|WCSAXES|NAXIS|CRPIX[3-9]")
 _CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
 
 
@@ -91,18 +98,38 @@ def celestial_wcs(header, fobj=None):
             clean.remove(f"{name}{axis}", ignore_missing=True)
         for key in [key for key in clean if re.match(rf"P[SV]{axis}_\d+$", key)]:
             del clean[key]
-    if not any("-SIP" in str(clean[f"CTYPE{axis}"]) for axis in axes):
-        # Left over in images from which the distortion has been removed.
-        for key in [key for key in clean if _SIP.match(key)]:
-            del clean[key]
     with warnings.catch_warnings(action="ignore"):
         try:
+            _complete_polynomials(clean, axes)
             wcs = WCS(clean, fobj=fobj).celestial
             wcs.wcs.set()
         except Exception as error:
             reason = _reason(str(error))
             raise ContentError(f"its coordinates cannot be read: {reason}") from None
+    if np.linalg.matrix_rank(wcs.pixel_scale_matrix) < 2:
+        raise ContentError("its axes are parallel by its PC or CD; correct them")
     return as_celestial(wcs)
+
+
+def _complete_polynomials(header, axes):
+    """
+    Put the pixel scale of ``TPV`` into the matrix of two axes, in place.
+
+    wcslib takes the polynomials for those of pixels where ``CDELT`` is not 1 and for
+    zero where their linear terms are missing, and has none beside other axes.
+    """
+    if not any("TPV" in str(header[f"CTYPE{axis}"]) for axis in axes):
+        return
+    plain = header.copy()
+    for i in axes:
+        plain[f"CTYPE{i}"] = plain[f"CTYPE{i}"].replace("TPV", "TAN")
+    for key in [key for key in header if _MATRIX.match(key)]:
+        del (plain if key.startswith("PV") else header)[key]
+    matrix = WCS(plain).celestial.pixel_scale_matrix
+    for (i, j), part in zip(product(axes, axes), matrix.flat, strict=True):
+        header[f"CD{i}_{j}"] = part
+    for i in axes:
+        header.setdefault(f"PV{i}_1", 1.0)
 
 
 def _reason(text):
@@ -129,7 +156,7 @@ def _repaired(header):
             with suppress(fits.VerifyError, ValueError):
                 cards[keyword] = fits.Card(keyword, value)
     clean = fits.Header(cards.values())
-    if not any("-SIP" in str(clean.get(f"CTYPE{axis}")) for axis in (1, 2)):
+    if not any("-SIP" in str(value) for value in clean["CTYPE*"].values()):
         # Images that were resampled keep the coefficients of the distorted ones.
         for keyword in [key for key in clean if _SIP.match(key)]:
             del clean[keyword]
@@ -147,14 +174,25 @@ def _standard(keyword, value):
             return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
         # AIPS and difmap omit the projection if it is orthographic.
         return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
-    if keyword.startswith("CUNIT") and str(value).upper().startswith("DEG"):
-        return "deg"
+    if keyword.startswith("CUNIT"):
+        text = str(value).strip().lower()
+        return next((unit for s, unit in ANGLES.items() if text.startswith(s)), value)
+    if keyword in ("RADESYS", "RADECSYS"):
+        return _frame_name(keyword, str(value).strip().upper())
     if not _WCS_NUMBER.match(keyword):
         return value
     number = get({keyword: value}, keyword, kind=float)
     if number is None:
         raise ContentError(f"{keyword} = {value!r} is not a finite number")
     return number
+
+
+def _frame_name(keyword, name):
+    """Return the name of a frame as the standard has it, "" if it is left out."""
+    name = {"J2000": "FK5", "B1950": "FK4", "GAPPT": "", "UNKNOWN": ""}.get(name, name)
+    if name not in ("", "ICRS", "FK5", "FK4", "FK4-NO-E"):
+        raise ContentError(f"{keyword} = {name!r} is no frame; write ICRS, FK5 or FK4")
+    return name
 
 
 def fits_wcs(wcs):

@@ -26,6 +26,8 @@ BRIGHT = 5.0
 MOST = 2, 98
 #: Places along each side of an image at which its scale is compared.
 PLACES = 5
+#: Pixels along each side of an outline.
+OUTLINE = 33
 #: Derivatives are taken over this part of a radian, or over a pixel if it is larger:
 #: projections bend over a radian, and degrees of float64 resolve 1e-16 of a circle.
 STEP = 1e-6
@@ -94,9 +96,18 @@ def middle_area(wcs, shape):
     return area if np.isfinite(area) else abs(np.linalg.det(wcs.pixel_scale_matrix))
 
 
-def _whole(shape):
+def whole(shape):
     """Return the box (x0, x1, y0, y1) of an image."""
     return 0.0, shape[1] - 1.0, 0.0, shape[0] - 1.0
+
+
+def outline(box):
+    """Return pixels x and y along the sides of a box, shape (2, n)."""
+    edge = np.linspace(0, 1, OUTLINE)
+    sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
+    parts = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
+    x0, x1, y0, y1 = box
+    return np.array([[x0], [y0]]) + parts * [[x1 - x0], [y1 - y0]]
 
 
 def differences(wcs, box, matrix):
@@ -134,7 +145,7 @@ def is_flat(wcs, shape):
     """Return whether the matrix at the reference pixel holds in a whole image."""
     if wcs.wcs.name == PLANE:
         return True
-    return max(differences(wcs, _whole(shape), wcs.pixel_scale_matrix)) <= SAME
+    return max(differences(wcs, whole(shape), wcs.pixel_scale_matrix)) <= SAME
 
 
 def is_far(wcs, shape):
@@ -159,13 +170,13 @@ def structure(image):
     """
     bad = ~np.isfinite(image)
     if bad.all():
-        return _whole(image.shape), tuple((n - 1) // 2 for n in image.shape[::-1])
+        return whole(image.shape), tuple((n - 1) // 2 for n in image.shape[::-1])
     level = np.where(bad, 0.0, image - np.median(image[~bad]))
     y, x = np.nonzero(level > BRIGHT * measure_noise(level, bad))
     top = np.unravel_index(np.argmax(level), level.shape)
     peak = int(top[1]), int(top[0])
     if len(x) == 0:
-        return _whole(image.shape), peak
+        return whole(image.shape), peak
     box = np.concatenate([np.percentile(v, MOST) for v in (x, y)])
     return tuple(box.tolist()), peak
 
@@ -270,16 +281,13 @@ def tangent_grid(wcs, image):
     y0, y1 = max(y0 - pad_y, 0), min(y1 + pad_y, ny - 1)
     place = (x0 + x1) / 2, (y0 + y1) / 2
     matrix = local_matrix(wcs, *place)
-    edge = np.linspace(0, 1, 33)
-    sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
-    u, v = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     if not np.all(np.isfinite(matrix)):
         raise ValueError(too_wide(wcs))
     side = np.hypot(*matrix).min()
     # Mirrored as the image is.
     square = side * np.diag([np.sign(np.linalg.det(matrix)), 1.0])
     grid = tangent_wcs(wcs, place, square)
-    sky = wcs.pixel_to_world_values(x0 + u * (x1 - x0), y0 + v * (y1 - y0))
+    sky = wcs.pixel_to_world_values(*outline((x0, x1, y0, y1)))
     x, y = grid.world_to_pixel_values(*sky)
     low, high = (how([x, y], axis=1) for how in (np.min, np.max))
     size = np.ceil(high - low) + 1
@@ -288,7 +296,7 @@ def tangent_grid(wcs, image):
     grid.wcs.crpix = grid.wcs.crpix - np.floor(low)
     grid.wcs.set()
     grid.array_shape = shape = tuple(size[::-1].astype(int).tolist())
-    stretch, turn = differences(grid, _whole(shape), grid.pixel_scale_matrix)
+    stretch, turn = differences(grid, whole(shape), grid.pixel_scale_matrix)
     if stretch > EVEN:
         raise ValueError(too_wide(wcs))
     return grid, turn

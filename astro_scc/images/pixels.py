@@ -4,6 +4,8 @@
 import numpy as np
 from scipy import ndimage
 
+from astro_scc.images.headers import ContentError
+
 #: Side of a block of exact zeros, in pixels, that no noise makes.
 BLOCK = 3
 #: Beside zeros that pad an image, at least this share of pixels has each sign ...
@@ -11,9 +13,53 @@ EACH_SIGN = 0.1
 #: ... or the smallest tenth is above this part of the median, as it is where the sky
 #: is not zero; where zeros are faint values they go over into others.
 JUMP = 0.5
+#: A number that stands for missing pixels is this many times as far from all others as
+#: the most extreme of them is from their median.
+ALONE = 3
 #: Share of the other pixels that is in blocks, or no brighter than those beside zeros;
 #: and the share that flags hardly call bad in an image worth measuring.
 MOST = 0.5
+
+
+def missing(image, mask=False):
+    """
+    Return the pixels of an image without a value, and a remark on those of a number.
+
+    They are masked, not finite, exact zeros that pad the image, or of a number that is
+    written where there is no value, see `placeholders`.
+    """
+    bad = ~np.isfinite(image) | mask
+    filled = placeholders(image[~bad])
+    for number in filled:
+        bad |= image == number
+    bad |= padding(np.where(bad, np.nan, image))
+    texts = ", ".join(f"{number:g}" for number in filled)
+    said = f"its pixels of exactly {texts} are taken for missing ones"
+    return bad, f"{said}; write NaN to such pixels" if filled else ""
+
+
+def placeholders(values):
+    """
+    Return the numbers of finite pixels that stand for missing ones: -999 or 1e20.
+
+    Such a number is the smallest or largest one, as far from all others as no noise
+    and no source is, and many pixels have exactly this one.
+    """
+    found = []
+    for extreme in (np.min, np.max):
+        if values.size == 0 or (number := extreme(values)) == 0:
+            continue
+        if np.count_nonzero(values == number) < BLOCK**2:
+            continue
+        others = values[values != number]
+        if others.size < MOST * BLOCK**2:
+            continue
+        nearest = extreme(others)
+        spread = abs(nearest - np.median(others))
+        if spread > 0 and abs(number - nearest) > ALONE * spread:
+            found.append(float(number))
+            values = others
+    return found
 
 
 def padding(image):
@@ -54,13 +100,13 @@ def padding(image):
     return padded if low > JUMP * middle and brighter <= MOST else none
 
 
-def flagged(flags, image, name, *, telescope=""):
+def flagged(flags, image, name, telescope=""):
     """
     Return the pixels that flags call bad, and a remark on what they mean.
 
     Flags other than 0 are bad, of JWST those with the bit of 1 (DO_NOT_USE).  A mask
     of 0 and 1 may mean the opposite, which pixels without a value tell; where nothing
-    does and most pixels would be bad it is refused with a ValueError.
+    does and most pixels would be bad it is refused.
     """
     values = np.nan_to_num(np.asarray(flags)).astype(np.int64)
     bad = (values & 1 if telescope == "JWST" and name == "DQ" else values) != 0
@@ -76,7 +122,7 @@ def flagged(flags, image, name, *, telescope=""):
             )
     elif empty[bad].mean() > MOST:
         return bad, ""
-    raise ValueError(
+    raise ContentError(
         f"its extension {name} marks {100 * share:.0f}% of the pixels, which are bad "
         "in masks of astropy and good in others; write NaN to the bad pixels instead, "
         f"and remove {name}"

@@ -70,23 +70,22 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     if not isinstance(position, SkyCoord | None):
         raise TypeError(f"position must be a SkyCoord, got {position!r}")
     position = SkyCoord(*UNKNOWN, unit=u.deg) if position is None else position.icrs
+    try:
+        x, y = (u.Quantity(v, u.pix).value.item() for v in reference_pixel)
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(
+            f"reference_pixel must be two numbers (x, y), got {reference_pixel!r}"
+        ) from None
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
     wcs.wcs.cunit = "deg", "deg"
     wcs.wcs.crval = position.ra.deg, position.dec.deg
-    wcs.wcs.crpix = np.asarray(reference_pixel, dtype=float) + 1
+    wcs.wcs.crpix = x + 1, y + 1
     wcs.wcs.cdelt = -step, step
     wcs.wcs.radesys = "ICRS"
     wcs.wcs.name = PLANE
     wcs.wcs.set()
     return wcs
-
-
-def resolution(cube):
-    """Return the median width of the beams, or three pixels without beams."""
-    if cube.beams is None:
-        return PIXELS_RESOLVED * cube.pixel_scale
-    return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in cube.beams]))
 
 
 def axis_words(cube):
@@ -153,8 +152,8 @@ def name_by_frame(table, cube):
         new, about = name, table[name].info.description or ""
         for pattern, replacement in LONGITUDE.items():
             new = re.sub(pattern, replacement, new)
-        own = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
-        for old, word in {**own, **words}.items():
+        renamed = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
+        for old, word in {**renamed, **words}.items():
             about = about.replace(old, word)
         if new != name:
             table.rename_column(name, new)
@@ -199,7 +198,9 @@ def beam_fwhm(cube, epoch, scale, axes):
     >>> beam_fwhm(cube, [0], [2], np.eye(2))
     array([[1., 1.]])
     """
-    return widths_along(beam_covariance(cube, epoch, scale), axes)
+    covariance = beam_covariance(cube, epoch, scale)
+    variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
+    return np.sqrt(8 * np.log(2) * variance)
 
 
 def beam_covariance(cube, epoch, scale):
@@ -221,12 +222,6 @@ def beam_covariance(cube, epoch, scale):
         return variance[..., None, None] / (8 * np.log(2)) * np.eye(2)
     each = np.stack([beam.covariance.value for beam in cube.beams])
     return each[np.asarray(epoch)]
-
-
-def widths_along(covariance, axes):
-    """Return the full widths at half maximum of Gaussians along two axes, (n, 2)."""
-    variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
-    return np.sqrt(8 * np.log(2) * variance)
 
 
 def position_errors(snr, fwhm, fraction):

@@ -26,6 +26,7 @@ from astro_scc.images import local, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
 from astro_scc.images.brightness import logarithm
 from astro_scc.images.headers import as_celestial, epoch_header
+from astro_scc.images.pixels import missing
 from astro_scc.quantities import parse_date, without_doubt
 from astro_scc.units import PM_UNIT, speed_unit
 
@@ -71,11 +72,11 @@ class ImageSeries:
         labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
         facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
         facts = facts or tuple({} for _ in range(n))
-        own = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+        each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
         beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
         vars(self).update(data=data, mask=as_mask(data, mask), unit=unit, noise=noise)
         vars(self).update(times=times, beams=beams, labels=labels, epoch_meta=facts)
-        vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=own)
+        vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=each_wcs)
         vars(self).update(meta=dict(self.meta))
         self._refuse_empty()
         if not local.is_flat(self.wcs, data.shape[1:]):
@@ -153,8 +154,8 @@ class ImageSeries:
         return arrays | {k: tuple(v[i] for i in epochs) for k, v in tuples.items()}
 
     def _changed(self, **changes):
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        return self._of(**own | changes)
+        present = {each.name: getattr(self, each.name) for each in fields(self)}
+        return self._of(**present | changes)
 
     def with_step(self, line: str, **changes: Any) -> Self:
         """
@@ -205,12 +206,14 @@ class ImageSeries:
             keep = keep[order_of(self.times[keep])]
             return self._changed(**self._picked(keep))
         index = epoch_index(item, len(self))
-        own = {"unit": self.unit, "wcs": self.wcs.deepcopy()}
+        noise = None
         if self.noise is not None:
             every = np.full(self.shape[1:], self.noise[index].value)
-            own["uncertainty"] = StdDevUncertainty(every, unit=self.unit, copy=False)
-        mask, meta = self.mask[index], epoch_header(self, index)
-        return CCDData(self.data[index], mask=mask, meta=meta, **own)
+            noise = StdDevUncertainty(every, unit=self.unit, copy=False)
+        return CCDData(
+            self.data[index], mask=self.mask[index], unit=self.unit, uncertainty=noise,
+            wcs=self.wcs.deepcopy(), meta=epoch_header(self, index),
+        )  # fmt: skip
 
     def mean_image(self) -> CCDData:
         """
@@ -257,8 +260,7 @@ class ImageSeries:
         days = np.unique((self.times - self.times[0]).jd) * u.day
         if len(days) < 2:
             return PM_UNIT
-        width, median = positions.resolution(self), np.median(np.diff(days))
-        return speed_unit(days[-1], width, median)
+        return speed_unit(days[-1], self.resolution, np.median(np.diff(days)))
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -292,6 +294,13 @@ class ImageSeries:
     def pixel_scale(self) -> u.Quantity:
         """Side of a square pixel with the area of the cube's pixels."""
         return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
+
+    @property
+    def resolution(self) -> u.Quantity:
+        """Width of one beam, the epochs' median; three pixels without beams."""
+        if self.beams is None:
+            return positions.PIXELS_RESOLVED * self.pixel_scale
+        return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in self.beams]))
 
     @property
     def reference_pixel(self) -> tuple[float, float]:
@@ -422,11 +431,16 @@ def as_numbers(data):
 
 
 def as_mask(data, mask):
-    """Return the mask, to which pixels that are not finite are added."""
+    """Return the mask, with pixels that are not finite and zeros that pad images."""
     if mask is not None and np.shape(mask) != data.shape:
         raise ValueError(f"mask has shape {np.shape(mask)}, data has {data.shape}")
-    bad = ~np.isfinite(data)
-    return bad if mask is None else bad | np.asarray(mask).astype(bool)
+    mask = np.zeros(data.shape) if mask is None else mask
+    every, remarks = zip(
+        *map(missing, data, np.asarray(mask).astype(bool)), strict=True
+    )
+    for remark in filter(None, dict.fromkeys(remarks)):
+        warn(remark)
+    return np.stack(every)
 
 
 def as_times(times, n):
@@ -440,7 +454,8 @@ def as_times(times, n):
             if all(isinstance(value, str) for value in times):
                 raise
             raise TypeError(
-                f"times must be a Time or strings such as '2006-03-09', got {times!r}"
+                "times must be a Time or strings such as '2006-03-09', got "
+                f"{type(times).__name__}; of numbers make Time(numbers, format='mjd')"
             ) from error
         times = Time(dates or [], format=None if dates else "jd")
     times = times.reshape(1) if times.isscalar else times
@@ -492,7 +507,7 @@ def as_beams(beams, n):
         # A radio_beam.Beams has arrays of the axes of all beams.
         each = zip(beams.major, beams.minor, beams.pa, strict=True)
         beams = [Beam(*one) for one in each]
-    beams = [beams] * n if hasattr(beams, "major") else beams
+    beams = beams if np.iterable(beams) or beams is None else [beams] * n
     return as_epoch_tuple(beams, n, "beams", as_beam)
 
 

@@ -24,9 +24,9 @@ def uncertainty_of(hdu, values, unit, mask):
     ``values`` are its pixels in the part that is read; ``unit`` and ``mask`` are those
     of the image.
     """
-    name, own = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
+    name, text = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
     kind = UNCERTAINTIES[name if name in UNCERTAINTIES else UNCERTAIN[hdu.name]]
-    own = None if own is None else parse_unit(own)
+    given = None if text is None else parse_unit(text)
     values = np.array(values, dtype=float)
     if hdu.name != "UNCERT":
         # Telescopes write 0 where there is no error, and units that do not fit.
@@ -34,18 +34,19 @@ def uncertainty_of(hdu, values, unit, mask):
         if np.isnan(values[~mask]).all():
             return None
         power = 2 if kind is VarianceUncertainty else 1
-        if own is not None and not own.is_equivalent(unit**power):
-            own = None
-    return kind(values, unit=own, copy=False)
+        if given is not None and not given.is_equivalent(unit**power):
+            given = None
+    return kind(values, unit=given, copy=False)
 
 
-def uncertainty_noise(uncertainty, unit, mask):
+def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf):
     """
     Return the noise of an image whose pixels have uncertainties.
 
     The noise is the median standard deviation of the valid pixels, in the ``unit`` of
     the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without a finite standard deviation, and whether
+    also returns a mask of the pixels without one that is finite and no larger than
+    ``most`` where most pixels have a smaller one, and whether
     the pixels differ little.  An uncertainty that cannot be used raises a ValueError.
     """
     kind, sigma = type(uncertainty).__name__, uncertainty
@@ -74,5 +75,8 @@ def uncertainty_noise(uncertainty, unit, mask):
     if valid.size == 0:
         raise ValueError("its uncertainty is finite at no valid pixel; remove it")
     noise = np.median(valid)
+    if 0 < noise < most:
+        bad |= sigma > most
+        valid = sigma[~(mask | bad)]
     even = valid.max() <= EVEN * noise and noise <= EVEN * valid.min()
     return noise * unit, bad, even

@@ -607,15 +607,17 @@ def fit_position_angle(
     >>> bool(abs(angle.value - 270) < 3)
     True
     """
-    image, noise = _mean(cube)
+    image, noise, sky = _mean(cube)
     x, y = (offset.value for offset in cube.offsets())
-    use = (image > threshold * noise) & (np.hypot(x, y) > mean_width(cube))
+    use = (image > threshold * noise) & (
+        np.hypot(x, y) > cube.resolution.to_value(u.mas)
+    )
     if not use.any():
         raise ValueError(
             f"no pixel of the mean image is above {threshold:g} times its noise, a "
             "beam or more from the core: give a position angle"
         )
-    each = np.where(cube.mask, 0.0, cube.data)[:, use]
+    each = np.where(cube.mask, 0.0, cube.data - sky)[:, use]
     sums = np.stack([each @ x[use], each @ y[use]], axis=-1)
     total = sums.sum(axis=0)
     angle = np.arctan2(*total)
@@ -676,8 +678,8 @@ def find_ridge_line(
     >>> bool(abs(line.at(line.length / 2)[1].value) < 0.5)
     True
     """
-    image, noise = _mean(cube)
-    width = mean_width(cube)
+    image, noise, _ = _mean(cube)
+    width = cube.resolution.to_value(u.mas)
     step = STEP * width
     half = 1.5 * width if half_width is None else _length("half_width", half_width)
     smooth = 2 * width if smoothing is None else _length("smoothing", smoothing)
@@ -704,7 +706,7 @@ def find_ridge_line(
 
 def _follow(cube, image, direction, half, faintest):
     """Return the points of slices from the core onwards, and the slices' maxima."""
-    width = mean_width(cube)
+    width = cube.resolution.to_value(u.mas)
     step = STEP * width
     points, tops = [np.zeros(2)], [np.nan]
     # It ends: a line that does not come near itself cannot be longer than the image has
@@ -777,18 +779,10 @@ def _smoothed(points, error, width):
 
 
 def _mean(cube):
-    """Return the mean image, with NaN for masked pixels, and its noise."""
+    """Return the mean image above its sky, NaN where masked, its noise, and the sky."""
     image = np.asarray(cube.mean_image().data, dtype=float)
-    noise = cube.noise_rms().value
-    return image, float(np.sqrt(np.mean(noise**2) / len(cube)))
-
-
-def mean_width(cube):
-    """Return the resolution in mas: the mean beam, or four pixels without beams."""
-    if cube.beams is None:
-        return 4 * cube.pixel_scale.value
-    areas = [(b.major * b.minor).to_value(u.mas**2) for b in cube.beams]
-    return float(np.sqrt(np.mean(areas)))
+    sky, noise = np.nanmedian(image), cube.noise_rms().value
+    return image - sky, float(np.sqrt(np.mean(noise**2) / len(cube))), sky
 
 
 def _length(name, value):

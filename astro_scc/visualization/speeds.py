@@ -12,7 +12,6 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.features.trust import MOST_FALSE
-from astro_scc.kinematics.frames import mean_width
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
 from astro_scc.visualization.tracks import feature_look
@@ -316,7 +315,7 @@ def _draw_strip(ax, cube, line, far):
     """Draw the mean image, straightened along a line."""
     from scipy.ndimage import map_coordinates
 
-    half = STRIP * mean_width(cube) / 2
+    half = STRIP * cube.resolution.to_value(u.mas) / 2
     s = np.linspace(0, far, 400) * u.mas
     n = np.linspace(-half, half, 80) * u.mas
     east, north = line.at(s)

@@ -320,12 +320,15 @@ def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, wo
 
 
 USUAL = {"FILTER": "F502N", "WAVELNTH": 171, "WAVEUNIT": "angstrom", "BAND": "L",
-         "POLARIZ": "TOTAL", "BTYPE": "Intensity"}  # fmt: skip
+         "POLARIZ": "TOTAL", "BTYPE": "Intensity", "ENERGYLO": 500,
+         "ENERGYHI": 2000}  # fmt: skip
 #: Changes of an image that belongs to other images, and how it is named.
 STRANGERS = [
     ({"WAVELNTH": 193}, "is of the wavelength .WAVELNTH. 193 angstrom, others are of "
      "171 angstrom; leave it out"),
-    ({"WAVELNTH": "17.1", "WAVEUNIT": "nm"}, "is of the wavelength .WAVELNTH. 17.1 nm"),
+    ({"WAVELNTH": "17.2", "WAVEUNIT": "nm"}, "is of the wavelength .WAVELNTH. 17.2 nm"),
+    ({"ENERGYLO": 2000}, "is of energies .ENERGYLO. from 2000, others are of 500"),
+    ({"ENERGYHI": 7000}, "is of energies .ENERGYHI. up to 7000, others are of 2000"),
     ({"WAVEUNIT": -9}, "is of the wavelength .WAVELNTH. 171 nm, others"),
     ({"BAND": "X"}, "is of the band X, others are of L"),
     ({"POLARIZ": 60.0}, "is of the polarisation .POLARIZ. 60.0, others are of TOTAL"),
@@ -358,6 +361,26 @@ def test_images_of_a_neighbouring_channel_are_named(make_fits, changes, words):
         assert len(EpochCube.read(paths)) == 4
     assert len(caught) == 1
     assert words.split(";")[0] in inspect_epochs(paths)["problem"][3]
+
+
+@pytest.mark.parametrize(
+    "cards",
+    [
+        {"WAVELNTH": 17.1, "WAVEUNIT": "nm"},
+        {"WAVELNTH": "171.0"},
+        {"OBJECT": "3C_273"},
+        {"OBJECT": "3c-273"},
+        {"BAND": "l"},
+        {"CRVAL3": 15.4, "CDELT3": 0.064, "CUNIT3": "GHz"},
+        {"CRVAL3": 15400.0, "CUNIT3": "MHZ"},
+    ],
+)
+def test_facts_that_are_written_in_several_ways(make_fits, cards):
+    paths = [
+        make_fits(f"{i}.fits", DATE_OBS=f"200{i}-01-01", **{**USUAL, **own})
+        for i, own in enumerate(({}, {}, cards))
+    ]
+    assert len(EpochCube.read(paths)) == 3
 
 
 def test_small_differences_of_frequency_are_none(make_fits):

@@ -9,6 +9,7 @@ from astropy.time import Time
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.epochs import EpochCube
+from astro_scc.exceptions import EpochWarning
 from astro_scc.quantities import random_generator
 from astro_scc.settings import Settings
 
@@ -19,6 +20,10 @@ SPEED = 2 * u.mas / u.yr
 
 def cube():
     return EpochCube.from_arrays(DATA, DATES, pixel_scale=1 * u.mas)
+
+
+def arrays(times=DATES, **options):
+    return EpochCube.from_arrays(DATA, times, pixel_scale=1 * u.mas, **options)
 
 
 def gwcs_of_the_sky():
@@ -72,6 +77,13 @@ REFUSED = [
     *((lambda value=value: Settings(scales=value), ValueError, "scale 0 is single p")
       for value in (0, 0.0, "0", [0], np.int64(0))),
     (lambda: StackedCrossCorrelation(scales=0, max_speed=SPEED), ValueError, "scale 0"),
+    (lambda: arrays(times=[2000.0, 2001.0]), TypeError, "of numbers make Time"),
+    (lambda: arrays(times=np.arange(900.0)), TypeError, "got ndarray; of numbers"),
+    *((lambda beam=beam: arrays(beams=beam), TypeError, "a beam has major, minor and")
+      for beam in (0.5, 0.5 * u.mas, [0.5, 0.5])),
+    *((lambda place=place: arrays(reference_pixel=place), ValueError,
+       r"reference_pixel must be two numbers \(x, y\)")
+      for place in ((1, 2, 3), 4.0, ("a", "b"), (1 * u.mas, 2 * u.mas))),
     (lambda: random_generator(np.random), ValueError, "rng must be a seed of 0 or"),
 ]  # fmt: skip
 
@@ -94,3 +106,14 @@ def test_zeros_that_pad_are_missing_at_each_door():
     wcs = cube().wcs
     found = EpochCube.from_ccddata(NDData(image, wcs=wcs, meta={"DATE-OBS": DATES[0]}))
     assert np.array_equal(found.mask[0], image == 0)
+    found = EpochCube.from_arrays([image], DATES[:1], pixel_scale=1 * u.mas)
+    assert np.array_equal(found.mask[0], image == 0)
+    assert np.array_equal(EpochCube([image], DATES[:1], wcs).mask, found.mask)
+    for number in (-999.0, 1e20):
+        filled = np.where(image == 0, number, image)
+        with pytest.warns(EpochWarning, match="its pixels of exactly .* are taken"):
+            found = EpochCube.from_arrays([filled], DATES[:1], pixel_scale=1 * u.mas)
+        assert np.array_equal(found.mask[0], image == 0)
+        own = NDData(filled, wcs=wcs, meta={"DATE-OBS": DATES[0]})
+        with pytest.warns(EpochWarning, match="image 0: its pixels of exactly"):
+            assert np.array_equal(EpochCube.from_ccddata(own).mask, found.mask)

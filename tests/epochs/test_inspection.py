@@ -7,6 +7,7 @@ import pytest
 from astropy.time import Time
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs, plan_intervals
+from astro_scc.epochs.inspection import repeated
 
 YEARS = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
 BEAM = Beam(1 * u.mas, 0.5 * u.mas)
@@ -91,6 +92,26 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     assert "its unit is none, that of others is Jy" in found[str(paths["unit"])]
     assert (table["date"].mask.sum(), np.isnan(table["noise"]).sum()) == (8, 7)
     assert inspect_epochs(tmp_path / "text.fits")["date"].mask.all()
+
+
+def test_two_epochs_of_the_same_pixels():
+    data = np.random.default_rng(1).normal(size=(4, 8, 8))
+    cube = EpochCube.from_arrays(data, YEARS, pixel_scale=1 * u.mas)
+    assert repeated(cube) == ""
+    data[3] = data[1]
+    said = repeated(EpochCube.from_arrays(data, YEARS, pixel_scale=1 * u.mas))
+    assert said.startswith("2002-01-01: has the same pixels as 2000-07-01, of another")
+
+
+@pytest.mark.parametrize("beams", [None, BEAM, [BEAM, Beam(2 * u.mas, 0.5 * u.mas)]])
+def test_one_width_of_a_beam(beams):
+    cube = EpochCube.from_arrays(
+        np.ones((2, 8, 8)), YEARS[:2], pixel_scale=0.1 * u.mas, beams=beams
+    )
+    expected = 0.3 if beams is None else np.sqrt(0.5)
+    if isinstance(beams, list):
+        expected = (np.sqrt(0.5) + 1) / 2
+    assert u.isclose(cube.resolution, expected * u.mas)
 
 
 def test_plan_is_that_of_the_formulas():

@@ -32,6 +32,7 @@ BEAMS = [
     (BOTH, {"CRPIX3": -2.0}, 1.0),
     (BOTH, {"CRPIX3": -2.0, "CRPIX4": 0.0}, 6.0),
     (SAME, {}, 2.0),
+    (SAME, {"CRPIX3": -7.0}, 2.0),
     (BLANK, {}, 2.0),
     # What the header says counts.
     (FOUR, {"BMAJ": 5 / 3.6e7, "BMIN": 1 / 3.6e7, "BPA": 0.0}, 5.0),

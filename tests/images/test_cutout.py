@@ -70,6 +70,8 @@ UNION = disc(15, 20, 8) | disc(25, 20, 8)
         (None, np.ones(SHAPE, bool)),
         (disc(20, 20, 5), disc(20, 20, 5)),
         ([circle(500, 20, 4, meta=EXCLUDED)], np.ones(SHAPE, bool)),
+        # Far larger than the images, whose memory suffices.
+        (circle(20, 20, 1e7), np.ones(SHAPE, bool)),
         ((ONE, TWO), UNION),
         ([HOLE, ONE, TWO], UNION & ~disc(20, 20, 4)),
         (Regions([ONE, HOLE, TWO]), UNION & ~disc(20, 20, 4)),

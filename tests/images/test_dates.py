@@ -46,8 +46,12 @@ DATES = [
     ({"DATE-OBS": "2015-06-18T14:24:00", "DATE_OBS": "2015-06-18T14:24:00.125"},
      "2015-06-18T14:24:00.125"),
     (DAY | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
-    (DAY | {"TIME-OBS": 14.4}, "2015-06-18T00:00:14.400"),
     # What is no time of the day, or is of another time, does not count.
+    (DAY | {"UT": "14h24m00s"}, START),
+    (DAY | {"UT": "14-24-00.0"}, START),
+    (DAY | {"TIME-OBS": "142400"}, START),
+    (DAY | {"TIME-OBS": "142400.5"}, "2015-06-18T14:24:00.500"),
+    (DAY | {"JD": 57192.1}, MIDNIGHT),
     (DAY | {"UT": "night"}, MIDNIGHT),
     (DAY | {"UT": 90000.0}, MIDNIGHT),
     (DAY | {"UT": "77:00:00"}, MIDNIGHT),
@@ -56,6 +60,12 @@ DATES = [
     # The middle of the exposure.
     (CLOCK | {"EXPTIME": 600.0}, MIDDLE),
     (CLOCK | {"XPOSURE": 600.0}, MIDDLE),
+    (CLOCK | {"EXPTIME": (10.0, "[min] on source")}, MIDDLE),
+    (CLOCK | {"EXPTIME": (600e3, "exposure (ms)")}, MIDDLE),
+    (CLOCK | {"EXPTIME": (1 / 6, "in hours")}, MIDDLE),
+    (CLOCK | {"EXPTIME": 550.0, "DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
+    # The sum of many exposures.
+    (CLOCK | {"EXPTIME": 1e6}, START),
     (DAY | {"EXPTIME": 600.0}, MIDNIGHT),
     (DAY | {"TIME-OBS": "14:24:00", "EXPTIME": 600.0}, MIDDLE),
     (CLOCK | {"DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
@@ -79,6 +89,7 @@ DATES = [
     (DAY | {"T_OBS": "2015-06-18T14:24:00.00Z", "TIMESYS": "TAI"}, START),
     ({"DATE-OBS": "2015-06-18T14:24:35", "TIMESYS": "TAI"}, START),
     ({"DATE-OBS": "2015-06-18T14:24:16", "TIMESYS": "GPS"}, START),
+    ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT(TAI)"}, START),
     ({"DATE-OBS": "2015-06-18T14:24:00", "TIMESYS": "UT"}, START),
     ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT"}, START),
 ]  # fmt: skip
@@ -101,6 +112,11 @@ DOUBTS = [
     (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
      "MJD-OBS is of 1995-10-10"),
     (DAY | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is left"),
+    (DAY | {"TIME-OBS": 14.4}, "2015-06-18T00:00:14.400", "its TIME-OBS = 14.4 may be "
+     "hours or seconds and is seconds; write it as"),
+    (CLOCK | {"MJD-OBS": MJD + 1}, START, "and MJD-OBS is of 2015-06-19; correct"),
+    (CLOCK | {"TIMESYS": "MST"}, START, "its time scale TIMESYS = MST is not known and "
+     "taken for UTC"),
 ]  # fmt: skip
 
 
@@ -194,6 +210,8 @@ CUBES = [
     ({"CRVAL3": 5.0}, [5, 15, 25, 35]),
     ({"EXPTIME": 40.0}, SECONDS),
     ({"MJDREF": 57191.0, "CRVAL3": 36000.0}, SECONDS),
+    ({"MJDREF": 0.0}, SECONDS),
+    (DAYS | {"CUNIT3": "d", "MJDREF": 0.0, "DATE-OBS": None}, HOURS),
     ({"MJDREFI": 57191, "MJDREFF": 0.25, "CRVAL3": 14400.0}, SECONDS),
     ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
     ({"DATEREF": "2015-06-18T09:00:00", "CRVAL3": 3600.0}, SECONDS),

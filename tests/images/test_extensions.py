@@ -10,7 +10,7 @@ from astro_scc.cli import main
 from astro_scc.epochs import EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import find_files, read_plane
-from astro_scc.images.pixels import padding
+from astro_scc.images.pixels import missing
 
 SHAPE = (24, 36)
 NOISE = np.random.default_rng(1).normal(size=(4, *SHAPE))
@@ -177,6 +177,14 @@ MISSING = {
     "errors that are NaN": (WILD, [("ERR", np.where(BAD, np.nan, 0.5))], {}, BAD),
     "flags and errors": (WILD, [("ERR", np.full(SHAPE, 0.5)), ("DQ", 4 * BAD)], {},
                          BAD),
+    "quality": (WILD, [("DATA_QUALITY", 4 * BAD)], {}, BAD),
+    "bad mask": (WILD, [("BADMASK", BAD.astype("u1"))], {}, BAD),
+    "huge errors": (2 * IMAGE + 9 * BAD, [("ERR", np.where(BAD, 1e30, 0.5))], {}, BAD),
+    "-999": (np.where(BAD, -999.0, IMAGE), [], {}, BAD),
+    "1e20": (np.where(BAD, 1e20, IMAGE), [], {}, BAD),
+    "-32768 and 1e30": (np.where(INSIDE, -32768, np.where(PADDED > 2.5, 2.5, PADDED)),
+                        [], {}, INSIDE),
+    "zeros and 1e20": (np.where(HALF != HALF, 1e20, PADDED), [], {}, INSIDE),
     "zeros": (PADDED, [], {}, INSIDE),
     "zeros about a sky": (np.where(INSIDE, 0, PADDED + 20), [], {}, INSIDE),
     "zeros about a negative sky": (np.where(INSIDE, 0, PADDED - 20), [], {}, INSIDE),
@@ -187,6 +195,11 @@ MISSING = {
     "zeros and flags": (PADDED, [("DQ", np.where(PADDED > 2, 4, 0))], {},
                         INSIDE | (PADDED > 2)),
 }  # fmt: skip
+
+
+#: Numbers for missing pixels, of which a remark tells.
+FILLED = {"-999": "-999", "1e20": r"1e+20", "-32768 and 1e30": "-32768",
+          "zeros and 1e20": "1e+20"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MISSING)
@@ -201,8 +214,16 @@ def test_pixels_that_are_missing(tmp_path, name):
     if "errors" in name:
         assert plane.noise == 0.5 * u.Jy / u.beam
     said = "; ".join(plane.notes)
-    assert said == ("its extension MASK has 0 where there are no values: 1 is taken "
-                    "for good" if "good" in name else "")  # fmt: skip
+    expected = ""
+    if "good" in name:
+        expected = (
+            "its extension MASK has 0 where there are no values: 1 is taken for good"
+        )
+    elif name in FILLED or name.startswith("errors"):
+        number = FILLED.get(name, "99")
+        expected = f"its pixels of exactly {number} are taken for missing ones; write"
+    assert said.startswith(expected)
+    assert bool(said) == bool(expected)
 
 
 Y, X = np.indices((40, 60))
@@ -217,12 +238,19 @@ VALUES = {
     "above a threshold": np.where(BLOB < 0.1, 0, BLOB),
     "one component": np.where(BLOB == 1, 1.0, 0.0),
     "nothing": np.zeros((8, 8)),
+    "a sky without noise": BLOB.clip(0.05) + 100,
+    "saturated": np.clip(
+        BLOB + 0.01 * np.random.default_rng(1).normal(size=(40, 60)), None, 0.6
+    ),
+    "counts on a bias": 100 + np.random.default_rng(1).poisson(0.1, (40, 60)),
+    "two values": np.where(BLOB > 0.5, 7.0, 3.0),
 }
 
 
 @pytest.mark.parametrize("name", VALUES)
 def test_zeros_that_are_values(name):
-    assert not padding(VALUES[name]).any()
+    bad, remark = missing(VALUES[name])
+    assert (bad.any(), remark) == (False, "")
 
 
 GOOD = (~BAD).astype("u1")

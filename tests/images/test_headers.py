@@ -179,7 +179,17 @@ def test_facts(aips_header):
         {"CTYPE1": "RA", "CTYPE2": "DEC"},
         {"CTYPE1": "ra---sin", "CTYPE2": "dec--sin"},
         {"CUNIT1": "DEGREES", "CUNIT2": "degree"},
+        {
+            "CUNIT1": "Arcseconds",
+            "CUNIT2": "asec",
+            "CDELT1": -1e-4,
+            "CDELT2": 1e-4,
+            "CRVAL1": 187.25 * 3600,
+            "CRVAL2": 2.05 * 3600,
+        },
         {"DATE_OBS": "nonsense"},
+        {"RADESYS": "J2000"},
+        {"RADESYS": "GAPPT"},
     ],
 )
 def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, changes):
@@ -200,6 +210,21 @@ def test_equinox_reference_value_and_signs(aips_header):
     assert wcs.pixel_scale_matrix[0, 0] > 0
 
 
+@pytest.mark.parametrize("terms", [{}, {"PV1_1": 1.0, "PV1_4": 0.02, "PV2_1": 1.0}])
+def test_polynomials_are_of_degrees(aips_header, terms):
+    """Whether the pixel scale is in CDELT or in the matrix, and without terms."""
+    changes = {"CTYPE1": "RA---TPV", "CTYPE2": "DEC--TPV", **terms}
+    steps = {"CD1_1": -1e-5, "CD2_2": 1e-5, "CDELT1": None, "CDELT2": None}
+    one = celestial_wcs(aips_header(**changes, CDELT1=-1e-5, CDELT2=1e-5))
+    other = celestial_wcs(aips_header(**changes, **steps))
+    places = np.array([[0, 30, 900.0], [0, 10, 500.0]])
+    found = [np.array(wcs.pixel_to_world_values(*places)) for wcs in (one, other)]
+    assert np.allclose(*found, rtol=0, atol=1e-12)
+    plain = celestial_wcs(aips_header(CTYPE1="RA---TAN", CTYPE2="DEC--TAN", **steps))
+    away = np.abs(found[0] - plain.pixel_to_world_values(*places)).max()
+    assert away < (1e-5 if terms else 1e-12)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -210,6 +235,8 @@ def test_equinox_reference_value_and_signs(aips_header):
         ({"CDELT1": None, "CDELT2": None}, "no pixel scale"),
         ({"CD1_1": 0.0, "CD2_2": 1e-7, "CDELT1": None}, "no pixel scale"),
         ({"PC1_1": 0.0, "CROTA1": None, "CROTA2": None}, "cannot be read"),
+        ({"PC1_1": 1.0, "PC1_2": 1.0, "PC2_1": 1.0, "PC2_2": 1.0}, "axes are parallel"),
+        ({"RADESYS": "MYFRAME"}, "RADESYS = 'MYFRAME' is no frame; write ICRS, FK5"),
         ({"CRPIX1": "here"}, "CRPIX1 = 'here' is not a finite number"),
         ({"CTYPE1": "DEC--SIN", "CTYPE2": "RA---SIN"}, "transpose the image"),
     ],

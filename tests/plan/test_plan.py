@@ -129,6 +129,10 @@ def test_the_direction_is_that_of_the_jet(angle):
     way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
     found, _ = choose_direction(spots(1.5 * way, 3 * way))
     assert abs(found.value - angle) <= 1
+    # Where the other side is not seen, and the sky is not zero.
+    cube = spots(1.5 * way, 3 * way).crop((slice(15, 106), slice(0, 108)))
+    found, _ = choose_direction(cube.with_step("a sky", data=cube.data + 3))
+    assert abs(found.value - angle) <= 1
 
 
 @pytest.mark.parametrize(
