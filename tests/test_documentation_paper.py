@@ -79,7 +79,7 @@ def test_numbers_of_3c_273():
     assert sum(faster) == 2
     # The rows of the profile have the same p-values in their last lines.
     p_values = table[-1]
-    lines = re.findall(r"speeds of the .* p ([\d.]+)$", printed("3c273-speeds"), re.M)
+    lines = re.findall(r"speed on scales .* p ([\d.]+)$", printed("3c273-speeds"), re.M)
     assert [float(p) for p in lines] == pytest.approx(p_values, abs=0.01)
     assert min(p_values) > 0.3
 

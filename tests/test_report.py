@@ -390,7 +390,7 @@ def test_nothing_and_the_paper_and_scales_are_said(radial):
     of_scales["first"], of_scales["second"] = ["1", "1"], ["2", "2"]
     of_scales["p_value"] = [np.nan, 0.5]
     (line,) = scale_lines(of_scales)
-    assert line.startswith("1 to 2 mas: speeds of the 1 and 2 scales: ")
+    assert line.startswith("1 to 2 mas: speed on scales 1: ")
 
 
 def test_what_secure_features_would_need_is_said(features):

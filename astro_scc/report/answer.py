@@ -185,8 +185,8 @@ def scale_lines(of_scales):
             where = f"{row['r_min'].value:g} to {row['r_max'].value:g} {far}: "
         first, second = (cell(row, f"{k}_speed", "+-") for k in ("first", "second"))
         lines.append(
-            f"{where}speeds of the {row['first']} and {row['second']} scales: {first} "
-            f"and {second} {unit}, p {row['p_value']:.2g}"
+            f"{where}speed on scales {row['first']}: {first}, on scales "
+            f"{row['second']}: {second} {unit}, p {row['p_value']:.2g}"
         )
     return lines
 

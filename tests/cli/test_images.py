@@ -186,11 +186,10 @@ def test_inspect_advises_an_alignment(done):
         jet.cube.write(f"{name}.fits")
         out, _ = done("inspect", f"{name}.fits")
         said[name], choices = out.split("pairs\n")[-1].split("\n\n")[1:3]
-        head, align, scales, direction = choices.splitlines()
+        head, align, direction = choices.splitlines()
         assert head == "Without options, astro-scc measure takes:"
         taken = "core" if name == "bad" else "none"
         assert align.startswith(f"  --align {taken}: ")
-        assert scales.startswith("  --scales 1,2,3,4: ")
         assert direction.startswith('  --position-angle "2')
     number = r"^The epochs are aligned to 0\.(\d\d) beams\."
     advice = r"appear to move: align them on the core,\nif there is one, or by a table"

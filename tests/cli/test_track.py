@@ -117,7 +117,7 @@ def test_the_whole_stretch(profile, done, here, no_figures):
     for words in (
         "acceleration: ",
         "20 to 30 mas: nothing is seen",
-        "0 to 20 mas: speeds of the 1 and 2 scales: ",
+        "0 to 20 mas: speed on scales 1: ",
     ):
         assert words in out
     table = QTable.read(here / "out" / "profile.ecsv")
