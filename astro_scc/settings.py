@@ -196,14 +196,14 @@ class Settings(MeasurementSettings):
 
     def _take(self, values):
         """Check values of settings, and whether all settings go together."""
-        for name, value in values.items():
-            object.__setattr__(self, name, check_setting(name, value))
+        checked = {name: check_setting(name, value) for name, value in values.items()}
+        vars(self).update(checked)
         by_redshift = self.redshift is not None or self.cosmology is not None
         if self.distance is not None and by_redshift:
             text = "distance needs neither redshift nor cosmology; leave one out"
             raise ValueError(text)
         if self.redshift is not None and self.cosmology is None:
-            object.__setattr__(self, "cosmology", PAPER_COSMOLOGY)
+            vars(self).update(cosmology=PAPER_COSMOLOGY)
         if self.cosmology is not None and self.redshift is None:
             raise ValueError("cosmology needs a redshift")
 

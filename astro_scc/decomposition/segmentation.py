@@ -396,15 +396,15 @@ class Decomposer:
         for scale in scales:
             scale_kernel(scale, self.kernel)
         named("noise", check_choice, self.noise, *NOISES)
-        object.__setattr__(self, "scales", scales)
-        if self.noise_factors is not None:
-            factors = tuple(map(float, self.noise_factors))
+        factors = self.noise_factors
+        if factors is not None:
+            factors = tuple(map(float, factors))
             if len(factors) != len(scales) or not all(0 <= f <= 1 for f in factors):
                 n = len(scales)
                 raise ValueError(
                     f"noise_factors must be {n} from 0 to 1, got {factors}"
                 )
-            object.__setattr__(self, "noise_factors", factors)
+        vars(self).update(scales=scales, noise_factors=factors)
 
     def __call__(
         self, image: ArrayLike, *, mask: ArrayLike | None = None,

@@ -74,17 +74,20 @@ class ImageSeries:
         facts = facts or tuple({} for _ in range(n))
         each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
         beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
-        vars(self).update(data=data, mask=as_mask(data, mask), unit=unit, noise=noise)
-        vars(self).update(times=times, beams=beams, labels=labels, epoch_meta=facts)
-        vars(self).update(wcs=as_celestial(self.wcs), epoch_wcs=each_wcs)
-        vars(self).update(meta=dict(self.meta))
+        mask, wcs = as_mask(data, mask), as_celestial(self.wcs)
+        vars(self).update(
+            data=data, mask=mask, unit=unit, noise=noise, times=times, beams=beams,
+            labels=labels, epoch_meta=facts, wcs=wcs, epoch_wcs=each_wcs,
+            meta=dict(self.meta),
+        )  # fmt: skip
         self._refuse_empty()
-        if not local.is_flat(self.wcs, data.shape[1:]):
-            vars(self).update(wcs=flat_wcs(self.wcs, data, self.mask))
+        flat = local.is_flat(wcs, data.shape[1:])
+        changes = {} if flat else {"wcs": flat_wcs(wcs, data, mask)}
         order = order_of(times)
         warn_of_equal_dates(times[order])
         if np.any(np.diff(order) < 0):
-            vars(self).update(self._picked(order))
+            changes |= self._picked(order)
+        vars(self).update(changes)
 
     @classmethod
     def from_arrays(
