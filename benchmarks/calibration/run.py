@@ -129,6 +129,7 @@ LONG = {"n_epochs": 30, "n_features": 10, "dispersion": 0.1}
 #: Both have the same speeds at the middle.
 KINDS["accelerated"] = jet(acceleration=1.6, **LONG)
 KINDS["steady"] = jet(**LONG)
+KINDS["steady-25"] = jet(**LONG | {"dispersion": 0.25})
 
 
 def layers(spine, sheath):
@@ -145,7 +146,7 @@ KINDS["layers"] = layers(0.9, 0.3)
 KINDS["one-layer"] = layers(0.6, 0.6)
 #: Other jets that are simulated as streams, with 30 days between epochs.
 STREAMS = ("unrelated", "random-velocity", "static-walk", "drift-walk")
-FLOW = ("accelerated", "steady", "layers", "one-layer")
+FLOW = ("accelerated", "steady", "steady-25", "layers", "one-layer")
 #: Jets whose main speed is compared with that of parts of the data.
 SENSITIVITY = {
     f"sensitivity-{kind}": kind
