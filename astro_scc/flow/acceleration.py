@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+from scipy.special import stdtr
 
-from astro_scc.flow.parts import place_of, slope_of, speeds_in_parts, two_sided
+from astro_scc.flow.parts import place_of, slope_of, speeds_in_parts
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import with_error
 from astro_scc.streams.parts import fit_part, weight_of
@@ -35,7 +36,8 @@ class FlowAcceleration:
     acceleration, acceleration_err : `~astropy.units.Quantity`
         Acceleration of the matter, the gradient times the speed, in mas/yr^2.
     p_value : float
-        Probability of as large an acceleration of either sign if there is none.
+        Probability of as large an acceleration of either sign if there is none, by
+        Student's distribution, as the parts scatter about a line.
     n_parts : int
         Parts whose speed is known.  With fewer than three the other numbers are NaN.
     """
@@ -89,7 +91,7 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
     return FlowAcceleration(
         speed, centre * beam * u.mas, *gradients,
         *((gradient * speed).to(length / time**2) for gradient in gradients),
-        p_value=two_sided(slope / error) if np.isfinite(slope) else np.nan,
+        p_value=2 * float(stdtr(number - 2, -abs(slope / error))),
         n_parts=number,
     )  # fmt: skip
 

@@ -282,7 +282,9 @@ def measure_profile(
     cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
     rng, seed = seeded(rng)
     generator, root = random_generator(rng), groups is None
-    settings, limits = search_settings(scc, cube, n_trials), bins.to_value(u.mas)
+    # Bins have the speeds of Gaussians, whose covariance is known.
+    settings = replace(search_settings(scc, cube, n_trials), well_known=1.0)
+    limits = bins.to_value(u.mas)
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
         flow = scc.flow(decomposed)

@@ -32,9 +32,6 @@ from astro_scc.streams.transverse import transverse_speed
 
 #: With a secure feature that moves, this p_global is enough.
 WITH_FEATURES = 0.1
-#: A single stream with a smaller relative error has the speed of its Gaussian, others
-#: the harmonic mean of the spectrum.
-WELL_KNOWN = 0.1
 #: Error of the speed of a spectrum beyond that of its patterns, relative to it.
 MODEL_ERROR = 0.25
 #: Fewest epochs: the innovations of fewer have too few orders.
@@ -133,6 +130,9 @@ class SearchSettings:
         Search only speeds away from the core.
     intervals : (float, float)
         Shortest and longest interval that is used, in years.
+    well_known : float
+        A single stream with a smaller relative error has the speed of its Gaussian,
+        others the harmonic mean of the spectrum.
     """
 
     n_trials: int
@@ -140,6 +140,7 @@ class SearchSettings:
     alpha: float = 0.01
     outward: bool = False
     intervals: tuple[float, float] = EVERY
+    well_known: float = 0.1
 
     def inward(self, flow) -> float:
         """Return the weight of speeds towards the core in the test of a flow."""
@@ -325,8 +326,9 @@ def find_streams(
         search = replace(search, fit=fit, errors=errors)
     shift = _alignment(flow.years, settings.misaligned)
     streams = _streams(
-        search, equations, moving, (sheet, aside), shift, covered=covered, p_distinct=p
-    )
+        search, _of_spectrum(search, equations, settings.well_known), moving,
+        (sheet, aside), shift, covered=covered, p_distinct=p,
+    )  # fmt: skip
     if passes:
         streams = [_judged(s, search, diffusing=diffusing) for s in streams]
     streams += _standing(features, flow, streams, inside)
@@ -426,10 +428,9 @@ def _turned(flow, direction, speed):
     return flow.along(angle)
 
 
-def _streams(search, equations, moving, sheet, shift, *, covered, p_distinct):
+def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
     """Return the streams that move, or the strongest speed, none of them judged yet."""
     beam, turn, sign, test = search.beam, _turn(search.angle), search.sign, search.test
-    rows = _of_spectrum(search, equations)
     groups = [moving] if len(rows) == 1 else _divided(moving, [abs(r[0]) for r in rows])
     found = []
     for row, members in zip(rows, groups, strict=True):
@@ -466,13 +467,13 @@ def _streams(search, equations, moving, sheet, shift, *, covered, p_distinct):
     return found
 
 
-def _of_spectrum(search, equations):
+def _of_spectrum(search, equations, well_known):
     """Return speed and dispersion with errors, in mas/yr, and share of each stream."""
     fit, errors, beam, test = search.fit, search.errors, search.beam, search.test
     if fit is None:
         return [(test.speed[test.best[1]] * beam, *[np.nan] * 4)]
     speed, error, spread = fit.mean * beam, errors.mean * beam, fit.sd * beam
-    if len(speed) == 1 and not error[0] < WELL_KNOWN * abs(speed[0]):
+    if len(speed) == 1 and not error[0] < well_known * abs(speed[0]):
         speed, error = np.reshape(_harmonic(search, equations), (2, 1))
     spread_err = spread / np.sqrt(2 * np.maximum(errors.number, 1))
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
