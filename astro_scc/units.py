@@ -16,7 +16,7 @@ def offset_unit(span, unit=None):
     if unit is not None:
         return unit_like(u.mas, unit, "an angle, such as 'mas'")
     units = ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3))
-    large = (own for own, least in units if (span * u.mas).to_value(own) >= least)
+    large = (name for name, least in units if (span * u.mas).to_value(name) >= least)
     return next(large, u.uas)
 
 
@@ -31,7 +31,7 @@ def speed_unit(span, resolution, interval):
     resolution, interval : `~astropy.units.Quantity`
         A beam in the median interval decides on the unit of length.
     """
-    time = next((own for own, least in TIMES.items() if span > least), u.h)
+    time = next((candidate for candidate, least in TIMES.items() if span > least), u.h)
     coarse = (resolution / interval).to_value(u.arcsec / time) >= ARCSEC
     return (u.arcsec if coarse else u.mas) / time
 
@@ -52,9 +52,9 @@ def unit_name(unit):
 def in_speed_unit(table, unit):
     """Convert proper motions in mas/yr, and accelerations, to a unit, in place."""
     length, time = unit.bases
-    for own, wanted in ((PM_UNIT, unit), (ACCELERATION, length / time**2)):
-        for name in table.colnames if own != wanted else ():
-            if getattr(table[name], "unit", None) == own:
+    for standard, wanted in ((PM_UNIT, unit), (ACCELERATION, length / time**2)):
+        for name in table.colnames if standard != wanted else ():
+            if getattr(table[name], "unit", None) == standard:
                 about = table[name].info.description
                 table[name] = table[name].to(wanted)
                 table[name].info.description = about

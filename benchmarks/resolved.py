@@ -6,13 +6,15 @@ Measure movies of jets that are resolved across, in true and in scrambled order.
     python benchmarks/resolved.py [--cadences 11x21d 24x8d] [--kinds two static]
                                   [--seeds 24] [--first 1] [--jobs 2]
                                   [--weights contrast] [--write]
+    python benchmarks/resolved.py --limbs [--seeds 24] [--first 1] [--jobs 2]
 
 Movies are measured without options, and their images once more in scrambled order of
 the dates.  The truth of a layer is the mean apparent speed of its clumps, weighted by
 their flux densities, where they can be seen beside the core; with ``--weights
 contrast`` by flux densities over the mean brightness at their distance, as a search
 weighs them that divides images by their local rms.  A row is right within 15% of it.
-Without ``--write`` tables are only printed.
+Without ``--write`` tables are only printed.  ``--limbs`` compares the field of speeds
+of 24 epochs with the layers: the slow one at the limbs, the fast one in the spine.
 """
 
 import argparse
@@ -31,7 +33,8 @@ import astropy.units as u
 import numpy as np
 from common import PM_UNIT, print_table, write_table
 
-from astro_scc import EpochCube, measure_velocities
+from astro_scc import EpochCube, StackedCrossCorrelation, measure_velocities
+from astro_scc.flow import measure_field
 from astro_scc.simulation import m87_layers, simulate_resolved_jet
 
 #: Epochs and intervals of programmes that have observed M 87.
@@ -41,6 +44,8 @@ CADENCES = {
 }  # fmt: skip
 #: Largest relative error of a row that is right.
 RIGHT = 0.15
+#: Edges of the cells of the field in mas, and the largest relative error of its speeds.
+ALONG, ACROSS, CLOSE = (1, 3, 6), (-0.9, -0.35, -0.12, 0.12, 0.35, 0.9), 0.1
 #: Distance in beams from the core where the truth begins, as the search does.
 CORE = 1.2
 HEADER = ["cadence", "kind", "order", "movies", "moving", "slowest right", "both right",
@@ -88,14 +93,15 @@ def scrambled(jet, seed):
     )  # fmt: skip
 
 
-def true_speeds(jet, weights="flux"):
+def true_speeds(jet, weights="flux", beyond=0.0):
     """Return the mean speed of each layer that moves in mas/yr, slowest first."""
     truth, angle = jet.truth, jet.simulation.position_angle
     r = (truth["east"] * np.sin(angle) + truth["north"] * np.cos(angle)).to(u.mas)
     beam = jet.simulation.beam_length * jet.simulation.pixel_scale
     groups, means = np.asarray(truth["group"]), []
     for layer in jet.simulation.streams:
-        own = (groups == layer.name) & (r > CORE * beam) & truth["visible"]
+        own = (groups == layer.name) & (r > max(CORE * beam, beyond * u.mas))
+        own &= truth["visible"]
         weight = truth["flux"][own].value
         if weights == "contrast":
             weight = weight / np.interp(r[own], layer.distance, layer.brightness).value
@@ -117,6 +123,39 @@ def measure(task, weights="flux"):
     rows = rows[rows["kind"] == "moving"]
     found = [rows[name].to_value(PM_UNIT) for name in ("pm", "pm_err")]
     return true_speeds(jet, weights), *found, time.perf_counter() - start
+
+
+def limbs(seed):
+    """Return the true and found speeds of limbs and spine, in mas/yr."""
+    jet = simulate("two", "24x8d", seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = StackedCrossCorrelation()(jet.cube, n_trials=99, rng=seed)
+        cells = {"along": ALONG * u.mas, "across": ACROSS * u.mas}
+        table = measure_field(result, **cells, n_trials=19, rng=seed).table
+    middle = (table["offset_min"] + table["offset_max"]).value / 2
+    speed, error = (table[k].value for k in ("pm_parallel", "pm_parallel_err"))
+    found = []
+    for part in (
+        np.abs(middle) > ACROSS[-2],
+        (np.abs(middle) < ACROSS[-3]) & (table["r_min"].value == ALONG[1]),
+    ):
+        part &= np.isfinite(speed * error)
+        found.append(np.average(speed[part], weights=error[part] ** -2))
+    slow, _ = true_speeds(jet, "contrast")
+    _, fast = true_speeds(jet, "contrast", beyond=ALONG[1])
+    return (slow, fast), found
+
+
+def limbs_and_spine(seeds, jobs):
+    """Print the speeds of limbs and spine of movies, and how many are close."""
+    close = np.zeros(2, int)
+    with ProcessPoolExecutor(jobs) as pool:
+        for seed, (truth, found) in zip(seeds, pool.map(limbs, seeds), strict=True):
+            close += np.abs(np.divide(found, truth) - 1) <= CLOSE
+            print(seed, "true", np.round(truth, 2), "found", np.round(found, 2),
+                  flush=True)  # fmt: skip
+    print("within 10%: limbs and spine of", close, "of", len(seeds))
 
 
 def score(movies):
@@ -145,9 +184,13 @@ def main():
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--weights", default="flux", choices=("flux", "contrast"))
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--limbs", action="store_true", help="speeds across the jet")
     parser.add_argument("--write", action="store_true", help="also to results/")
     args = parser.parse_args()
     seeds = range(args.first, args.first + args.seeds)
+    if args.limbs:
+        limbs_and_spine(seeds, args.jobs)
+        return
     table, task = [], partial(measure, weights=args.weights)
     with ProcessPoolExecutor(args.jobs) as pool:
         for group in product(args.cadences, args.kinds, args.orders):

@@ -106,18 +106,18 @@ def sample_planes(
     sky, noise = ~seen[box], np.empty((n, len(scales)))
     for k in range(n):
         missing = cube.mask[k][box]
-        own = missing if missing.any() else None
+        masked = missing if missing.any() else None
         image = np.where(missing, 0.0, cube.data[k][box])
-        found = wavelet_planes(image, scales, kernel=kernel, mask=own)
+        found = wavelet_planes(image, scales, kernel=kernel, mask=masked)
         noise[k] = [
-            _noise(plane, scale, sky & ~missing, own)
+            _noise(plane, scale, sky & ~missing, masked)
             for plane, scale in zip(found, scales, strict=True)
         ]
         for j, plane in enumerate(found):
             planes[j, k] = map_coordinates(plane, where, order=order, mode="constant")
         valid[k] = (
             inside
-            if own is None
+            if masked is None
             else inside
             & (map_coordinates(missing.astype(float), where, order=1, cval=1.0) < 0.5)
         )

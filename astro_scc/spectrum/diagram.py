@@ -197,9 +197,9 @@ def influence(flow, diagram, function, *, region=None):
             second = plane[:, there].reshape(n, -1)[:, points]
             if region is not None:
                 first *= at.flat[points]
-            for end, own, other in (
+            for end, at_end, other in (
                 (here, first, h @ second), (there, second, h.T @ first),
             ):  # fmt: skip
-                added = np.add.reduceat(own * other, starts, axis=1)
+                added = np.add.reduceat(at_end * other, starts, axis=1)
                 found[:, end][:, rows[starts]] += both * added
     return found

@@ -65,17 +65,17 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
     `SpeedErrors`
     """
     k = len(fit.mean)
-    own, of_mean, of_sd = columns_of(equations, fit.mean, fit.sd)
+    of_amplitude, of_mean, of_sd = columns_of(equations, fit.mean, fit.sd)
     on = [i for i in range(len(fit.standing)) if fit.standing[i] > 0]
     standing = standing_columns(equations)[on]
     free = [i for i in range(k) if fit.sd[i] > 1.1 * FLOOR * abs(fit.mean[i])]
-    rows = [own, fit.amplitude[:, None] * of_mean, standing]
+    rows = [of_amplitude, fit.amplitude[:, None] * of_mean, standing]
     rows.append(fit.amplitude[free, None] * of_sd[free])
     rows = np.concatenate(rows)
     square = rows @ equations.gram @ rows.T
     square += 1e-8 * np.diag(np.maximum(np.diag(square), np.finfo(float).tiny))
     weights = np.linalg.solve(square, rows)
-    all_rows = np.concatenate([own, standing_columns(equations)])
+    all_rows = np.concatenate([of_amplitude, standing_columns(equations)])
     model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows
     model = np.tensordot(model, equations.design, 1)
     errors, numbers, clusters, epochs = [], [], [], []

@@ -48,11 +48,11 @@ def columns_of(equations, mean, sd):
     v, width = equations.speed, equations.width
     sd = np.hypot(sd, 0.05 * np.abs(mean))[:, None]
     z = (v - mean[:, None]) / sd
-    own = np.exp(-0.5 * z**2) * width / sd / np.sqrt(2 * np.pi)
-    own /= np.maximum(own.sum(axis=1, keepdims=True), 0.2)
-    pad = np.zeros((len(own), len(equations.gram) - len(v)))
-    both = own * z / sd, own * (z * z - 1)
-    return tuple(np.concatenate([part, pad], axis=1) for part in (own, *both))
+    shares = np.exp(-0.5 * z**2) * width / sd / np.sqrt(2 * np.pi)
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 0.2)
+    pad = np.zeros((len(shares), len(equations.gram) - len(v)))
+    both = shares * z / sd, shares * (z * z - 1)
+    return tuple(np.concatenate([part, pad], axis=1) for part in (shares, *both))
 
 
 def standing_columns(equations):
@@ -63,8 +63,8 @@ def standing_columns(equations):
 def amplitudes_of(equations, mean, sd):
     """Return a `StreamFit` with the best amplitudes for means and dispersions."""
     mean, sd = np.asarray(mean, float), np.asarray(sd, float)
-    own = columns_of(equations, mean, sd)[0]
-    columns = np.concatenate([own, standing_columns(equations)])
+    of_streams = columns_of(equations, mean, sd)[0]
+    columns = np.concatenate([of_streams, standing_columns(equations)])
     found, misfit = equations.solve(columns)
     k = len(mean)
     return StreamFit(mean, sd, found[:k], found[k:], misfit)
@@ -133,16 +133,16 @@ def peaks_of(equations, spectrum, least):
     """
     v, found = equations.speed, []
     for sign in (1, -1):
-        own = np.where(v * sign >= least, spectrum, 0.0)
-        smooth = np.convolve(own, [0.25, 0.5, 0.25], "same")
+        share = np.where(v * sign >= least, spectrum, 0.0)
+        smooth = np.convolve(share, [0.25, 0.5, 0.25], "same")
         on = np.flatnonzero(smooth > 0.02 * smooth.max()) if smooth.max() > 0 else []
         if len(on) == 0:
             continue
         for group in np.split(on, np.flatnonzero(np.diff(on) > 1) + 1):
-            mass = own[group].sum()
+            mass = share[group].sum()
             if mass > 0:
-                mean = own[group] @ v[group] / mass
-                variance = own[group] @ (v[group] - mean) ** 2 / mass
+                mean = share[group] @ v[group] / mass
+                variance = share[group] @ (v[group] - mean) ** 2 / mass
                 found.append((mean, np.sqrt(variance + (0.04 * mean) ** 2), mass))
     return sorted(found, key=lambda peak: -peak[2])
 

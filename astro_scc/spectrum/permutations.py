@@ -224,12 +224,12 @@ def orders_of(n, n_trials, rng):
 def autocorrelation(diagram):
     """Return the images' own correlation at each displacement, to 2.2 beams."""
     epochs = np.arange(len(diagram.years))
-    own = diagram.means[epochs, epochs].mean(axis=0).astype(float)
-    own = (own + own[::-1]) / 2
-    peak = own[diagram.zero]
+    correlation = diagram.means[epochs, epochs].mean(axis=0).astype(float)
+    correlation = (correlation + correlation[::-1]) / 2
+    peak = correlation[diagram.zero]
     if not peak > 0:
-        return np.zeros_like(own)
-    return np.where(np.abs(diagram.displacement) <= ALIKE, own / peak, 0.0)
+        return np.zeros_like(correlation)
+    return np.where(np.abs(diagram.displacement) <= ALIKE, correlation / peak, 0.0)
 
 
 def permutation_test(
@@ -329,7 +329,7 @@ def _scores(diagram, speed, tau, orders, intervals):
     sums = np.asarray(diagram.sums, dtype=float)
     time, white, factor = memory_of(diagram.years, sums[:, :, zero])
     to_innovations = np.linalg.solve(factor, differences(n))
-    own = autocorrelation(diagram)[zero:]
+    correlation = autocorrelation(diagram)[zero:]
     odd = sums[:, :, zero:][:, :, use]
     odd = _sandwich(to_innovations, odd - odd.transpose(1, 0, 2))
     power = np.einsum("ia,ab,ib->i", to_innovations, sums[:, :, zero], to_innovations)
@@ -347,8 +347,8 @@ def _scores(diagram, speed, tau, orders, intervals):
     asked = within(np.abs(tau), intervals)[..., None]
     for k, v in enumerate(speed):
         moved = (v * tau)[..., None]
-        expected = np.interp(np.abs(y - moved), x, own, right=0)
-        expected -= np.interp(np.abs(y + moved), x, own, right=0)
+        expected = np.interp(np.abs(y - moved), x, correlation, right=0)
+        expected -= np.interp(np.abs(y + moved), x, correlation, right=0)
         expected *= np.exp(-np.abs(moved) / LENGTH) * overlap[use] * asked
         filters[k] = _sandwich(to_innovations, expected)[first, second] @ whiten.T
     filters = filters.reshape(len(speed), -1)
