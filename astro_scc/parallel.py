@@ -5,7 +5,6 @@ import importlib
 import logging
 import math
 import os
-import pickle
 import signal
 import threading
 import warnings
@@ -191,6 +190,8 @@ def _submit(pool, function, piece):
 
 def _call(function, piece):
     """Work in a process, on one thread, since the workers share the processor."""
+    from multiprocessing.reduction import ForkingPickler
+
     from threadpoolctl import threadpool_limits
 
     try:
@@ -199,7 +200,7 @@ def _call(function, piece):
     except Exception as error:
         found = error
     try:
-        pickle.loads(pickle.dumps(found))
+        ForkingPickler.loads(ForkingPickler.dumps(found))
     except Exception:
         # An error that cannot be sent would break the executor.
         found = RuntimeError(f"{type(found).__name__}: {found}")

@@ -158,7 +158,8 @@ class SCCResult(tables.VelocityMaps):
     @property
     def grid(self) -> VelocityMap:
         """The velocities of the velocity map, in mas/yr."""
-        return self.search.velocities
+        velocities: VelocityMap = self.search.velocities
+        return velocities
 
     @cached_property
     def ssps(self) -> QTable:

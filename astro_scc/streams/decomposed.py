@@ -92,7 +92,10 @@ class DecomposedFlow:
         first, second = np.asarray(self.frame.matrix(0.0, 0.0)) @ self.grids[0].axes[0]
         return float(np.arctan2(second, first))
 
-    def along(self, angle=None, *, scales=None, normalise="local") -> DecomposedFlow:
+    def along(
+        self, angle: float | None = None, *, scales: Any = None,
+        normalise: str = "local",
+    ) -> DecomposedFlow:  # fmt: skip
         """
         Return the same flow along one direction.
 

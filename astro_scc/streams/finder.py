@@ -142,7 +142,7 @@ class SearchSettings:
     intervals: tuple[float, float] = EVERY
     well_known: float = 0.1
 
-    def inward(self, flow) -> float:
+    def inward(self, flow: DecomposedFlow) -> float:
         """Return the weight of speeds towards the core in the test of a flow."""
         if self.outward and flow.directed:
             return 0.0
@@ -219,8 +219,10 @@ class StreamSearch:
 
 
 #: A secure feature that moves, along a direction: speeds, errors, epochs, number.
-MOVING = [(name, float) for name in "along along_err across across_err weight".split()]
-MOVING += [("number", int)]
+MOVING = {
+    "names": "along along_err across across_err weight number".split(),
+    "formats": [float] * 5 + [int],
+}
 
 
 def moving_features(features, frame, angle, use=None, walk=None):

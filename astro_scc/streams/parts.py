@@ -33,7 +33,7 @@ class PartFit:
             travel=travel,
         )  # fmt: skip
 
-    def knows(self, stream) -> bool:
+    def knows(self, stream: int) -> bool:
         """Return whether a stream is seen, and not at the limit of the search."""
         inside = abs(self.fit.mean[stream]) < TOP * self.equations.speed[-1]
         return bool(self.fit.amplitude[stream] > 0 and inside)
