@@ -120,7 +120,7 @@ class MatchedEpochs(DecomposedEpochs):
     Attributes
     ----------
     cube, decomposer, ssps, select, region
-        See `DecomposedEpochs`.
+        See `~astro_scc.patterns.DecomposedEpochs`.
     matches : `~astro_scc.correlation.Matches`
 
     Examples
