@@ -21,8 +21,6 @@ from astro_scc.images.grid import region_mask
 from astro_scc.images.headers import first_line
 from astro_scc.images.series import Series, as_times, naming, numbers
 
-# A row of a table belongs to an epoch if their dates agree to this many days.
-TOLERANCE = 1.0
 #: Methods, and the option that each has.
 METHODS = {
     "core": "jet_pa", "correlate": "region", "table": "table", "wcs": None, "none": None
@@ -163,7 +161,7 @@ def _move(cube, method, pixels, covariance, what):
         cube.wcs.deepcopy() if method == "wcs" else grid.moved_wcs(wcs, shift)
         for wcs, shift in zip(cube.epoch_wcs, shifts, strict=True)
     )
-    whole = np.all(np.abs(shifts - np.rint(shifts)) < grid.WHOLE_PIXEL)
+    whole = grid.whole_pixels(shifts) is not None
     matrix = cube.pixel_matrix.to_value(u.mas)
     # To a billionth of a pixel.
     digits = 9 - int(np.floor(np.log10(cube.pixel_scale.to_value(u.mas))))
@@ -273,7 +271,7 @@ def _by_correlation(cube, region):
     return pixels, covariance, "their mean"
 
 
-def offsets_from_table(table, times, labels):
+def offsets_from_table(table, times, labels, within=1 * u.day):
     """
     Return the offset of each epoch in a table, and its error, shape (n, 2) in mas.
 
@@ -283,7 +281,7 @@ def offsets_from_table(table, times, labels):
     ``north`` as parts of their names.  Their unit is that of the column, or else
     a part of the name, as in ``core_x_mas_east``.  Two more columns with ``err``
     or ``error`` in their names are the errors, which are NaN without them.  Each
-    epoch takes the row of the nearest date within a day.
+    epoch takes the row of the nearest date ``within`` a day.
     """
     name, table = _read_table(table)
     dates = _dates(table, name)
@@ -293,10 +291,10 @@ def offsets_from_table(table, times, labels):
     for time, label in zip(times, labels, strict=True):
         where = f"{time.isot[:10]} ({label})"
         apart = np.abs((dates - time).to_value(u.day))
-        if len(apart) == 0 or not apart.min() <= TOLERANCE:
+        if len(apart) == 0 or not apart.min() <= within.to_value(u.day):
             raise ValueError(
-                f"{name}: no row within {TOLERANCE:g} d of {where}; add one, or leave "
-                "the epoch out"
+                f"{name}: no row within {within:g} of {where}; add one, or leave the "
+                "epoch out"
             )
         nearest = np.flatnonzero(np.isclose(apart, apart.min(), rtol=1e-9, atol=0))
         found = values[nearest]

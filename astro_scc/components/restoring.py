@@ -12,8 +12,8 @@ from scipy import fft
 from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
+from astro_scc.images.cards import KEYWORDS
 from astro_scc.images.convolution import gaussian_transfer
-from astro_scc.images.headers import FACTS
 from astro_scc.images.positions import pixel_side
 from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise, as_shape
 from astro_scc.quantities import random_generator
@@ -136,7 +136,7 @@ def restore(
             rms, grid = noise[i].value, {"pixel_scale": pixel_scale, "rng": noise_rng}
             data[i] += correlated_noise(shape, rms=rms, beam=beams[i], **grid)
     meta = components.meta
-    facts = {name: meta[name] for name in FACTS if name in meta}
+    facts = {name: meta[name] for name in KEYWORDS["facts"] if name in meta}
     return cls.from_arrays(
         data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
         reference_pixel=reference_pixel, position=meta.get("position"), unit=unit,

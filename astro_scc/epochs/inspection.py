@@ -21,6 +21,7 @@ from astropy.time import Time
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images import local
+from astro_scc.images.cards import KEYWORDS
 from astro_scc.images.extensions import is_visibilities
 from astro_scc.images.fits import (
     CORRECT_BEAM,
@@ -33,40 +34,14 @@ from astro_scc.images.fits import (
     open_fits,
     read_plane,
 )
-from astro_scc.images.frames import on_one_sky, separation
-from astro_scc.images.grid import ONE_SHIFT, finest, whole_step
+from astro_scc.images.grid import finest, whole_step
+from astro_scc.images.local import on_one_sky, separation
 from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
 
-# Largest ln(frequency ratio) in one band: VLBI bands are a few per cent wide and 30%
-# apart.
-BAND = 0.1
-# Reference pixels further apart than this fraction of the image exceed the
-# scatter of VLBI positions.
-FAR = 0.05
-# Larger differences, or those of more than a channel's width, are named.
-CHANNEL = 1e-3
 POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
-#: Facts about which images that belong together agree, as they are named.
-BELONGING = {
-    "filter": "the filter",
-    "wavelength": "the wavelength (WAVELNTH)",
-    "low": "energies (ENERGYLO) from",
-    "high": "energies (ENERGYHI) up to",
-    "band": "the band",
-    "polarisation": "the polarisation (POLARIZ)",
-    "type": "the type (BTYPE)",
-    "channel": "the channel",
-}
 #: What to do with an image that is slightly different.
 OTHER_CHANNEL = "leave it out if it shows something else"
-#: Part of a series in which two images with the same pixels are of one exposure.
-AT_ONCE = 1e-3
-#: Smallest factor between the brightness of an image and that of most others that is
-#: hardly variability, but another unit.
-OTHER_SCALE = 100
-#: Year of the first photograph of a nebula.
-FIRST_IMAGES = 1880
 #: What to do with an image that does not belong to the others.
 UNCHECKED = "leave it out (in Python, check=False reads it)"
 #: What to do with an image without a beam.
@@ -368,14 +343,15 @@ class Problem(NamedTuple):
     refused: bool = True
 
 
-def problems(planes, peaks):
+def problems(planes, peaks, scale=100, first=1880):
     """
     Return the `Problem` of each image that does not belong to the others.
 
     It is of another unit, object, band or polarisation, or of the date of another one,
     or has no beam where others have one.  Another name for the same place, a mirror
-    image, an impossible date, and a brightness out of scale need only a warning;
-    ``peaks`` are the largest values.
+    image, an impossible date, and a brightness out of scale need only a warning:
+    before the ``first`` photograph of a nebula, or a factor ``scale`` that is hardly
+    variability, but another unit.  ``peaks`` are the largest values.
     """
     # What is of another object may be of the same date.
     found = [*_strangers(planes), *_same_dates(planes)]
@@ -390,7 +366,7 @@ def problems(planes, peaks):
         # ERFA warns of years whose leap seconds are unknown.
         with warnings.catch_warnings(action="ignore"):
             year = now if plane.time is None else plane.time.jyear
-            if not FIRST_IMAGES < year < now + 1 / 365:
+            if not first < year < now + 1 / 365:
                 date = plane.time.to_value("iso", subfmt="date")
                 what = f"is of {date}, when no image can have been taken"
                 odd.append((what, "correct its date, or leave it out"))
@@ -398,7 +374,7 @@ def problems(planes, peaks):
             what = f"east is to the {'right' if east[i] else 'left'}, unlike in most"
             odd.append((what, "correct the sign of CDELT1 unless it is a mirror image"))
         ratio = float(peaks[i] / usual)
-        if ratio > 0 and OTHER_SCALE < max(ratio, 1 / ratio) < np.inf:
+        if ratio > 0 and scale < max(ratio, 1 / ratio) < np.inf:
             what = f"its peak is {ratio:.2g} times that of most images"
             odd.append((what, "correct its unit or scale"))
         found += [Problem(i, *words, refused=False) for words in odd]
@@ -412,12 +388,16 @@ def problems(planes, peaks):
     return sorted(found, key=lambda problem: problem.index)
 
 
-def far_away(planes):
-    """Yield the image whose reference pixel is far from that of the first one."""
+def far_away(planes, part=0.05):
+    """
+    Yield the image whose reference pixel is far from that of the first one.
+
+    A larger ``part`` of the image exceeds the scatter of VLBI positions.
+    """
     first = planes[0]
     distance = [separation(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
-    if distance[k] > FAR * max(first.extent, planes[k].extent):
+    if distance[k] > part * max(first.extent, planes[k].extent):
         what = (
             f"its reference pixel and that of {Path(first.name).name} are "
             f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
@@ -437,21 +417,25 @@ def _warned(planes):
     k = finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
-        if whole_step(frame, frames[k], plane.shape, ONE_SHIFT) is None:
+        if whole_step(frame, frames[k], plane.shape) is None:
             yield Problem(i, f"on another grid than {name}, the finest, and resampled")
         if some_have_noise and plane.noise is None:
             yield Problem(i, "no noise where other epochs have one")
 
 
-def _same_dates(planes):
-    """Yield images of the date of another one, or of its pixels at nearly its date."""
+def _same_dates(planes, part=1e-3):
+    """
+    Yield images of the date of another one, or of its pixels at nearly its date.
+
+    In a ``part`` of a series, two images with the same pixels are of one exposure.
+    """
     dated = [i for i, plane in enumerate(planes) if plane.time is not None]
     if not dated:
         return
     times = as_times([planes[i].time for i in dated], len(dated))
     order = order_of(times)
     gaps = np.diff((times - times[0]).sec[order])
-    for k in np.flatnonzero(gaps <= AT_ONCE * gaps.sum()):
+    for k in np.flatnonzero(gaps <= part * gaps.sum()):
         one, other = (dated[order[n]] for n in (k, k + 1))
         if gaps[k] > 0 and not _same_pixels(planes[one], planes[other]):
             continue
@@ -502,9 +486,11 @@ def _strangers(planes):
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
     hands = [None if s in POLARISED else s for s in stokes]
     kinds = [("Stokes", intensity, UNCHECKED)]
-    for fact, what in BELONGING.items():
-        advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
-        kinds.append((what, [plane.facts.get(fact) for plane in planes], advice))
+    for fact, of in KEYWORDS["facts"].items():
+        if "named" in of:
+            advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
+            values = [plane.facts.get(fact) for plane in planes]
+            kinds.append((of["named"], values, advice))
     for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):
         refused = advice == UNCHECKED
         for i, mine, others in _minority(values)[: None if refused else 1]:
@@ -513,19 +499,24 @@ def _strangers(planes):
     yield from _other_frequencies(planes, known)
 
 
-def _other_frequencies(planes, known):
-    """Yield images of another band, and the first of another channel in the band."""
+def _other_frequencies(planes, known, band=0.1, channel=1e-3):
+    """
+    Yield images of another band, and the first of another channel in the band.
+
+    A ``band`` is in ln(frequency): those of VLBI are a few per cent wide and 30% apart.
+    Of another ``channel`` is what differs by more, or by more than a channel's width.
+    """
     known = np.array([value or np.nan for value in known], dtype=float)
     ratio = np.abs(np.log(known[:, None] / known))
-    near = ratio < BAND
+    near = ratio < band
     usual = int(np.argmax(near.sum(axis=1)))
     for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):
         mine, others = (f"{known[k] / 1e9:.4g}" for k in (i, usual))
         yield Problem(int(i), f"is at {mine} GHz, others are at {others}")
     widths = [plane.bandwidth or 0.0 for plane in planes]
     # A width that is no more than rounding is none.
-    width = min((w for w in widths if w > CHANNEL**2 * known[usual]), default=np.inf)
-    limit = min(CHANNEL, width / known[usual]) * (1 - CHANNEL)
+    width = min((w for w in widths if w > channel**2 * known[usual]), default=np.inf)
+    limit = min(channel, width / known[usual]) * (1 - channel)
     alike = ratio < limit
     usual = int(np.argmax(alike.sum(axis=1)))
     odd = np.flatnonzero(near[usual] & ~alike[usual])

@@ -17,21 +17,13 @@ from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
 from astro_scc.images import fits, grid, local, series
 from astro_scc.images.beam import Beam, different_beam
-from astro_scc.images.brightness import logarithm
-from astro_scc.images.cards import get
-from astro_scc.images.frames import north_in, on_one_sky, placed_as, turned
+from astro_scc.images.cards import get, logarithm
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
+from astro_scc.images.local import north_in, on_one_sky, placed_as, turned
 from astro_scc.images.pixels import missing
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
 from astro_scc.quantities import check_choice, named
-
-#: Bytes of a pixel of a cube, with its mask.
-BYTES = 9
-# Pixel sides in one series differ from the usual side by at most this factor.
-LARGEST_RATIO = 10.0
-#: Pixels read around a part that is interpolated: the reach of the splines.
-MARGIN = 4
 
 
 def read_files(files, times, beams, frame, *, check, region, pad):
@@ -64,8 +56,8 @@ def read_files(files, times, beams, frame, *, check, region, pad):
                     f"{path}: has no more than two different values{where}, it seems "
                     f"to be a mask; {UNCHECKED}"
                 )
-            # Before the machine is blocked by more than its memory holds.
-            need = len(images) * ny * nx * BYTES
+            # Before the machine is blocked by more than its memory holds, with masks.
+            need = len(images) * ny * nx * (8 + 1)
             if need > (have := machine_memory()):
                 raise MemoryError(
                     f"{len(images)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
@@ -341,24 +333,21 @@ def _all_or_none(planes, what, advice):
     return None if missing else values
 
 
-def windows_of(planes, first, frame, region, pad=0):
+def windows_of(planes, first, frame, region, pad=0, margin=4):
     """
     Return rows and columns of a region in the image ``first``, and in every image.
 
     ``region`` and ``pad``, as in `~astro_scc.epochs.EpochCube.crop`, refer to the image
     ``first``.  The windows of the other images hold the same part of the sky, or of the
-    offsets, and slightly more if images are not whole pixels apart.  An image without
-    a pixel in the region raises a ValueError.
+    offsets, and a ``margin`` of pixels, the reach of splines, if images are not whole
+    pixels apart.  An image without a pixel in the region raises a ValueError.
     """
     every = [plane.wcs for plane in (first, *planes)]
     here, *frames = on_one_sky(every, first.wcs, frame)
-    copied = (
-        grid.whole_step(here, wcs, first.shape, grid.ONE_SHIFT) is not None
-        for wcs in frames
-    )
+    copied = (grid.whole_step(here, wcs, first.shape) is not None for wcs in frames)
     if not all(copied):
         # Interpolation is worst at the edges.
-        pad += MARGIN
+        pad += margin
     window = grid.box(
         SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs), region, pad
     )
@@ -434,13 +423,17 @@ def lay_on_one_grid(planes, frame, unit):
     return fields, resampled
 
 
-def _refuse_misfits(planes, grids):
-    """Refuse an image whose pixels or position differ too much from the others'."""
+def _refuse_misfits(planes, grids, ratio=10):
+    """
+    Refuse an image whose pixels or position differ too much from the others'.
+
+    Sides of pixels differ from the usual one by no more than a ``ratio``.
+    """
     sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     for plane, size, one in zip(planes, sizes, grids, strict=True):
         # The finest grid would be huge otherwise.
-        if not usual / LARGEST_RATIO <= size <= usual * LARGEST_RATIO:
+        if not usual / ratio <= size <= usual * ratio:
             raise ValueError(
                 f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
                 f"others are {readable_angle(usual * u.deg)}; leave it out"

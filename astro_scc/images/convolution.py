@@ -6,11 +6,9 @@ import numpy as np
 from scipy import fft
 
 from astro_scc.images.beam import (
-    CONTAINS,
-    EQUAL,
     Beam,
     as_beam,
-    beam_excess,
+    contains,
     is_per,
     smallest_common_beam,
 )
@@ -121,13 +119,13 @@ def common_beam(cube: Series, beam: Beam | None = None) -> Series:
     changed = []
     for i, beam_now in enumerate(cube.beams):
         covariance = beam_now.covariance.value
-        excess = beam_excess(goal, covariance)
-        if excess > 1 + CONTAINS:
+        # Headers round to single precision.
+        if not contains(goal, covariance, within=1e-4):
             raise ValueError(
                 f"{cube.labels[i]}: its beam {beam_now} does not fit into {target}; "
                 "choose a larger one, or none for the smallest common beam"
             )
-        if max(excess, beam_excess(covariance, goal)) <= 1 + EQUAL:
+        if contains(goal, covariance) and contains(covariance, goal):
             continue
         variances, axes = np.linalg.eigh(to_pixels @ (goal - covariance) @ to_pixels.T)
         # Rounding errors must not leave a negative variance.

@@ -11,57 +11,17 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time, TimeDelta
 
-from astro_scc.images.cards import axis_numbers, get
+from astro_scc.images.cards import KEYWORDS, axis_numbers, get
 from astro_scc.quantities import parse_date
 
-#: Keywords of dates as text and as (modified) Julian dates: of the start of the
-#: exposure, of its middle and of its end, the first ones before the others.
-STARTS = (
-    *("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE_BEG"),
-    *("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "JD", "JD-OBS"),
-)
-MIDDLES = (
-    *("DATE-AVG", "DATE_AVG", "DATE-MID", "DATEMID", "T_OBS"),
-    *("MJD-AVG", "MJD_AVG", "MJD-MID", "EXPMID"),
-)
-ENDS = "DATE-END", "DATE_END", "MJD-END", "EXPEND"
-#: Starts of keywords of Julian dates.
-JULIAN = "MJD", "JD", "EXP"
-#: Keywords of the time of the day, text or seconds, beside a date without it.
-CLOCKS = (
-    *("TIME-OBS", "TIME_OBS", "UT", "UTC-OBS", "UTC_OBS", "UT-OBS", "UTC", "UTSTART"),
-    *("UTC-STR", "UT-STR", "TIME-BEG", "TM-START", "UTIME", "UTCSTART", "TIME"),
-)
-#: Keywords of the duration of the exposure in seconds.
-EXPOSURES = "EXPTIME", "XPOSURE", "EXPOSURE", "TEXPTIME", "EXP_TIME", "EXPOS"
-#: Time scales by their names in headers; dates of others are in UTC.
-SCALES = {name.upper(): name for name in ("tai", "tt", "tdb", "tcb", "tcg", "ut1")}
-SCALES |= {"IAT": "tai", "GPS": "tai", "TDT": "tt", "ET": "tt"}
-SCALES |= dict.fromkeys(("UTC", "UT", "GMT", "Z"), "utc")
-#: Units of time in comments of cards, in seconds.
-WORDS = {
-    r"(?i)\[h|\bho?u?rs?\b": 3600.0,
-    r"(?i)\[min|\bmin(ute)?s?\b": 60.0,
-    r"(?i)\[ms|\bms(ec)?\b|\bmillisec": 1e-3,
-    r"(?i)\[s|\bsec": 1.0,
-}
-#: Seconds of a day; hours of a day.
+#: Keywords of dates, times and durations, and words about them.
+WORDS = KEYWORDS["dates"]
+#: Time scales by their names in headers.
+SCALES = {name: scale for scale, names in WORDS["scales"].items() for name in names}
+#: Seconds and hours of a day.
 DAY, HOURS = 86400.0, 24
-#: Days by which dates with a time of the day may differ and be of one exposure, or of
-#: one night by the clock of the place.
-LONGEST = 0.9
-#: GPS time is behind atomic time.
-GPS = 19 * u.s
 #: Smallest Julian date that is no modified one.
 FIRST_JD = 2.4e6
-#: Units of time axes beside those that astropy knows.
-UNITS = {"": "s", "sec": "s", "secs": "s", "seconds": "s", "a": "yr", "days": "d"}
-#: Names of axes of time.
-AXES = "TIME", "UTC", "UT", "TAI", "IAT", "TT", "TDT", "TDB", "MJD", "JD", "GPS"
-#: Keywords of the date from which an axis of time counts, and its form.
-REFERENCES = {"MJDREF": "mjd", "MJDREFI": "mjd", "JDREF": "jd"}
-#: Names of columns of times.
-COLUMNS = "TIME", "MJD", "JD", "DATE-OBS", "DATE_OBS", "DATE", "TIME-OBS"
 _CLOCK = re.compile(
     r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
     r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
@@ -102,12 +62,12 @@ def observing_time(header, *, start=False):
 
     Without a date it is None; dates that cannot be read raise a ValueError.
     """
-    for keyword in (*STARTS, *MIDDLES):
+    for keyword in (*WORDS["start"], *WORDS["middle"]):
         if isinstance(value := get(header, keyword), Time):
             return value, ""
     scale = _scale_of(header)
-    starts, problem = _dates(header, STARTS, scale)
-    middles, other = _dates(header, MIDDLES, scale, middle=True)
+    starts, problem = _dates(header, WORDS["start"], scale)
+    middles, other = _dates(header, WORDS["middle"], scale, middle=True)
     if not (starts or middles):
         if problem or other:
             raise ValueError(problem or other)
@@ -123,7 +83,7 @@ def observing_time(header, *, start=False):
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
     exposure = _exposure(header)
-    ends = [one for one in _dates(header, ENDS, scale)[0] if not one.day_only]
+    ends = [one for one in _dates(header, WORDS["end"], scale)[0] if not one.day_only]
     if (begin or first).day_only:
         half = TimeDelta(exposure / 2, format="sec")
         middles += [replace(one, time=one.time - half, middle=True) for one in ends]
@@ -153,14 +113,19 @@ def _unknown_scale(scale):
     )
 
 
-def _contradictions(starts, first):
-    """Return a remark on dates that are of other days than the first one."""
+def _contradictions(starts, first, longest=0.9):
+    """
+    Return a remark on dates that are of other days than the first one.
+
+    Those with a time of the day may differ by the ``longest`` days, and be of one
+    exposure, or of one night by the clock of the place.
+    """
     others = "; ".join(
         f"{one.keyword} is of {one.time.isot[:10]}"
         for one in starts
         # Of a day alone, the other may be of its last second or of another scale.
         if abs((one.time - first.time).jd)
-        > (1.5 if one.day_only or first.day_only else LONGEST)
+        > (1.5 if one.day_only or first.day_only else longest)
     )
     if not others:
         return ""
@@ -172,7 +137,7 @@ def _contradictions(starts, first):
 
 def _exposure(header):
     """Return the exposure in seconds, also where its comment says another unit."""
-    for keyword in EXPOSURES:
+    for keyword in WORDS["exposure"]:
         if (value := get(header, keyword, kind=float) or 0) > 0:
             return value * _unit_of(header, keyword, 1.0)
     return 0.0
@@ -183,7 +148,9 @@ def _unit_of(header, keyword, default):
     comment = ""
     with suppress(AttributeError, KeyError):
         comment = str(header.comments[keyword])
-    return next((s for word, s in WORDS.items() if re.search(word, comment)), default)
+    return next(
+        (s for word, s in WORDS["seconds"].items() if re.search(word, comment)), default
+    )
 
 
 def _better(middle, begin):
@@ -225,7 +192,7 @@ def _lasted(begin, ends, exposure):
 
 def _hours_or_seconds(header):
     """Return a remark if a time of the day is a number of which the unit is unknown."""
-    for keyword in CLOCKS:
+    for keyword in WORDS["clock"]:
         number = get(header, keyword, kind=float)
         if number is None or not 0 < number <= HOURS or _unit_of(header, keyword, 0.0):
             continue
@@ -241,7 +208,7 @@ def _dates(header, keywords, scale, *, middle=False):
     """Return the dates of some keywords, and why one could not be read."""
     found, problem = [], ""
     for keyword in keywords:
-        if keyword.startswith(JULIAN):
+        if keyword.startswith(tuple(WORDS["julian"])):
             day = get(header, keyword, kind=float) or 0
             if day > FIRST_JD or (day > 0 and not keyword.startswith("JD")):
                 form = "jd" if day > FIRST_JD else "mjd"
@@ -285,7 +252,7 @@ def _of_text(text, scale):
 def _with_clock(header, day):
     """Return the date of a day alone with its times of the day in other keywords."""
     found = []
-    for keyword in CLOCKS:
+    for keyword in WORDS["clock"]:
         precision, seconds = _seconds(header, keyword)
         if seconds is not None:
             # On the day itself, so that leap seconds do not move it.
@@ -317,7 +284,8 @@ def _seconds(header, keyword):
 
 def _in_scale(time, scale):
     """Return a time that was read in the scale of a name as what it means."""
-    return time + GPS if scale == "GPS" else time
+    # GPS time is behind atomic time.
+    return time + 19 * u.s if scale == "GPS" else time
 
 
 def _in_utc(time):
@@ -332,7 +300,7 @@ def time_axis(header):
     """Return the number of the axis of time of a header, None if there is none."""
     for axis in range(1, header.get("NAXIS", 0) + 1):
         name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
-        if re.split(r"[-(]", name)[0].strip() in AXES:
+        if re.split(r"[-(]", name)[0].strip() in WORDS["axes"]:
             return axis
     return None
 
@@ -361,7 +329,7 @@ def axis_times(header, axis, hdus=()):
             raise ValueError(f"has no step on axis {name} (CDELT{axis}); write it")
         values = (start or 0.0) + (np.arange(1, n + 1) - pixel) * step
     unit = (unit or given).strip()
-    unit = UNITS.get(unit.lower(), unit)
+    unit = WORDS["units"].get(unit.lower(), unit)
     if unit == "s" and not given and name.startswith(("MJD", "JD")):
         unit = "d"
     try:
@@ -378,10 +346,11 @@ def _from_reference(header, name, seconds, scale):
     """Return times that are given in seconds from the reference of a header."""
     known = SCALES.get(scale, "utc")
     reference = observing_time(header, start=True)[0]
-    keyword = next((k for k in REFERENCES if get(header, k, kind=float)), None)
+    forms = WORDS["references"]
+    keyword = next((k for k in forms if get(header, k, kind=float)), None)
     if keyword is not None:
         more = get(header, "MJDREFF", kind=float) if keyword == "MJDREFI" else None
-        day, form = get(header, keyword, kind=float), REFERENCES[keyword]
+        day, form = get(header, keyword, kind=float), forms[keyword]
         reference = Time(day, more or 0.0, format=form, scale=known)
     elif text := get(header, "DATEREF", kind=str):
         reference = Time(_of_text(text, scale)[1], scale=known)
@@ -390,7 +359,7 @@ def _from_reference(header, name, seconds, scale):
         form = "jd" if days[0] > FIRST_JD else "mjd"
         found = Time(days, format=form, scale=known)
         # wcslib writes a reference of 0 to every header.
-        absolute = name.startswith(JULIAN) or (
+        absolute = name.startswith(tuple(WORDS["julian"])) or (
             get(header, "MJDREF", kind=float) == 0
             if reference is None
             else abs(found[0].mjd - reference.mjd) < 2
@@ -409,7 +378,7 @@ def _from_reference(header, name, seconds, scale):
 
 def _of_table(header, axis, hdus, n):
     """Return the n times in a table and their unit, None if there is none."""
-    tables, wanted = [h for h in hdus if hasattr(h, "columns")], COLUMNS
+    tables, wanted = [h for h in hdus if hasattr(h, "columns")], WORDS["columns"]
     name, column = (get(header, f"PS{axis}_{k}", kind=str) for k in (0, 1))
     tabled = str(header[f"CTYPE{axis}"]).strip().upper().endswith("-TAB")
     if tabled and name and column:

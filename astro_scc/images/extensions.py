@@ -7,29 +7,13 @@ import astropy.units as u
 from astropy.io import fits
 
 from astro_scc.images import headers
-from astro_scc.images.brightness import parse_unit
-from astro_scc.images.cards import get
+from astro_scc.images.cards import KEYWORDS, get, parse_unit
 from astro_scc.images.dates import time_axis
 
-#: Names of extensions with flags, of which any but 0 is bad.
-FLAGS = r"\w*(DQ|MASK|QUAL|FLAG|BADPIX)\w*|BAD|BPM|FLG|MSK|DQM"
-#: Names of extensions with weights or exposures, of which 0 is bad.
-WEIGHTS = "WHT|WEIGHT|IVAR|COVERAGE|EXPOSURE|EXP"
-#: Names of extensions with uncertainties, and how astropy names their kind.
-UNCERTAIN = {
-    "UNCERT": "StdDevUncertainty",
-    **dict.fromkeys(("ERR", "ERROR", "STDEV", "STDDEV", "SIGMA"), "StdDevUncertainty"),
-    **dict.fromkeys(("VAR", "VARIANCE"), "VarianceUncertainty"),
-}
-#: Names of images that tell of others.
-_BESIDE = re.compile(
-    rf"({'|'.join((FLAGS, WEIGHTS, *UNCERTAIN))}|VAR_\w+|CON|CTX|PSF|BEAM|SAMP|TIME|"
-    r"RMS|NOISE|HITS|NCOMBINE|BACKGROUND|BKG|SKY|FLAT|DARK|AUX)\d*$"
-)
-#: Types of images (BTYPE) that show no brightness.
-_TYPES = re.compile(r"EXPOSURE|WEIGHT|COVERAGE|PSF|BEAM|MASK|FLAG|NOISE|RMS|SENSITIV")
-#: Names of images that show the brightness, where there are others.
-SCIENCE = "SCI", "SCIENCE", "IMAGE", "SIGNAL", "DATA", "FLUX"
+#: Patterns of the names of extensions.
+NAMES = KEYWORDS["extensions"]
+UNCERTAIN = NAMES["uncertain"]
+_BESIDE = "|".join((NAMES["flags"], NAMES["weights"], NAMES["beside"], *UNCERTAIN))
 _CHOICE = re.compile(r"(?P<file>.+?)\[(?P<choice>[^\[\]*?]+)\]$")
 
 
@@ -125,7 +109,9 @@ def version(hdus, hdu):
 
 def _is_named(hdu):
     kind = (get(hdu.header, "BTYPE", kind=str) or "").upper()
-    return not (_BESIDE.match(hdu.name) or _TYPES.search(kind))
+    return not (
+        re.fullmatch(rf"({_BESIDE})\d*", hdu.name) or re.search(NAMES["types"], kind)
+    )
 
 
 def _has_axes(hdu):
@@ -149,7 +135,7 @@ def _is_bright(hdu):
 
 
 def _is_science(hdu):
-    return hdu.name in SCIENCE
+    return hdu.name in NAMES["science"]
 
 
 def beside(hdus, image, names, shape, *, strict=True):

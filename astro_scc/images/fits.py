@@ -20,22 +20,17 @@ from astropy.wcs import WCS
 
 from astro_scc.images import headers
 from astro_scc.images.beam import Beam
-from astro_scc.images.brightness import logarithm, parse_unit
-from astro_scc.images.cards import axis_numbers, get
+from astro_scc.images.cards import axis_numbers, bandwidth, get, logarithm, parse_unit
 from astro_scc.images.dates import axis_times, time_axis
 from astro_scc.images.extensions import (
-    FLAGS,
-    UNCERTAIN,
-    WEIGHTS,
+    NAMES,
     NoImageError,
     beside,
     find_image,
     split_choice,
 )
-from astro_scc.images.facts import bandwidth
 from astro_scc.images.grid import cut_wcs
-from astro_scc.images.pixels import flagged, missing
-from astro_scc.images.uncertainty import uncertainty_noise, uncertainty_of
+from astro_scc.images.pixels import flagged, missing, uncertainty_noise, uncertainty_of
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
@@ -330,9 +325,9 @@ def _load(plane, hdus, hdu, index, window):
         return data[window]
 
     shape, telescope = _shape_of(hdu, plane), plane.facts.get("telescope", "").upper()
-    weights = beside(hdus, hdu, WEIGHTS, shape, strict=False)
+    weights = beside(hdus, hdu, NAMES["weights"], shape, strict=False)
     remarks = []
-    for other in (*weights, *beside(hdus, hdu, FLAGS, shape)):
+    for other in (*weights, *beside(hdus, hdu, NAMES["flags"], shape)):
         if plane.mask.all():
             break
         bad, remark = ~(pixels(other) > 0), ""
@@ -346,7 +341,7 @@ def _load(plane, hdus, hdu, index, window):
     plane.mask_remarks = tuple(filter(None, (*remarks, remark)))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in beside(hdus, hdu, "|".join(UNCERTAIN), shape)[:1]:
+    for other in beside(hdus, hdu, "|".join(NAMES["uncertain"]), shape)[:1]:
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)

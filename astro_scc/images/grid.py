@@ -20,8 +20,8 @@ from scipy import ndimage
 from astro_scc.exceptions import warn
 from astro_scc.images import local
 from astro_scc.images.beam import is_per
-from astro_scc.images.frames import region_in_frame
 from astro_scc.images.headers import as_celestial, celestial_wcs, first_line
+from astro_scc.images.local import region_in_frame
 from astro_scc.images.positions import readable_angle
 from astro_scc.images.series import (
     ImageSeries,
@@ -32,21 +32,12 @@ from astro_scc.images.series import (
     naming,
 )
 
-# Pixels are copied if a shift is this near to whole pixels; sky coordinates in
-# degrees resolve pixels of microarcseconds to about 1e-4.
-WHOLE_PIXEL = 1e-4
 # Steps that differ by less, in pixels, count as one shift of the whole image.
 ONE_SHIFT = 0.01
 # A resampled pixel is bad if bad pixels contribute more than this weight to it.
 BAD_WEIGHT = 0.01
-# Pixels per full width at half maximum with which a beam is sampled.
-SAMPLED = 2.0
 #: Beginning of the line of history about images that were not flat.
 RESAMPLED = "resampled onto a tangent plane"
-#: Coordinates in degrees with fewer decimal places were written by hand.
-DECIMALS = 5
-#: Rounding may move a region by this fraction of its size.
-MOVED = 0.02
 
 
 def fill_masked(image, mask, n_iterations=20):
@@ -73,6 +64,16 @@ def fill_masked(image, mask, n_iterations=20):
     return filled
 
 
+def whole_pixels(step, near=1e-4):
+    """
+    Return the whole pixels of a step in pixels, None if they are not that ``near``.
+
+    Sky coordinates in degrees resolve pixels of microarcseconds to about 1e-4.
+    """
+    whole = np.rint(step)
+    return whole.astype(int) if np.all(np.abs(step - whole) < near) else None
+
+
 def shift_image(image, mask, shift):
     """
     Return an image whose sources are moved by ``shift`` (dx, dy) pixels, and its mask.
@@ -86,9 +87,8 @@ def shift_image(image, mask, shift):
     beam of five pixels or more by nothing that can be measured.
     """
     step = np.asarray(shift, dtype=float)[::-1]
-    whole = np.rint(step)
-    if np.all(np.abs(step - whole) < WHOLE_PIXEL):
-        return _copy(image, mask, whole.astype(int), image.shape)
+    if (whole := whole_pixels(step)) is not None:
+        return _copy(image, mask, whole, image.shape)
     moved = ndimage.shift(
         fill_masked(image, mask), step, order=3, mode="constant", cval=np.nan
     )
@@ -131,11 +131,10 @@ def _few(shape):
     return places * [[shape[1] - 1], [shape[0] - 1]]
 
 
-def whole_step(wcs, target, shape, near):
+def whole_step(wcs, target, shape, near=ONE_SHIFT):
     """Return the whole pixels by which grids differ, None if not, see `grid_step`."""
     step, pure = grid_step(wcs, target, shape)
-    whole = np.rint(step)
-    return whole if pure and np.all(np.abs(step - whole) < near) else None
+    return whole_pixels(step, near) if pure else None
 
 
 def is_same(wcs, other):
@@ -159,7 +158,7 @@ def cut_wcs(wcs, window):
     return part
 
 
-def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=WHOLE_PIXEL):
+def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=1e-4):
     """
     Return images and bad pixels on another grid, and whether pixels were copied.
 
@@ -173,7 +172,7 @@ def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=WHOLE_PIXEL):
     if whole is not None:
         if not whole.any() and shape == data.shape[-2:]:
             return data.copy(), bad.copy(), True
-        return *_copy(data, bad, whole[::-1].astype(int), shape), True
+        return *_copy(data, bad, whole[::-1], shape), True
     # Slow to import, and not needed for most series.
     from reproject import reproject_exact, reproject_interp
 
@@ -280,7 +279,8 @@ def reproject_cube(
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
     side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
-    sampled = [beam.minor / SAMPLED for beam in cube.beams or ()]
+    # Two pixels a beam sample it.
+    sampled = [beam.minor / 2 for beam in cube.beams or ()]
     present = cube.pixel_scale
     coarse = side > 1.01 * max(present, min(sampled, default=present))
     wcs = wcs.deepcopy()
@@ -520,11 +520,13 @@ def _combine(cube, items, name, places):
     return inside[True] & ~inside[False]
 
 
-def _refuse_rounded(item, size, wcs, places, name):
+def _refuse_rounded(item, size, wcs, places, name, moved=0.02, decimals=5):
     """
     Refuse a region that its file gives with too few digits.
 
     Writers round coordinates, CRTF by default to 1e-6 deg, the size of a whole jet.
+    This may move a region by the part ``moved`` of its size.  Coordinates in degrees
+    with fewer ``decimals`` were written by hand.
     """
     side = np.sqrt(abs(np.linalg.det(wcs.pixel_scale_matrix)))
     where = getattr(item, "vertices", getattr(item, "center", None)).spherical
@@ -532,12 +534,12 @@ def _refuse_rounded(item, size, wcs, places, name):
     names = ("radius", "width", "height", "outer_radius", "outer_width", "outer_height")
     sizes = [getattr(item, n).to_value(u.deg) for n in names if hasattr(item, n)]
     # Numbers that are not round in degrees may be so in hours, minutes and seconds.
-    step = _step([*lon, *lat], places, DECIMALS) or max(
-        _step(lon * 240, places, DECIMALS - 2) / 240,
-        _step(lat * 3600, places, DECIMALS - 2) / 3600,
+    step = _step([*lon, *lat], places, decimals) or max(
+        _step(lon * 240, places, decimals - 2) / 240,
+        _step(lat * 3600, places, decimals - 2) / 3600,
     )
-    step = max(step, _step(sizes, places, DECIMALS))
-    if step / 2 > max(side, MOVED * size * side):
+    step = max(step, _step(sizes, places, decimals))
+    if step / 2 > max(side, moved * size * side):
         raise ValueError(
             f"{name}: a {type(item).__name__} of {readable_angle(size * side * u.deg)} "
             f"is written in steps of {readable_angle(step * u.deg)}, which moves it; "

@@ -12,17 +12,11 @@ import numpy as np
 from astropy.io import fits
 from astropy.wcs import WCS
 
-from astro_scc.images.beam_header import BEAM, SeveralBeamsError, header_beam
-from astro_scc.images.cards import get
+from astro_scc.images.beam import BEAM, SeveralBeamsError, header_beam
+from astro_scc.images.cards import KEYWORDS, get, header_facts
 from astro_scc.images.dates import observing_time
-from astro_scc.images.facts import FACTS, header_facts
 
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
-#: Units of celestial axes by the starts of their names, in lower case.
-ANGLES = {
-    **{"deg": "deg", "rad": "rad", "arcm": "arcmin"},
-    **dict.fromkeys(("arcs", "asec"), "arcsec"),
-}
 _SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
 _MATRIX = re.compile(r"PV|CDELT|CROTA|(PC|CD)\d+_|WCSAXES|NAXIS|CRPIX[3-9]")
 _CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
@@ -176,7 +170,8 @@ def _standard(keyword, value):
         return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
     if keyword.startswith("CUNIT"):
         text = str(value).strip().lower()
-        return next((unit for s, unit in ANGLES.items() if text.startswith(s)), value)
+        units = KEYWORDS["angles"].items()
+        return next((unit for start, unit in units if text.startswith(start)), value)
     if keyword in ("RADESYS", "RADECSYS"):
         return _frame_name(keyword, str(value).strip().upper())
     if not _WCS_NUMBER.match(keyword):
@@ -289,5 +284,7 @@ def epoch_header(cube, i):
     if cube.noise is not None:
         header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
     facts = cube.epoch_meta[i]
-    header.update({key[0]: facts[fact] for fact, key in FACTS.items() if fact in facts})
+    for fact, of in KEYWORDS["facts"].items():
+        if fact in facts:
+            header[of["keywords"][0]] = facts[fact]
     return header

@@ -1,15 +1,19 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Scale and north of images where their structure is.
+Scale and north of images where their structure is, and celestial frames.
 
 Speeds, directions and offsets are measured with one matrix, that of the ``wcs`` at
 its reference pixel.  It holds where the sky is flat in the image.  Where the reference
 pixel lies far away, or the projection stretches what is shown, `flat_wcs` replaces the
-coordinates by a tangent plane of the sky at the structure.
+coordinates by a tangent plane of the sky at the structure.  Images and regions of
+other frames are turned to one north.
 """
 
+import astropy.units as u
 import numpy as np
+from astropy.coordinates import FK5, ICRS, SkyCoord, angular_separation
 from astropy.wcs import WCS
+from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images.positions import PLANE
@@ -18,24 +22,11 @@ from astro_scc.images.positions import PLANE
 SAME = 1e-3
 #: The same where the matrix is that of the middle of the structure.
 EVEN = 0.02
-#: A reference pixel this many sizes of the image away is no origin of offsets.
-FAR = 10
-#: Faintest structure, in standard deviations of the noise.
-BRIGHT = 5.0
-#: Percentiles of the bright pixels between which the structure lies.
-MOST = 2, 98
-#: Places along each side of an image at which its scale is compared.
-PLACES = 5
-#: Pixels along each side of an outline.
-OUTLINE = 33
-#: Derivatives are taken over this part of a radian, or over a pixel if it is larger:
-#: projections bend over a radian, and degrees of float64 resolve 1e-16 of a circle.
-STEP = 1e-6
 #: Facts about the frame that a WCS keeps: of the Sun, the place of the observer.
 OBSERVER = "rsun_ref dsun_obs hgln_obs hglt_obs crln_obs a_radius b_radius c_radius"
 
 
-def local_matrix(wcs, x, y):
+def local_matrix(wcs, x, y, step=1e-6):
     """
     Return the offsets on the sky of one pixel step, at some pixels.
 
@@ -45,6 +36,10 @@ def local_matrix(wcs, x, y):
         Celestial, two axes.
     x, y : array_like, shape (...)
         Pixels, counted from 0.
+    step : float, optional
+        Derivatives are taken over this part of a radian, or over a pixel if it is
+        larger: projections bend over a radian, and degrees of float64 resolve 1e-16 of
+        a circle.
 
     Returns
     -------
@@ -55,7 +50,7 @@ def local_matrix(wcs, x, y):
     """
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
     usual = wcs.pixel_scale_matrix
-    h = max(0.5, STEP / np.radians(np.sqrt(abs(np.linalg.det(usual)))))
+    h = max(0.5, step / np.radians(np.sqrt(abs(np.linalg.det(usual)))))
     east, north, _ = _axes(*wcs.pixel_to_world_values(x, y))
     columns = []
     for dx, dy in ((h, 0), (0, h)):
@@ -63,8 +58,8 @@ def local_matrix(wcs, x, y):
             _axes(*wcs.pixel_to_world_values(x + sign * dx, y + sign * dy))[2]
             for sign in (1, -1)
         )
-        step = np.degrees(ahead - behind) / (2 * h)
-        columns.append([np.sum(axis * step, axis=0) for axis in (east, north)])
+        change = np.degrees(ahead - behind) / (2 * h)
+        columns.append([np.sum(axis * change, axis=0) for axis in (east, north)])
     found = np.moveaxis(np.array(columns), (0, 1), (-1, -2))
     near = np.abs(found - usual).max(axis=(-1, -2)) < 1e-4 * np.abs(usual).max()
     return np.where(near[..., None, None], usual, found)
@@ -101,18 +96,20 @@ def whole(shape):
     return 0.0, shape[1] - 1.0, 0.0, shape[0] - 1.0
 
 
-def outline(box):
-    """Return pixels x and y along the sides of a box, shape (2, n)."""
-    edge = np.linspace(0, 1, OUTLINE)
+def outline(box, n=33):
+    """Return n pixels x and y along each side of a box, shape (2, 4 n)."""
+    edge = np.linspace(0, 1, n)
     sides = (edge, 0), (edge, 1), (0, edge), (1, edge)
     parts = np.concatenate([np.broadcast_arrays(*side) for side in sides], axis=1)
     x0, x1, y0, y1 = box
     return np.array([[x0], [y0]]) + parts * [[x1 - x0], [y1 - y0]]
 
 
-def differences(wcs, box, matrix):
+def differences(wcs, box, matrix, n=5):
     """
     Return by how much scale and north differ from those of a matrix, at most in a box.
+
+    They are compared at n x n places.
 
     Parameters
     ----------
@@ -130,7 +127,7 @@ def differences(wcs, box, matrix):
         box is not on the sky.
     """
     x0, x1, y0, y1 = box
-    y, x = np.meshgrid(np.linspace(y0, y1, PLACES), np.linspace(x0, x1, PLACES))
+    y, x = np.meshgrid(np.linspace(y0, y1, n), np.linspace(x0, x1, n))
     change = local_matrix(wcs, x, y) @ np.linalg.inv(matrix)
     if not np.all(np.isfinite(change)):
         return np.inf, np.inf
@@ -148,18 +145,23 @@ def is_flat(wcs, shape):
     return max(differences(wcs, whole(shape), wcs.pixel_scale_matrix)) <= SAME
 
 
-def is_far(wcs, shape):
-    """Return whether offsets from the reference pixel say little about an image."""
+def is_far(wcs, shape, sizes=10):
+    """
+    Return whether offsets from the reference pixel say little about an image.
+
+    It is more than some ``sizes`` of the image away.
+    """
     away = np.abs(wcs.wcs.crpix - 1 - (np.array(shape[::-1]) - 1) / 2)
-    return wcs.wcs.name != PLANE and bool(np.any(away > FAR * max(shape)))
+    return wcs.wcs.name != PLANE and bool(np.any(away > sizes * max(shape)))
 
 
-def structure(image):
+def structure(image, snr=5.0, percentiles=(2, 98)):
     """
     Return the box of most of the bright pixels of an image, and the brightest one.
 
-    Pixels that are not finite are left out.  It is the whole image if nothing in it is
-    bright.
+    Bright pixels are above ``snr`` times the noise, and the box is that between the
+    ``percentiles`` of their places.  Pixels that are not finite are left out.  It is
+    the whole image if nothing in it is bright.
 
     Returns
     -------
@@ -172,12 +174,12 @@ def structure(image):
     if bad.all():
         return whole(image.shape), tuple((n - 1) // 2 for n in image.shape[::-1])
     level = np.where(bad, 0.0, image - np.median(image[~bad]))
-    y, x = np.nonzero(level > BRIGHT * measure_noise(level, bad))
+    y, x = np.nonzero(level > snr * measure_noise(level, bad))
     top = np.unravel_index(np.argmax(level), level.shape)
     peak = int(top[1]), int(top[0])
     if len(x) == 0:
         return whole(image.shape), peak
-    box = np.concatenate([np.percentile(v, MOST) for v in (x, y)])
+    box = np.concatenate([np.percentile(v, percentiles) for v in (x, y)])
     return tuple(box.tolist()), peak
 
 
@@ -275,7 +277,7 @@ def tangent_grid(wcs, image):
     """
     (x0, x1, y0, y1), _ = structure(image)
     # What is around the structure belongs to it, as far as the image reaches.
-    pad_x, pad_y = ((b - a) / 4 + PLACES for a, b in ((x0, x1), (y0, y1)))
+    pad_x, pad_y = ((b - a) / 4 + 5 for a, b in ((x0, x1), (y0, y1)))
     ny, nx = image.shape
     x0, x1 = max(x0 - pad_x, 0), min(x1 + pad_x, nx - 1)
     y0, y1 = max(y0 - pad_y, 0), min(y1 + pad_y, ny - 1)
@@ -338,3 +340,140 @@ def unwrapped(wcs, shape):
         if np.all(np.abs(found - sky) < 1e-9):
             return moved
     return wcs
+
+
+def in_frame(wcs, frame, north=0.0):
+    """
+    Return a WCS; for offsets, one with its reference pixel at (0, 0).
+
+    It is turned by the position angle of its ``north``, in radians.
+    """
+    if frame == "absolute":
+        return wcs
+    placed = with_frame(
+        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
+    )
+    return turned(placed, north)
+
+
+def on_one_sky(every, first, frame):
+    """Return WCS as `in_frame` does, each turned to the north of the first one."""
+    return [in_frame(wcs, frame, north_in(wcs, first)) for wcs in every]
+
+
+def turned(wcs, angle):
+    """Return a WCS whose offsets are turned through east by an angle in radians."""
+    if angle == 0:
+        return wcs
+    sin, cos = np.sin(angle), np.cos(angle)
+    changed, matrix = wcs.deepcopy(), wcs.pixel_scale_matrix
+    del changed.wcs.cd, changed.wcs.crota
+    changed.wcs.cdelt = 1, 1
+    changed.wcs.pc = np.array([[cos, sin], [-sin, cos]]) @ matrix
+    changed.wcs.set()
+    return changed
+
+
+def frame_of(wcs):
+    """
+    Return the celestial frame of a WCS, None if astropy does not know it.
+
+    FK5 of J2000 is taken for ICRS: headers of VLBI name either for the same positions.
+    """
+    try:
+        frame = wcs_to_celestial_frame(wcs)
+    except ValueError:
+        return None
+    return ICRS() if frame.is_equivalent_frame(FK5()) else frame
+
+
+def place_of(wcs, frame=None):
+    """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
+    known = frame_of(wcs)
+    place = SkyCoord(
+        *wcs.wcs.crval, unit=u.deg, frame="icrs" if known is None else known
+    )
+    return place if frame is None else place.transform_to(frame)
+
+
+def separation(one, other):
+    """
+    Return the distance of the reference points of two WCS on the sky, in degrees.
+
+    It is 0 if it may be due to the way in which B1950 was turned into J2000: headers
+    do not say whether the elliptic terms of aberration, up to 0.5 arcsec, are in them.
+    """
+    if is_one_frame(one, other):
+        return np.degrees(
+            angular_separation(*np.radians([*one.wcs.crval, *other.wcs.crval]))
+        )
+    found = place_of(other, frame_of(one)).separation(place_of(one))
+    return found.deg if found > 0.5 * u.arcsec else 0.0
+
+
+def is_one_frame(one, other):
+    """Return whether two WCS are of one celestial frame, as far as it is known."""
+    frames = frame_of(one), frame_of(other)
+    return None in frames or frames[0].is_equivalent_frame(frames[1])
+
+
+def north_in(wcs, other):
+    """
+    Return the position angle of the north of a WCS in the frame of another one.
+
+    It is that at the reference point, in radians, 0 in the same frame.
+    """
+    if is_one_frame(wcs, other):
+        return 0.0
+    return north_of(place_of(wcs), frame_of(other))
+
+
+def north_of(place, frame):
+    """Return the position angle in a frame of the north of a SkyCoord, in radians."""
+    # A small distance, and far above rounding.
+    ahead = place.directional_offset_by(0 * u.deg, 1 * u.arcsec)
+    return (
+        place.transform_to(frame)
+        .position_angle(ahead.transform_to(frame))
+        .to_value(u.rad)
+    )
+
+
+def placed_as(wcs, other):
+    """Return a WCS with the reference point, frame and axes of another one."""
+    names = ("crval", "radesys", "equinox", "lonpole", "latpole")
+    values = {name: getattr(other.wcs, name) for name in names}
+    return with_frame(wcs, other.wcs.ctype, **values)
+
+
+def with_frame(wcs, axes, **values):
+    """Return a copy of a WCS with other axis names and frame values."""
+    changed = wcs.deepcopy()
+    codes = zip(axes, wcs.wcs.ctype, strict=True)
+    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
+    for name, value in values.items():
+        setattr(changed.wcs, name, value)
+    changed.wcs.set()
+    return changed
+
+
+def region_in_frame(region, wcs):
+    """
+    Return a region of the sky in the frame of a WCS.
+
+    Its angle refers to the north of the frame in which it was drawn, and regions would
+    take it for that of the image.
+    """
+    # It imports matplotlib.
+    from regions import CompoundSkyRegion
+
+    if isinstance(region, CompoundSkyRegion):
+        parts = (region_in_frame(one, wcs) for one in (region.region1, region.region2))
+        return region.copy(**dict(zip(("region1", "region2"), parts, strict=True)))
+    if frame_of(wcs) is None or not hasattr(region, "angle"):
+        return region
+    frame, centre = wcs_to_celestial_frame(wcs), region.center
+    if centre.is_equivalent_frame(frame):
+        return region
+    angle = region.angle + north_of(centre, frame) * u.rad
+    return region.copy(center=centre.transform_to(frame), angle=angle)

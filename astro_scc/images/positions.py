@@ -34,8 +34,6 @@ PLANE = "OFFSETS"
 UNKNOWN = (180.0, 0.0)
 #: Resolution of images without a beam, in pixels.
 PIXELS_RESOLVED = 3
-#: Resolution of their SSPs, in sizes of the scale.
-SCALES_PER_FWHM = 2.0
 
 
 def readable_angle(angle):
@@ -218,7 +216,7 @@ def beam_covariance(cube, epoch, scale):
     """
     if cube.beams is None:
         size = np.vectorize(scale_size, otypes=[float])(scale)
-        variance = (SCALES_PER_FWHM * size * cube.pixel_scale.value) ** 2
+        variance = (2 * size * cube.pixel_scale.value) ** 2
         return variance[..., None, None] / (8 * np.log(2)) * np.eye(2)
     each = np.stack([beam.covariance.value for beam in cube.beams])
     return each[np.asarray(epoch)]

@@ -24,7 +24,7 @@ from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
 from astro_scc.images import local, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
-from astro_scc.images.brightness import logarithm
+from astro_scc.images.cards import logarithm
 from astro_scc.images.headers import as_celestial, epoch_header
 from astro_scc.images.pixels import missing
 from astro_scc.quantities import parse_date, without_doubt
@@ -32,8 +32,6 @@ from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
 
-#: Digits of the seconds of dates, of which as few as tell them apart are given.
-DIGITS = 0, 3, 6, 9
 #: Fields that have a value for each epoch.
 EACH = "data", "mask", "times", "labels", "beams", "noise", "epoch_wcs", "epoch_meta"
 
@@ -553,12 +551,12 @@ def date_labels(times, *, clock=False):
     """
     gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
     least = gaps[gaps > 0].min(initial=np.inf)
-    digits = next((n for n in DIGITS if 2 * 10.0**-n <= least), DIGITS[-1])
+    digits = next((n for n in (0, 3, 6) if 2 * 10.0**-n <= least), 9)
     texts = Time(times, format="isot", precision=digits).isot
     # A selection of dates some of which are missing is still masked.
     texts = tuple(getattr(texts, "unmasked", texts).tolist())
     # Days are not rounded.
-    days = Time(times, format="isot", precision=DIGITS[-1]).isot
+    days = Time(times, format="isot", precision=9).isot
     days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
     midnight = all(text[10:].startswith("T00:00:00") for text in texts)
     told_apart = len(set(days)) == len(set(texts))

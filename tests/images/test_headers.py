@@ -10,8 +10,7 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import Beam
-from astro_scc.images.brightness import parse_unit
-from astro_scc.images.facts import header_facts
+from astro_scc.images.cards import header_facts, parse_unit
 from astro_scc.images.headers import celestial_wcs, read_header
 from astro_scc.quantities import parse_date
 

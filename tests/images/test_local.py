@@ -24,8 +24,8 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images import local
-from astro_scc.images.frames import north_in, separation, turned
 from astro_scc.images.grid import refuse_pixels, region_mask
+from astro_scc.images.local import north_in, separation, turned
 from astro_scc.images.positions import offset_wcs
 
 NY, NX = 24, 32
