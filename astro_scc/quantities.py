@@ -14,8 +14,6 @@ _ISO = re.compile(
 )
 _OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
 _DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
-#: Two-digit years below this are 20xx, as in the headers of digital images.
-_CENTURY = 50
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
@@ -234,7 +232,8 @@ def parse_date(text, scale="utc"):
             if match := _OLD.match(plain):
                 day, month, year = match.groups()
                 if len(year) == 2:
-                    year = f"{20 if int(year) < _CENTURY else 19}{year}"
+                    # Digital images are of 1950 to 2049.
+                    year = f"{20 if int(year) < 50 else 19}{year}"
             elif match := _ISO.match(plain):
                 year, month, day, clock = match.groups()
                 if month.isalpha():

@@ -7,8 +7,6 @@ PM_UNIT = u.mas / u.yr
 ACCELERATION = u.mas / u.yr**2
 #: Units of time, and how long a series must be for them; shorter ones are in hours.
 TIMES = {u.yr: 0.1 * u.yr, u.day: 2 * u.day}
-#: Proper motions are in arcsec if a beam in the median interval is so many.
-ARCSEC = 1.0
 
 
 def offset_unit(span, unit=None):
@@ -29,10 +27,11 @@ def speed_unit(span, resolution, interval):
     span : `~astropy.units.Quantity`
         Time from the first epoch to the last, which decides on the unit of time.
     resolution, interval : `~astropy.units.Quantity`
-        A beam in the median interval decides on the unit of length.
+        A beam in the median interval decides on the unit of length: arcsec if it is one
+        or more.
     """
     time = next((candidate for candidate, least in TIMES.items() if span > least), u.h)
-    coarse = (resolution / interval).to_value(u.arcsec / time) >= ARCSEC
+    coarse = (resolution / interval).to_value(u.arcsec / time) >= 1
     return (u.arcsec if coarse else u.mas) / time
 
 

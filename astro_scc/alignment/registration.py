@@ -14,34 +14,12 @@ from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.images.grid import BAD_WEIGHT, fill_masked
 from astro_scc.images.series import ImageSeries
 
-# A local maximum or a blended component must have this fraction of the brightest
-# to be the core.
-FAINTEST = 0.1
-# Radius of the pixels that are fitted, in widths of the beam (FWHM).
-RADIUS = 1.5
-# A second component must lower chi^2 by this much.
-CHI_SQUARE = 25.0
-# Fraction of the pixels in use that must fall on good pixels of the image.
-MIN_OVERLAP = 0.5
-# Pixels are flat if their slope is a smaller fraction of the steepest.
-FLAT = 0.01
-# Smallest number of pixels to compare.
-FEWEST = 10
 #: Scatter in beams at which there is a warning.  Of 200 static jets with 0.2 and 0.3,
 #: none seems to move; more is not calibrated (``static_table.csv``).
 MISALIGNED = 0.2
-#: This number of epochs gives the scatter to 15%.
-ENOUGH = 24
-#: Number of epochs in which, with their neighbours, the core is sought, and the scatter
-#: in beams of the epochs after alignment on it, up to which it is trusted.
-CORES, AGREE = 4, 0.05
-#: Smallest correlation of an aligned epoch with its neighbours that gives its position:
-#: with a core it is 0.97, without 0.4 to 0.7.
-ALIKE = 0.9
-#: Smallest signal-to-noise ratio of the source's pixels.
-SOURCE_SNR = 5.0
-#: Largest number of steps towards a displacement, and the last step in pixels.
-STEPS, CONVERGED = 10, 0.01
+#: A local maximum, or a blended component, has this part of the brightest if it is the
+#: core.
+FAINTEST = 0.1
 
 
 def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QTable:
@@ -179,16 +157,22 @@ def _candidate(image, good, shape, direction, noise):
     return places[np.argmin(order)].astype(float)
 
 
-def _fit(image, good, start, shape, direction, noise):
-    """Return the position in pixels, its covariance and whether it is blended."""
+def _fit(image, good, start, shape, direction, noise, radius=1.5):
+    """
+    Return the position in pixels, its covariance and whether it is blended.
+
+    Pixels within a ``radius`` in widths of the beam (FWHM) are fitted.  A second
+    component must lower chi-square by 25.
+    """
+    radius = radius / FWHM_TO_SIGMA
     precision = np.linalg.inv(shape)
     # Only the box around the ellipse, as images may be a hundred times as large.
-    reach = RADIUS / FWHM_TO_SIGMA * np.sqrt(np.diag(shape))
+    reach = radius * np.sqrt(np.diag(shape))
     left, top = np.maximum(np.floor(start - reach), 0).astype(int)
     right, bottom = np.ceil(start + reach).astype(int) + 1
     image, good = (array[top:bottom, left:right] for array in (image, good))
     y, x = np.mgrid[top : top + image.shape[0], left : left + image.shape[1]]
-    used = good & (_distance2(x, y, start, precision) < (RADIUS / FWHM_TO_SIGMA) ** 2)
+    used = good & (_distance2(x, y, start, precision) < radius**2)
     x, y, values = x[used], y[used], image[used]
     # In a fit of beams, noise that the beam correlates has one independent value
     # per half a beam area.
@@ -211,9 +195,8 @@ def _fit(image, good, start, shape, direction, noise):
         two = optimize.least_squares(residuals, np.concatenate(guess))
         positions, peaks = two.x.reshape(2, 2), solve(two.x)[0]
         # A bright feature hides the maximum of a core up to 1.4 beams upstream.
-        apart = _distance2(*positions.T, start, precision)
-        near = apart < (RADIUS / FWHM_TO_SIGMA) ** 2
-        better = 2 * (one.cost - two.cost) > CHI_SQUARE * noise**2 * half_area
+        near = _distance2(*positions.T, start, precision) < radius**2
+        better = 2 * (one.cost - two.cost) > 25 * noise**2 * half_area
         real = (peaks >= FAINTEST * peaks.max()) & near
         if better and real.any():
             fit = two
@@ -248,8 +231,8 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     A source at x in the reference is at x + d in the image.  The covariance
     assumes that residuals are independent from pixel to pixel; where a beam spans
     several pixels, it is too small by a factor of half the beam's area in pixels.
-    Raises a ValueError if too few pixels are good, if d is not within ``reach`` of the
-    start, or if the correlation there is not above ``alike``.
+    Raises a ValueError if fewer than ten pixels are good, if d is not within ``reach``
+    of the start, or if the correlation there is not above ``alike``.
     """
     filled = fill_masked(image, mask)
     if start is None:
@@ -257,20 +240,20 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
     slopes = np.gradient(fill_masked(reference, ~use))[::-1]
     steep = np.hypot(*slopes)
-    y, x = np.nonzero(use & (steep >= FLAT * steep[use].max(initial=0)))
+    y, x = np.nonzero(use & (steep >= 0.01 * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the
     # fit moves by up to one and a half.
     around = ndimage.binary_dilation(mask, iterations=3).astype(float)
     at = [y + start[1], x + start[0]]
     keep = ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
-    if keep.sum() < FEWEST:
+    if keep.sum() < 10:
         raise ValueError("too few good pixels to compare; leave it out")
     y, x = y[keep], x[keep]
     target = reference[y, x] - reference[y, x].mean()
     design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
     solve = np.linalg.pinv(np.stack(design, axis=1))
     spline, d = ndimage.spline_filter(filled, order=3), np.array(start, dtype=float)
-    for _ in range(STEPS):
+    for _ in range(10):
         values = ndimage.map_coordinates(
             spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"
         )
@@ -280,7 +263,7 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
             raise ValueError("nothing in the image correlates; leave it out")
         step = np.array(step) / gain
         d -= step * min(1, reach / 2 / max(np.hypot(*step), 1e-9))
-        if np.hypot(*step) < CONVERGED:
+        if np.hypot(*step) < 0.01:
             break
     values = values - values.mean()
     if values @ target <= alike * np.sqrt(values @ values * (target @ target)):
@@ -291,8 +274,12 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     return d, covariance
 
 
-def _whole_pixels(filled, mask, reference, use, reach):
-    """Return the displacement (dx, dy) of the largest correlation."""
+def _whole_pixels(filled, mask, reference, use, reach, min_overlap=0.5):
+    """
+    Return the displacement (dx, dy) of the largest correlation.
+
+    At least the part ``min_overlap`` of the pixels in use must fall on good ones.
+    """
     steps = int(np.ceil(reach)) + 1
     (box,) = ndimage.find_objects(use.astype(int))
     # Windows reach past the box on all sides, and past the image.
@@ -303,7 +290,7 @@ def _whole_pixels(filled, mask, reference, use, reach):
         np.pad(filled, steps)[window],
         (steps, steps),
         valid=np.pad(~mask, steps)[window],
-        min_overlap=MIN_OVERLAP,
+        min_overlap=min_overlap,
     )
     dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
     coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, -1)
@@ -379,9 +366,10 @@ def misalignment(cube: ImageSeries) -> float | None:
             {k: _shift(cube, k, weights[k], noise[k], width, at) for k in epochs}
         )
 
-    if (found := measured(_spread(middle, ENOUGH))) is not None:
+    # They give the scatter to 15%.
+    if (found := measured(_spread(middle, 24))) is not None:
         return found
-    some = _spread(middle, CORES)
+    some = _spread(middle, 4)
     every = np.unique([some - 1, some, some + 1])
     try:
         cores = core_positions(cube[every])
@@ -389,8 +377,9 @@ def misalignment(cube: ImageSeries) -> float | None:
         return None
     places = np.stack([cores["east"].value, cores["north"].value], axis=1)
     at = dict(zip(every, places, strict=True))
+    # Cores are trusted if the epochs that they align agree.
     certain = measured(some, at)
-    if certain is None or certain > AGREE:
+    if certain is None or certain > 0.05:
         return None
     means = {k: weights[k][0] * at[k - 1] + weights[k][1] * at[k + 1] for k in some}
     return scatter({k: at[k] - mean for k, mean in means.items()})
@@ -402,8 +391,14 @@ def _spread(values, most):
     return values[np.unique(places)]
 
 
-def _shift(cube, k, weights, noise, width, positions):
-    """Return the shift of an epoch from its neighbours in mas, None if unknown."""
+def _shift(cube, k, weights, noise, width, positions, alike=0.9):
+    """
+    Return the shift of an epoch from its neighbours in mas, None if unknown.
+
+    Pixels above five times the noise are of the source.  The correlation of an aligned
+    epoch with its neighbours must be above ``alike``: with a core it is 0.97, without
+    0.4 to 0.7.
+    """
     matrix = cube.pixel_matrix.to_value(u.mas)
     three = slice(k - 1, k + 2)
     images = list(map(fill_masked, cube.data[three], cube.mask[three]))
@@ -413,11 +408,11 @@ def _shift(cube, k, weights, noise, width, positions):
             images[i] = ndimage.shift(image, (-y, -x), order=3)
     reference = weights[0] * images[0] + weights[1] * images[2]
     masked = cube.mask[three].any(axis=0)
-    source = ~masked & (reference > SOURCE_SNR * noise)
+    source = ~masked & (reference > 5 * noise)
     reach = width / np.sqrt(abs(np.linalg.det(matrix)))
     try:
         shift, _ = displacement(
-            images[1], np.zeros_like(masked), reference, source, reach, (0, 0), ALIKE
+            images[1], np.zeros_like(masked), reference, source, reach, (0, 0), alike
         )
     except ValueError:
         return None

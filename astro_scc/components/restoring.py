@@ -25,19 +25,6 @@ NO_BEAM = (
     "is a list of components without a beam to restore it with; give --beam "
     "'1.0 mas 0.5 mas -7 deg' (beams= in Python)"
 )
-MAX_SIDE = 20000
-# Width of the margin around all components, in major axes of the largest beam.
-MARGIN = 4.0
-# Of images that are made without a choice: pixels of the narrowest beam, and the
-# faintest component over the noise.
-PIXELS_A_BEAM = 5
-FAINTEST = 10.0
-# Half side of the box in which a Gaussian is evaluated, in standard
-# deviations: exp(-7**2 / 2) = 2e-11 of the peak is left out.
-REACH = 7.0
-# Padding of the periodic Fourier grid, in standard deviations of the beam:
-# the noise of opposite edges is then independent to exp(-(6 / 2)**2).
-PADDING = 6.0
 
 
 def restore(
@@ -118,7 +105,7 @@ def restore(
     if shape is None:
         if reference_pixel is not None:
             raise ValueError("reference_pixel needs a shape; give both, or neither")
-        border = MARGIN * max(beam.major.value for beam in beams) / scale
+        border = 4 * max(beam.major.value for beam in beams) / scale
         shape, reference_pixel = _grid(x, y, components.major.value / scale + border)
     shape = as_shape(shape)
     if reference_pixel is None:
@@ -203,9 +190,14 @@ def restore_files(cls, files, *, times=None, beams=None):
     return restore(cls, components, **options, rng=0)
 
 
-def suited(components):
-    """Return the options of `restore` that suit components, see `restore_files`."""
-    pixel = min(beam.minor for beam in components.beams) / PIXELS_A_BEAM
+def suited(components, pixels=5, snr=10):
+    """
+    Return the options of `restore` that suit components, see `restore_files`.
+
+    There are so many ``pixels`` in the narrowest beam, and the faintest component is
+    ``snr`` times the noise.
+    """
+    pixel = min(beam.minor for beam in components.beams) / pixels
     options = {"beam": components.beams, "pixel_scale": pixel}
     cube = restore(ImageSeries, components, **options)
     x0, y0 = cube.reference_pixel
@@ -216,7 +208,7 @@ def suited(components):
     np.minimum.at(faintest, components.epoch, peaks)
     for i in np.flatnonzero(np.isinf(faintest)):
         raise ValueError(f"{cube.labels[i]}: no component is positive; leave it out")
-    return options | {"noise": np.median(faintest) / FAINTEST * cube.unit}
+    return options | {"noise": np.median(faintest) / snr * cube.unit}
 
 
 def in_pixels(beam, pixel_scale):
@@ -225,12 +217,12 @@ def in_pixels(beam, pixel_scale):
     return FLIP @ beam.covariance.value @ FLIP / scale**2
 
 
-def _grid(x, y, border):
+def _grid(x, y, border, most=20000):
     """Return a shape and reference pixel for all (x, y), counted from that pixel."""
     low = np.floor([(x - border).min(), (y - border).min()])
     high = np.ceil([(x + border).max(), (y + border).max()])
     nx, ny = high - low + 1
-    if max(nx, ny) > MAX_SIDE:
+    if max(nx, ny) > most:
         raise ValueError(
             f"the components need images of {nx:g} x {ny:g} pixels; give larger "
             "pixels, or a shape"
@@ -249,18 +241,19 @@ def _covariances(components):
     return of_major + minor * across[:, :, None] * across[:, None, :]
 
 
-def add_gaussians(image, x, y, peak, covariance):
+def add_gaussians(image, x, y, peak, covariance, reach=7.0):
     """
     Add elliptical Gaussians to an image (ny, nx), in place, and return it.
 
     Their centres ``x`` and ``y`` are counted from 0, ``peak`` is the value there,
     and ``covariance``, shape (n, 2, 2), is over (x, y) in square pixels.  Each
-    Gaussian is evaluated at the pixel centres of a box that reaches 7 standard
-    deviations to each side, as far as it lies in the image.
+    Gaussian is evaluated at the pixel centres of a box that has the half side ``reach``
+    in standard deviations, as far as it lies in the image: 2e-11 of the peak is left
+    out by default.
     """
     ny, nx = image.shape
     for x0, y0, p, c in zip(x, y, peak, np.asarray(covariance), strict=True):
-        reach_x, reach_y = REACH * np.sqrt(np.diag(c))
+        reach_x, reach_y = reach * np.sqrt(np.diag(c))
         columns, rows = _pixels(x0, reach_x, nx), _pixels(y0, reach_y, ny)
         if p == 0 or not columns.size or not rows.size:
             continue
@@ -326,7 +319,8 @@ def correlated_noise(
     ((64, 128), Unit("mJy / beam"))
     """
     covariance = in_pixels(beam, pixel_scale)
-    padding = int(np.ceil(PADDING * np.sqrt(np.trace(covariance))))
+    # By six deviations, the noise of opposite edges is independent to exp(-(6 / 2)^2).
+    padding = int(np.ceil(6 * np.sqrt(np.trace(covariance))))
     padded = tuple(fft.next_fast_len(n + padding, real=True) for n in shape)
     transfer = gaussian_transfer(covariance, padded)
     # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)

@@ -1,11 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Files of model components: tables, difmap models and AIPS CC tables."""
 
+import csv
 import re
 import warnings
 from contextlib import suppress
 from difflib import get_close_matches
 from functools import lru_cache
+from importlib import resources
 
 import astropy.units as u
 import numpy as np
@@ -23,33 +25,29 @@ from astro_scc.images.headers import celestial_wcs, first_line, read_header, som
 from astro_scc.images.series import as_times, naming, numbers
 from astro_scc.quantities import parse_date
 
-CORE = 0  # feature number of the core
-# Content of a column -> its unit, its labels in tables, and a pattern for what machine-
-# readable tables explain of it, which tells what labels such as ID mean.
-COLUMNS = {
-    "source": (None, "name source iau iauname",
-               "source name|IAU name|.*coordinate identifier"),
-    "feature": (u.one, "feature id comp component featureid",
-                "(feature|component) (identification|number|ID)"),
-    "epoch": (None, "epoch date obsdate obs",
-              "(observation|observing) (date|epoch)|date of observation|epoch"),
-    "year": (None, "obsy year obsyear", None),
-    "month": (None, "obsm month obsmonth", None),
-    "day": (None, "obsd day obsday", None),
-    "flux": (u.Jy, "flux i s fluxdensity", "flux density"),
-    "separation": (u.mas, "separation sep r dist distance radius",
-                   "position offset|separation|distance from"),
-    "east": (u.mas, "east x dra deltax", None),
-    "north": (u.mas, "north y ddec deltay", None),
-    "major": (u.mas, "majorfwhm maj major fwhm majaxis majorax",
-              "FWHM( of)?( the)? major|major axis FWHM"),
-    "minor": (u.mas, "minorfwhm min minor minaxis minorax", None),
-    "ratio": (u.one, "axialratio ratio axratio", "axial ratio"),
-    "pa": (u.deg, "majorpa majpa pamaj phi posangle",
-           "major axis position angle|position angle of( the)? major"),
-    "position_angle": (u.deg, "positionangle pa theta", "position angle"),
-    "type": (u.one, "typeobj", None),
-}  # fmt: skip
+
+def _read_columns():
+    """
+    Return what tables have in their columns, of ``columns.csv``.
+
+    Of each content that is its unit (None for text), its labels in tables, and a
+    pattern for what machine-readable tables explain of it, which tells what labels such
+    as ID mean.
+    """
+    with resources.files(__package__).joinpath("columns.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    units = {"-": None, "1": u.one}
+    return {
+        row["content"]: (
+            units[row["unit"]] if row["unit"] in units else u.Unit(row["unit"]),
+            row["labels"].split(),
+            row["explained"],
+        )
+        for row in rows
+    }
+
+
+COLUMNS = _read_columns()
 # Units of the numbers that describe a component.
 UNITS = {what: COLUMNS[what][0] for what in "flux east north major minor pa".split()}
 # Advice for files without a date.
@@ -71,8 +69,6 @@ NO_IMAGE = (
 #: Keys of the meta that name the source, and other keys that are kept.
 NAMES = ("source", "name", "object")
 FACTS = ("telescope", "filter", "stokes", "beam", "position_from")
-#: Largest number of sources that a message lists.
-LISTED = 8
 FILE_DATE = re.compile(
     r"(?<!\d)(?=((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2([0-3]\d)(?!\d))"
 )
@@ -153,7 +149,7 @@ def read_fields(path, source, origin, date=None):
 
 def _refer(values, epoch, days, relative, origin, path):
     """Shift the positions of each epoch to the requested origin, in place."""
-    core = values.get("feature", np.full(len(epoch), -1)) == CORE
+    core = values.get("feature", np.full(len(epoch), -1)) == 0
     needed = origin == ("map" if relative else "core")
     for day, n in zip(days, np.bincount(epoch[core], minlength=len(days)), strict=True):
         if n > 1 or (needed and n == 0):
@@ -206,7 +202,7 @@ def _find_columns(table):
     for what, (_, labels, _) in COLUMNS.items():
         for name in table.colnames:
             label = re.sub(r"[^a-z]", "", name.lower())
-            if name not in found.values() and label in labels.split():
+            if name not in found.values() and label in labels:
                 found.setdefault(what, name)
     return found
 
@@ -219,7 +215,7 @@ def _select_source(table, columns, source, path):
         names = list(dict.fromkeys(column.tolist()))
         if source is None and len(names) > 1:
             raise ValueError(
-                f"{path}: {len(names)} sources in the table ({some(names, LISTED)}); "
+                f"{path}: {len(names)} sources in the table ({some(names, 8)}); "
                 "say which, with --source NAME of astro-scc restore or source=; "
                 "astro-scc restore TABLE --list lists them"
             )
@@ -229,10 +225,10 @@ def _select_source(table, columns, source, path):
         return table[mine]
     has = "it does not say of which source it is; leave --source out"
     near = get_close_matches(source, names, n=3, cutoff=0.7)
-    if near and len(names) > LISTED:
+    if near and len(names) > 8:
         has = f"did you mean {' or '.join(near)}?"
     elif names:
-        has = f"it has {some(names, LISTED)}"
+        has = f"it has {some(names, 8)}"
     if len(names) > 1:
         has = f"{has.rstrip('?')}; astro-scc restore TABLE --list lists all"
     raise ValueError(f"{path}: no source {source!r}; {has}")
@@ -267,7 +263,7 @@ def _offsets(values, path):
     separation, angle = values["separation"], values["position_angle"]
     if "feature" in values:
         # A core with a blank offset is at the map's centre.
-        blank = (values["feature"] == CORE) & np.isnan(separation)
+        blank = (values["feature"] == 0) & np.isnan(separation)
         separation = np.where(blank, 0.0, separation)
     angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
     for i in np.flatnonzero(np.isnan(separation + angle)):

@@ -127,17 +127,17 @@ def _plane_of_nddata(image, name):
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
-    facts = read_header(image.meta)
+    record = read_header(image.meta)
     if hasattr(image, "global_coords"):
-        facts |= _of_ndcube(image)
-    if facts["beam"] is None and getattr(image, "psf", None) is not None:
-        facts.setdefault(
+        record |= _of_ndcube(image)
+    if record["beam"] is None and getattr(image, "psf", None) is not None:
+        record.setdefault(
             "beam_problem", "its psf is an image, of which no beam is made"
         )
     return fits.Plane(
         name=name, wcs=as_celestial(image.wcs), shape=shape, data=data, mask=mask,
         mask_remarks=(remark,) if remark else (),
-        unit=image.unit or u.one, uncertainty=image.uncertainty, **facts,
+        unit=image.unit or u.one, uncertainty=image.uncertainty, **record,
     )  # fmt: skip
 
 
