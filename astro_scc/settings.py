@@ -14,8 +14,7 @@ import csv
 import math
 import tomllib
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from importlib import import_module, resources
 from operator import le, lt
@@ -170,7 +169,17 @@ class Settings(MeasurementSettings):
     distance: u.Quantity | str | None = _setting(_of_object, "distance")
 
     def __post_init__(self):
-        self._take({name: getattr(self, name) for name in OPTIONS})
+        made = {name: check_setting(name, getattr(self, name)) for name in OPTIONS}
+        redshift, cosmology = made["redshift"], made["cosmology"]
+        by_redshift = redshift is not None or cosmology is not None
+        if made["distance"] is not None and by_redshift:
+            text = "distance needs neither redshift nor cosmology; leave one out"
+            raise ValueError(text)
+        if redshift is not None and cosmology is None:
+            made["cosmology"] = PAPER_COSMOLOGY
+        if cosmology is not None and redshift is None:
+            raise ValueError("cosmology needs a redshift")
+        vars(self).update(made)
 
     def changed(self, **values: Any) -> Settings:
         """
@@ -179,8 +188,6 @@ class Settings(MeasurementSettings):
         Parameters
         ----------
         **values
-            They are checked, all others have been.
-
         Returns
         -------
         `Settings`
@@ -190,22 +197,7 @@ class Settings(MeasurementSettings):
         ValueError
             If a value is not allowed, or does not go with the others.
         """
-        made = copy(self)
-        made._take(values)
-        return made
-
-    def _take(self, values):
-        """Check values of settings, and whether all settings go together."""
-        checked = {name: check_setting(name, value) for name, value in values.items()}
-        vars(self).update(checked)
-        by_redshift = self.redshift is not None or self.cosmology is not None
-        if self.distance is not None and by_redshift:
-            text = "distance needs neither redshift nor cosmology; leave one out"
-            raise ValueError(text)
-        if self.redshift is not None and self.cosmology is None:
-            vars(self).update(cosmology=PAPER_COSMOLOGY)
-        if self.cosmology is not None and self.redshift is None:
-            raise ValueError("cosmology needs a redshift")
+        return replace(self, **values)
 
     @property
     def in_c(self) -> dict[str, Any]:

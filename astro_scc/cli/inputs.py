@@ -17,8 +17,8 @@ from astro_scc.epochs.inspection import repeated
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.fits import find_files, read_plane
-from astro_scc.images.grid import refuse_pixels
 from astro_scc.images.headers import first_line
+from astro_scc.images.regions import refuse_pixels
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.products.publication import published_positions
 from astro_scc.quantities import to_time

@@ -27,7 +27,7 @@ from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
 from astro_scc.columns import round_to_errors, table_lines
-from astro_scc.images.grid import refuse_pixels
+from astro_scc.images.regions import refuse_pixels
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stream_table

@@ -13,7 +13,7 @@ from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.cards import KEYWORDS
-from astro_scc.images.convolution import gaussian_transfer
+from astro_scc.images.grid import gaussian_transfer
 from astro_scc.images.positions import pixel_side
 from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise, as_shape
 from astro_scc.quantities import random_generator

@@ -7,7 +7,7 @@ from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.inspection import inspect_epochs, plan_intervals
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import Beam
-from astro_scc.images.grid import distance_mask
+from astro_scc.images.regions import distance_mask
 
 restore = EpochCube.from_components
 

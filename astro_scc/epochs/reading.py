@@ -15,7 +15,7 @@ from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
-from astro_scc.images import fits, grid, local, series
+from astro_scc.images import fits, grid, local, regions, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.cards import get, logarithm
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
@@ -68,7 +68,7 @@ def read_files(files, times, beams, frame, *, check, region, pad):
 
     fields = _assemble(read(), *given, frame, check, f"{len(images)} FITS images")
     if region is not None:
-        fields["meta"]["history"].append(grid.crop_line(part))
+        fields["meta"]["history"].append(regions.crop_line(part))
     return fields
 
 
@@ -348,7 +348,7 @@ def windows_of(planes, first, frame, region, pad=0, margin=4):
     if not all(copied):
         # Interpolation is worst at the edges.
         pad += margin
-    window = grid.box(
+    window = regions.box(
         SimpleNamespace(shape=(1, *first.shape), wcs=first.wcs), region, pad
     )
     (y0, y1), (x0, x1) = ((part.start, part.stop - 1) for part in window)

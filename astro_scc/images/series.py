@@ -6,6 +6,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from copy import copy
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Self, TypeVar, overload
@@ -73,19 +74,18 @@ class ImageSeries:
         each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
         beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
         mask, wcs = as_mask(data, mask), as_celestial(self.wcs)
-        vars(self).update(
-            data=data, mask=mask, unit=unit, noise=noise, times=times, beams=beams,
-            labels=labels, epoch_meta=facts, wcs=wcs, epoch_wcs=each_wcs,
-            meta=dict(self.meta),
-        )  # fmt: skip
-        self._refuse_empty()
-        flat = local.is_flat(wcs, data.shape[1:])
-        changes = {} if flat else {"wcs": flat_wcs(wcs, data, mask)}
+        refuse_empty(mask, labels)
+        if not local.is_flat(wcs, data.shape[1:]):
+            wcs = flat_wcs(wcs, data, mask)
         order = order_of(times)
         warn_of_equal_dates(times[order])
+        each = {
+            "data": data, "mask": mask, "times": times, "labels": labels,
+            "beams": beams, "noise": noise, "epoch_wcs": each_wcs, "epoch_meta": facts,
+        }  # fmt: skip
         if np.any(np.diff(order) < 0):
-            changes |= self._picked(order)
-        vars(self).update(changes)
+            each = picked(each, order)
+        vars(self).update(each, unit=unit, wcs=wcs, meta=dict(self.meta))
 
     @classmethod
     def from_arrays(
@@ -140,19 +140,8 @@ class ImageSeries:
         """Return a series of fields as ``__post_init__`` makes them."""
         made = object.__new__(cls)
         vars(made).update(fields)
-        made._refuse_empty()
+        refuse_empty(made.mask, made.labels)
         return made
-
-    def _refuse_empty(self):
-        for i in np.flatnonzero(self.mask.all(axis=(1, 2))):
-            raise ValueError(f"{self.labels[i]}: no valid pixel; leave this epoch out")
-
-    def _picked(self, epochs):
-        """Return the fields that have a value for each epoch, for some epochs."""
-        found = {name: getattr(self, name) for name in EACH}
-        tuples = {k: v for k, v in found.items() if isinstance(v, tuple)}
-        arrays = {k: v[epochs] for k, v in found.items() if hasattr(v, "shape")}
-        return arrays | {k: tuple(v[i] for i in epochs) for k, v in tuples.items()}
 
     def _changed(self, **changes):
         present = {each.name: getattr(self, each.name) for each in fields(self)}
@@ -179,10 +168,11 @@ class ImageSeries:
         meta = changes.pop("meta", self.meta)
         meta = {**meta, "history": [*meta.get("history", ()), line]}
         each = {k: tuple(v) for k, v in changes.items() if isinstance(v, list)}
-        made = self._changed(**changes | each, meta=meta)
-        if not changes:
-            # What has been measured in the same images holds.
-            vars(made).update(vars(self) | vars(made))
+        if changes:
+            return self._changed(**changes | each, meta=meta)
+        # What has been measured in the same images holds.
+        made = copy(self)
+        vars(made).update(meta=meta)
         return made
 
     def __len__(self) -> int:
@@ -205,7 +195,8 @@ class ImageSeries:
                     f"the selection {item!r} holds none of {len(self)} epochs"
                 )
             keep = keep[order_of(self.times[keep])]
-            return self._changed(**self._picked(keep))
+            each = {name: getattr(self, name) for name in EACH}
+            return self._changed(**picked(each, keep))
         index = epoch_index(item, len(self))
         noise = None
         if self.noise is not None:
@@ -361,6 +352,23 @@ class ImageSeries:
         """
         y, x = np.indices(self.shape[1:])
         return self.pixel_to_offset(x, y)
+
+
+def refuse_empty(mask, labels):
+    """Refuse images without a pixel."""
+    for i in np.flatnonzero(mask.all(axis=(1, 2))):
+        raise ValueError(f"{labels[i]}: no valid pixel; leave this epoch out")
+
+
+def picked(each, epochs):
+    """Return the values of some epochs of fields with a value for each, or None."""
+    found = {}
+    for name, values in each.items():
+        if isinstance(values, tuple):
+            found[name] = tuple(values[i] for i in epochs)
+        else:
+            found[name] = None if values is None else values[epochs]
+    return found
 
 
 def flat_wcs(wcs, data, mask):

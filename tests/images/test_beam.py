@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import Beam
 from astro_scc.images.beam import different_beam, parse_beam, smallest_common_beam
-from astro_scc.images.convolution import common_beam, gaussian_smooth
+from astro_scc.images.grid import common_beam, gaussian_smooth
 from astro_scc.images.positions import offset_wcs
 
 DATES = ["2000-01-01", "2000-02-01", "2000-03-01"]

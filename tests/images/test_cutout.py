@@ -26,8 +26,8 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.fits import read_plane
-from astro_scc.images.grid import crop, distance_mask, region_mask
 from astro_scc.images.positions import offset_wcs
+from astro_scc.images.regions import crop, distance_mask, region_mask
 
 SHAPE = (40, 50)
 MAS = u.mas.to(u.deg)

@@ -24,9 +24,9 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images import local
-from astro_scc.images.grid import refuse_pixels, region_mask
 from astro_scc.images.local import north_in, separation, turned
 from astro_scc.images.positions import offset_wcs
+from astro_scc.images.regions import refuse_pixels, region_mask
 
 NY, NX = 24, 32
 DATES = ["2010-01-01", "2011-01-01", "2012-01-01"]
