@@ -242,8 +242,14 @@ def parse_date(text, scale="utc"):
                     clock += ":00"
             else:
                 raise ValueError
-            iso = f"{year}-{int(month):02d}-{int(day):02d}T{clock or '00:00:00'}"
-            return Time(iso, format="isot", scale=scale)
+            # A day may end at 24:00, the midnight of the next.
+            ends = re.fullmatch(r"24(:00)+(\.0*)?", clock or "")
+            clock = "00:00:00" if ends or not clock else clock
+            iso = f"{year}-{int(month):02d}-{int(day):02d}T{clock}"
+            time = Time(iso, format="isot", scale=scale)
+            if ends:
+                time = Time(time.jd1 + 1, time.jd2, format="jd", scale=scale)
+            return Time(time, format="isot")
         except ValueError:
             raise ValueError(f"{text!r} is no date; write it as 2006-03-09") from None
 

@@ -20,8 +20,9 @@ WORDS = KEYWORDS["dates"]
 SCALES = {name: scale for scale, names in WORDS["scales"].items() for name in names}
 #: Seconds and hours of a day.
 DAY, HOURS = 86400.0, 24
-#: Smallest Julian date that is no modified one.
-FIRST_JD = 2.4e6
+#: Smallest Julian date that is no modified one, and days after it, or of a modified
+#: one, of which no image can be.
+FIRST_JD, FUTURE = 2.4e6, 4e5
 _CLOCK = re.compile(
     r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
     r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
@@ -161,6 +162,9 @@ def _better(middle, begin):
 
 def _agrees(one, first):
     """Return whether two dates of the start may be of the same instant."""
+    if first.day_only and not one.day_only and one.time == first.time + 1 * u.day:
+        # Of the day that ends at 24:00.
+        return True
     if first.day_only or one.day_only:
         return one.time.isot[:10] == first.time.isot[:10] or (
             _in_utc(one.time).isot[:10] == _in_utc(first.time).isot[:10]
@@ -210,11 +214,16 @@ def _dates(header, keywords, scale, *, middle=False):
     for keyword in keywords:
         if keyword.startswith(tuple(WORDS["julian"])):
             day = get(header, keyword, kind=float) or 0
-            if day > FIRST_JD or (day > 0 and not keyword.startswith("JD")):
-                form = "jd" if day > FIRST_JD else "mjd"
-                time = Time(day, format=form, scale=SCALES.get(scale, "utc"))
-                precision = DAY * _last_digit(repr(day))
-                found.append(Found(precision, _in_scale(time, scale), keyword, middle))
+            form = "jd" if day > FIRST_JD else "mjd"
+            if day <= 0 or (form == "mjd" and keyword.startswith("JD")):
+                continue
+            if day - FIRST_JD * (form == "jd") > FUTURE:
+                words = f"{day:.10g} is no (modified) Julian date; write JD - 2400000.5"
+                problem = problem or f"{keyword}: {words}"
+                continue
+            time = Time(day, format=form, scale=SCALES.get(scale, "utc"))
+            precision = DAY * _last_digit(repr(day))
+            found.append(Found(precision, _in_scale(time, scale), keyword, middle))
         elif (text := get(header, keyword, kind=str)) is not None:
             try:
                 found.append(Found(*_of_text(text, scale), keyword, middle))

@@ -25,6 +25,11 @@ DATES = [
     (DAY, MIDNIGHT),
     (DAY | {"MJD-OBS": MJD}, START),
     (DAY | {"MJD-OBS": 57191.0}, MIDNIGHT),
+    # The end of the day before.
+    ({"DATE-OBS": "2015-06-17T24:00:00"}, MIDNIGHT),
+    ({"DATE-OBS": "2015-06-17T24:00"}, MIDNIGHT),
+    ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
+    ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
     (DAY | {"MJD-OBS": 2457192.1}, START),
     (DAY | {"JD": 2457192.1}, START),
     ({"DATE-OBS": "2015-06-18T00:00:00.000", "MJD-OBS": MJD}, START),
@@ -109,6 +114,9 @@ def test_the_most_precise_date_counts(cards, expected):
 DOUBTS = [
     ({"DATE-OBS": "soon"}, None, "DATE-OBS: 'soon' is no date"),
     ({"DATE": "2015-06-18", "UT": "14:24:00"}, None, ""),
+    ({"DATE-OBS": "2015-06-18T24:00:01"}, None, "'2015-06-18T24:00:01' is no date"),
+    *(({"MJD-OBS": day}, None, f"MJD-OBS: {day:.10g} is no (modified) Julian date; wri")
+      for day in (457191.6, 24571921.0)),
     (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
      "MJD-OBS is of 1995-10-10"),
     (DAY | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is left"),
