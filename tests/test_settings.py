@@ -11,7 +11,7 @@ import pytest
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.inputs import settings_of
 from astro_scc.cli.program import build_parser
-from astro_scc.quantities import to_time
+from astro_scc.quantities import random_generator, to_time
 from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, require
 
 PM = u.mas / u.yr
@@ -91,6 +91,13 @@ def test_speeds_in_c_need_one_kind_of_distance():
         Settings(cosmology="Planck18")
 
 
+def test_generators_of_either_kind():
+    one, other = (random_generator(np.random.RandomState(3)) for _ in range(2))
+    assert one.integers(10**9) == other.integers(10**9)
+    with pytest.raises(ValueError, match="rng must be a seed of 0 or more, or a numpy"):
+        random_generator(np.random)
+
+
 def test_dates(tmp_path):
     path = tmp_path / "config.toml"
     path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
@@ -132,6 +139,8 @@ def test_dates(tmp_path):
             "1 yr", "2 yr 1 yr", "1 2", [1, 2], [-1, 1] * u.yr, [0, np.nan] * u.yr)),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
+        *(("scales", value, "scale 0 is single pixels, and none alone")
+          for value in (0, 0.0, "0", [0], np.int64(0))),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),

@@ -115,7 +115,11 @@ def test_dates_are_taken_in_many_forms():
          "a: no valid pixel; leave this epoch"),
         ({"unit": "furlong/beam"}, "'furlong/beam' is not one that"),
         ({"times": []}, "3 epochs need 3 times"),
-        ({"times": [2000.1, 2000.2, 2001]}, "times must be a Time or"),
+        *(({"times": days}, "times must be a Time or .*; of numbers make Time")
+          for days in ([2000.1, 2000.2, 2001], np.arange(900.0))),
+        ({"times": Time(DATES, scale="local")}, "scale 'local', which has no relation"),
+        ({"times": [*Time(DATES, scale="local")]}, "scale 'local'"),
+        ({"times": None}, "needs data, times and wcs; EpochCube.from_arrays"),
         ({"times": ["x", "y", "z"]}, "'x' is no date"),
         ({"times": MISSING}, "times has missing values"),
         ({"mask": np.ones((8, 12), bool)}, r"mask has shape \(8, 12\)"),

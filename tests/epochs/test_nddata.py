@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import ICRS, SkyCoord
 from astropy.io import fits
+from astropy.modeling import models
 from astropy.nddata import (
     CCDData,
     InverseVariance,
@@ -367,12 +368,40 @@ def unfit():
     return wrong
 
 
+def gwcs_of_the_sky():
+    gwcs = pytest.importorskip("gwcs")
+    pixel = gwcs.coordinate_frames.Frame2D(axes_order=(0, 1), unit=(u.pix, u.pix))
+    sky = gwcs.coordinate_frames.CelestialFrame(reference_frame=ICRS())
+    steps = models.Scale(1e-6) & models.Scale(1e-6)
+    rotate = models.RotateNative2Celestial(5.6, -72.0, 180.0)
+    return gwcs.WCS([(pixel, steps | models.Pix2Sky_TAN() | rotate), (sky, None)])
+
+
+def of_gwcs():
+    return of(NDData(PLANE, wcs=gwcs_of_the_sky(), meta=DATED))()
+
+
+def ndcube_of_gwcs():
+    ndcube = pytest.importorskip("ndcube")
+    return EpochCube.from_ndcube(ndcube.NDCube(PLANE, wcs=gwcs_of_the_sky()))
+
+
+def of_collection():
+    ndcube = pytest.importorskip("ndcube")
+    own = make_cube().to_ndcube()
+    return EpochCube.from_ndcube(ndcube.NDCollection([("a", own), ("b", own)]))
+
+
 def of(*images):
     return lambda: EpochCube.from_ccddata(images)
 
 
 def of_arrays(data=DATA, times=DATES, **fields):
     return lambda: EpochCube.from_arrays(data, times, pixel_scale=1 * u.mas, **fields)
+
+
+def of_ndcube(ndcube):
+    return lambda: EpochCube.from_ndcube(ndcube)
 
 
 @pytest.mark.parametrize(
@@ -401,11 +430,39 @@ def of_arrays(data=DATA, times=DATES, **fields):
         (of_arrays([DATA[0], DATA[1, 2:]]), "must have the same shape"),
         (of_arrays(beam=3), "unexpected keyword argument 'beam'"),
         (of_arrays(position="0h 1d"), "position must be a SkyCoord, got '0h 1d'"),
+        (of_arrays(DATA * u.dex), "data: its unit is dex, a logarithm"),
+        *((of_arrays(beams=beam), "a beam has major, minor and pa, got")
+          for beam in (0.5, 0.5 * u.mas, [0.5, 0.5, 0.5])),
+        *((of_arrays(reference_pixel=place), r"must be two numbers \(x, y\)")
+          for place in ((1, 2, 3), 4.0, ("a", "b"), (1 * u.mas, 2 * u.mas))),
+        (of(image(0, unit=u.mag)), "image 0: its unit is mag, a logarithm"),
+        (of(image(0, unit=u.ABmag)), r"its unit is mag\(AB\), a logarithm"),
+        (of_gwcs, "image 0: wcs must be a WCS, or one sliced, got gwcs.WCS; give"),
+        (ndcube_of_gwcs, "an NDCube must have two celestial axes, one of the"),
+        (of_collection, "a NDCollection is no NDCube; give one of its cubes, or"),
+        (of_ndcube(DATA), "a ndarray is no NDCube"),
+        (of_ndcube([make_cube()]), "a list is no NDCube"),
     ],
 )  # fmt: skip
-def test_what_is_refused(call, words):
-    with pytest.raises((TypeError, ValueError), match=words):
+def test_what_is_refused_in_one_line(call, words):
+    with pytest.raises((TypeError, ValueError), match=words) as caught:
         call()
+    assert "\n" not in str(caught.value)
+    assert "truth value" not in str(caught.value)
+
+
+def test_zeros_that_pad_are_missing_at_each_door():
+    padded = np.pad(DATA[0], 20)
+    made = {"wcs": celestial(), "meta": {"DATE-OBS": DATES[0]}}
+    cube = of(NDData(padded, **made))()
+    assert_array_equal(cube.mask[0], padded == 0)
+    assert_array_equal(of_arrays([padded], DATES[:1])().mask, cube.mask)
+    for number in (-999.0, 1e20):
+        filled, words = np.where(padded == 0, number, padded), "pixels of exactly .* ta"
+        with pytest.warns(EpochWarning, match=f"^its {words}"):
+            assert_array_equal(of_arrays([filled], DATES[:1])().mask, cube.mask)
+        with pytest.warns(EpochWarning, match=f"image 0: its {words}"):
+            assert_array_equal(of(NDData(filled, **made))().mask, cube.mask)
 
 
 def test_images_with_an_hdu_of_two_types_and_of_one_date():

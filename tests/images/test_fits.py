@@ -51,39 +51,6 @@ def test_stokes_i_is_taken_from_several_planes(make_fits):
         assert np.array_equal(image.data, data[plane, 0])
 
 
-def drizzled(path, weight, **changes):
-    """An image as the pipelines of HST write it: date in one header, WCS in another."""
-    scale = 0.025 / 3600
-    primary = {"TELESCOP": "HST", "TARGNAME": "HH 1", "EXPSTART": 51544.5,
-               "FILTER1": "CLEAR1L", "FILTER2": "F658N", "D001SCAL": 0.025,
-               "DATE": "2024-01-01", **changes}  # fmt: skip
-    celestial = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRVAL1": 84.1,
-                 "CRVAL2": -6.8, "CRPIX1": 16.0, "CRPIX2": 9.0, "CD1_1": -scale,
-                 "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": scale, "ORIENTAT": 0.0,
-                 "BUNIT": "ELECTRONS/S"}  # fmt: skip
-    image = np.random.default_rng(1).poisson(5.0, (16, 32)).astype(np.float32)
-    hdus = [
-        fits.PrimaryHDU(header=fits.Header(primary)),
-        fits.ImageHDU(image, fits.Header(celestial), name="SCI"),
-        fits.ImageHDU(weight.astype(np.float32), name="WHT"),
-    ]
-    fits.HDUList(hdus).writeto(path)
-
-
-def test_drizzled_images_of_hst(tmp_path):
-    weight = np.ones((16, 32))
-    weight[:3] = 0
-    drizzled(tmp_path / "a.fits", weight)
-    drizzled(tmp_path / "b.fits", weight[:8], EXPSTART=52544.5)
-    cube = EpochCube.read(tmp_path / "*.fits", frame="absolute")
-    assert cube.times.mjd.tolist() == [51544.5, 52544.5]
-    assert (cube.unit, cube.beams) == (u.electron / u.s, None)
-    assert np.array_equal(cube.mask[0], weight == 0)
-    assert not cube.mask[1].any()
-    drizzled(tmp_path / "c.fits", weight * 0)
-    refused(tmp_path / "c.fits", "no valid pixel by its extension WHT; lea", ValueError)
-
-
 # -- what is no image ------------------------------------------------------------
 
 

@@ -7,7 +7,6 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.time import Time
 
 from astro_scc.epochs import Beam
 from astro_scc.images.cards import header_facts, parse_unit
@@ -16,10 +15,6 @@ from astro_scc.quantities import parse_date
 
 DAY = "2006-03-09T00:00:00.000"
 BEAM = Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-
-
-def observing_time(header):
-    return read_header(header)["time"]
 
 
 def header_beam(header, tables=()):
@@ -51,38 +46,6 @@ def test_dates_of_all_sorts(text, expected):
         return
     with pytest.raises(ValueError, match="is no date; write it as 2006-03-09"):
         parse_date(text)
-
-
-@pytest.mark.parametrize(
-    ("cards", "expected"),
-    [
-        ({"DATE-OBS": "1995-04-01", "TIME-OBS": "06:00:00"}, "1995-04-01T06:00:00.000"),
-        ({"DATE-OBS": "", "DATE-BEG": "1995-04-01"}, "1995-04-01T00:00:00.000"),
-        ({"DATE-OBS": "soon", "DATE-AVG": "1995-04-01"}, "1995-04-01T00:00:00.000"),
-        ({"MJD-OBS": 49808.5}, "1995-04-01T12:00:00.000"),
-        ({"DATE-OBS": "soon", "MJD-OBS": 49808.5}, "1995-04-01T12:00:00.000"),
-        ({"MJD": 0, "EXPSTART": 49808.5}, "1995-04-01T12:00:00.000"),
-        ({"DATE-OBS": "1995-04-01", "TIMESYS": "TAI"}, "1995-03-31T23:59:31.000"),
-        ({"DATE-OBS": "1995-04-01", "TIMESYS": "odd"}, "1995-04-01T00:00:00.000"),
-        # The date at which a file was written is none.
-        ({"DATE": "2022-07-29", "DATE-OBS": "2006-03-09"}, DAY),
-        ({"DATE": "2022-07-29"}, None),
-        ({"MJD": 0}, None),
-    ],
-)
-def test_where_the_date_is_looked_for(cards, expected):
-    for header in (fits.Header(cards), {k.lower(): v for k, v in cards.items()}):
-        time = observing_time(header)
-        assert (time and time.isot) == expected
-        assert time is None or time.scale == "utc"
-
-
-def test_a_date_in_the_meta_and_none_that_is_readable():
-    time = Time("2000-01-01")
-    assert observing_time({"date-obs": time}) is time
-    record = read_header(fits.Header({"DATE-OBS": "soon"}))
-    assert record["time"] is None
-    assert record["date_problem"].startswith("DATE-OBS: 'soon' is no date; write it as")
 
 
 @pytest.mark.parametrize(
@@ -266,12 +229,3 @@ def test_what_wcslib_says_is_a_reason(monkeypatch, aips_header, text, expected):
     words = f"its coordinates cannot be read: {expected}"
     with pytest.raises(ValueError, match=words):
         celestial_wcs(aips_header())
-
-
-def test_left_over_distortions_are_none(aips_header, caplog):
-    sip = {"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-4, "B_0_2": 1e-4, "A_DMAX": 1.0}
-    plain = {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN"}
-    found = celestial_wcs(aips_header(**plain, **sip))
-    assert found.wcs.compare(celestial_wcs(aips_header(**plain)).wcs)
-    assert not found.has_distortion
-    assert caplog.text == ""
