@@ -284,10 +284,7 @@ def test_parts_and_single_images_of_movies(tmp_path):
     ("changes", "words"),
     [
         ({"CDELT3": 0.0}, "has no step on axis TIME .CDELT3.; write it"),
-        (
-            {"CUNIT3": "m"},
-            "has the unit 'm' on axis TIME, which is no time; correct it",
-        ),
+        ({"CUNIT3": "m"}, "has the unit 'm' on axis TIME, which is no time; correct"),
         ({"DATE-OBS": None}, "has times on axis TIME and no date from which they coun"),
         ({"CTYPE3": "TIME-TAB"}, "has times in a table on axis TIME-TAB, which is not"),
         ({"CTYPE3": "WAVE"}, "has 4 planes on axis WAVE; write the one to use"),
