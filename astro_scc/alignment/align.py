@@ -17,9 +17,10 @@ from astropy.time import Time
 from astro_scc.alignment.registration import core_positions, displacement
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images import grid
+from astro_scc.images.dates import as_times
 from astro_scc.images.headers import first_line
 from astro_scc.images.regions import region_mask
-from astro_scc.images.series import Series, as_times, naming, numbers
+from astro_scc.images.series import Series, naming, numbers
 
 #: Methods, and the option that each has.
 METHODS = {

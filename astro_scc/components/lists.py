@@ -16,8 +16,9 @@ from astro_scc.components.names import plain
 from astro_scc.components.tables import UNITS, open_table, read_fields, source_names
 from astro_scc.exceptions import warn
 from astro_scc.images.beam import Beam
+from astro_scc.images.dates import given_times
 from astro_scc.images.fits import find_files
-from astro_scc.images.series import as_beams, as_epoch_tuple, given_times, naming
+from astro_scc.images.series import as_beams, as_epoch_tuple, naming
 from astro_scc.quantities import check_choice, named
 
 COLUMNS = (*UNITS, "feature")

@@ -20,9 +20,10 @@ from astropy.wcs.utils import wcs_to_celestial_frame
 from astro_scc.components.names import also_named, place_of, same_source, table_position
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.cards import get
+from astro_scc.images.dates import as_times
 from astro_scc.images.fits import AS_TABLE, open_fits
 from astro_scc.images.headers import celestial_wcs, first_line, read_header, some
-from astro_scc.images.series import as_times, naming, numbers
+from astro_scc.images.series import naming, numbers
 from astro_scc.quantities import parse_date
 
 

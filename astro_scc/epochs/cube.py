@@ -22,11 +22,12 @@ from astro_scc.components.restoring import restore, restore_files
 from astro_scc.epochs import reading, serialize
 from astro_scc.epochs.inspection import kind_of
 from astro_scc.images.beam import Beam, different_beam
+from astro_scc.images.dates import date_labels
 from astro_scc.images.fits import CUBE_CREATOR, find_files
 from astro_scc.images.grid import common_beam, reproject_cube
 from astro_scc.images.positions import readable_angle
 from astro_scc.images.regions import crop, region_mask
-from astro_scc.images.series import ImageSeries, date_labels
+from astro_scc.images.series import ImageSeries
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,24 +20,14 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.images import local
+from astro_scc.images import fits, local
 from astro_scc.images.cards import KEYWORDS
+from astro_scc.images.dates import as_times, date_labels, order_of
 from astro_scc.images.extensions import is_visibilities
-from astro_scc.images.fits import (
-    CORRECT_BEAM,
-    CUBE_CREATOR,
-    file_of,
-    find_files,
-    frames_of,
-    labelled,
-    looks_like_mask,
-    open_fits,
-    read_plane,
-)
 from astro_scc.images.grid import finest, whole_step
 from astro_scc.images.local import on_one_sky, separation
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, as_times, date_labels, order_of
+from astro_scc.images.series import ImageSeries
 
 POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
 #: What to do with an image that is slightly different.
@@ -46,7 +36,7 @@ OTHER_CHANNEL = "leave it out if it shows something else"
 UNCHECKED = "leave it out (in Python, check=False reads it)"
 #: What to do with an image without a beam.
 NO_BEAM = (
-    f"{CORRECT_BEAM}, give one of all (--beam, in Python beams=), or leave it out "
+    f"{fits.CORRECT_BEAM}, give one of all (--beam, in Python beams=), or leave it out "
     "(check=False reads all without beams)"
 )
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
@@ -96,7 +86,7 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     >>> print(table["problem"][-1].split(";")[0])
     no date of observation
     """
-    files = find_files(paths, missing_ok=True)
+    files = fits.find_files(paths, missing_ok=True)
     rows = [_row_of(path, k) for path in files for k in _frames(path)]
     rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
     planes = [row.pop("plane") for row in rows]
@@ -130,8 +120,8 @@ def kind_of(path):
         return "components"
     # What is wrong with a file is said where it is read.
     with suppress(Exception), warnings.catch_warnings(action="ignore"):
-        with file_of(path)[0].open("rb") as file, open_fits(file) as hdus:
-            if hdus[0].header.get("CREATOR") == CUBE_CREATOR:
+        with fits.file_of(path)[0].open("rb") as file, fits.open_fits(file) as hdus:
+            if hdus[0].header.get("CREATOR") == fits.CUBE_CREATOR:
                 return "cube"
             image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
             listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
@@ -143,19 +133,19 @@ def kind_of(path):
 def _frames(path):
     """Return the numbers of the images on an axis of time of a file, else None."""
     with suppress(OSError, ValueError):
-        if (n := frames_of(path)) not in (None, 1):
+        if (n := fits.frames_of(path)) not in (None, 1):
             return range(n)
     return [None]
 
 
 def _row_of(path, frame):
     """Return the row of an image, with its `Plane` if it can be read."""
-    row = {"file": labelled(path, frame), "date": None, "nx": 0, "ny": 0}
+    row = {"file": fits.labelled(path, frame), "date": None, "nx": 0, "ny": 0}
     row |= dict.fromkeys(COLUMNS, np.nan)
     row |= {"object": "", "frequency": row.pop("frequency")}
     row |= {"problem": [], "plane": None, "origin": None}
     try:
-        plane = read_plane(path, frame=frame)
+        plane = fits.read_plane(path, frame=frame)
         plane.take_uncertainty()
     except (OSError, ValueError) as error:
         listed = kind_of(path) == "components"
@@ -175,7 +165,7 @@ def _row_of(path, frame):
     row["problem"] += plane.notes
     if plane.time is None:
         row["problem"].append(plane.date_problem or "no date of observation")
-    if looks_like_mask(plane.data):
+    if fits.looks_like_mask(plane.data):
         row["problem"].append("no more than two different values, a mask")
     values = np.where(plane.mask, -np.inf, plane.data)
     y, x = np.unravel_index(np.argmax(values), values.shape)

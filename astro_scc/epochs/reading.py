@@ -15,7 +15,7 @@ from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import warn
-from astro_scc.images import fits, grid, local, regions, series
+from astro_scc.images import dates, fits, grid, local, regions, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.cards import get, logarithm
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
@@ -42,8 +42,9 @@ def read_files(files, times, beams, frame, *, check, region, pad):
             _in_reach(fits.read_plane(path, pixels=False, frame=k))
             for path, k in images
         ]
-        dates = series.as_times(list(map(_observed, planes, given[0])), len(images))
-        first = planes[int(np.argmin((dates - dates[0]).jd))]
+        observed = list(map(_observed, planes, given[0]))
+        days = dates.as_times(observed, len(images))
+        first = planes[int(np.argmin((days - days[0]).jd))]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
@@ -180,8 +181,8 @@ def epochs_of(ndcube, times=None):
 
 def _of_ndcube(image):
     """Return the date of an epoch of an NDCube, and what `to_ndcube` keeps of it."""
-    dates = [v for v in image.global_coords.values() if isinstance(v, Time)]
-    found = {"time": dates[0].reshape(-1)[0]} if dates else {}
+    times = [v for v in image.global_coords.values() if isinstance(v, Time)]
+    found = {"time": times[0].reshape(-1)[0]} if times else {}
     wcs, _, _ = fits_wcs(image.wcs)
     if AXIS in wcs.wcs.ctype and set(KEPT) <= image.meta.keys():
         i = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
@@ -195,7 +196,7 @@ def _given(times, beams, n, frame):
     named("frame", check_choice, frame, "offset", "absolute")
     if n == 0:
         raise ValueError("a cube needs at least one image")
-    return series.given_times(times, n), series.as_beams(beams, n) or [None] * n
+    return dates.given_times(times, n), series.as_beams(beams, n) or [None] * n
 
 
 def _observed(plane, time):
@@ -245,8 +246,8 @@ def _completed(planes, times, beams):
         every.append(plane)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
-    times = series.as_times([plane.time for plane in every], len(every))
-    order = series.order_of(times)
+    times = dates.as_times([plane.time for plane in every], len(every))
+    order = dates.order_of(times)
     return [every[i] for i in order], times[order]
 
 
@@ -270,7 +271,7 @@ def _assemble(planes, times, beams, frame, check, source):
     if check:
         _refuse_strangers(planes)
     else:
-        series.warn_of_equal_dates(times)
+        dates.warn_of_equal_dates(times)
     frame = _trusted(planes, frame)
     for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
         warn(f"{planes[k].name}: {what}; {advice}")
@@ -292,7 +293,7 @@ def _assemble(planes, times, beams, frame, check, source):
     noise = _all_or_none(planes, "noise", advice)
     noise = None if resampled or noise is None else u.Quantity(noise)
     labels = tuple(plane.label for plane in planes)
-    labels = labels if all(labels) else series.date_labels(times)
+    labels = labels if all(labels) else dates.date_labels(times)
     names = {plane.facts.get("object") for plane in planes} - {None}
     meta = {"object": names.pop()} if len(names) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"

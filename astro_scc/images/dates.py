@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""When an image was taken, by the keywords of its header."""
+"""When images were taken: by the keywords of headers, as given, and in words."""
 
 import re
 import warnings
@@ -11,8 +11,9 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time, TimeDelta
 
+from astro_scc.exceptions import warn
 from astro_scc.images.cards import KEYWORDS, axis_numbers, get
-from astro_scc.quantities import parse_date
+from astro_scc.quantities import parse_date, without_doubt
 
 #: Keywords of dates, times and durations, and words about them.
 WORDS = KEYWORDS["dates"]
@@ -300,6 +301,78 @@ def _in_scale(time, scale):
 def _in_utc(time):
     with warnings.catch_warnings(action="ignore"):
         return Time(time.utc, format="isot")
+
+
+# -- dates that are given ---------------------------------------------------------
+
+
+def as_times(times, n):
+    """Return dates as a Time of shape (n,)."""
+    if not isinstance(times, Time):
+        if isinstance(times, str) or not np.iterable(times):
+            times = [times]
+        try:
+            dates = [parse_date(t) if isinstance(t, str) else Time(t) for t in times]
+        except (TypeError, ValueError) as error:
+            if all(isinstance(value, str) for value in times):
+                raise
+            raise TypeError(
+                "times must be a Time or strings such as '2006-03-09', got "
+                f"{type(times).__name__}; of numbers make Time(numbers, format='mjd')"
+            ) from error
+        times = Time(dates or [], format=None if dates else "jd")
+    times = times.reshape(1) if times.isscalar else times
+    if times.shape != (n,):
+        raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
+    if np.any(times.mask):
+        raise ValueError("every epoch needs a date, times has missing values")
+    if times.scale == "local":
+        raise ValueError(
+            "times are of the scale 'local', which has no relation to others; give "
+            "them in UTC, Time(..., scale='utc')"
+        )
+    return without_doubt(times)
+
+
+def given_times(times, n):
+    """Return the dates that are given for n images, None for those that are not."""
+    if isinstance(times, str) or not np.iterable(times):
+        times = [None] * n if times is None else [times]
+    times = [t if t is None else as_times(t, 1)[0] for t in times]
+    if len(times) != n:
+        raise ValueError(f"{len(times)} dates for {n} images; give one for each")
+    return times
+
+
+def warn_of_equal_dates(times):
+    """Warn of the first of dates in order that is that of the next."""
+    for k in np.flatnonzero(np.diff((times - times[0]).sec) == 0)[:1]:
+        warn(f"two images are of {times.isot[k]}; leave one out, or average them")
+
+
+def order_of(times):
+    """Return the order of dates, of which equal ones stay as they are."""
+    return np.argsort((times - times[0]).sec, kind="stable")
+
+
+def date_labels(times, *, clock=False):
+    """
+    Return dates as short text, with as much of the time of day as tells them apart.
+
+    With ``clock`` that is given unless all are of midnight.
+    """
+    gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
+    least = gaps[gaps > 0].min(initial=np.inf)
+    digits = next((n for n in (0, 3, 6) if 2 * 10.0**-n <= least), 9)
+    texts = Time(times, format="isot", precision=digits).isot
+    # A selection of dates some of which are missing is still masked.
+    texts = tuple(getattr(texts, "unmasked", texts).tolist())
+    # Days are not rounded.
+    days = Time(times, format="isot", precision=9).isot
+    days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
+    midnight = all(text[10:].startswith("T00:00:00") for text in texts)
+    told_apart = len(set(days)) == len(set(texts))
+    return days if told_apart and (not clock or midnight) else texts
 
 
 # -- axes of time ----------------------------------------------------------------

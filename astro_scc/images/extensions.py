@@ -12,8 +12,7 @@ from astro_scc.images.dates import time_axis
 
 #: Patterns of the names of extensions.
 NAMES = KEYWORDS["extensions"]
-UNCERTAIN = NAMES["uncertain"]
-_BESIDE = "|".join((NAMES["flags"], NAMES["weights"], NAMES["beside"], *UNCERTAIN))
+KINDS = "flags", "weights", "uncertain", "beside"
 _CHOICE = re.compile(r"(?P<file>.+?)\[(?P<choice>[^\[\]*?]+)\]$")
 
 
@@ -30,6 +29,11 @@ def split_choice(name):
     """
     match = _CHOICE.match(str(name))
     return (match["file"], match["choice"].strip()) if match else (str(name), None)
+
+
+def is_of(name, kind):
+    """Return whether the name of an extension is that of a kind."""
+    return bool(re.fullmatch("|".join(NAMES[kind]), name))
 
 
 def is_image(hdu):
@@ -109,9 +113,9 @@ def version(hdus, hdu):
 
 def _is_named(hdu):
     kind = (get(hdu.header, "BTYPE", kind=str) or "").upper()
-    return not (
-        re.fullmatch(rf"({_BESIDE})\d*", hdu.name) or re.search(NAMES["types"], kind)
-    )
+    names = hdu.name, hdu.name.rstrip("0123456789")
+    beside = any(is_of(name, other) for other in KINDS for name in names)
+    return not (beside or re.search(NAMES["types"], kind))
 
 
 def _has_axes(hdu):
@@ -138,23 +142,23 @@ def _is_science(hdu):
     return hdu.name in NAMES["science"]
 
 
-def beside(hdus, image, names, shape, *, strict=True):
+def beside(hdus, image, kind, shape):
     """
     Return the extensions that tell of an image, of its shape.
 
-    ``names`` is a regular expression of their names.  Of several images, those of its
-    version do.  Others of one name but another shape are refused if ``strict``.
+    The kind is "flags", "weights" or "uncertain".  Of several images, those of its
+    version do.  Others of one name but another shape are refused, but for weights.
     """
     found = []
     for hdu in hdus:
-        if hdu is image or not re.fullmatch(names, hdu.name) or not is_image(hdu):
+        if hdu is image or not is_of(hdu.name, kind) or not is_image(hdu):
             continue
         several = sum(other.name == hdu.name for other in hdus) > 1
         if several and version(hdus, hdu) != version(hdus, image):
             continue
         if tuple(n for n in hdu.shape if n > 1) == tuple(n for n in shape if n > 1):
             found.append(hdu)
-        elif strict:
+        elif kind != "weights":
             raise headers.ContentError(
                 f"its extension {hdu.name} has shape {hdu.shape}, it {shape}; remove it"
             )

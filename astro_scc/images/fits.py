@@ -22,13 +22,7 @@ from astro_scc.images import headers
 from astro_scc.images.beam import Beam
 from astro_scc.images.cards import axis_numbers, bandwidth, get, logarithm, parse_unit
 from astro_scc.images.dates import axis_times, time_axis
-from astro_scc.images.extensions import (
-    NAMES,
-    NoImageError,
-    beside,
-    find_image,
-    split_choice,
-)
+from astro_scc.images.extensions import NoImageError, beside, find_image, split_choice
 from astro_scc.images.grid import cut_wcs
 from astro_scc.images.pixels import flagged, missing, uncertainty_noise, uncertainty_of
 
@@ -325,9 +319,9 @@ def _load(plane, hdus, hdu, index, window):
         return data[window]
 
     shape, telescope = _shape_of(hdu, plane), plane.facts.get("telescope", "").upper()
-    weights = beside(hdus, hdu, NAMES["weights"], shape, strict=False)
+    weights = beside(hdus, hdu, "weights", shape)
     remarks = []
-    for other in (*weights, *beside(hdus, hdu, NAMES["flags"], shape)):
+    for other in (*weights, *beside(hdus, hdu, "flags", shape)):
         if plane.mask.all():
             break
         bad, remark = ~(pixels(other) > 0), ""
@@ -341,7 +335,7 @@ def _load(plane, hdus, hdu, index, window):
     plane.mask_remarks = tuple(filter(None, (*remarks, remark)))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in beside(hdus, hdu, "|".join(NAMES["uncertain"]), shape)[:1]:
+    for other in beside(hdus, hdu, "uncertain", shape)[:1]:
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)

@@ -7,7 +7,7 @@ from astropy.nddata import InverseVariance, StdDevUncertainty, VarianceUncertain
 from scipy import ndimage
 
 from astro_scc.images.cards import parse_unit
-from astro_scc.images.extensions import UNCERTAIN
+from astro_scc.images.extensions import NAMES
 from astro_scc.images.headers import ContentError
 
 #: Uncertainties by the names that astropy writes.
@@ -131,7 +131,9 @@ def uncertainty_of(hdu, values, unit, mask):
     of the image.
     """
     name, text = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
-    kind = UNCERTAINTIES[name if name in UNCERTAINTIES else UNCERTAIN[hdu.name]]
+    kind = UNCERTAINTIES[
+        name if name in UNCERTAINTIES else NAMES["uncertain"][hdu.name]
+    ]
     given = None if text is None else parse_unit(text)
     values = np.array(values, dtype=float)
     if hdu.name != "UNCERT":

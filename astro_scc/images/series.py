@@ -23,12 +23,11 @@ from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
-from astro_scc.images import local, positions
+from astro_scc.images import dates, local, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
 from astro_scc.images.cards import logarithm
 from astro_scc.images.headers import as_celestial, epoch_header
 from astro_scc.images.pixels import missing
-from astro_scc.quantities import parse_date, without_doubt
 from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
@@ -67,8 +66,9 @@ class ImageSeries:
             )
         data, mask, unit = as_stack(self.data, self.mask, self.unit)
         n = len(data)
-        times = as_times(self.times, n)
-        labels = as_epoch_tuple(self.labels, n, "labels", str) or date_labels(times)
+        times = dates.as_times(self.times, n)
+        labels = as_epoch_tuple(self.labels, n, "labels", str)
+        labels = labels or dates.date_labels(times)
         facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
         facts = facts or tuple({} for _ in range(n))
         each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
@@ -77,8 +77,8 @@ class ImageSeries:
         refuse_empty(mask, labels)
         if not local.is_flat(wcs, data.shape[1:]):
             wcs = flat_wcs(wcs, data, mask)
-        order = order_of(times)
-        warn_of_equal_dates(times[order])
+        order = dates.order_of(times)
+        dates.warn_of_equal_dates(times[order])
         each = {
             "data": data, "mask": mask, "times": times, "labels": labels,
             "beams": beams, "noise": noise, "epoch_wcs": each_wcs, "epoch_meta": facts,
@@ -194,7 +194,7 @@ class ImageSeries:
                 raise ValueError(
                     f"the selection {item!r} holds none of {len(self)} epochs"
                 )
-            keep = keep[order_of(self.times[keep])]
+            keep = keep[dates.order_of(self.times[keep])]
             each = {name: getattr(self, name) for name in EACH}
             return self._changed(**picked(each, keep))
         index = epoch_index(item, len(self))
@@ -257,7 +257,7 @@ class ImageSeries:
     @property
     def facts(self) -> dict[str, Any]:
         """Name and position of the source, dates and beam, for the meta of tables."""
-        first, last = date_labels(self.times[[0, -1]])
+        first, last = dates.date_labels(self.times[[0, -1]])
         found = {"n_epochs": len(self), "first_epoch": first, "last_epoch": last}
         if name := self.meta.get("object"):
             found["object"] = str(name)
@@ -452,55 +452,6 @@ def as_mask(data, mask):
     return np.stack(every)
 
 
-def as_times(times, n):
-    """Return dates as a Time of shape (n,)."""
-    if not isinstance(times, Time):
-        if isinstance(times, str) or not np.iterable(times):
-            times = [times]
-        try:
-            dates = [parse_date(t) if isinstance(t, str) else Time(t) for t in times]
-        except (TypeError, ValueError) as error:
-            if all(isinstance(value, str) for value in times):
-                raise
-            raise TypeError(
-                "times must be a Time or strings such as '2006-03-09', got "
-                f"{type(times).__name__}; of numbers make Time(numbers, format='mjd')"
-            ) from error
-        times = Time(dates or [], format=None if dates else "jd")
-    times = times.reshape(1) if times.isscalar else times
-    if times.shape != (n,):
-        raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
-    if np.any(times.mask):
-        raise ValueError("every epoch needs a date, times has missing values")
-    if times.scale == "local":
-        raise ValueError(
-            "times are of the scale 'local', which has no relation to others; give "
-            "them in UTC, Time(..., scale='utc')"
-        )
-    return without_doubt(times)
-
-
-def given_times(times, n):
-    """Return the dates that are given for n images, None for those that are not."""
-    if isinstance(times, str) or not np.iterable(times):
-        times = [None] * n if times is None else [times]
-    times = [t if t is None else as_times(t, 1)[0] for t in times]
-    if len(times) != n:
-        raise ValueError(f"{len(times)} dates for {n} images; give one for each")
-    return times
-
-
-def warn_of_equal_dates(times):
-    """Warn of the first of dates in order that is that of the next."""
-    for k in np.flatnonzero(np.diff((times - times[0]).sec) == 0)[:1]:
-        warn(f"two images are of {times.isot[k]}; leave one out, or average them")
-
-
-def order_of(times):
-    """Return the order of dates, of which equal ones stay as they are."""
-    return np.argsort((times - times[0]).sec, kind="stable")
-
-
 def as_shape(shape):
     """Return the shape (ny, nx) of an image as two integers."""
     with suppress(TypeError, ValueError):
@@ -549,26 +500,6 @@ def epoch_index(epoch, n):
     if not -n <= index < n:
         raise IndexError(f"epoch {index} of a cube with {n} epochs")
     return index % n
-
-
-def date_labels(times, *, clock=False):
-    """
-    Return dates as short text, with as much of the time of day as tells them apart.
-
-    With ``clock`` that is given unless all are of midnight.
-    """
-    gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
-    least = gaps[gaps > 0].min(initial=np.inf)
-    digits = next((n for n in (0, 3, 6) if 2 * 10.0**-n <= least), 9)
-    texts = Time(times, format="isot", precision=digits).isot
-    # A selection of dates some of which are missing is still masked.
-    texts = tuple(getattr(texts, "unmasked", texts).tolist())
-    # Days are not rounded.
-    days = Time(times, format="isot", precision=9).isot
-    days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
-    midnight = all(text[10:].startswith("T00:00:00") for text in texts)
-    told_apart = len(set(days)) == len(set(texts))
-    return days if told_apart and (not clock or midnight) else texts
 
 
 def numbers(column, unit, path, own_unit=None):

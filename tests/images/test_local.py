@@ -73,24 +73,29 @@ def header(code, place=(0.0, 0.0), step=1e-4, turn=0.0, mirrored=False, kind="RA
     return made
 
 
-def images(speed=2.0, shape=(NY, NX), at=None):
-    """Return three images of a spot that moves along x, and one that stands still."""
+def spots_of(shape, *spots):
+    """Return an image of spots, each of x, y and flux, with something like noise."""
     y, x = np.indices(shape)
-    x0, y0 = ((shape[1] - 1) / 2, (shape[0] - 1) / 2) if at is None else at
-    made = []
-    for i in range(3):
-        image = np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 4)
-        image += 0.5 * np.exp(-((x - x0 - 4 - speed * i) ** 2 + (y - y0) ** 2) / 4)
-        made.append(image + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + i))
-    return made
+    made = sum(f * np.exp(-((x - a) ** 2 + (y - b) ** 2) / 4) for a, b, f in spots)
+    return made + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + spots[-1][0])
+
+
+def images(shape=(NY, NX), at=None):
+    """Return three images of a spot that moves along x, and one that stands still."""
+    x, y = ((shape[1] - 1) / 2, (shape[0] - 1) / 2) if at is None else at
+    return [spots_of(shape, (x, y, 1.0), (x + 4 + 2.0 * i, y, 0.5)) for i in range(3)]
+
+
+def stack(own, every, unit="ct", **options):
+    """Return a cube of images, each with its own coordinates, or all with one."""
+    every = every if isinstance(every, list) else [every] * len(own)
+    pairs = zip(own, every, strict=True)
+    made = [CCDData(image, unit=unit, wcs=wcs) for image, wcs in pairs]
+    return EpochCube.from_ccddata(made, times=DATES[: len(own)], **options)
 
 
 def read(head, own=None):
-    wcs = WCS(head)
-    own = images() if own is None else own
-    return EpochCube.from_ccddata(
-        [CCDData(image, unit="ct", wcs=wcs) for image in own], times=DATES
-    )
+    return stack(images() if own is None else own, WCS(head))
 
 
 def step_on_sky(wcs, x, y, dx, dy):
@@ -201,9 +206,9 @@ def test_structure_far_from_the_reference_pixel_of_a_mosaic():
     head = header("TAN", (120.0, 40.0), 0.03)
     head.update({"CRPIX1": 150.0, "CRPIX2": 150.0, "CRVAL1": 120.0, "CRVAL2": 40.0})
     wcs = WCS(head)
-    own = images(shape=(300, 300), at=(280, 275))
+    own = images((300, 300), (280, 275))
     for x, y in ((280, 275), (150, 150)):
-        cube = read(head, images(shape=(300, 300), at=(x, y)))
+        cube = read(head, images((300, 300), (x, y)))
         assert_as_on_sky(cube, wcs, x, y, 3e-3)
     # What is made of arrays has the same coordinates.
     flat = read(head, own)
@@ -222,40 +227,28 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     for i, n in ((1, shape[1] - NX), (2, shape[0] - NY)):
         head[f"CRPIX{i}"] += n / 2
     wcs = WCS(head)
-    y, x = np.indices(shape)
     spots = [(20, 15), (40, 60), (25, 45)]
-    own = [
-        sum(np.exp(-((x - a - i) ** 2 + (y - b) ** 2) / 4) for a, b in spots)
-        + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + i)
-        for i in range(3)
-    ]
+    own = [spots_of(shape, *((a + i, b, 1.0) for a, b in spots)) for i in range(3)]
     with pytest.warns(EpochWarning, match=".") as said:
-        cube = EpochCube.from_ccddata(
-            [CCDData(image, unit="ct / pix", wcs=wcs) for image in own], times=DATES
-        )
+        cube = stack(own, wcs, "ct / pix")
     said = " ".join(str(w.message) for w in said)
     assert "all images are resampled onto a tangent plane" in said
     assert "north turns by" in said
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
     refuse_pixels(tmp_path / "a.reg", cropped=False)
-    with pytest.raises(
-        ValueError, match="a.reg: is in pixels, .* images that are resam"
-    ):
+    with pytest.raises(ValueError, match="a.reg: is in pixels, .* that are resampled"):
         refuse_pixels(tmp_path / "a.reg", False, cube)
     assert "resampled onto a tangent plane" in cube.meta["history"][-1]
     assert cube.wcs.wcs.ctype[0] == "RA---ARC"
     # Flux per pixel is kept, and each spot stays at its place and moves as on the sky.
     assert_allclose(np.nansum(cube.data[0]), own[0].sum(), rtol=0.03)
     for a, b in spots:
-        there = [
-            np.ravel(cube.wcs.world_to_pixel(wcs.pixel_to_world(a + i, b)))
-            for i in (0, 2)
-        ]
-        for i, (u0, v0) in zip((0, 2), there, strict=True):
-            near = cube.data[
-                i, round(v0) - 1 : round(v0) + 2, round(u0) - 1 : round(u0) + 2
-            ]
+        sky = [wcs.pixel_to_world(a + i, b) for i in (0, 2)]
+        there = [np.ravel(cube.wcs.world_to_pixel(place)) for place in sky]
+        for i, place in zip((0, 2), there, strict=True):
+            u0, v0 = np.rint(place).astype(int)
+            near = cube.data[i, v0 - 1 : v0 + 2, u0 - 1 : u0 + 2]
             assert near.max() > 0.4 * np.nanmax(cube.data[i])
         length, _ = step_on_sky(wcs, a, b, 2, 0)
         step = cube.pixel_matrix.value @ np.subtract(*there)
@@ -266,9 +259,8 @@ def test_structure_over_much_of_the_sky_is_refused():
     head = header("CAR", (120.0, 30.0), 5.0)
     y, x = np.indices((NY, NX))
     own = [image + (x % 5 == 0) * (y % 5 == 0) for image in images()]
-    with pytest.raises(
-        ValueError, match="image 0 and the other.*projection .CAR.*crop"
-    ):
+    words = "image 0 and the other.*projection .CAR.*crop"
+    with pytest.raises(ValueError, match=words):
         read(head, own)
     wide = header("CAR", (120.0, 0.0), 5.0)
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
@@ -290,14 +282,14 @@ def test_a_new_grid_has_the_scale_of_the_sky():
 def test_coordinates_of_the_sun_that_follow_its_rotation(code):
     """The reference point moves from epoch to epoch, the structure stays."""
     head = header(code, (122.0, 40.0), 0.01, mirrored=True, kind="CRLN")
-    wcs, own = WCS(head), []
-    for i, image in enumerate(images()):
-        own.append(CCDData(image, unit="G", wcs=WCS(head)))
+    every = []
+    for i in range(3):
+        every.append(WCS(head))
         head["CRVAL1"] += 0.5 * (i + 1)
         head["CRPIX1"] += 0.5 * (i + 1) / 0.01
-    cube = EpochCube.from_ccddata(own, times=DATES)
+    cube = stack(images(), every)
     assert_allclose(cube.data, images(), atol=1e-6)
-    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
+    assert_as_on_sky(cube, every[0], (NX - 1) / 2, (NY - 1) / 2)
 
 
 def test_far_reference_pixels_are_no_origin(tmp_path):
@@ -326,21 +318,16 @@ def test_far_reference_pixels_are_no_origin(tmp_path):
 @pytest.mark.filterwarnings("ignore:.*:astro_scc.exceptions.EpochWarning")
 def test_epochs_of_several_projections_lie_at_their_places(other, turn, mirrored):
     place = (121.0, 35.0)
-    heads = header("TAN", place, 2e-4), header(other, place, 3e-4, turn, mirrored)
-    cube = EpochCube.from_ccddata(
-        [CCDData(images()[0], unit="ct", wcs=WCS(head)) for head in (*heads, heads[1])],
-        times=DATES,
-        frame="absolute",
-    )
-    middle = SkyCoord(*place, unit="deg")
-    x, y = cube.wcs.world_to_pixel(middle)
-    rows = slice(round(float(y)) - 3, round(float(y)) + 4)
-    columns = slice(round(float(x)) - 3, round(float(x)) + 4)
+    one = WCS(header("TAN", place, 2e-4))
+    two = WCS(header(other, place, 3e-4, turn, mirrored))
+    cube = stack([images()[0]] * 3, [one, two, two], frame="absolute")
+    x, y = np.ravel(cube.wcs.world_to_pixel(SkyCoord(*place, unit="deg")))
+    left, low = round(x) - 3, round(y) - 3
     v, w = np.indices((7, 7))
-    for part in cube.data[:, rows, columns] ** 3:
+    for part in cube.data[:, low : low + 7, left : left + 7] ** 3:
         centre = np.array([np.sum(part * w), np.sum(part * v)]) / part.sum()
-        assert_allclose(centre + [columns.start, rows.start], [x, y], atol=0.6)
-    assert_as_on_sky(cube, WCS(heads[0]), (NX - 1) / 2, (NY - 1) / 2)
+        assert_allclose(centre + [left, low], [x, y], atol=0.6)
+    assert_as_on_sky(cube, one, (NX - 1) / 2, (NY - 1) / 2)
 
 
 # -- equinoxes -----------------------------------------------------------------------
@@ -353,10 +340,8 @@ def equinoxes(lat, frames=("B1950", "J2000")):
     made = []
     for where, equinox in ((old, 1950.0), (place, 2000.0)):
         head = header("SIN", (83.0, lat), 0.1 / 3.6e6)
-        head.update(
-            {"CRVAL1": where.ra.deg, "CRVAL2": where.dec.deg, "EQUINOX": equinox}
-        )
-        head.update({"CRPIX1": 8.0, "CRPIX2": 12.0})
+        head.update({"CRVAL1": where.ra.deg, "CRVAL2": where.dec.deg})
+        head.update({"EQUINOX": equinox, "CRPIX1": 8.0, "CRPIX2": 12.0})
         made.append(WCS(head))
     return made
 
@@ -389,25 +374,15 @@ def test_epochs_of_both_equinoxes_have_one_north():
         step = turned(new, angle).pixel_scale_matrix * 3.6e6
         x0, y0 = np.linalg.solve(step, [east, north]) + [7, 11]
         own.append(np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 8))
-    cube = EpochCube.from_ccddata(
-        [
-            CCDData(i, unit="Jy/beam", wcs=w)
-            for i, w in zip(own, (new, old), strict=True)
-        ],
-        times=DATES[:2],
-        beams=beam,
-    )
+    cube = stack(own, [new, old], "Jy/beam", beams=beam)
     assert_allclose(np.nan_to_num(cube.data[0] - cube.data[1])[:, 3:-3], 0, atol=2e-3)
     assert_allclose(cube.beams[0].pa.to_value(u.deg), 20)
     turned_by = (cube.beams[1].pa - 20 * u.deg).to_value(u.rad)
     assert_allclose(np.sin(turned_by - turn), 0, atol=1e-6)
     # Each has the coordinates of its own file.
     assert cube.epoch_wcs[1].wcs.equinox == 1950
-    assert_allclose(
-        cube.epoch_wcs[1].pixel_scale_matrix,
-        turned(new, -turn).pixel_scale_matrix,
-        atol=1e-12,
-    )
+    matrices = (w.pixel_scale_matrix for w in (cube.epoch_wcs[1], turned(new, -turn)))
+    assert_allclose(*matrices, atol=1e-12)
 
 
 # -- regions -------------------------------------------------------------------------
@@ -416,7 +391,7 @@ MAS = u.mas
 
 
 @pytest.mark.parametrize(
-    "drawn", ["galactic", "fk4", "fk5", "icrs", "barycentricmeanecliptic"]
+    "drawn", "galactic fk4 fk5 icrs barycentricmeanecliptic".split()
 )
 @pytest.mark.parametrize("image", ["RA", "GLON"])
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -428,24 +403,19 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
     head.update({"CRVAL1": 83.0, "CRVAL2": 22.0, "CRPIX1": 40.0, "CRPIX2": 40.0})
     wcs = WCS(head)
     cube = EpochCube(np.ones((1, 80, 80)), DATES[:1], wcs)
-    own = SkyCoord(
-        83.0, 22.0, unit="deg", frame="icrs" if image == "RA" else "galactic"
-    )
-    centre = own.transform_to(drawn)
+    frame = "icrs" if image == "RA" else "galactic"
+    centre = SkyCoord(83.0, 22.0, unit="deg", frame=frame).transform_to(drawn)
     where = {"center": centre, "angle": 30 * u.deg}
+    long = {"width": 6 * MAS, "height": 1 * MAS, **where}
+    ring = {"inner_width": 0.1 * MAS, "outer_width": 6 * MAS, **where}
+    ring |= {"inner_height": 0.05 * MAS, "outer_height": 1 * MAS}
     # Places on the sky in the frame of the drawing, along and across the region.
     for region in (
-        EllipseSkyRegion(width=6 * MAS, height=1 * MAS, **where),
-        RectangleSkyRegion(width=6 * MAS, height=1 * MAS, **where),
-        EllipseAnnulusSkyRegion(
-            inner_width=0.1 * MAS, outer_width=6 * MAS, inner_height=0.05 * MAS,
-            outer_height=1 * MAS, **where,
-        ),
-        RectangleAnnulusSkyRegion(
-            inner_width=0.1 * MAS, outer_width=6 * MAS, inner_height=0.05 * MAS,
-            outer_height=1 * MAS, **where,
-        ),
-    ):  # fmt: skip
+        EllipseSkyRegion(**long),
+        RectangleSkyRegion(**long),
+        EllipseAnnulusSkyRegion(**ring),
+        RectangleAnnulusSkyRegion(**ring),
+    ):
         inside = region_mask(cube, region)
         # The angle runs from the axis of longitude, which is west in DS9's images.
         pa = 30 * u.deg - 90 * u.deg
@@ -457,18 +427,14 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
             place = centre.directional_offset_by(pa + 90 * u.deg, away * MAS)
             x, y = np.rint(wcs.world_to_pixel(place)).astype(int)
             assert not inside[y, x]
-    both = EllipseSkyRegion(width=6 * MAS, height=1 * MAS, **where)
-    both = both & CircleSkyRegion(centre, 2 * MAS)
-    alone = region_mask(cube, EllipseSkyRegion(width=6 * MAS, height=1 * MAS, **where))
-    ball = region_mask(cube, CircleSkyRegion(centre, 2 * MAS))
-    assert np.array_equal(region_mask(cube, both), alone & ball)
-    corners = [(2, 10), (2, 120), (3, 250)]
-    vertices = SkyCoord(
-        [centre.directional_offset_by(a * u.deg, r * MAS) for r, a in corners]
-    )
-    assert region_mask(cube, PolygonSkyRegion(vertices))[39, 39]
-    ring = CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
-    assert not region_mask(cube, ring)[39, 39]
+    alone, ball = EllipseSkyRegion(**long), CircleSkyRegion(centre, 2 * MAS)
+    both = region_mask(cube, alone) & region_mask(cube, ball)
+    assert np.array_equal(region_mask(cube, alone & ball), both)
+    corners = [(10, 2), (120, 2), (250, 3)]
+    vertices = [centre.directional_offset_by(a * u.deg, r * MAS) for a, r in corners]
+    assert region_mask(cube, PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
+    hollow = CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
+    assert not region_mask(cube, hollow)[39, 39]
 
 
 def test_places_of_no_frame_are_as_they_are():
@@ -480,7 +446,7 @@ def test_places_of_no_frame_are_as_they_are():
 
 
 def test_structure_is_where_most_bright_pixels_are():
-    image = images(shape=(60, 90), at=(60, 40))[0]
+    image = images((60, 90), (60, 40))[0]
     box, peak = local.structure(image)
     assert peak == (60, 40)
     assert 50 < box[0] < 60 < box[1] < 72
@@ -505,10 +471,9 @@ def test_pixels_without_sky():
 def test_left_over_distortions_are_ignored(code, tmp_path, caplog, capfd):
     head = header(code, (120.0, 30.0), 1e-5)
     plain = read(head)
-    head.update(
-        {"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-5, "B_1_1": 7e-6, "AP_ORDER": 1}
-    )
-    head.update({"DATE-OBS": DATES[0], "BUNIT": "ct", "A_DMAX": 1.0, "BP_1_0": 1e-4})
+    head.update({"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-5, "B_1_1": 7e-6})
+    head.update({"AP_ORDER": 1, "A_DMAX": 1.0, "BP_1_0": 1e-4})
+    head.update({"DATE-OBS": DATES[0], "BUNIT": "ct"})
     fits.writeto(tmp_path / "a.fits", images()[0], head)
     cube = EpochCube.read(tmp_path / "a.fits")
     assert_allclose(cube.pixel_matrix.value, plain.pixel_matrix.value, rtol=1e-6)
