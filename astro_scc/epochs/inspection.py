@@ -48,9 +48,7 @@ COLUMNS = {
     **dict.fromkeys(("peak_east", "peak_north"), u.mas),
     "frequency": u.GHz,
 }
-# Smallest displacement in all the time that is searched, and the range in which pairs
-# of epochs work best, in beams.
-SMALLEST_SHIFT = 1.0
+# Displacements in beams with which pairs of epochs work best.
 GOOD_SHIFTS = (0.3, 1.5)
 
 
@@ -318,7 +316,7 @@ def plan_intervals(cube: ImageSeries) -> IntervalPlan:
         median=median.to(time),
         longest=gaps.max().to(time),
         resolution=width.to(u.mas),
-        slowest=(min(SMALLEST_SHIFT / span, GOOD_SHIFTS[0] / median) * width).to(speed),
+        slowest=(min(1 / span, GOOD_SHIFTS[0] / median) * width).to(speed),
         fastest=(sides.min() / (2 * median)).to(speed),
         consecutive=(np.array(GOOD_SHIFTS) * width / median).to(speed),
     )

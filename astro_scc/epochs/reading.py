@@ -129,6 +129,7 @@ def _plane_of_nddata(image, name):
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
     record = read_header(image.meta)
+    record["remarks"] += [remark] if remark else []
     if hasattr(image, "global_coords"):
         record |= _of_ndcube(image)
     if record["beam"] is None and getattr(image, "psf", None) is not None:
@@ -137,7 +138,6 @@ def _plane_of_nddata(image, name):
         )
     return fits.Plane(
         name=name, wcs=as_celestial(image.wcs), shape=shape, data=data, mask=mask,
-        mask_remarks=(remark,) if remark else (),
         unit=image.unit or u.one, uncertainty=image.uncertainty, **record,
     )  # fmt: skip
 

@@ -61,7 +61,6 @@ class Plane:
     beam: Beam | None = None
     facts: dict = field(default_factory=dict)
     date_problem: str = ""
-    date_remark: str = ""
     beam_problem: str = ""
     beam_choice: str = ""
     bandwidth: float | None = None
@@ -71,9 +70,7 @@ class Plane:
     uncertainty: NDUncertainty | None = None
     noise: u.Quantity | None = None
     label: str | None = None
-    unit_problem: str = ""
-    noise_problem: str = ""
-    mask_remarks: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list)
 
     @property
     def extent(self):
@@ -85,8 +82,7 @@ class Plane:
     def notes(self):
         """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
-        notes = self.date_remark, self.unit_problem, self.beam_problem and beam
-        notes = *notes, self.beam_choice, self.noise_problem, *self.mask_remarks
+        notes = *self.remarks, self.beam_problem and beam, self.beam_choice
         return [note for note in notes if note]
 
     def take_uncertainty(self):
@@ -100,7 +96,7 @@ class Plane:
             self.mask |= bad
             self.uncertainty = None
             if not even:
-                self.noise_problem = (
+                self.remarks.append(
                     "its uncertainty differs from pixel to pixel, and the median is "
                     "taken for the noise; leave it out to have the noise measured"
                 )
@@ -259,7 +255,7 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     plane.unit = parse_unit(text)
     if plane.unit is None:
         plane.unit = u.dimensionless_unscaled
-        plane.unit_problem = (
+        plane.remarks.append(
             f"its unit {text!r} is not known and taken as dimensionless; write one "
             "that FITS knows, such as JY/BEAM, to BUNIT"
         )
@@ -332,7 +328,7 @@ def _load(plane, hdus, hdu, index, window):
         why = f" by its extension {other.name}"
     # What extensions mark needs no remark.
     plane.mask, remark = missing(plane.data, plane.mask)
-    plane.mask_remarks = tuple(filter(None, (*remarks, remark)))
+    plane.remarks += filter(None, (*remarks, remark))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
     for other in beside(hdus, hdu, "uncertain", shape)[:1]:

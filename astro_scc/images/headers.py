@@ -34,14 +34,15 @@ def read_header(header, tables=()):
     read; then ``date_problem`` and ``beam_problem`` say why.  ``facts`` are those of
     `header_facts`.
 
-    For the date see `observing_time`, of whose doubts ``date_remark`` tells.  The beam
-    is taken from ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else from an ``AIPS CG`` or
+    For the date see `observing_time`, of whose doubts ``remarks`` tell.  The beam is
+    taken from ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else from an ``AIPS CG`` or
     ``BEAMS`` table among ``tables``, else from the last ``CLEAN BMAJ=`` in the
     history; ``beam_choice`` says that a table has several and none is the image's.
     """
-    found = {"time": None, "beam": None, "facts": header_facts(header)}
+    found = {"time": None, "beam": None, "facts": header_facts(header), "remarks": []}
     try:
-        found["time"], found["date_remark"] = observing_time(header)
+        found["time"], remark = observing_time(header)
+        found["remarks"] += [remark] if remark else []
     except ValueError as error:
         found["date_problem"] = str(error)
     try:

@@ -143,7 +143,7 @@ DOUBTS = [
 def test_dates_of_which_there_are_doubts(cards, expected, words):
     record = read_header(fits.Header(cards))
     assert (record["time"] and record["time"].isot) == expected
-    assert words in record.get("date_problem", "") + record.get("date_remark", "")
+    assert words in record.get("date_problem", "") + "".join(record["remarks"])
 
 
 def test_a_time_in_the_meta_is_the_date():
