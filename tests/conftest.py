@@ -160,6 +160,19 @@ def aips_header():
 
 
 @pytest.fixture
+def make_epochs(make_fits):
+    """Write VLBI images of consecutive years, each with changes of its own."""
+
+    def make(*changes):
+        return [
+            make_fits(f"{i}.fits", **{"DATE_OBS": f"200{i}-01-01"} | own)
+            for i, own in enumerate(changes)
+        ]
+
+    return make
+
+
+@pytest.fixture
 def make_fits(tmp_path, aips_header):
     """Write a VLBI image of 32 x 16 pixels, 4-D and big-endian, and give its path."""
 

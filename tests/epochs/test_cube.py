@@ -247,8 +247,8 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
     assert cube.meta == {"object": "3C273", "history": history}
 
 
-def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
-    paths = [make_fits(f"{k}.fits", DATE_OBS=f"200{k}-01-01") for k in range(3)]
+def test_patterns_and_paths(make_fits, make_epochs, tmp_path, monkeypatch):
+    paths = make_epochs({}, {}, {})
     every = f"{tmp_path}/*.fits"
     assert len(EpochCube.read([paths[0], every])) == 3
     assert find_files(tmp_path / "[01].fits") == paths[:2]
@@ -272,12 +272,12 @@ def test_patterns_and_paths(make_fits, tmp_path, monkeypatch):
             EpochCube.read(name)
 
 
-def test_given_dates_and_beams_replace_those_of_headers(make_fits):
-    paths = [make_fits(f"{k}.fits", DATE_OBS=None, BMAJ=-1.0) for k in range(2)]
+def test_given_dates_and_beams_replace_those_of_headers(make_epochs):
+    own = {"DATE_OBS": None, "BMAJ": -1.0}
+    *paths, other = make_epochs(own, own, {})
     times = ["2001-01-01", "2000-01-01"]
     cube = EpochCube.read(paths, times=times, beams=ROUND)
     assert (cube.labels, cube.beams) == (("1.fits", "0.fits"), (ROUND, ROUND))
-    other = make_fits("2.fits", DATE_OBS="2003-01-01")
     given_ = {"times": ["2004-01-01", None], "beams": ROUND}
     with pytest.warns(EpochWarning, match="^2.fits: the beam .* given, 1 x 1 mas at"):
         cube = EpochCube.read([paths[0], other], **given_)
@@ -300,20 +300,16 @@ def test_given_dates_and_beams_replace_those_of_headers(make_fits):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        *(({"DATE_OBS": date}, f"b.fits: is of {date}, when no image can")
+        *(({"DATE_OBS": date}, f"1.fits: is of {date}, when no image can")
           for date in ("2198-01-01", "1858-11-17")),
-        ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "b.fits: its peak is .* ti"),
-        ({"OBJECT": "1226+023"}, "b.fits: shows 1226.023, at the same place"),
-        ({"CDELT1": 1 / 3.6e7}, "b.fits: east is to the right, unlike in most"),
+        ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "1.fits: its peak is .* ti"),
+        ({"OBJECT": "1226+023"}, "1.fits: shows 1226.023, at the same place"),
+        ({"CDELT1": 1 / 3.6e7}, "1.fits: east is to the right, unlike in most"),
     ],
 )  # fmt: skip
-def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_fits, changes, words):
-    paths = [
-        make_fits("a.fits"),
-        make_fits("b.fits", **{"DATE_OBS": "2007-01-01", **changes}),
-        make_fits("c.fits", OBJECT="Unknown", DATE_OBS="2008-01-01"),
-        make_fits("d.fits", OBJECT="3c 273", DATE_OBS="2009-01-01"),
-    ]
+def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_epochs, changes, words):
+    names = {"OBJECT": "Unknown"}, {"OBJECT": "3c 273"}
+    paths = make_epochs({}, changes, *names)
     with pytest.warns(EpochWarning) as caught:
         cube = EpochCube.read(paths)
     said = [str(warning.message) for warning in caught]
@@ -347,8 +343,10 @@ STRANGERS = [
     ({"CTYPE3": None, "FREQ": 43e9}, "is at 43 GHz, others are at 15.4; leave"),
     ({"CTYPE3": None, "RESTFRQ": 43e9}, "is at 43 GHz, others are at 15.4; leave"),
 ]  # fmt: skip
+VELOCITY = {"CTYPE3": "VRAD", "CUNIT3": "m/s", "CDELT3": 1e3, "CRVAL3": 1e5}
 #: Changes that are named and not refused.
 NEIGHBOURS = [
+    (VELOCITY | {"CRVAL3": 2e5}, "is of the channel VRAD 200000 m/s, others are of VR"),
     ({"CRVAL3": 15.43e9}, "is at 15.43 GHz, others are at 15.4, in the same band"),
     ({"CRVAL3": 15.401e9, "CDELT3": 1e6}, "is at 15.401 GHz, others are at 15.4, in "),
     ({"CRPIX3": 0.0}, "is at 15.464 GHz, others are at 15.4, in the same band"),
@@ -357,11 +355,10 @@ NEIGHBOURS = [
 
 
 @pytest.mark.parametrize(("changes", "words"), NEIGHBOURS)
-def test_images_of_a_neighbouring_channel_are_named(make_fits, changes, words):
-    dates = [f"200{i}-01-01" for i in range(4)]
-    paths = [make_fits(f"{d}.fits", DATE_OBS=d) for d in dates[:3]]
-    paths.append(make_fits("odd.fits", DATE_OBS=dates[3], **changes))
-    with pytest.warns(EpochWarning, match=f"odd.fits: .*{words}") as caught:
+def test_images_of_a_neighbouring_channel_are_named(make_epochs, changes, words):
+    usual = VELOCITY if "VRAD" in words else {}
+    paths = make_epochs(usual, usual, usual, changes)
+    with pytest.warns(EpochWarning, match=f"3.fits: .*{words}") as caught:
         assert len(EpochCube.read(paths)) == 4
     assert len(caught) == 1
     assert words.split(";")[0] in inspect_epochs(paths)["problem"][3]
@@ -377,31 +374,13 @@ def test_images_of_a_neighbouring_channel_are_named(make_fits, changes, words):
         {"BAND": "l"},
         {"CRVAL3": 15.4, "CDELT3": 0.064, "CUNIT3": "GHz"},
         {"CRVAL3": 15400.0, "CUNIT3": "MHZ"},
+        # Small differences are none.
+        {"CRVAL3": 15.402e9},
+        {"CRVAL3": 15.398e9},
     ],
 )
-def test_facts_that_are_written_in_several_ways(make_fits, cards):
-    paths = [
-        make_fits(f"{i}.fits", DATE_OBS=f"200{i}-01-01", **{**USUAL, **own})
-        for i, own in enumerate(({}, {}, cards))
-    ]
-    assert len(EpochCube.read(paths)) == 3
-
-
-def test_small_differences_of_frequency_are_none(make_fits):
-    own = {"a": 15.4e9, "b": 15.402e9, "c": 15.398e9}
-    paths = [
-        make_fits(f"{k}.fits", DATE_OBS=f"200{i}-01-01", CRVAL3=value)
-        for i, (k, value) in enumerate(own.items())
-    ]
-    assert len(EpochCube.read(paths)) == 3
-    velocity = {"CTYPE3": "VRAD", "CUNIT3": "m/s", "CDELT3": 1e3}
-    paths = [
-        make_fits(f"{i}.fits", DATE_OBS=f"200{i}-01-01", CRVAL3=v, **velocity)
-        for i, v in enumerate((1e5, 1e5, 2e5))
-    ]
-    words = "2.fits: is of the channel VRAD 200000 m/s, others are of VRAD 100000 m/s"
-    with pytest.warns(EpochWarning, match=words):
-        EpochCube.read(paths)
+def test_facts_that_are_written_in_several_ways(make_epochs, cards):
+    assert len(EpochCube.read(make_epochs(USUAL, USUAL, USUAL | cards))) == 3
 
 
 COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
@@ -417,32 +396,28 @@ COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
         *((own, "offset", words, 1) for own, words in STRANGERS),
         ({"data": images(1, 16, 32) > 0}, "offset", "has no more than two diff", 1),
         ({"BMAJ": None}, "offset", "no beam where other epochs have one; wr", 1),
-        ({"DATE_OBS": "2000-01-01"}, "offset", "is of 2000-01-01, as is 2000", 1),
+        ({"DATE_OBS": "2000-01-01"}, "offset", "is of 2000-01-01, as is 0.fits", 1),
         ({"BUNIT": None}, "offset", "its unit is none, that of others is Jy / beam", 0),
         (COARSE, "offset", "its pixels are 3.6 mas where others are 0.1 mas", 0),
-        ({"CRVAL1": 188.0}, "absolute", "lies too far from .*2000-01-01.fits", 0),
+        ({"CRVAL1": 188.0}, "absolute", "lies too far from .*0.fits", 0),
     ],
 )  # fmt: skip
-def test_files_of_something_else_are_named(make_fits, changes, frame, words, unchecked):
-    dates = ["2000-01-01", "2001-01-01"]
-    paths = [make_fits(f"{d}.fits", DATE_OBS=d, **USUAL) for d in dates]
+def test_files_of_something_else_are_named(
+    make_epochs, changes, frame, words, unchecked
+):
     data = changes.get("data", images(1, 16, 32)).astype(float)
-    odd = make_fits("odd.fits", **{**USUAL, **changes, "data": data})
-    with pytest.raises(ValueError, match=f"odd.fits: .*{words}") as caught:
-        EpochCube.read([*paths, odd], frame=frame)
+    paths = make_epochs(USUAL, USUAL, USUAL | changes | {"data": data})
+    with pytest.raises(ValueError, match=f"2.fits: .*{words}") as caught:
+        EpochCube.read(paths, frame=frame)
     assert "\n" not in str(caught.value)
     if unchecked:
         with warnings.catch_warnings(record=True, action="always") as caught:
-            cube = EpochCube.read([*paths, odd], check=False)
+            cube = EpochCube.read(paths, check=False)
         assert (len(cube), cube.beams is None) == (3, "BMAJ" in changes)
         # A beam is not lost, and a date is not doubled, without a word.
-        for name, said in (("BMAJ", "odd.fits: no beam"), ("DATE_OBS", "two images")):
+        for name, said in (("BMAJ", "2.fits: no beam where"), ("DATE_OBS", "two ima")):
             if name in changes:
-                assert (
-                    str(caught[0].message)
-                    .removeprefix(f"{odd.parent}/")
-                    .startswith(said)
-                )
+                assert said in str(caught[0].message)
 
 
 def test_whole_cubes_are_not_epochs(make_fits, tmp_path):
@@ -458,10 +433,10 @@ def gaussian(ny, nx, x0, y0, width=3.0):
     return np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2))
 
 
-def test_whole_pixels_are_moved_without_interpolation(make_fits):
+def test_whole_pixels_are_moved_without_interpolation(make_epochs):
     one, two = images(1, 16, 32, 1)[0], images(1, 20, 24, 2)[0]
-    there = {"DATE_OBS": "2007-01-01", "CRPIX1": 12.0, "CRPIX2": 14.0}
-    cube = EpochCube.read([make_fits("a.fits", one), make_fits("b.fits", two, **there)])
+    there = {"data": two, "CRPIX1": 12.0, "CRPIX2": 14.0}
+    cube = EpochCube.read(make_epochs({"data": one}, there))
     assert (cube.shape, cube.reference_pixel) == ((2, 21, 32), (15, 13))
     assert np.array_equal(cube.data[0, 5:, :], one)
     assert np.array_equal(cube.data[1, :20, 4:28], two)
@@ -469,19 +444,15 @@ def test_whole_pixels_are_moved_without_interpolation(make_fits):
 
 
 STEP = 0.1 / 3.6e6
-TWICE = {"DATE_OBS": "2007-01-01", "CDELT1": -2 * STEP, "CDELT2": 2 * STEP}
 
 
-def test_other_grids_are_resampled_in_offsets(make_fits):
-    fine = gaussian(64, 64, 31 + 10, 31 + 6)
-    coarse = gaussian(40, 40, 19 + 5, 19 + 3, 1.5)
-    own = {**TWICE, "CRPIX1": 20.0, "CRPIX2": 20.0, "CRVAL1": 187.25 + 3 * STEP}
-    paths = [
-        make_fits("a.fits", fine, CRPIX1=32.0, CRPIX2=32.0),
-        make_fits("b.fits", coarse, **own),
-    ]
-    with pytest.warns(EpochWarning, match=r"b.fits: on another grid"):
-        cube = EpochCube.read(paths)
+def test_other_grids_are_resampled_in_offsets(make_epochs):
+    fine = {"data": gaussian(64, 64, 31 + 10, 31 + 6), "CRPIX1": 32.0, "CRPIX2": 32.0}
+    coarse = {"data": gaussian(40, 40, 19 + 5, 19 + 3, 1.5), "CDELT1": -2 * STEP,
+              "CDELT2": 2 * STEP, "CRPIX1": 20.0, "CRPIX2": 20.0,
+              "CRVAL1": 187.25 + 3 * STEP}  # fmt: skip
+    with pytest.warns(EpochWarning, match=r"1.fits: on another grid"):
+        cube = EpochCube.read(make_epochs(fine, coarse))
     x0, y0 = cube.reference_pixel
     expected = gaussian(*cube.shape[1:], x0 + 10, y0 + 6)
     assert np.allclose(*(np.where(cube.mask, 0, d) for d in (cube.data, expected)),
@@ -490,15 +461,13 @@ def test_other_grids_are_resampled_in_offsets(make_fits):
     assert crval == [187.25, 187.25 + 3 * STEP]
 
 
-def test_absolute_coordinates_are_trusted_when_asked(make_fits):
+def test_absolute_coordinates_are_trusted_when_asked(make_epochs):
     data = gaussian(32, 48, 20, 15)
-    here = {"CRPIX1": 21.0, "CRPIX2": 16.0, "CRVAL2": 0.0}
-    east = {**here, "CRVAL1": 187.25 + 2 * STEP, "DATE_OBS": "2007-01-01"}
-    half = {**here, "CRVAL2": 2.5 * STEP, "DATE_OBS": "2008-01-01"}
-    paths = [make_fits("a.fits", data, **here), make_fits("b.fits", data, **east)]
-    assert np.ptp(EpochCube.read(paths).data, axis=0).max() == 0
-    paths.append(make_fits("c.fits", data, **half))
-    with pytest.warns(EpochWarning, match=r"c.fits: on another grid"):
+    here = {"data": data, "CRPIX1": 21.0, "CRPIX2": 16.0, "CRVAL2": 0.0}
+    east, half = {"CRVAL1": 187.25 + 2 * STEP}, {"CRVAL2": 2.5 * STEP}
+    paths = make_epochs(here, here | east, here | half)
+    assert np.ptp(EpochCube.read(paths[:2]).data, axis=0).max() == 0
+    with pytest.warns(EpochWarning, match=r"2.fits: on another grid"):
         cube = EpochCube.read(paths, frame="absolute")
     assert "absolute coordinates" in cube.meta["history"][0]
     y, x = np.indices(cube.shape[1:])

@@ -8,7 +8,6 @@ from astropy.io import fits
 from astropy.time import Time
 
 from astro_scc.epochs import EpochCube, inspect_epochs
-from astro_scc.exceptions import EpochWarning
 from astro_scc.images.dates import observing_time
 from astro_scc.images.headers import read_header
 
@@ -17,6 +16,7 @@ MJD = 57191.6
 START, MIDDLE = "2015-06-18T14:24:00.000", "2015-06-18T14:29:00.000"
 MIDNIGHT = "2015-06-18T00:00:00.000"
 DAY = {"DATE-OBS": "2015-06-18"}
+PIXELS = np.random.default_rng(1).normal(size=(3, 16, 32))
 CLOCK = {"DATE-OBS": "2015-06-18T14:24:00"}
 
 #: Cards, and the date that they tell.
@@ -152,11 +152,10 @@ def test_a_time_in_the_meta_is_the_date():
 
 
 @pytest.mark.parametrize("step", [0.1, 0.25, 1, 12 * 60, 86400])
-def test_images_of_any_cadence_are_epochs(make_fits, step):
+def test_images_of_any_cadence_are_epochs(make_epochs, step):
     times = Time("2015-06-18T10:00:00") + np.arange(3) * step * u.s
-    own = enumerate(times.isot)
-    data = np.random.default_rng(1).normal(size=(3, 16, 32))
-    paths = [make_fits(f"{i}.fits", data[i], DATE_OBS=text) for i, text in own]
+    own = zip(PIXELS, times.isot, strict=True)
+    paths = make_epochs(*({"data": data, "DATE_OBS": text} for data, text in own))
     cube = EpochCube.read(paths)
     assert np.diff((cube.times - cube.times[0]).to_value(u.s)) == pytest.approx(step)
     assert len({*cube[:].labels}) == 3
@@ -166,27 +165,26 @@ def test_images_of_any_cadence_are_epochs(make_fits, step):
     assert plain.facts["first_epoch"] != plain.facts["last_epoch"]
 
 
-def test_the_same_date_and_the_same_exposure(make_fits):
-    data = np.random.default_rng(1).normal(size=(3, 16, 32))
-    clock = "2015-06-18T10:00:0{}"
-
-    def paths(dates, pixels=(0, 1, 2)):
-        every = enumerate(zip(dates, pixels, strict=True))
-        return [make_fits(f"{i}.fits", data[k], DATE_OBS=t) for i, (t, k) in every]
-
-    for clocks, pixels in (((1, 1, 9), (0, 1, 2)), ((1, 1.004, 9), (0, 0, 1))):
-        found = paths([clock.format(c) for c in clocks], pixels)
-        with pytest.raises(
-            ValueError, match=r"1.fits: is of 2015-06-18T10:00:01, as is .*0.f"
-        ):
-            EpochCube.read(found)
-    # Other pixels, or other dates.
-    for clocks, pixels in (((1, 1.004, 9), (0, 1, 2)), ((1, 3, 9), (0, 0, 0))):
-        found = paths([clock.format(c) for c in clocks], pixels)
-        assert len(EpochCube.read(found)) == 3
-    same = ["2015-06-18T10:00:01.5"] * 2
-    with pytest.warns(EpochWarning, match="two images are of 2015-06-18T10:00:0[12]"):
-        EpochCube.from_arrays(data[:2], same, pixel_scale=1 * u.mas)
+@pytest.mark.parametrize(
+    ("clocks", "pixels", "refused"),
+    [
+        ((1, 1, 9), (0, 1, 2), True),
+        ((1, 1.004, 9), (0, 0, 1), True),
+        # Other pixels, or other dates.
+        ((1, 1.004, 9), (0, 1, 2), False),
+        ((1, 3, 9), (0, 0, 0), False),
+    ],
+)
+def test_the_same_date_and_the_same_exposure(make_epochs, clocks, pixels, refused):
+    dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
+    own = zip(dates, PIXELS[[*pixels]], strict=True)
+    paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))
+    if refused:
+        words = "1.fits: is of 2015-06-18T10:00:01, as is 0.fits"
+        with pytest.raises(ValueError, match=words):
+            EpochCube.read(paths)
+    else:
+        assert len(EpochCube.read(paths)) == 3
 
 
 # -- cubes of images at many dates ---------------------------------------------------
