@@ -188,6 +188,8 @@ class Settings(MeasurementSettings):
         Parameters
         ----------
         **values
+            Their names and values.
+
         Returns
         -------
         `Settings`

@@ -103,17 +103,6 @@ def test_two_epochs_of_the_same_pixels():
     assert said.startswith("2002-01-01: has the same pixels as 2000-07-01, of another")
 
 
-@pytest.mark.parametrize("beams", [None, BEAM, [BEAM, Beam(2 * u.mas, 0.5 * u.mas)]])
-def test_one_width_of_a_beam(beams):
-    cube = EpochCube.from_arrays(
-        np.ones((2, 8, 8)), YEARS[:2], pixel_scale=0.1 * u.mas, beams=beams
-    )
-    expected = 0.3 if beams is None else np.sqrt(0.5)
-    if isinstance(beams, list):
-        expected = (np.sqrt(0.5) + 1) / 2
-    assert u.isclose(cube.resolution, expected * u.mas)
-
-
 def test_plan_is_that_of_the_formulas():
     found, b = plan(), np.sqrt(0.5)
     span, gap = (
@@ -138,7 +127,10 @@ def test_plan_is_that_of_the_formulas():
     ):
         assert words in text
     assert "further apart" not in str(plan(YEARS[:2]))
-    # Without beams, in the units of the series.
+    # The resolution is the median of beams that differ, and three pixels without any.
+    wide = plan(beams=[*[BEAM] * 3, Beam(9 * u.mas, 0.5 * u.mas)])
+    assert wide.resolution == found.resolution
+    # In the units of the series.
     hours = plan(YEARS[0] + [0, 1, 3] * u.hour, None, 1 * u.arcsec)
     assert (hours.slowest.unit, hours.span) == (u.arcsec / u.hour, 3 * u.hour)
     assert u.isclose(hours.resolution, 3 * u.arcsec)
