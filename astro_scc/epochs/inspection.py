@@ -474,11 +474,11 @@ def _strangers(planes):
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
     hands = [None if s in POLARISED else s for s in stokes]
     kinds = [("Stokes", intensity, UNCHECKED)]
-    for fact, of in KEYWORDS["facts"].items():
-        if "named" in of:
+    for fact, row in KEYWORDS["facts"].items():
+        if "named" in row:
             advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
             values = [plane.facts.get(fact) for plane in planes]
-            kinds.append((of["named"], values, advice))
+            kinds.append((row["named"], values, advice))
     for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):
         refused = advice == UNCHECKED
         for i, mine, others in _minority(values)[: None if refused else 1]:

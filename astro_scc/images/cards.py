@@ -80,8 +80,8 @@ def header_facts(header):
     or velocities) and ``type`` (of image), as far as the header has them.
     """
     facts = {
-        fact: get(header, *of["keywords"], kind=float if fact == "frequency" else str)
-        for fact, of in KEYWORDS["facts"].items()
+        fact: get(header, *row["keywords"], kind=float if fact == "frequency" else str)
+        for fact, row in KEYWORDS["facts"].items()
     }
     if frequency := axis_value(header, "FREQ"):
         facts["frequency"] = frequency * _hertz(header)
@@ -111,7 +111,9 @@ def bandwidth(header):
 
 def _hertz(header):
     """Return the unit of the axis of frequencies in Hz."""
-    unit = parse_unit(get(header, f"CUNIT{axis_of(header, 'FREQ')}", kind=str))
+    text = get(header, f"CUNIT{axis_of(header, 'FREQ')}", kind=str) or ""
+    # In whatever case it is written, M is mega.
+    unit = parse_unit(text.upper())
     return unit.to(u.Hz) if unit is not None and unit.is_equivalent(u.Hz) else 1.0
 
 

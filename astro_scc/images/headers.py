@@ -285,7 +285,7 @@ def epoch_header(cube, i):
     if cube.noise is not None:
         header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
     facts = cube.epoch_meta[i]
-    for fact, of in KEYWORDS["facts"].items():
+    for fact, row in KEYWORDS["facts"].items():
         if fact in facts:
-            header[of["keywords"][0]] = facts[fact]
+            header[row["keywords"][0]] = facts[fact]
     return header

@@ -374,6 +374,7 @@ def test_images_of_a_neighbouring_channel_are_named(make_epochs, changes, words)
         {"BAND": "l"},
         {"CRVAL3": 15.4, "CDELT3": 0.064, "CUNIT3": "GHz"},
         {"CRVAL3": 15400.0, "CUNIT3": "MHZ"},
+        {"CRVAL3": 15400.0, "CUNIT3": "mHz"},
         # Small differences are none.
         {"CRVAL3": 15.402e9},
         {"CRVAL3": 15.398e9},
