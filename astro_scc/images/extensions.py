@@ -67,10 +67,10 @@ def find_image(hdus, path, choice=None):
     science = [hdu for hdu in found if hdu.name == "SCI"]
     if science:
         found = science
-    else:
-        for allowed in (_is_named, _has_axes, _is_one_plane, _is_bright, _is_science):
-            kept = [hdu for hdu in found if allowed(hdu)] if len(found) > 1 else []
-            found = kept or found
+    elif len(found) > 1:
+        marks = [_marks(hdu) for hdu in found]
+        best = max(marks)
+        found = [hdu for hdu, mark in zip(found, marks, strict=True) if mark == best]
     if len(found) > 1:
         names = [f"[{_name(hdus, hdu)}]" for hdu in found]
         file = re.sub(r".*[/\\]", "", split_choice(path)[0])
@@ -111,15 +111,25 @@ def version(hdus, hdu):
     return [other is hdu for other in same].index(True) + 1
 
 
-def _is_named(hdu):
-    kind = (get(hdu.header, "BTYPE", kind=str) or "").upper()
-    names = hdu.name, hdu.name.rstrip("0123456789")
+def _marks(hdu):
+    """
+    Return what speaks for an image to be the one that is meant, the weightiest first.
+
+    It is not named as one that tells of others, has celestial coordinates, one plane of
+    each date and Stokes parameter, and a unit of brightness, and is named as science.
+    """
+    names, header = (hdu.name, hdu.name.rstrip("0123456789")), hdu.header
+    kind = (get(header, "BTYPE", kind=str) or "").upper()
     beside = any(is_of(name, other) for other in KINDS for name in names)
-    return not (beside or re.search(NAMES["types"], kind))
-
-
-def _has_axes(hdu):
-    return headers.has_celestial(hdu.header)
+    unit = parse_unit(get(header, "BUNIT", kind=str))
+    bright = unit is not None and unit != u.one and not unit.is_equivalent(u.s)
+    return (
+        not (beside or re.search(NAMES["types"], kind)),
+        headers.celestial_axes(header) is not None,
+        _is_one_plane(hdu),
+        bright,
+        hdu.name in NAMES["science"],
+    )
 
 
 def _is_one_plane(hdu):
@@ -131,15 +141,6 @@ def _is_one_plane(hdu):
         if not free and hdu.header[f"NAXIS{axis}"] > 1:
             return False
     return True
-
-
-def _is_bright(hdu):
-    unit = parse_unit(get(hdu.header, "BUNIT", kind=str))
-    return unit is not None and unit != u.one and not unit.is_equivalent(u.s)
-
-
-def _is_science(hdu):
-    return hdu.name in NAMES["science"]
 
 
 def beside(hdus, image, kind, shape):

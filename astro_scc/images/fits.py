@@ -282,7 +282,7 @@ def labelled(name, frame):
 
 def _inherited(primary, hdu):
     """Return the cards of the first header that may be those of a later image."""
-    if not (headers.has_celestial(hdu.header) and "NAXIS1" in primary.header):
+    if not (headers.celestial_axes(hdu.header) and "NAXIS1" in primary.header):
         return primary.header
     # Coordinates and units of another image are not those of this one.
     cards = primary.header.cards
@@ -307,14 +307,14 @@ def _load(plane, hdus, hdu, index, window):
     where = "" if plane.data.shape == plane.shape else " in this part"
     plane.mask, why = ~np.isfinite(plane.data), ", all are NaN"
 
-    def pixels(other):
-        # Beside one plane, or planes of all dates.
-        data = other.data if other.data.ndim == 2 else np.squeeze(other.data)
-        if data.ndim > 2:
-            data = data[_dated(hdu, index)]
-        return data[window]
+    dates, telescope = time_axis(hdu.header), plane.facts.get("telescope", "").upper()
+    # Extensions tell of one plane, or of those of all dates.
+    shape = plane.shape if dates is None else hdu.shape
 
-    shape, telescope = _shape_of(hdu, plane), plane.facts.get("telescope", "").upper()
+    def pixels(other):
+        data = other.data if other.data.ndim == 2 else np.squeeze(other.data)
+        return (data if data.ndim == 2 else data[index[-dates]])[window]
+
     weights = beside(hdus, hdu, "weights", shape)
     remarks = []
     for other in (*weights, *beside(hdus, hdu, "flags", shape)):
@@ -335,17 +335,6 @@ def _load(plane, hdus, hdu, index, window):
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = cut_wcs(plane.wcs, window)
-
-
-def _shape_of(hdu, plane):
-    """Return the shape of extensions that tell of an image: its own, or a plane's."""
-    return plane.shape if time_axis(hdu.header) is None else hdu.shape
-
-
-def _dated(hdu, index):
-    """Return the index of the plane of an axis of time in what has no other axes."""
-    axis = time_axis(hdu.header)
-    return index[len(index) - axis]
 
 
 def _check_complete(hdu, path):

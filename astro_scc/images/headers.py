@@ -75,12 +75,10 @@ def celestial_wcs(header, fobj=None):
     stored in tables need the `~astropy.io.fits.HDUList` ``fobj``.
     """
     clean = _repaired(header)
-    kinds = [axis_kind(str(clean.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
-    if not {"longitude", "latitude"} <= set(kinds):
+    if (axes := celestial_axes(clean)) is None:
         raise ContentError(
             "it has no celestial coordinates (CTYPE); use EpochCube.from_arrays"
         )
-    axes = [kinds.index(kind) + 1 for kind in ("longitude", "latitude")]
     if axes[0] > axes[1]:
         raise ContentError("latitude is its first axis; transpose the image")
     for axis in axes:
@@ -260,10 +258,11 @@ def as_celestial(wcs):
     return wcs
 
 
-def has_celestial(header):
-    """Return whether a header has both celestial axes."""
-    names = (str(header.get(f"CTYPE{axis}", "")) for axis in range(1, 8))
-    return {"longitude", "latitude"} <= {axis_kind(name) for name in names}
+def celestial_axes(header):
+    """Return the numbers of the axes of longitude and latitude, None without both."""
+    kinds = [axis_kind(str(header.get(f"CTYPE{axis}", ""))) for axis in range(1, 8)]
+    both = "longitude", "latitude"
+    return [kinds.index(kind) + 1 for kind in both] if {*both} <= {*kinds} else None
 
 
 def axis_kind(ctype):
