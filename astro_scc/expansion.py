@@ -14,10 +14,10 @@ from astropy.table import QTable
 
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
-from astro_scc.matching import MatchedEpochs, matched_displacements
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
+from astro_scc.paper.matching import MatchedEpochs, matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
 from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
@@ -66,7 +66,7 @@ def fit_shell(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; its velocity axes are not used.
-    matched : `~astro_scc.matching.MatchedEpochs` or dict of it
+    matched : `~astro_scc.paper.matching.MatchedEpochs` or dict of it
         In a dict, each value is a group that has a rate of its own, with the key
         as its name; all must have the same dates.
     centre : `~astropy.units.Quantity`, shape (2,), optional

@@ -206,7 +206,7 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     cube : `~astro_scc.epochs.EpochCube`
     decomposer : `~astro_scc.decomposition.Decomposer`
     n_workers : int, str or `dask.distributed.Client`, optional
-        See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
+        See `~astro_scc.paper.Correlator`; the unit of work is an epoch.
     progress_bar : bool, optional
 
     Returns

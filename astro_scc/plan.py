@@ -16,7 +16,6 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
-from astro_scc.paper.trials import baseline_pairs, consecutive_pairs
 from astro_scc.settings import require
 
 #: Largest relative difference between an angle and the size of the scale it names.
@@ -118,47 +117,6 @@ def scale_numbers(cube, scales):
             )
     # Two angles may mean the same scale.
     return require("scales", numbers[nearest].tolist())
-
-
-def pairs_of_dates(cube, baseline):
-    """
-    Return the pairs of dates that are compared.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    baseline : `~astropy.units.Quantity`, shape (2,), or None
-        Shortest and longest interval; if None, consecutive epochs are paired.
-
-    Returns
-    -------
-    ``DatePairs``
-
-    Raises
-    ------
-    ValueError
-        If no two epochs make a pair.
-    """
-    years = cube.years.to_value(u.yr)
-    if len(years) < 2:
-        raise ValueError(
-            "velocities need at least two epochs, the cube has one: give images of "
-            "other dates (a file that is given twice counts once)"
-        )
-    if baseline is None:
-        pairs = consecutive_pairs(years)
-        why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-        why += "velocities need different dates"
-    else:
-        shortest, longest = baseline.to_value(u.yr)
-        pairs = baseline_pairs(years, shortest, longest)
-        least, most = np.diff(years).min(), np.ptp(years)
-        why = f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
-        why += f"separations go from {least:.3g} to {most:.3g} yr; choose another "
-        why += "baseline"
-    if len(pairs) == 0:
-        raise ValueError(why)
-    return pairs
 
 
 def flow_direction(decomposed, frame=None):

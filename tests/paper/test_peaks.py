@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.paper import Displacements, consecutive_pairs
-from astro_scc.paper.peaks import (
+from astro_scc.paper.components import (
     VelocityPeak,
     find_velocity_peaks,
     fit_gaussian,

@@ -12,10 +12,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.correlation.zncc import Template, find_peaks
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.images.zncc import Template, find_peaks
 from astro_scc.parallel import in_order
 from astro_scc.quantities import CORRELATION, named
 
@@ -64,7 +64,7 @@ class Matches:
 
     Examples
     --------
-    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.paper import Correlator
     >>> from astro_scc.decomposition import Decomposer
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
@@ -99,7 +99,7 @@ class Matches:
 
         Returns
         -------
-        `~astro_scc.correlation.Matches`
+        `~astro_scc.paper.Matches`
         """
         return replace(self, **{name: getattr(self, name)[keep] for name in COLUMNS})
 
@@ -110,7 +110,7 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
 
     Parameters
     ----------
-    matches : `~astro_scc.correlation.Matches`
+    matches : `~astro_scc.paper.Matches`
     ssps : `~astro_scc.decomposition.SSPs`
         The SSPs of all epochs.
 
@@ -124,8 +124,8 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs
-    >>> from astro_scc.correlation.correlate import target_ssps
+    >>> from astro_scc.paper import Correlator, all_pairs
+    >>> from astro_scc.paper.correlate import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):
@@ -163,7 +163,7 @@ def all_pairs(n_epochs: int) -> np.ndarray:
 
     Examples
     --------
-    >>> from astro_scc.correlation import all_pairs
+    >>> from astro_scc.paper import all_pairs
     >>> all_pairs(3).tolist()
     [[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]]
     """
@@ -194,7 +194,7 @@ class Correlator:
 
     Examples
     --------
-    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.paper import Correlator
     >>> from astro_scc.decomposition import Decomposer
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
@@ -240,7 +240,7 @@ class Correlator:
 
         Returns
         -------
-        `~astro_scc.correlation.Matches`
+        `~astro_scc.paper.Matches`
             Its ``ssp`` are indices into ``SSPs.of_epochs(decompositions)``.
 
         Raises
@@ -253,7 +253,7 @@ class Correlator:
         Examples
         --------
         >>> import numpy as np
-        >>> from astro_scc.correlation import Correlator, all_pairs
+        >>> from astro_scc.paper import Correlator, all_pairs
         >>> from astro_scc.decomposition import Decomposer
         >>> y, x = np.mgrid[:64, :96]
         >>> def image(x0):

@@ -168,7 +168,7 @@ def correlate_windows(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation.zncc import correlate_windows
+    >>> from astro_scc.images.zncc import correlate_windows
     >>> window = np.random.default_rng(3).normal(size=(20, 20))
     >>> pattern = window[7:13, 9:15]
     >>> coefficient, _ = correlate_windows(

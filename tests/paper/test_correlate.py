@@ -10,16 +10,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import Correlator, Matches, all_pairs
-from astro_scc.correlation.correlate import (
+from astro_scc.decomposition import Decomposer, SSPs
+from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.images.zncc import correlate_windows, find_peaks
+from astro_scc.paper import Correlator, Matches, all_pairs
+from astro_scc.paper.correlate import (
     COLUMNS,
     TargetStack,
     match_epoch,
     target_ssps,
 )
-from astro_scc.correlation.zncc import correlate_windows, find_peaks
-from astro_scc.decomposition import Decomposer, SSPs
-from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 96, 128
@@ -339,7 +339,7 @@ def test_patterns_of_few_pixels_match_nothing(masked, matched, monkeypatch):
     """With two pixels the coefficient is one or minus one, wherever they fall."""
     number = SSPs.of_epochs(masked).n_pixels[matched.ssp]
     least = int(np.sort(number)[len(number) // 2])
-    monkeypatch.setattr("astro_scc.correlation.correlate.FEWEST_PIXELS", least)
+    monkeypatch.setattr("astro_scc.paper.correlate.FEWEST_PIXELS", least)
     same(Correlator()(masked, all_pairs(3), 6), matched.select(number >= least))
 
 
@@ -352,7 +352,7 @@ def test_small_batches_and_processes_give_the_same_to_the_bit(
 ):
     correlate, pairs, done = Correlator(target=target), all_pairs(3), []
     whole = correlate(masked, pairs, 6, progress=done.append)
-    monkeypatch.setattr("astro_scc.correlation.correlate.BATCH_PIXELS", 1)
+    monkeypatch.setattr("astro_scc.paper.correlate.BATCH_PIXELS", 1)
     found = correlate(masked, pairs, 6, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
@@ -363,7 +363,7 @@ def test_small_batches_and_processes_give_the_same_to_the_bit(
 def test_planes_go_to_other_processes_only_where_they_are_needed(masked, monkeypatch):
     seen = []
     monkeypatch.setattr(
-        "astro_scc.correlation.correlate.match_epoch",
+        "astro_scc.paper.correlate.match_epoch",
         lambda work: seen.append(len(pickle.dumps(work))) or match_epoch(work),
     )
     for target in ("segments", "plane"):
