@@ -74,7 +74,6 @@ def decompose_and_correlate(image: np.ndarray) -> paper.Matches:
 
 def speeds_in_c(result: SCCResult) -> u.Quantity:
     kinematics.apparent_speed(1 * MAS_PER_YEAR, redshift="15.8 %", cosmology="Planck18")
-    kinematics.two_sided_jet(17.6 * u.mas / u.day, 9 * u.mas / u.day)
     assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
     return kinematics.lorentz_factor(0.9)
 
