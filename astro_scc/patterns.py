@@ -23,14 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["DecomposedEpochs"]
 
-#: Apparent noise is structure if more than this share of it is in other epochs too...
-SHARED = 0.5
-#: ... and more than this many times the share by chance.  The largest correlation of
-#: noise at any displacement is five times chance, seldom eight.
-BEYOND_CHANCE = 6.0
-#: Pairs of epochs examined; most must show structure, as one epoch may be there twice.
-PAIRS = 3
-
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class DecomposedEpochs:
@@ -147,7 +139,9 @@ def empty_region(decomposed, region):
 # -- decomposition -----------------------------------------------------------------
 
 
-def allow_for_structure(cube, decomposer):
+def allow_for_structure(
+    cube, decomposer, *, most_shared=0.5, beyond_chance=6.0, n_pairs=3
+):
     """
     Return a decomposer that does not take structure for noise.
 
@@ -160,6 +154,15 @@ def allow_for_structure(cube, decomposer):
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     decomposer : `~astro_scc.decomposition.Decomposer`
+    most_shared : float, optional
+        Apparent noise is structure if more than this share of its variance is in other
+        epochs too, ...
+    beyond_chance : float, optional
+        ... and more than so many times the share by chance.  The largest correlation
+        of noise at any displacement is five times chance, seldom eight.
+    n_pairs : int, optional
+        Pairs of epochs examined; most must show structure, as one epoch may be there
+        twice.
 
     Returns
     -------
@@ -174,13 +177,13 @@ def allow_for_structure(cube, decomposer):
     """
     if decomposer.noise == "propagated" or len(cube) < 2:
         return decomposer
-    starts = np.unique(np.linspace(0, len(cube) - 2, PAIRS).astype(int))
+    starts = np.unique(np.linspace(0, len(cube) - 2, n_pairs).astype(int))
     most = len(starts) // 2 + 1
     shares = []
     for left, k in zip(range(len(starts))[::-1], starts, strict=True):
         data, masks = cube.data[k : k + 2], cube.mask[k : k + 2]
         share, chance = decomposer.shared_variance(data, masks=masks)
-        real = share > np.maximum(SHARED, BEYOND_CHANCE * chance)
+        real = share > np.maximum(most_shared, beyond_chance * chance)
         shares.append(np.where(real, share, 0.0))
         if np.count_nonzero(shares, axis=0).max() + left < most:
             return decomposer

@@ -19,8 +19,6 @@ from astro_scc.units import PM_UNIT
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW, FlatLambdaCDM
 
-#: Nothing with parts to follow is known beyond half of it: larger ones are mistakes.
-LARGEST_REDSHIFT = 30
 #: What apparent speeds follow from, in the meta of tables.
 SOURCE = "redshift", "cosmology", "distance"
 #: Speeds of sources within this distance are also in km/s.
@@ -130,8 +128,9 @@ def to_redshift(value):
         raise u.UnitConversionError(wanted) from None
     if not np.all(z > 0):
         raise ValueError("must be above 0; give the distance of a nearby source")
-    if not np.all(z < LARGEST_REDSHIFT):
-        raise ValueError(f"must be below {LARGEST_REDSHIFT}; of a velocity c z give z")
+    # Nothing with parts to follow is known beyond half of it: larger ones are mistakes.
+    if not np.all(z < 30):
+        raise ValueError("must be below 30; of a velocity c z give z")
     return z if np.ndim(z) else float(z)
 
 

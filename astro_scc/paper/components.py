@@ -23,23 +23,6 @@ from astro_scc.paper.stack import (
 )
 from astro_scc.spectrum.maps import VelocityMap
 
-#: Spacing of the velocity grid in units of the narrowest kernel; and grid points on
-#: either side of zero where there are no matches.
-GRID_STEP, GRID_POINTS = 0.5, 20
-#: Standard deviations of stacks are at least this fraction of the largest one: where
-#: hardly a trial has a match, a small coefficient is no discovery.
-STD_FLOOR = 0.3
-#: Components that a larger share of the trials exceeds are left out, but for the first.
-MOST_NOISE = 0.5
-#: A match belongs to a component within this many of its standard errors.
-MEMBER_SIGMA = 2.0
-#: Fraction of a maximum that a grid point must reach to enter its fit.
-LEVEL = 0.5
-#: Grid points of a box on each axis, in trials with shifted positions.
-POINTS = 21
-#: Fewest values whose distribution is compared with a normal one.
-FEWEST_VALUES = 8
-
 
 @dataclass(frozen=True)
 class PaperComponent:
@@ -208,7 +191,8 @@ def stack_patterns(
     coefficient = stack_matches(displacements, pairs, axes)
     peaks = find_velocity_peaks(coefficient, axes, box)
     peaks.sort(key=lambda c: -z_score[c.row, c.column])
-    noise = np.quantile(trial_z, 1 - MOST_NOISE)
+    # But for the first, those that more than half of the trials exceed are left out.
+    noise = np.median(trial_z)
     strong = [c for c in peaks[1:] if z_score[c.row, c.column] > noise]
     matches = match_velocities(displacements, pairs)
     components = tuple(
@@ -221,26 +205,28 @@ def stack_patterns(
 
 
 def _axes(displacements, pairs, max_speed):
-    rate = GRID_STEP / pairs.interval.max()
-    step = max_speed / GRID_POINTS
+    """Return velocities half a standard error of the surest match apart, or less."""
+    step = max_speed / 20
     if len(displacements):
         narrowest = np.array([displacements.s1.min(), displacements.s2.min()])
-        step = np.minimum(step, rate * narrowest)
+        step = np.minimum(step, 0.5 * narrowest / pairs.interval.max())
     return velocity_axes(max_speed, step)
 
 
-def _significance(stacks):
+def _significance(stacks, least_std=0.3):
     """
     Return the z-score of the first of many stacks.
 
     Each stack is compared with all others, so that under permutations the first is one
-    of equals.  The largest z-score of each of the others is returned, too.
+    of equals.  The largest z-score of each of the others is returned, too.  Standard
+    deviations are at least ``least_std`` of the largest one: where hardly a trial has a
+    match, a small coefficient is no discovery.
     """
     n = len(stacks)
     total = stacks.sum(axis=0, dtype=float)
     squares = np.einsum("kij,kij->ij", stacks, stacks, dtype=float)
     variance = np.maximum(squares / n - (total / n) ** 2, 0.0)
-    floor = STD_FLOOR * np.sqrt(variance.max() * n / (n - 1))
+    floor = least_std * np.sqrt(variance.max() * n / (n - 1))
     highest = np.zeros(n)
     for k in range(n - 1, -1, -1):
         stack = stacks[k].astype(float)
@@ -265,7 +251,7 @@ def _component(matches, peak, box, z_score, trial_z, alpha, rng):
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     error = np.sqrt(np.diag(covariance))
     v1, v2, s1, s2, _ = columns
-    member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= MEMBER_SIGMA
+    member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= 2
     n_ssp = len(np.unique(ends[0, member]))
     return PaperComponent(
         peak.v1, peak.v2, *error.tolist(), float(covariance[0, 1] / np.prod(error)),
@@ -343,15 +329,15 @@ def fit_gaussian(values, x, y):
 
 
 def find_velocity_peaks(
-    scc: np.ndarray, axes: tuple[np.ndarray, np.ndarray], box: tuple[float, float]
-) -> list[VelocityPeak]:
+    scc: np.ndarray, axes: tuple[np.ndarray, np.ndarray], box: tuple[float, float],
+    *, level: float = 0.5,
+) -> list[VelocityPeak]:  # fmt: skip
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
 
-    Only grid points in the box that reach half of the maximum and are nearer
+    Only grid points in the box that reach ``level`` of the maximum and are nearer
     to it than to any other maximum enter the fit: neighbouring maxima would
-    attract the fit, and the level of unrelated matches beneath the maximum
-    would widen it.
+    attract the fit, and unrelated matches beneath the maximum would widen it.
 
     Parameters
     ----------
@@ -361,6 +347,8 @@ def find_velocity_peaks(
     box : tuple of float
         Sides of the box along the two axes; in the paper, the beam divided by
         the interval.
+    level : float, optional
+        Smallest value that enters the fit, as a fraction of the maximum.
 
     Returns
     -------
@@ -390,7 +378,7 @@ def find_velocity_peaks(
         # Grid points that are nearer to this maximum than to any other.
         apart = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in points]
         nearest = (rows - row) ** 2 + (columns - column) ** 2 <= np.min(apart, axis=0)
-        use = nearest & (scc[part] >= LEVEL * scc[row, column])
+        use = nearest & (scc[part] >= level * scc[row, column])
         values = np.where(use, scc[part], 0.0)
         fit = fit_gaussian(values, axis1[near1], axis2[near2])
         if fit is not None:
@@ -403,7 +391,8 @@ def find_velocity_peaks(
 
 def jitter_positions(
     ends: np.ndarray, columns: np.ndarray, peak: VelocityPeak,
-    box: tuple[float, float], n_trials: int, rng: np.random.Generator,
+    box: tuple[float, float], n_trials: int, rng: np.random.Generator, *,
+    n_points: int = 21,
 ) -> np.ndarray:  # fmt: skip
     """
     Shift the SSPs by their position errors and find a maximum of the stack again.
@@ -423,6 +412,8 @@ def jitter_positions(
         Sides of the box, see `find_velocity_peaks`.
     n_trials : int
     rng : `~numpy.random.Generator`
+    n_points : int, optional
+        Grid points of a box on each axis.
 
     Returns
     -------
@@ -432,7 +423,7 @@ def jitter_positions(
     """
     box = np.asarray(box, dtype=float)
     # Two boxes wide, so that what the fit takes from a box is inside.
-    axes = velocity_axes(box, box / (POINTS - 1))
+    axes = velocity_axes(box, box / (n_points - 1))
     apart = np.abs(columns[:2] - np.array([[peak.v1], [peak.v2]]))
     near = np.all(apart < box[:, None] + REACH_SIGMA * columns[2:4], axis=0)
     (ssp, target), (v1, v2, s1, s2, weight) = ends[:, near], columns[:, near]
@@ -446,7 +437,7 @@ def jitter_positions(
         unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
         moved1, moved2 = unit[:, end] - unit[:, start]
         x, y = v1 - peak.v1 + s1 * moved1, v2 - peak.v2 + s2 * moved2
-        local = gaussian_sum(x, y, s1, s2, weight, *axes)
+        local = gaussian_sum(np.stack([x, y, s1, s2, weight]), axes)
         maxima = np.array([(c.v1, c.v2) for c in find_velocity_peaks(local, axes, box)])
         if len(maxima):
             away = np.abs(maxima / box)
@@ -482,7 +473,7 @@ def normal_probability(values: np.ndarray) -> float:
     True
     """
     n = len(values)
-    covariance = np.cov(values.T, bias=True) if n >= FEWEST_VALUES else np.zeros((2, 2))
+    covariance = np.cov(values.T, bias=True) if n >= 8 else np.zeros((2, 2))
     if not np.linalg.det(covariance) > 0:
         return np.nan
     root = np.linalg.cholesky(covariance)

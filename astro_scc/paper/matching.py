@@ -32,10 +32,6 @@ from astro_scc.units import PM_UNIT
 
 __all__ = ["MatchedEpochs", "SearchPlan"]
 
-#: Without a largest speed, motion of this many beams in the longest interval of a pair
-#: of epochs is searched, as in the simulated jets of the paper.
-FAR_BEAMS = 4.0
-
 
 @dataclass(frozen=True, eq=False)
 class SearchPlan:
@@ -95,7 +91,8 @@ class SearchPlan:
         pairs = pairs_of_dates(cube, settings.baseline)
         scales = scale_numbers(cube, settings.scales)
         fwhm = float(each_fwhm(cube, scales).mean())
-        speed = FAR_BEAMS * fwhm / pairs.interval.max()
+        # Four beams in the longest interval, as in the simulated jets of the paper.
+        speed = 4 * fwhm / pairs.interval.max()
         if settings.max_speed is not None:
             speed = settings.max_speed.to_value(PM_UNIT)
         moved, most = motion_of(cube, speed, pairs.interval)

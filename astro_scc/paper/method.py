@@ -42,11 +42,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PaperMeasurement", "measure_as_in_paper"]
 
-#: Shift of the paper's correction for small displacements, in beams.
-SMALL_SHIFT = 0.2
-#: A component stands still if its velocity is within this many standard errors of zero.
-STILL_SIGMA = 3.0
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperMeasurement(VelocityMaps):
@@ -161,13 +156,14 @@ def component_row(component, number, frame, angle):
     Returns
     -------
     dict
+        What is within three standard errors of zero is ``stationary``.
     """
     errors = np.array([component.v1_err, component.v2_err])
     correlations = np.full((2, 2), component.correlation)
     np.fill_diagonal(correlations, 1.0)
     covariance = correlations * np.outer(errors, errors)
     velocity = np.array([component.v1, component.v2])
-    still = np.hypot(*(velocity / errors)) <= STILL_SIGMA
+    still = np.hypot(*(velocity / errors)) <= 3
     kind = "stationary" if still else "moving"
     columns = velocity_columns(velocity, covariance, frame, angle)
     return {
@@ -252,7 +248,7 @@ def measure_as_in_paper(
                 displacements, plan.pairs, orders,
                 fwhm=fwhm, max_speed=plan.max_speed, rng=generator,
                 alpha=settings.alpha, progress=done,
-                shift_beams=SMALL_SHIFT * settings.small_displacement_correction,
+                shift_beams=0.2 * settings.small_displacement_correction,
             )  # fmt: skip
     meta = {
         "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),

@@ -8,15 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-#: Most velocities along an axis of the grid; the spacing grows if there would be more.
-MOST_VELOCITIES = 301
-#: Matches that are summed at once, to limit memory.
-BLOCK = 16384
 #: Gaussians are neglected beyond this many standard deviations.
 REACH_SIGMA = 5.0
-#: Most ordered pairs of epochs that the trials of a series need, about a minute of
-#: correlations; and fewest epochs that are exchanged with one another.
-MOST_PAIRS, FEWEST_EXCHANGED = 5000, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +127,7 @@ def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePai
 
 def draw_orders(
     pairs: DatePairs, n_trials: int, rng: np.random.Generator, *,
-    most_pairs: int = MOST_PAIRS,
+    most_pairs: int = 5000,
 ) -> np.ndarray:  # fmt: skip
     """
     Draw random orders of the epochs, of which few ordered pairs need matches.
@@ -151,8 +144,8 @@ def draw_orders(
     n_trials : int
     rng : `~numpy.random.Generator`
     most_pairs : int, optional
-        Number of ordered pairs of epochs about which groups are made.  There are at
-        least five epochs in each.
+        Number of ordered pairs of epochs, for which groups are made; 5000 are about a
+        minute of correlations.  There are at least five epochs in each group.
 
     Returns
     -------
@@ -170,7 +163,7 @@ def draw_orders(
     """
     n = size = pairs.n_dates
     if n * (n - 1) > most_pairs:
-        size = max(int(np.sqrt(most_pairs / len(pairs))), FEWEST_EXCHANGED)
+        size = max(int(np.sqrt(most_pairs / len(pairs))), 5)
     orders = np.tile(np.arange(n), (n_trials, 1))
     for group in np.array_split(rng.permutation(n), max(n // size, 1)):
         orders[:, group] = rng.permuted(np.tile(group, (n_trials, 1)), axis=1)
@@ -255,7 +248,7 @@ class Displacements:
         return len(self.d1)
 
 
-def velocity_axes(v_max, step):
+def velocity_axes(v_max, step, *, most=301):
     """
     Return velocities along two axes, evenly spaced and symmetric about zero.
 
@@ -265,6 +258,10 @@ def velocity_axes(v_max, step):
         Largest velocity, above 0; two numbers are for the two axes.
     step : float or array_like, shape (2,)
         Largest spacing, above 0.
+    most : int, optional
+        Most velocities along an axis; the spacing grows if there would be more.
+    most : int, optional
+        Most velocities along an axis; the spacing grows if there would be more.
 
     Returns
     -------
@@ -278,12 +275,12 @@ def velocity_axes(v_max, step):
     """
     v_max, step = np.broadcast_to(v_max, 2), np.broadcast_to(step, 2)
     half = np.ceil(v_max / step - 1e-9).astype(int)
-    half = np.clip(half, 1, MOST_VELOCITIES // 2)
+    half = np.clip(half, 1, most // 2)
     axes = zip(v_max, half, strict=True)
     return tuple(v * (np.arange(-n, n + 1) / n) for v, n in axes)
 
 
-def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
+def gaussian_sum(columns, axes, *, block=16384):
     """
     Return the weighted sum of axis-parallel Gaussians of unit height on a grid.
 
@@ -292,20 +289,23 @@ def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
 
     Parameters
     ----------
-    x, y, sx, sy, weight : `~numpy.ndarray`, shape (k,)
-        Centres, standard deviations, and weights.
-    grid_x, grid_y : `~numpy.ndarray`, shapes (nx,) and (ny,)
+    columns : `~numpy.ndarray`, shape (5, k)
+        Centres and standard deviations on both axes, and weights.
+    axes : tuple of `~numpy.ndarray`, shapes (nx,) and (ny,)
+    block : int, optional
+        Gaussians that are summed at once, to limit memory.
 
     Returns
     -------
     `~numpy.ndarray`, shape (ny, nx)
     """
+    grid_x, grid_y = axes
     total = np.zeros((len(grid_y), len(grid_x)))
-    for start in range(0, len(x), BLOCK):
-        k = slice(start, start + BLOCK)
-        profile_x = np.exp(-0.5 * ((grid_x - x[k, None]) / sx[k, None]) ** 2)
-        profile_y = np.exp(-0.5 * ((grid_y - y[k, None]) / sy[k, None]) ** 2)
-        total += (profile_y * weight[k, None]).T @ profile_x
+    for start in range(0, columns.shape[1], block):
+        x, y, sx, sy, weight = columns[:, start : start + block, None]
+        profile_x = np.exp(-0.5 * ((grid_x - x) / sx) ** 2)
+        profile_y = np.exp(-0.5 * ((grid_y - y) / sy) ** 2)
+        total += (profile_y * weight).T @ profile_x
     return total
 
 
@@ -377,7 +377,7 @@ def stack_matches(
     columns[:2] += np.multiply.outer(shift, 1 / pairs.interval[pair])
     reach = np.array([[v[-1]] for v in axes]) + REACH_SIGMA * columns[2:4]
     columns = columns[:, np.all(np.abs(columns[:2]) < reach, axis=0)]
-    total = gaussian_sum(*columns.astype(kind), *(v.astype(kind) for v in axes))
+    total = gaussian_sum(columns.astype(kind), [v.astype(kind) for v in axes])
     reference, _ = pairs.images(order)
     number = (displacements.n_ssps[reference] * pairs.weight).sum()
     return total / number if number > 0 else total

@@ -23,8 +23,6 @@ from astro_scc.quantities import random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
-# Width of the negative bowl around a feature, in widths of its image.
-BOWL = 6.0
 # The paper's beam, and about that of the VLBA at 15 GHz.
 PAPER_BEAM, BEAM = (Beam(size * u.mas, size * u.mas) for size in (1, 0.8))
 
@@ -279,7 +277,7 @@ class JetSimulation:
             peak = flux * beam_area / np.sqrt(np.linalg.det(total))
             add_gaussians(image, x, y, peak, total)
             if self.bowl:
-                add_gaussians(image, x, y, -self.bowl * peak, BOWL**2 * total)
+                add_gaussians(image, x, y, -self.bowl * peak, 6**2 * total)
             if self.ripple:
                 image += self._ripple(image.max(), ripple_rng)
             if noise:

@@ -21,12 +21,6 @@ from astro_scc.simulation.streams import (
     raised_cosine,
 )
 
-# Part of its life over which a clump appears, and over which it fades.
-FADE = 0.25
-# Steps of the table of times in which clumps move, per interval of the table of speeds.
-FINE = 50
-# Width of the margin around a jet and its half width, in beams.
-MARGIN = 4.0
 # The beam of the VLBA at 43 GHz in M 87.
 BEAM = Beam(0.43 * u.mas, 0.21 * u.mas, -16 * u.deg)
 
@@ -168,7 +162,8 @@ class Layer:
         fwhm = rng.uniform(*self.size.to_value(u.mas), (n, 1))
         there = raised_cosine((table[-1] - r) / (RAMP * jet.beam_length * scale))
         if np.isfinite(life):
-            there = there * raised_cosine(np.minimum(age, life - age) / (FADE * life))
+            # It appears in the first quarter of its life, and fades in the last.
+            there = there * raised_cosine(np.minimum(age, life - age) / (0.25 * life))
         peak = np.interp(r, table, self.brightness.to_value(u.Jy / u.beam)) * there
         peak = peak * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
         beams = np.mean([b.covariance.to_value(u.mas**2) for b in jet.beams], axis=0)
@@ -189,7 +184,8 @@ class Layer:
         if not speed.any():
             return start + np.zeros_like(age)
         rows = np.arange(len(table))
-        grid = np.interp(np.linspace(0, rows[-1], FINE * rows[-1] + 1), rows, table)
+        # Steps in which clumps move, 50 for each interval of the table.
+        grid = np.interp(np.linspace(0, rows[-1], 50 * rows[-1] + 1), rows, table)
         slowness = 1 / np.interp(grid, table, speed)
         steps = 0.5 * (slowness[1:] + slowness[:-1]) * np.diff(grid)
         passed = np.concatenate([[0], np.cumsum(steps)])
@@ -323,5 +319,5 @@ def simulate_resolved_jet(
     ends = [(a.distance[-1] / pixel_scale).to_value(u.one) for a in layers]
     behind = [end for end, a in zip(ends, layers, strict=True) if a.counter_jet]
     width = max((a.half_width.max() / pixel_scale).to_value(u.one) for a in layers)
-    margin = width + MARGIN * jet.beam_length
+    margin = width + 4 * jet.beam_length
     return centred(jet, max(ends), max(behind, default=0.0), margin=margin).run(rng=rng)
