@@ -10,7 +10,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
-from astro_scc.units import PM_UNIT
+from astro_scc.units import PM_UNIT, unit_like
 
 # Colours of Okabe & Ito, which colour-blind readers can distinguish.
 BLACK = "#000000"
@@ -27,11 +27,9 @@ LINES = ("-", "--", ":")
 #: Width and largest height of a figure in inches, for a page.
 WIDTH = 6.0
 HEIGHT = 9.5
-#: Width of a column of a journal in inches, and settings of figures for it: journals
-#: take letters of 8 pt and no fonts of Type 3.
-COLUMN = 3.46
 #: Figures of many panels, which need two columns.
 WIDE = ("epochs",)
+#: Settings of figures for journals, which take letters of 8 pt and no fonts of Type 3.
 JOURNAL = {
     "font.size": 8.0,
     "axes.linewidth": 0.6,
@@ -124,11 +122,11 @@ def new_figure(figsize):
 
 
 @contextmanager
-def for_journal(columns=1):
-    """Make new figures as wide as columns of a journal, with its letters and fonts."""
+def for_journal(columns=1, width=3.46):
+    """Make figures as wide as columns, in inches, with the fonts of a journal."""
     from matplotlib import rc_context
 
-    token = _SCALE.set(columns * COLUMN / WIDTH)
+    token = _SCALE.set(columns * width / WIDTH)
     try:
         with rc_context(JOURNAL):
             yield
@@ -192,6 +190,12 @@ def scale_colors(scales):
 def component_color(number):
     """Return the colour of the component with a number, from 1."""
     return SCALE_COLORS[(number - 1) % len(SCALE_COLORS)]
+
+
+def speed_unit_of(result, unit=None):
+    """Return a unit of speeds for figures of a result, that of its tables if None."""
+    unit = result.cube.speed_unit if unit is None else unit
+    return unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
 
 
 def draw_bins(ax, table, unit, speeds, **look):
