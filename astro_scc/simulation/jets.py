@@ -643,19 +643,19 @@ def simulate_jet(
     return centred(jet, ahead, margin=8 * jet.beam_length, shape=shape).run(rng=rng)
 
 
-def centred(jet, ahead, behind=0.0, *, margin, shape=None):
+def centred(jet, ahead, *, margin, shape=None):
     """
     Return a simulation whose jet is centred in the image.
 
-    ``ahead`` and ``behind`` are the lengths of jet and counter-jet, and ``margin`` the
-    width around them, in pixels; an image of another ``shape`` has other margins.
+    ``ahead`` is the length of the jet, and ``margin`` the width around it, in pixels;
+    an image of another ``shape`` has other margins.
     """
     angle = u.Quantity(jet.position_angle).to_value(u.rad)
     direction = np.array([-np.sin(angle), np.cos(angle)])
-    tip = (ahead + behind) * direction
+    tip = ahead * direction
     if shape is None:
         shape = np.round(np.abs(tip) + 2 * margin).astype(int).tolist()[::-1]
-    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2 + behind * direction)
+    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
     return replace(jet, shape=tuple(shape), extent=(x0, x0 + ahead), axis=y0)
 
 

@@ -263,7 +263,7 @@ def plot_profile(
     for k, fit in enumerate(fits):
         ax.plot(
             grid.value, u.Quantity(fit(grid)).to_value(speeds), lw=1.2, zorder=2,
-            color=style.component_color(k + 2), label=str(fit), ls=style.LINES[k % 3],
+            color=style.BLACK, label=str(fit), ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
     # Very large errors must not squeeze the rest.
