@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Coefficients, their peaks and matches, against loops over displacements."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from astro_scc.paper import Correlator, Matches, all_pairs
 from astro_scc.paper.correlate import (
     COLUMNS,
     TargetStack,
-    match_epoch,
     target_ssps,
 )
 from astro_scc.simulation import simulate_two_fluid
@@ -358,18 +356,6 @@ def test_small_batches_and_processes_give_the_same_to_the_bit(
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     assert done == [1] * 9
-
-
-def test_planes_go_to_other_processes_only_where_they_are_needed(masked, monkeypatch):
-    seen = []
-    monkeypatch.setattr(
-        "astro_scc.paper.correlate.match_epoch",
-        lambda work: seen.append(len(pickle.dumps(work))) or match_epoch(work),
-    )
-    for target in ("segments", "plane"):
-        Correlator(target=target)(masked, [(0, 1)], 6)
-    planes = masked[1].planes.nbytes
-    assert seen[0] < seen[1] - 0.9 * planes
 
 
 def test_only_the_pairs_and_patterns_asked_for(masked, matched):
