@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -66,6 +67,11 @@ class DecomposedEpochs:
         """Numbers of the scales that were decomposed."""
         return tuple(self.decomposer.scales)
 
+    @cached_property
+    def _followed(self):
+        """The features in a list, empty until they have been followed."""
+        return []
+
     @property
     def features(self) -> Features:
         """
@@ -91,12 +97,12 @@ class DecomposedEpochs:
         -------
         `~astro_scc.features.Features`
         """
-        if "features" not in vars(self):
-            vars(self)["features"] = find_features(
+        if not self._followed:
+            self._followed.append(find_features(
                 self.cube, ssps=self.ssps, region=self.region, n_workers=n_workers,
                 progress_bar=progress_bar,
-            )  # fmt: skip
-        return vars(self)["features"]
+            ))  # fmt: skip
+        return self._followed[0]
 
 
 def gather_patterns(cube, decomposer, decompositions, *, region=None):

@@ -33,7 +33,7 @@ PIXELS = 2_200_000
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 #: Names of the lines of figures, and those of the kinds of streams.
 DASH = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
-DASHES = {kind: DASH[sign.line] for kind, sign in style.KINDS.items()}
+DASHES = {kind: DASH[line] for kind, line in style.KIND_LINES.items()}
 #: Names of the panels in explore.html.
 PANELS = "choose", "velocity", "sky", "diagram", "time", "table"
 #: Height of a panel in CSS pixels; opacity of what is not selected.

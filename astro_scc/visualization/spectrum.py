@@ -141,7 +141,7 @@ def _draw_streams(ax, result, speeds, top, ends):
         text += "" if stream.kind == "moving" else f", {stream.kind}"
         error = min(speeds.stream_err[k], 0.99 * speed)
         ax.errorbar(
-            speed, y, xerr=error, fmt=style.KINDS[stream.kind].marker, ms=5, capsize=2,
+            speed, y, xerr=error, fmt=style.KIND_MARKERS[stream.kind], ms=5, capsize=2,
             lw=1, color=color, mfc=filling, zorder=4,
         )  # fmt: skip
         left, wide = speed**2 > low * high, max(spread, error)
@@ -279,6 +279,6 @@ def _draw_lines(ax, result, speeds):
         text = text if stream.kind == "moving" else f"{text}, {stream.kind}"
         ax.axhline(
             speeds.stream[k], color=color, lw=1.2, zorder=2, gid="stream",
-            ls=style.KINDS[stream.kind].line, label=f"{k + 1}: {text}",
+            ls=style.KIND_LINES[stream.kind], label=f"{k + 1}: {text}",
             path_effects=style.outline(2.2),
         )  # fmt: skip

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import product
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -36,7 +36,7 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **lo
     draw_feature_speeds(ax, result, separation * u.mas.to(unit), speed, error, look)
     if profile is not None and len(profile):
         mean = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
-        style.draw_bins(ax, profile, unit, speeds, label="mean of bin", **mean)
+        style.draw_bins(ax, profile, unit, speeds, {"label": "mean of bin", **mean})
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Core separation ({unit_name(unit)})")
@@ -200,7 +200,7 @@ def plot_profile(
     table: QTable, *, cube: EpochCube | None = None, line: RidgeLine | None = None,
     fits: Sequence[Callable[[u.Quantity], u.Quantity]] = (),
     others: Sequence[tuple[str, u.Quantity, u.Quantity, u.Quantity]] = (),
-    beta_per_pm: float | None = None,
+    beta_per_pm: float | None = None, **look: Any,
 ) -> Figure:  # fmt: skip
     """
     Draw speed against distance, with the jet above it.
@@ -220,6 +220,8 @@ def plot_profile(
     beta_per_pm : float, optional
         Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
         second axis.
+    **look
+        Keywords of the symbols, see `matplotlib.lines.Line2D`.
 
     Returns
     -------
@@ -255,10 +257,10 @@ def plot_profile(
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
     for name, r, *speed in others:
         r = u.Quantity(r).to_value(u.mas)
-        look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
-        ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **look)
+        grey = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
+        ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **grey)
         far = max(far, float(np.max(r, initial=0)))
-    _draw_streams(ax, table)
+    _draw_streams(ax, table, look)
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
@@ -280,7 +282,7 @@ def plot_profile(
     return figure
 
 
-def _draw_streams(ax, table):
+def _draw_streams(ax, table, given):
     """Draw streams by kind and group of scales, those not main in their bin smaller."""
     table = table[np.isfinite(table["pm_parallel"])]
     kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
@@ -288,18 +290,18 @@ def _draw_streams(ax, table):
     if "scale_group" in table.colnames:
         group = np.asarray(table["scale_group"], dtype=str)
     names = list(dict.fromkeys(group.tolist()))
-    for name, kind in product(names, style.KINDS):
+    for name, kind in product(names, style.KIND_MARKERS):
         here, color = (kinds == kind) & (group == name), names.index(name) + 1
         for part, size in ((here & main, 5), (here & ~main, 3)):
             if part.any():
                 label = f"{kind}, scales {name}" if name else kind
-                style.draw_bins(
-                    ax, table[part], u.mas, table["pm_parallel"].unit, ms=size,
-                    fmt=style.KINDS[kind].marker, lw=1.0, zorder=3,
-                    color=style.component_color(color),
+                look = style.look_of(
+                    "line", given, ms=size, marker=style.KIND_MARKERS[kind], lw=1.0,
+                    color=style.component_color(color), zorder=3, linestyle="",
                     mfc="white" if kind.startswith("not") else None,
                     label=label if size == 5 or not (here & main).any() else None,
                 )  # fmt: skip
+                style.draw_bins(ax, table[part], u.mas, table["pm_parallel"].unit, look)
 
 
 def _draw_strip(ax, cube, line, far):

@@ -5,7 +5,6 @@ from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from io import BytesIO
 from itertools import product
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -46,20 +45,13 @@ OF_PLOTS = "vmin", "vmax", "shading", "capsize", "elinewidth"
 DPI = 150
 
 
-class Kind(NamedTuple):
-    """Markers of a kind of stream in maps and against an axis of speeds, its line."""
-
-    on_map: str
-    marker: str
-    line: str
-
-
-KINDS = {
-    "moving": Kind("+", "o", "-"),
-    "stationary": Kind("s", "s", "--"),
-    "not confirmed": Kind("D", "D", "-."),
-    "not significant": Kind("x", "X", ":"),
-}
+#: Markers and lines of the kinds of streams in all figures.
+KIND_MARKERS = {
+    "moving": "o", "stationary": "s", "not confirmed": "D", "not significant": "X",
+}  # fmt: skip
+KIND_LINES = {
+    "moving": "-", "stationary": "--", "not confirmed": "-.", "not significant": ":",
+}  # fmt: skip
 
 
 def look_of(kind, given, **usual):
@@ -198,7 +190,7 @@ def speed_unit_of(result, unit=None):
     return unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
 
 
-def draw_bins(ax, table, unit, speeds, **look):
+def draw_bins(ax, table, unit, speeds, look):
     """Draw speeds in bins of distance in units of both, with bars for their errors."""
     low, middle, high = (table[f"r_{k}"].to_value(unit) for k in ("min", "mid", "max"))
     names = "pm_parallel", "pm_parallel_err"

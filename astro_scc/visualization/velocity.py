@@ -13,7 +13,7 @@ from astro_scc.columns import cell
 from astro_scc.images.positions import axis_words, sky_columns
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style
-from astro_scc.visualization.style import BLACK, GREY, KINDS
+from astro_scc.visualization.style import BLACK, GREY
 
 AXIS_LABELS = {
     "parallel": "Proper motion parallel to the jet",
@@ -159,7 +159,7 @@ def _draw_components(scene):
             )  # fmt: skip
             ax.add_patch(ellipse)
         ax.plot(
-            x, y, KINDS[kind].on_map, markersize=4, markerfacecolor="none",
+            x, y, style.KIND_MARKERS[kind], markersize=4, markerfacecolor="none",
             markeredgecolor="white", path_effects=effects,
             label=None if kind in scene.kinds[: len(places)] else kind,
         )  # fmt: skip
@@ -248,7 +248,7 @@ def _draw_z_scores(scene):
         on_axis = abs(across) <= 3 * max(across_error, least)
         scene.ax.errorbar(
             along, z, xerr=error if np.isfinite(error) else 0.0,
-            fmt=KINDS[kind].marker, color=color, markersize=5,
+            fmt=style.KIND_MARKERS[kind], color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
         scene.ax.annotate(
@@ -372,7 +372,7 @@ def _draw_rays(scene, slopes, factor):
 
 def _draw_ray(ax, slope, spread, kind, label):
     (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
-    ray = {"linestyle": KINDS[kind].line, "label": label, "gid": "ray"}
+    ray = {"linestyle": style.KIND_LINES[kind], "label": label, "gid": "ray"}
     outlined = {"linewidth": 1.4, "path_effects": style.outline(2.6)}
     ax.axline((0, 0), slope=slope, color=BLACK, **ray, **outlined)
     thin = {"linewidth": 0.6, "alpha": 0.7, "gid": "dispersion"}

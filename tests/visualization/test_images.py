@@ -170,7 +170,7 @@ def test_the_sun_has_west_to_the_right(jet_results):
     sky, wcs = jet_results["sky"], jet_results["sky"].cube.wcs.deepcopy()
     wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
     decomposed = replace(sky.decomposed, cube=replace(sky.cube, wcs=wcs))
-    vars(decomposed)["features"] = sky.tracked_features
+    decomposed._followed.append(sky.tracked_features)
     sun = replace(sky, decomposed=decomposed)
     ax = sun.cube.plot(0, sun.ssps).axes[0]
     assert labels(ax) == ("Offset to solar west (mas)", "Offset to solar north (mas)")
