@@ -22,19 +22,8 @@ from astro_scc.kinematics.frames import (
 )
 
 __all__ = [
-    "ExpansionFrame",
-    "PositionAngleFrame",
-    "RadialFrame",
-    "RidgeLine",
-    "SkyFrame",
-    "apparent_speed",
-    "beta_intrinsic",
-    "doppler_factor",
-    "find_ridge_line",
-    "fit_position_angle",
-    "lorentz_factor",
-    "maximum_viewing_angle",
-    "minimum_lorentz_factor",
-    "paper_cosmology",
-    "viewing_angle",
-]
+    "ExpansionFrame", "PositionAngleFrame", "RadialFrame", "RidgeLine", "SkyFrame",
+    "apparent_speed", "beta_intrinsic", "doppler_factor", "find_ridge_line",
+    "fit_position_angle", "lorentz_factor", "maximum_viewing_angle",
+    "minimum_lorentz_factor", "paper_cosmology", "viewing_angle",
+]  # fmt: skip
