@@ -223,15 +223,13 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     tuple of ``Decomposition``
     """
     # A propagated noise needs the rms of each image and its beam in pixels.
-    facts = [{} for _ in range(len(cube))]
+    rms = beams = [None] * len(cube)
     if decomposer.noise == "propagated":
-        facts = [{"rms": rms} for rms in cube.noise_rms().value]
+        rms, inverse = cube.noise_rms().value, np.linalg.inv(cube.pixel_matrix.value)
         if cube.beams is not None:
-            inverse = np.linalg.inv(cube.pixel_matrix.value)
-            for known, beam in zip(facts, cube.beams, strict=True):
-                covariance = inverse @ beam.covariance.value @ inverse.T
-                known["beam_covariance"] = covariance
-    work = zip([decomposer] * len(cube), cube.data, cube.mask, facts, strict=True)
+            beams = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
+    images = cube.data, cube.mask, rms, beams
+    work = zip([decomposer] * len(cube), *images, strict=True)
     found = []
     with progress(len(cube), "Decomposing", show=progress_bar) as done:
         for decomposition in in_order(_decompose, work, n_workers):
@@ -241,8 +239,8 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
 
 
 def _decompose(work):
-    decomposer, image, mask, facts = work
-    return decomposer(image, mask=mask, **facts)
+    decomposer, image, mask, rms, beam_covariance = work
+    return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)
 
 
 def centroids_inside(ssps, cube, region):

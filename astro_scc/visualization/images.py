@@ -249,20 +249,21 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     for ax in grid.flat[max(n - columns, 0) : n]:
         # Shared axes hide the tick labels of all rows but the last.
         ax.tick_params(labelbottom=True)
-    style.label_all(figure, *view.labels)
+    figure.supxlabel(view.labels[0], fontsize="medium")
+    figure.supylabel(view.labels[1], fontsize="medium")
     return figure, grid.flat[:n]
 
 
-def mean_image_panels(cube, points, n, *, figure, unit, edge):
+def draw_mean_image(cube, points, *, figure, unit, edge):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
     view = View(cube, points, image, slice(None), unit=unit, edge=edge)
-    figure, axes = image_panels(view, n, figure)
+    figure, (ax,) = image_panels(view, 1, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
-    for ax in axes:
-        draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)
-    return view, figure, axes
+    draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)
+    draw_contours(ax, view)
+    return view, figure, ax
 
 
 def draw_contours(ax, view):
@@ -276,16 +277,6 @@ def draw_contours(ax, view):
         np.ma.filled(image, np.nan), colors=style.GREY, linewidths=0.4,
         levels=lowest * 2.0 ** np.arange(np.log2(peak)),
         transform=view.to_offsets + ax.transData,
-    )  # fmt: skip
-
-
-def panel_text(ax, text, corner):
-    """Write text into a corner of a panel."""
-    right, top = corner
-    ax.text(
-        0.97 if right else 0.03, 0.96 if top else 0.04, text, transform=ax.transAxes,
-        ha="right" if right else "left", va="top" if top else "bottom",
-        fontsize="small", path_effects=style.outline(),
     )  # fmt: skip
 
 
@@ -381,12 +372,13 @@ def draw_ssps(ax, view, epoch, size=1.0):
         return
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
     points = view.points
-    colors = style.scale_colors(points["scale"])
-    for rank, (scale, color) in enumerate(colors.items()):
+    scales = np.unique(points["scale"])
+    for rank, scale in enumerate(scales):
+        color = style.component_color(rank + 1)
         here = (points["epoch"] == epoch) & (points["scale"] == scale)
         extent = (scale_size(scale) * view.cube.pixel_scale).to_value(view.unit)
         words = "" if rank else "SSPs of scale "
-        unit = "" if rank < len(colors) - 1 else f" {unit_name(view.unit)}"
+        unit = "" if rank < len(scales) - 1 else f" {unit_name(view.unit)}"
         label = f"{words}{extent:.2g}{unit}"
         if isinstance(points["ssps"], SSPs):
             line = {"color": color, "linewidth": 0.7 + 0.4 * rank, "label": label}
@@ -519,11 +511,14 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     view = View(cube, ssp_points(cube, ssps), images, chosen, **_of_view(look))
     figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = epoch_names(cube.times)
-    of_beam, of_date, *_ = empty_corners(view, images.max(axis=0))
+    of_beam, (right, top), *_ = empty_corners(view, images.max(axis=0))
+    at = 0.97 if right else 0.03, 0.96 if top else 0.04
+    date = {"ha": "right" if right else "left", "va": "top" if top else "bottom"}
+    date |= {"fontsize": "small", "path_effects": style.outline()}
     for ax, index, image in zip(axes, chosen, images, strict=True):
         drawn = draw_image(ax, view, image, index, of_beam, look)
         draw_ssps(ax, view, index, size=0.5)
-        panel_text(ax, dates[index], of_date)
+        ax.text(*at, dates[index], transform=ax.transAxes, **date)
     view.add_colorbar(drawn, ax=figure.axes, pad=0.02, aspect=40)
     _label_masked(ax, view, images.mask.any(axis=0))
     handles, _ = ax.get_legend_handles_labels()

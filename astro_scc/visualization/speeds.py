@@ -16,6 +16,13 @@ from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
 from astro_scc.visualization.tracks import draw_feature_speeds
 
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.figure import Figure
+
+    from astro_scc.epochs import EpochCube
+    from astro_scc.kinematics import RidgeLine
+
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
 
@@ -186,14 +193,6 @@ def _plain(values):
     """Return the numbers of a column, NaN where it is masked."""
     values = getattr(values, "filled", lambda _: values)(np.nan)
     return np.asarray(u.Quantity(values).value, dtype=float)
-
-
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.figure import Figure
-
-    from astro_scc.epochs import EpochCube
-    from astro_scc.kinematics import RidgeLine
 
 
 def plot_profile(

@@ -20,7 +20,7 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#767676"
-SCALE_COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
 LINES = ("-", "--", ":")
 
 #: Width and largest height of a figure in inches, for a page.
@@ -173,15 +173,9 @@ def legend_columns(n):
     return n if _SCALE.get() >= 1 else max(n // 2, 1)
 
 
-def scale_colors(scales):
-    """Return a colour for each scale number, the finest first."""
-    numbers = np.unique(np.asarray(scales, dtype=float)).tolist()
-    return {n: SCALE_COLORS[k % len(SCALE_COLORS)] for k, n in enumerate(numbers)}
-
-
 def component_color(number):
-    """Return the colour of the component with a number, from 1."""
-    return SCALE_COLORS[(number - 1) % len(SCALE_COLORS)]
+    """Return the colour of a stream, or a scale, with a number from 1."""
+    return COLORS[(number - 1) % len(COLORS)]
 
 
 def speed_unit_of(result, unit=None):
@@ -256,12 +250,6 @@ def plain_log(ax):
 def beside(ax):
     """Return axes for a colour bar beside others, exactly as high as they are."""
     return ax.inset_axes((1.02, 0.0, 0.03, 1.0))
-
-
-def label_all(figure, across, up):
-    """Label the axes of all panels of a figure together."""
-    figure.supxlabel(across, fontsize="medium")
-    figure.supylabel(up, fontsize="medium")
 
 
 def add_speed_axis(ax, unit, beta_per_pm, side="top"):

@@ -272,10 +272,9 @@ def plot_tracks(
     """
     place = np.concatenate([features.detections.place, features.core.place])
     points = {"place": place.T, "weight": np.ones(len(place))}
-    view, drawn, (ax,) = images.mean_image_panels(
-        features.cube, points, 1, figure=figure, unit=unit, edge=0.0
+    view, drawn, ax = images.draw_mean_image(
+        features.cube, points, figure=figure, unit=unit, edge=0.0
     )
-    images.draw_contours(ax, view)
     axes, inner, box = [ax], [], None
     if figure is None:
         inner, box = _inner_paths(features, view)
