@@ -22,9 +22,9 @@ _PUBLIC = {
 }
 _FOLDERS = frozenset(
     """
-    alignment components correlation decomposition epochs expansion features flow grid
-    images kinematics matching measurement paper patterns products recovery report
-    simulation spectrum streams visualization
+    alignment components decomposition epochs expansion features flow grid images
+    kinematics measurement paper patterns products recovery report simulation spectrum
+    streams visualization
     """.split()
 )
 

@@ -14,10 +14,10 @@ from astropy.table import QTable
 
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
-from astro_scc.matching import MatchedEpochs, matched_displacements
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
+from astro_scc.paper.matching import MatchedEpochs, matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
 from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
@@ -26,8 +26,6 @@ __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 
 #: Most kinds of one scale, by signal-to-noise ratio, and velocity samples per kind.
 PARTS, ENOUGH = 4, 100
-#: Fewest velocity samples of a group.
-FEWEST = 10
 #: Rates that are tried first, for expansion and for contraction, and the width of their
 #: kernel, in standard errors of a velocity sample.
 TRIED, WIDTH = 60, 4.0
@@ -36,8 +34,6 @@ STEPS, SMALL = 100, 0.02
 #: Bounds of the scatter, in standard errors of a velocity sample, and of the share of
 #: samples that expand.
 SCATTER, SHARE = (0.02, 1.0), (0.02, 0.98)
-#: Sectors of azimuth that the jackknife leaves out in turn.
-AZIMUTHS = 24
 #: Columns of the streams that the table of sectors keeps.
 KEPT = ("kind", "share", "p_local", "p_global", "p_fdr", "n_features", "caution")
 
@@ -66,7 +62,7 @@ def fit_shell(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; its velocity axes are not used.
-    matched : `~astro_scc.matching.MatchedEpochs` or dict of it
+    matched : `~astro_scc.paper.matching.MatchedEpochs` or dict of it
         In a dict, each value is a group that has a rate of its own, with the key
         as its name; all must have the same dates.
     centre : `~astropy.units.Quantity`, shape (2,), optional
@@ -179,9 +175,9 @@ def _samples_of(scc, parts, limit):
             np.minimum(s.reference, s.target), s.weight,
         )  # fmt: skip
         columns.append([values[use] for values in of_each])
-        if n < FEWEST:
+        if n < 10:
             raise ValueError(
-                f"an expansion needs {FEWEST} velocity samples of each group or more, "
+                f"an expansion needs 10 velocity samples of each group or more, "
                 f"{name} has {n}: choose more SSPs or other scales"
             )
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
@@ -247,7 +243,7 @@ class Mixture(NamedTuple):
     share: np.ndarray
 
 
-def fit_mixture(samples, start, area, *, fixed=False):
+def fit_mixture(samples, start, area, *, fixed=False, n_sectors=24):
     r"""
     Fit rates and centre of the most likely mixture of expansion and chance.
 
@@ -261,7 +257,7 @@ def fit_mixture(samples, start, area, *, fixed=False):
     The scatter :math:`\sigma_k` and the share :math:`f_k` of each kind are fitted with
     the rates and the centre.  Expectation maximisation (Dempster, Laird & Rubin 1977,
     J. R. Stat. Soc. B 39, 1) begins at ``start``; with ``fixed`` the centre is kept.
-    Errors are those of a jackknife over 24 sectors of azimuth, each with all epochs
+    Errors are those of a jackknife over ``n_sectors`` of azimuth, each with all epochs
     of its features.
     """
     n_groups = len(start) - 2
@@ -272,7 +268,7 @@ def fit_mixture(samples, start, area, *, fixed=False):
         samples, start, 0.5 * widest, share, area, widest, fixed
     )
     turn = np.arctan2(*(samples.x - place[-2:]).T) + np.pi
-    part_of = np.floor(turn / (2 * np.pi) * AZIMUTHS) % AZIMUTHS
+    part_of = np.floor(turn / (2 * np.pi) * n_sectors) % n_sectors
     others = []
     for k in np.unique(part_of):
         keep = part_of != k

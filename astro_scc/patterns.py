@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -22,14 +23,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 __all__ = ["DecomposedEpochs"]
-
-#: Apparent noise is structure if more than this share of it is in other epochs too...
-SHARED = 0.5
-#: ... and more than this many times the share by chance.  The largest correlation of
-#: noise at any displacement is five times chance, seldom eight.
-BEYOND_CHANCE = 6.0
-#: Pairs of epochs examined; most must show structure, as one epoch may be there twice.
-PAIRS = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -74,6 +67,11 @@ class DecomposedEpochs:
         """Numbers of the scales that were decomposed."""
         return tuple(self.decomposer.scales)
 
+    @cached_property
+    def _followed(self):
+        """The features in a list, empty until they have been followed."""
+        return []
+
     @property
     def features(self) -> Features:
         """
@@ -99,12 +97,12 @@ class DecomposedEpochs:
         -------
         `~astro_scc.features.Features`
         """
-        if "features" not in vars(self):
-            vars(self)["features"] = find_features(
+        if not self._followed:
+            self._followed.append(find_features(
                 self.cube, ssps=self.ssps, region=self.region, n_workers=n_workers,
                 progress_bar=progress_bar,
-            )  # fmt: skip
-        return vars(self)["features"]
+            ))  # fmt: skip
+        return self._followed[0]
 
 
 def gather_patterns(cube, decomposer, decompositions, *, region=None):
@@ -147,7 +145,9 @@ def empty_region(decomposed, region):
 # -- decomposition -----------------------------------------------------------------
 
 
-def allow_for_structure(cube, decomposer):
+def allow_for_structure(
+    cube, decomposer, *, most_shared=0.5, beyond_chance=6.0, n_pairs=3
+):
     """
     Return a decomposer that does not take structure for noise.
 
@@ -160,6 +160,15 @@ def allow_for_structure(cube, decomposer):
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     decomposer : `~astro_scc.decomposition.Decomposer`
+    most_shared : float, optional
+        Apparent noise is structure if more than this share of its variance is in other
+        epochs too, ...
+    beyond_chance : float, optional
+        ... and more than so many times the share by chance.  The largest correlation
+        of noise at any displacement is five times chance, seldom eight.
+    n_pairs : int, optional
+        Pairs of epochs examined; most must show structure, as one epoch may be there
+        twice.
 
     Returns
     -------
@@ -174,13 +183,13 @@ def allow_for_structure(cube, decomposer):
     """
     if decomposer.noise == "propagated" or len(cube) < 2:
         return decomposer
-    starts = np.unique(np.linspace(0, len(cube) - 2, PAIRS).astype(int))
+    starts = np.unique(np.linspace(0, len(cube) - 2, n_pairs).astype(int))
     most = len(starts) // 2 + 1
     shares = []
     for left, k in zip(range(len(starts))[::-1], starts, strict=True):
         data, masks = cube.data[k : k + 2], cube.mask[k : k + 2]
         share, chance = decomposer.shared_variance(data, masks=masks)
-        real = share > np.maximum(SHARED, BEYOND_CHANCE * chance)
+        real = share > np.maximum(most_shared, beyond_chance * chance)
         shares.append(np.where(real, share, 0.0))
         if np.count_nonzero(shares, axis=0).max() + left < most:
             return decomposer
@@ -206,7 +215,7 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     cube : `~astro_scc.epochs.EpochCube`
     decomposer : `~astro_scc.decomposition.Decomposer`
     n_workers : int, str or `dask.distributed.Client`, optional
-        See `~astro_scc.correlation.Correlator`; the unit of work is an epoch.
+        See `~astro_scc.paper.Correlator`; the unit of work is an epoch.
     progress_bar : bool, optional
 
     Returns
@@ -214,15 +223,13 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
     tuple of ``Decomposition``
     """
     # A propagated noise needs the rms of each image and its beam in pixels.
-    facts = [{} for _ in range(len(cube))]
+    rms = beams = [None] * len(cube)
     if decomposer.noise == "propagated":
-        facts = [{"rms": rms} for rms in cube.noise_rms().value]
+        rms, inverse = cube.noise_rms().value, np.linalg.inv(cube.pixel_matrix.value)
         if cube.beams is not None:
-            inverse = np.linalg.inv(cube.pixel_matrix.value)
-            for known, beam in zip(facts, cube.beams, strict=True):
-                covariance = inverse @ beam.covariance.value @ inverse.T
-                known["beam_covariance"] = covariance
-    work = zip([decomposer] * len(cube), cube.data, cube.mask, facts, strict=True)
+            beams = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
+    images = cube.data, cube.mask, rms, beams
+    work = zip([decomposer] * len(cube), *images, strict=True)
     found = []
     with progress(len(cube), "Decomposing", show=progress_bar) as done:
         for decomposition in in_order(_decompose, work, n_workers):
@@ -232,8 +239,8 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
 
 
 def _decompose(work):
-    decomposer, image, mask, facts = work
-    return decomposer(image, mask=mask, **facts)
+    decomposer, image, mask, rms, beam_covariance = work
+    return decomposer(image, mask=mask, rms=rms, beam_covariance=beam_covariance)
 
 
 def centroids_inside(ssps, cube, region):

@@ -16,43 +16,10 @@ from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
-from astro_scc.paper.trials import baseline_pairs, consecutive_pairs
 from astro_scc.settings import require
 
-#: Largest relative difference between an angle and the size of the scale it names.
-SCALE_TOLERANCE = 0.2
-#: Largest scale number that an angle can name.
-LARGEST_SCALE = 12
-#: Smallest displacement in the longest interval, in pixels.
-LEAST_MOTION = 0.01
-#: Largest displacement in the shortest interval, in diagonals of the image.
-MOST_MOTION = 10
-#: Octaves of scales, the finest a quarter of the beam; without a beam, the coarsest
-#: is half of the size of the structures (`structure_size`).
-OCTAVES = 4
-#: What is smooth on this scale, in pixels, is background to the structures: those of 3
-#: to 8 px are then measured to 20% (``tests/plan/test_plan.py``).
-BACKGROUND = 16.0
-#: Number of epochs in which they are measured, and width of the part in the middle, in
-#: pixels.
-MOST_EPOCHS, MOST_PIXELS = 5, 512
-#: Faintest pixels that show a direction, in noises of an epoch.
-SNR = 5.0
-#: Structure is one-sided if the mean of the unit vectors from the core, weighted by
-#: brightness, is as long as this: of 63 sources of MOJAVE XVIII, CLEANed, it is 0.78 or
-#: more, of 20 simulated shells 0.23 or less (seeds from 8000 on).
-ONE_SIDED = 0.6
-#: Distance in beams within which are the wings of the core; the second one where
-#: nothing is seen farther out.
-CORE = (1.5, 1.0)
-#: It begins at the core if this share of the brightness is as near, in beams: within
-#: 3.5 of those jets; the shells have none within 18.
-INNER, NEAR = 0.05, 4.0
-#: Largest error of a direction that is used, in degrees.
-CERTAIN = 10.0
 
-
-def motion_of(cube, max_speed, interval):
+def motion_of(cube, max_speed, interval, *, least_motion=0.01, most_motion=10):
     """
     Return in words how far a largest speed moves, and the largest displacement in mas.
 
@@ -63,6 +30,10 @@ def motion_of(cube, max_speed, interval):
         In mas/yr.
     interval : `~numpy.ndarray`
         Of the pairs of dates, in years.
+    least_motion : float, optional
+        Smallest displacement in the longest interval, in pixels.
+    most_motion : float, optional
+        Largest displacement in the shortest interval, in diagonals of the image.
 
     Raises
     ------
@@ -74,15 +45,15 @@ def motion_of(cube, max_speed, interval):
     least, most = max_speed * np.array([interval.min(), interval.max()])
     image = np.hypot(*(side * shape[::-1]))
     moved = f"max_speed moves {least:.3g} to {most:.3g} mas between two dates"
-    too_fast = least > MOST_MOTION * image
-    if too_fast or most < LEAST_MOTION * side.min():
+    too_fast = least > most_motion * image
+    if too_fast or most < least_motion * side.min():
         sizes = f"images of {image:.3g} mas with pixels of {side.min():.3g} mas"
         other = "smaller" if too_fast else "larger"
         raise ValueError(f"{moved}, in {sizes}: give a {other} one")
     return moved, most
 
 
-def scale_numbers(cube, scales):
+def scale_numbers(cube, scales, *, tolerance=0.2, largest=12):
     """
     Return the numbers of the scales, for the pixels of a cube.
 
@@ -92,6 +63,10 @@ def scale_numbers(cube, scales):
     scales : tuple of float, `~astropy.units.Quantity` or None
         As settings have them; if None, they follow from the beam, or the size of the
         structures.
+    tolerance : float, optional
+        Largest relative difference between an angle and the size of the scale it names.
+    largest : int, optional
+        Number that no scale reaches that an angle can name.
 
     Returns
     -------
@@ -100,65 +75,24 @@ def scale_numbers(cube, scales):
     Raises
     ------
     ValueError
-        If an angle is not within 20% of a scale's size, or two angles mean the same
+        If an angle is not near a scale's size, or two angles mean the same
         scale.
     """
     if scales is None:
         return choose_scales(cube)[0]
     if not isinstance(scales, u.Quantity):
         return scales
-    numbers = np.arange(0, LARGEST_SCALE, 0.5)
+    numbers = np.arange(0, largest, 0.5)
     sizes = np.array([scale_size(j) for j in numbers])
     wanted = (scales / cube.pixel_scale).to_value(u.one)
     nearest = np.abs(np.log(wanted[:, None] / sizes)).argmin(axis=1)
     for angle, size, k in zip(scales, wanted, nearest, strict=True):
-        if abs(size / sizes[k] - 1) > SCALE_TOLERANCE:
+        if abs(size / sizes[k] - 1) > tolerance:
             raise ValueError(
                 f"scale {angle} is {size:.2g} px, not near 2^j or 1.5 x 2^j px"
             )
     # Two angles may mean the same scale.
     return require("scales", numbers[nearest].tolist())
-
-
-def pairs_of_dates(cube, baseline):
-    """
-    Return the pairs of dates that are compared.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    baseline : `~astropy.units.Quantity`, shape (2,), or None
-        Shortest and longest interval; if None, consecutive epochs are paired.
-
-    Returns
-    -------
-    ``DatePairs``
-
-    Raises
-    ------
-    ValueError
-        If no two epochs make a pair.
-    """
-    years = cube.years.to_value(u.yr)
-    if len(years) < 2:
-        raise ValueError(
-            "velocities need at least two epochs, the cube has one: give images of "
-            "other dates (a file that is given twice counts once)"
-        )
-    if baseline is None:
-        pairs = consecutive_pairs(years)
-        why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-        why += "velocities need different dates"
-    else:
-        shortest, longest = baseline.to_value(u.yr)
-        pairs = baseline_pairs(years, shortest, longest)
-        least, most = np.diff(years).min(), np.ptp(years)
-        why = f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
-        why += f"separations go from {least:.3g} to {most:.3g} yr; choose another "
-        why += "baseline"
-    if len(pairs) == 0:
-        raise ValueError(why)
-    return pairs
 
 
 def flow_direction(decomposed, frame=None):
@@ -271,13 +205,15 @@ def flow_beam(cube):
     return max(cube.resolution.to_value(u.mas), PIXELS_RESOLVED * pixel)
 
 
-def choose_scales(cube):
+def choose_scales(cube, *, octaves=4):
     """
     Return the scales that suit the resolution of the images.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
+    octaves : int, optional
+        Largest number of scales.
 
     Returns
     -------
@@ -302,17 +238,17 @@ def choose_scales(cube):
     if cube.beams is None:
         size = structure_size(cube)
         last = min(most, max(1, round(np.log2(size / 2))))
-        scales = range(max(1, last - OCTAVES + 1), last + 1)
+        scales = range(max(1, last - octaves + 1), last + 1)
         reason = f"up to half of the size of the structures ({size:.1f} px)"
     else:
         size = each_fwhm(cube).mean() / cube.pixel_scale.to_value(u.mas)
         first = round(np.log2(size / 4))
-        scales = range(max(1, first), min(most, max(1, first + OCTAVES - 1)) + 1)
+        scales = range(max(1, first), min(most, max(1, first + octaves - 1)) + 1)
         reason = f"from a quarter of the beam ({size:.1f} px) to two beams"
     return tuple(scales) or (most,), reason
 
 
-def structure_size(cube):
+def structure_size(cube, *, background=16.0, most_epochs=5, most_pixels=512):
     """
     Return the full width at half maximum of the structures in the images.
 
@@ -323,22 +259,27 @@ def structure_size(cube):
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
+    background : float, optional
+        What is smooth on this scale, in pixels, is background to the structures: those
+        of 3 to 8 px are then measured to 20%.
+    most_epochs, most_pixels : int, optional
+        Number of epochs that are used, and width of the part in the middle.
 
     Returns
     -------
     float
         In pixels, at least 2; too small by a fifth for structures of 14 px.
     """
-    some = np.unique(np.linspace(0, len(cube) - 1, MOST_EPOCHS).astype(int))
-    n = int(min(4 * BACKGROUND, *cube.shape[1:]))
+    some = np.unique(np.linspace(0, len(cube) - 1, most_epochs).astype(int))
+    n = int(min(4 * background, *cube.shape[1:]))
     total = np.zeros((n, n))
-    first = [max(0, (size - MOST_PIXELS) // 2) for size in cube.shape[1:]]
-    middle = tuple(slice(start, start + MOST_PIXELS) for start in first)
+    first = [max(0, (size - most_pixels) // 2) for size in cube.shape[1:]]
+    middle = tuple(slice(start, start + most_pixels) for start in first)
     for epoch in some:
         parts = (a[epoch][middle] for a in (cube.data, cube.mask))
         image = np.ma.masked_invalid(np.ma.masked_array(*parts, dtype=float))
         image = (image - np.ma.median(image)).filled(0.0)
-        image -= gaussian_filter(image, BACKGROUND)
+        image -= gaussian_filter(image, background)
         power = np.abs(fft.rfft2(image, np.array(image.shape) + n - 1)) ** 2
         total += fft.irfft2(power, np.array(image.shape) + n - 1)[:n, :n]
     lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
@@ -355,13 +296,29 @@ def structure_size(cube):
     return max(2.0, float(2 * half / np.sqrt(2)))
 
 
-def choose_direction(cube):
+def choose_direction(
+    cube, *, snr=5.0, cores=(1.5, 1.0), one_sided=0.6, begins=(0.05, 4.0), certain=10.0
+):  # fmt: skip
     """
     Return the direction of a one-sided jet, from the mean of its images.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
+    snr : float, optional
+        Faintest pixels that show a direction, in noises of an epoch.
+    cores : tuple of float, optional
+        Distance in beams within which are the wings of the core; the next one where
+        nothing is seen farther out.
+    one_sided : float, optional
+        Structure is one-sided if the mean of the unit vectors from the core, weighted
+        by brightness, is as long: of 63 sources of MOJAVE XVIII, CLEANed, it is 0.78 or
+        more, of 20 simulated shells 0.23 or less (seeds from 8000 on).
+    begins : (float, float), optional
+        It begins at the core if this share of the brightness is as near, in beams:
+        within 3.5 of those jets; the shells have none within 18.
+    certain : float, optional
+        Largest error of a direction that is used, in degrees.
 
     Returns
     -------
@@ -396,8 +353,8 @@ def choose_direction(cube):
     x, y = cube.offset_to_pixel(-east, -north)
     excess = image - map_coordinates(image, [y, x], order=1, cval=0.0)
     noise = np.median(u.Quantity(cube.noise_rms()).value)
-    for core in CORE:
-        use = (excess > SNR * noise) & (beams > core)
+    for core in cores:
+        use = (excess > snr * noise) & (beams > core)
         if use.any():
             break
     else:
@@ -405,9 +362,9 @@ def choose_direction(cube):
     order = np.argsort(r[use])
     r, offset, excess = (a[use][order] for a in (r, offset, excess))
     length = np.hypot(*((excess / r) @ offset))
-    if length <= ONE_SIDED * excess.sum() or error.value > CERTAIN:
+    if length <= one_sided * excess.sum() or error.value > certain:
         return None, "the structure is not on one side of the reference pixel"
-    share = np.cumsum(excess) / excess.sum()
-    if r[np.searchsorted(share, INNER)] > NEAR * cube.resolution.to_value(u.mas):
+    (inner, near), share = begins, np.cumsum(excess) / excess.sum()
+    if r[np.searchsorted(share, inner)] > near * cube.resolution.to_value(u.mas):
         return None, "the structure does not begin at the reference pixel"
     return np.round(angle), "that of the mean image"

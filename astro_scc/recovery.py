@@ -35,11 +35,6 @@ from astro_scc.writing import versions
 
 __all__ = ["completeness", "draw_paths", "inject"]
 
-#: Largest difference of a stream's velocity from that of the features, in beams
-#: over the median interval.
-TOLERANCE = 0.2
-#: Confidence level of the intervals of shares.
-CONFIDENCE = 0.95
 #: Beginning of the warning of a region without SSPs.
 NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
@@ -409,7 +404,7 @@ def _lengths(cube, fwhm, tolerance):
         width = flow_beam(cube)
     if tolerance is None:
         gaps = np.diff(cube.years.to_value(u.yr))
-        return width, TOLERANCE * width / np.median(gaps[gaps > 0])
+        return width, 0.2 * width / np.median(gaps[gaps > 0])
     wanted = "a proper motion", "2 mas/yr"
     tolerance = q.named("tolerance", q.one_quantity, tolerance, *wanted)
     return width, tolerance.to_value(PM_UNIT)
@@ -494,7 +489,7 @@ def _counted(outcomes):
     """Return how many injections were found, and how well (None if unknown)."""
     found = [outcome for outcome in outcomes if outcome is not None]
     n, of = len(found), len(outcomes)
-    low, high = binom_conf_interval(n, of, CONFIDENCE, interval="jeffreys").tolist()
+    low, high = binom_conf_interval(n, of, 0.95, interval="jeffreys").tolist()
     off, error = np.array(found).reshape(-1, 2).T
     spread = float(off.std(ddof=1)) if n > 1 else None
     return {

@@ -33,13 +33,18 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame
-from astro_scc.matching import MatchedEpochs, SearchPlan, match_epochs
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.axes import (
     alignment_errors,
     velocity_frame,
 )
 from astro_scc.measurement.parts import parts_of
+from astro_scc.paper.matching import (
+    MatchedEpochs,
+    SearchPlan,
+    match_epochs,
+    pairs_of_dates,
+)
 from astro_scc.patterns import (
     DecomposedEpochs,
     allow_for_structure,
@@ -52,7 +57,6 @@ from astro_scc.plan import (
     flow_beam,
     flow_direction,
     motion_of,
-    pairs_of_dates,
     scale_numbers,
 )
 from astro_scc.progress import progress
@@ -91,7 +95,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     ----------
     method : {"spectrum", "paper"}, optional
         Find streams in the velocity spectrum, or components as Mertens & Lobanov
-        (2016): then a call returns an `~astro_scc.paper_method.PaperMeasurement`.
+        (2016): then a call returns an `~astro_scc.paper.method.PaperMeasurement`.
     scales : sequence of float or str, optional
         Wavelet scales, by number (j means 2^j pixels, j + 1/2 means
         1.5 x 2^j) or by size, as angles; by default from a quarter of the beam
@@ -113,7 +117,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     min_error_beams : float, optional
         Smallest standard error of a displacement, in beams.
     kappa, target, min_overlap
-        See `~astro_scc.correlation.Correlator`.
+        See `~astro_scc.paper.Correlator`.
     wavelet, detection, segmentation, noise
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
     alpha : float, optional
@@ -187,7 +191,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.matching.SearchPlan`
+        `~astro_scc.paper.matching.SearchPlan`
 
         Raises
         ------
@@ -290,7 +294,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
         Returns
         -------
-        `~astro_scc.matching.MatchedEpochs`
+        `~astro_scc.paper.matching.MatchedEpochs`
 
         Raises
         ------
@@ -427,7 +431,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         Returns
         -------
         `~astro_scc.measurement.SCCResult` or PaperMeasurement
-            See `~astro_scc.paper_method.PaperMeasurement` and ``method``.
+            See `~astro_scc.paper.method.PaperMeasurement` and ``method``.
 
         Raises
         ------
@@ -438,7 +442,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         # Refused before the decomposition.
         n_trials = require("n_trials", n_trials)
         if self.method == "paper":
-            from astro_scc.paper_method import measure_as_in_paper
+            from astro_scc.paper.method import measure_as_in_paper
 
             found: Any = measure_as_in_paper(
                 cube, self, region=region, n_trials=n_trials, rng=rng,

@@ -250,7 +250,7 @@ def write_notebooks(app):
     folder = Path(app.srcdir, "_build", "notebooks")
     folder.mkdir(parents=True, exist_ok=True)
     for script in Path(app.srcdir).parent.glob("examples/*.py"):
-        if script.stem != "common":
+        if script.stem not in ("common", "relativity"):
             text = json.dumps(notebook_of(script), indent=1)
             (folder / f"{script.stem}.ipynb").write_text(text, encoding="utf-8")
 

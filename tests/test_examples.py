@@ -11,7 +11,9 @@ import pytest
 from astropy.table import Table
 
 FOLDER = Path(__file__).parents[1] / "examples"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "common")
+#: Modules of functions, which run nothing.
+MODULES = "common", "relativity"
+NAMES = sorted({path.stem for path in FOLDER.glob("*.py")} - {*MODULES})
 SIMULATED = ("hubble", "protostar", "shell", "sun", "texture", "two_fluid")
 #: Of the journal, which the pages say how to get.
 TABLE = "apjac230ft4_mrt.txt"

@@ -43,7 +43,7 @@ def result(jet_results):
     labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(len(cube) - 1)))
     cube = replace(cube, labels=labels).with_step(f"tested with {HOSTILE}")
     decomposed = replace(measured.decomposed, cube=cube)
-    vars(decomposed)["features"] = measured.tracked_features
+    decomposed._followed.append(measured.tracked_features)
     return replace(measured, decomposed=decomposed)
 
 

@@ -13,7 +13,7 @@ from astropy.wcs import WCS
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.measurement.parts import parts_of
-from astro_scc.paper.peaks import find_velocity_peaks
+from astro_scc.paper.components import find_velocity_peaks
 from astro_scc.products import write_products
 from astro_scc.quantities import seeded
 from astro_scc.simulation import simulate_two_fluid

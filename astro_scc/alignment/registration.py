@@ -8,11 +8,11 @@ import numpy as np
 from astropy.table import QTable
 from scipy import ndimage, optimize
 
-from astro_scc.correlation.zncc import correlate_windows
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.images.grid import BAD_WEIGHT, fill_masked
 from astro_scc.images.series import ImageSeries
+from astro_scc.images.zncc import correlate_windows
 
 #: Scatter in beams at which there is a warning.  Of 200 static jets with 0.2 and 0.3,
 #: none seems to move; more is not calibrated (``static_table.csv``).

@@ -29,7 +29,7 @@ from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.dates import date_labels
 from astro_scc.images.fits import find_files
 from astro_scc.images.positions import readable_angle
-from astro_scc.paper.trials import baseline_pairs
+from astro_scc.paper.stack import baseline_pairs
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.report.answer import misalignment_text

@@ -24,10 +24,6 @@ INNERMOST = 0.2
 FINE = 8
 #: Step of the search, in beams.
 STEP = 0.25
-#: A line turns back if it comes within a beam of its points this many beams earlier.
-APART = 3.0
-#: Number of points of a slice across the jet.
-SLICE = 61
 
 
 def frame_displacements(frame, position, motion):
@@ -83,7 +79,7 @@ class SkyFrame:
         return _everywhere(np.eye(2), east, north)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class PositionAngleFrame:
     """
     Axes along a position angle and across it.
@@ -123,7 +119,7 @@ class PositionAngleFrame:
 
     def __post_init__(self):
         pa = named("pa", one_quantity, self.pa, "an angle", "65 deg", False)
-        object.__setattr__(self, "pa", pa.to(u.deg))
+        self.pa = pa.to(u.deg)
 
     def matrix(self, east: ArrayLike = 0.0, north: ArrayLike = 0.0) -> np.ndarray:
         """
@@ -732,8 +728,8 @@ def _follow(cube, image, direction, half, faintest):
 
 
 def _met_again(points, point, width):
-    """Return the index of an earlier point within a beam of a new one, or None."""
-    earlier = np.array(points[: -round(APART / STEP)])
+    """Return the index of a point three beams earlier within a beam of one, or None."""
+    earlier = np.array(points[: -round(3 / STEP)])
     if len(earlier) == 0:
         return None
     away = np.hypot(*(earlier - point).T)
@@ -745,7 +741,7 @@ def _slice_point(cube, image, guess, direction, half):
     from scipy.ndimage import label, map_coordinates
 
     normal = np.array([direction[1], -direction[0]])
-    n = np.linspace(-half, half, SLICE)
+    n = np.linspace(-half, half, 61)
     x, y = cube.offset_to_pixel(*((guess + n[:, None] * normal).T * u.mas))
     values = np.nan_to_num(map_coordinates(image, [y, x], order=1, cval=np.nan))
     top = int(values.argmax())

@@ -414,7 +414,7 @@ def map_hdus(result, *, text=None):
 
     Parameters
     ----------
-    result : `SCCResult` or `~astro_scc.paper_method.PaperMeasurement`
+    result : `SCCResult` or `~astro_scc.paper.method.PaperMeasurement`
     text : str, optional
 
     Returns

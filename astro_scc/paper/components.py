@@ -1,39 +1,27 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The paper's measurement: stack, significance, and velocity components."""
+"""The paper's measurement: maxima of the stack, their significance and errors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from astro_scc.paper.peaks import (
-    find_velocity_peaks,
-    jitter_positions,
-    normal_probability,
-)
+from astro_scc.images.zncc import find_peaks
 from astro_scc.paper.stack import (
+    REACH_SIGMA,
+    DatePairs,
     Displacements,
+    gaussian_sum,
     match_velocities,
     stack_matches,
     velocity_axes,
 )
-from astro_scc.paper.trials import DatePairs
 from astro_scc.spectrum.maps import VelocityMap
-
-#: Spacing of the velocity grid in units of the narrowest kernel; and grid points on
-#: either side of zero where there are no matches.
-GRID_STEP, GRID_POINTS = 0.5, 20
-#: Standard deviations of stacks are at least this fraction of the largest one: where
-#: hardly a trial has a match, a small coefficient is no discovery.
-STD_FLOOR = 0.3
-#: Components that a larger share of the trials exceeds are left out, but for the first.
-MOST_NOISE = 0.5
-#: A match belongs to a component within this many of its standard errors.
-MEMBER_SIGMA = 2.0
 
 
 @dataclass(frozen=True)
@@ -155,11 +143,11 @@ def stack_patterns(
 
     Examples
     --------
-    From a cube of images, step by step; `astro_scc.paper_method.measure_as_in_paper`
+    From a cube of images, step by step; `astro_scc.paper.method.measure_as_in_paper`
     does the same in one call:
 
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.paper import Correlator
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> from astro_scc.paper import (
     ...     Displacements, consecutive_pairs, draw_orders, image_pairs, stack_patterns)
@@ -203,7 +191,8 @@ def stack_patterns(
     coefficient = stack_matches(displacements, pairs, axes)
     peaks = find_velocity_peaks(coefficient, axes, box)
     peaks.sort(key=lambda c: -z_score[c.row, c.column])
-    noise = np.quantile(trial_z, 1 - MOST_NOISE)
+    # But for the first, those that more than half of the trials exceed are left out.
+    noise = np.median(trial_z)
     strong = [c for c in peaks[1:] if z_score[c.row, c.column] > noise]
     matches = match_velocities(displacements, pairs)
     components = tuple(
@@ -216,26 +205,28 @@ def stack_patterns(
 
 
 def _axes(displacements, pairs, max_speed):
-    rate = GRID_STEP / pairs.interval.max()
-    step = max_speed / GRID_POINTS
+    """Return velocities half a standard error of the surest match apart, or less."""
+    step = max_speed / 20
     if len(displacements):
         narrowest = np.array([displacements.s1.min(), displacements.s2.min()])
-        step = np.minimum(step, rate * narrowest)
+        step = np.minimum(step, 0.5 * narrowest / pairs.interval.max())
     return velocity_axes(max_speed, step)
 
 
-def _significance(stacks):
+def _significance(stacks, least_std=0.3):
     """
     Return the z-score of the first of many stacks.
 
     Each stack is compared with all others, so that under permutations the first is one
-    of equals.  The largest z-score of each of the others is returned, too.
+    of equals.  The largest z-score of each of the others is returned, too.  Standard
+    deviations are at least ``least_std`` of the largest one: where hardly a trial has a
+    match, a small coefficient is no discovery.
     """
     n = len(stacks)
     total = stacks.sum(axis=0, dtype=float)
     squares = np.einsum("kij,kij->ij", stacks, stacks, dtype=float)
     variance = np.maximum(squares / n - (total / n) ** 2, 0.0)
-    floor = STD_FLOOR * np.sqrt(variance.max() * n / (n - 1))
+    floor = least_std * np.sqrt(variance.max() * n / (n - 1))
     highest = np.zeros(n)
     for k in range(n - 1, -1, -1):
         stack = stacks[k].astype(float)
@@ -260,7 +251,7 @@ def _component(matches, peak, box, z_score, trial_z, alpha, rng):
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     error = np.sqrt(np.diag(covariance))
     v1, v2, s1, s2, _ = columns
-    member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= MEMBER_SIGMA
+    member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= 2
     n_ssp = len(np.unique(ends[0, member]))
     return PaperComponent(
         peak.v1, peak.v2, *error.tolist(), float(covariance[0, 1] / np.prod(error)),
@@ -268,3 +259,228 @@ def _component(matches, peak, box, z_score, trial_z, alpha, rng):
         *offset.tolist(), normal_probability(away), len(away) / n_trials,
         n_ssp, len(np.unique(pair[member])),
     )  # fmt: skip
+
+
+# -- maxima and their errors -------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class VelocityPeak:
+    """
+    A maximum of a stack.
+
+    Attributes
+    ----------
+    v1, v2 : float
+        Velocity along the two axes, from the Gaussian fit or, if no
+        Gaussian with a maximum in the box fits, from the local quadratic.
+    coefficient : float
+        Stacked correlation coefficient at the maximum.
+    row, column : int
+        Grid point of the maximum.
+    """
+
+    v1: float
+    v2: float
+    coefficient: float
+    row: int
+    column: int
+
+
+def fit_gaussian(values, x, y):
+    """
+    Fit a two-dimensional Gaussian by linear least squares of its logarithm.
+
+    ``ln f = a + b x + c y + d x^2 + e x y + g y^2`` is fitted with weights f^2,
+    so that the residuals are those of f itself to first order (Guo 2011, IEEE
+    Signal Process. Mag. 28, 134).
+
+    Parameters
+    ----------
+    values : array_like, shape (ny, nx)
+        Only positive values enter the fit.
+    x, y : array_like, shapes (nx,) and (ny,)
+
+    Returns
+    -------
+    (float, float) or None
+        Its centre (x, y); None if the surface has no maximum.
+    """
+    values = np.asarray(values, dtype=float)
+    gx, gy = np.meshgrid(x, y)
+    good = values > 1e-6 * values.max(initial=0.0)
+    if good.sum() < 6:
+        return None
+    f, gx, gy = values[good] / values.max(), gx[good], gy[good]
+    # Coordinates are centred and scaled, or the normal equations lose digits.
+    x0, y0 = gx.mean(), gy.mean()
+    scale = max(np.ptp(gx), np.ptp(gy))
+    px, py = (gx - x0) / scale, (gy - y0) / scale
+    design = np.stack([np.ones_like(px), px, py, px * px, px * py, py * py], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(design * f[:, None], f * np.log(f))
+    if rank < 6:
+        return None
+    _, b, c, d, e, g = solution
+    curvature = -np.array([[2 * d, e], [e, 2 * g]])
+    if not (curvature[0, 0] > 0 and np.linalg.det(curvature) > 0):
+        return None
+    centre = np.linalg.inv(curvature) @ np.array([b, c])
+    return float(x0 + scale * centre[0]), float(y0 + scale * centre[1])
+
+
+def find_velocity_peaks(
+    scc: np.ndarray, axes: tuple[np.ndarray, np.ndarray], box: tuple[float, float],
+    *, level: float = 0.5,
+) -> list[VelocityPeak]:  # fmt: skip
+    """
+    Find the maxima of a stack and fit a Gaussian to a box around each.
+
+    Only grid points in the box that reach ``level`` of the maximum and are nearer
+    to it than to any other maximum enter the fit: neighbouring maxima would
+    attract the fit, and unrelated matches beneath the maximum would widen it.
+
+    Parameters
+    ----------
+    scc : `~numpy.ndarray`, shape (n2, n1)
+    axes : tuple of `~numpy.ndarray`, shapes (n1,) and (n2,)
+        Velocities, evenly spaced.
+    box : tuple of float
+        Sides of the box along the two axes; in the paper, the beam divided by
+        the interval.
+    level : float, optional
+        Smallest value that enters the fit, as a fraction of the maximum.
+
+    Returns
+    -------
+    list of `VelocityPeak`
+        In the order of decreasing coefficient.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.paper.components import find_velocity_peaks
+    >>> v = np.linspace(-4, 4, 33)
+    >>> scc = np.exp(-((v - 1.1) ** 2 + v[:, None] ** 2) / 2)
+    >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, (v, v), (2.0, 2.0))]
+    [1.1]
+    """
+    _, y, x, _ = find_peaks(scc[None], np.finfo(float).tiny)
+    # Simple rounding may miss the grid point of a maximum.
+    ends = np.stack([np.floor([y, x]), np.ceil([y, x])], axis=-1).astype(int)
+    points = [max(product(*both), key=scc.__getitem__) for both in ends.swapaxes(0, 1)]
+    (axis1, axis2), found = axes, []
+    step1, step2 = axis1[1] - axis1[0], axis2[1] - axis2[0]
+    for (row, column), py, px in zip(points, y, x, strict=True):
+        v1, v2 = float(axis1[0] + px * step1), float(axis2[0] + py * step2)
+        near1 = np.abs(axis1 - axis1[column]) <= max(box[0] / 2, 1.5 * step1)
+        near2 = np.abs(axis2 - axis2[row]) <= max(box[1] / 2, 1.5 * step2)
+        part = rows, columns = np.ix_(near2, near1)
+        # Grid points that are nearer to this maximum than to any other.
+        apart = [(rows - r) ** 2 + (columns - c) ** 2 for r, c in points]
+        nearest = (rows - row) ** 2 + (columns - column) ** 2 <= np.min(apart, axis=0)
+        use = nearest & (scc[part] >= level * scc[row, column])
+        values = np.where(use, scc[part], 0.0)
+        fit = fit_gaussian(values, axis1[near1], axis2[near2])
+        if fit is not None:
+            away1, away2 = np.abs(np.subtract(fit, (v1, v2)))
+            if away1 <= max(box[0] / 2, step1) and away2 <= max(box[1] / 2, step2):
+                v1, v2 = fit
+        found.append(VelocityPeak(v1, v2, float(scc[row, column]), row, column))
+    return sorted(found, key=lambda c: -c.coefficient)
+
+
+def jitter_positions(
+    ends: np.ndarray, columns: np.ndarray, peak: VelocityPeak,
+    box: tuple[float, float], n_trials: int, rng: np.random.Generator, *,
+    n_points: int = 21,
+) -> np.ndarray:  # fmt: skip
+    """
+    Shift the SSPs by their position errors and find a maximum of the stack again.
+
+    Each trial draws one shift for every SSP from a normal distribution (paper,
+    Sect. 2.4), stacks the matches about the maximum again, and takes the maximum
+    nearest to it, within half a box.
+
+    Parameters
+    ----------
+    ends : `~numpy.ndarray` of int, shape (2, k)
+        The SSP of each match, and the SSP on which it falls, or -1.
+    columns : `~numpy.ndarray`, shape (5, k)
+        See ``match_velocities``.
+    peak : `VelocityPeak`
+    box : tuple of float
+        Sides of the box, see `find_velocity_peaks`.
+    n_trials : int
+    rng : `~numpy.random.Generator`
+    n_points : int, optional
+        Grid points of a box on each axis.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_found, 2)
+        How far the maximum lies from the formal one, along both axes, in the trials in
+        which it is found.
+    """
+    box = np.asarray(box, dtype=float)
+    # Two boxes wide, so that what the fit takes from a box is inside.
+    axes = velocity_axes(box, box / (n_points - 1))
+    apart = np.abs(columns[:2] - np.array([[peak.v1], [peak.v2]]))
+    near = np.all(apart < box[:, None] + REACH_SIGMA * columns[2:4], axis=0)
+    (ssp, target), (v1, v2, s1, s2, weight) = ends[:, near], columns[:, near]
+    # An SSP is one position in all its matches, at either end of a displacement; an end
+    # without an SSP is a position of its own.
+    target = np.where(target < 0, -1 - np.arange(len(target)), target)
+    positions, number = np.unique([ssp, target], return_inverse=True)
+    (start, end), found = number.reshape(2, -1), []
+    for _ in range(n_trials):
+        # Each end of a displacement has half of its variance.
+        unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
+        moved1, moved2 = unit[:, end] - unit[:, start]
+        x, y = v1 - peak.v1 + s1 * moved1, v2 - peak.v2 + s2 * moved2
+        local = gaussian_sum(np.stack([x, y, s1, s2, weight]), axes)
+        maxima = np.array([(c.v1, c.v2) for c in find_velocity_peaks(local, axes, box)])
+        if len(maxima):
+            away = np.abs(maxima / box)
+            nearest = np.argmin((away**2).sum(axis=1))
+            if away[nearest].max() <= 0.5:
+                found.append(maxima[nearest])
+    return np.reshape(found, (-1, 2))
+
+
+def normal_probability(values: np.ndarray) -> float:
+    """
+    Return the probability that normally distributed values look less normal.
+
+    The test of Jarque and Bera, of skewness and kurtosis with their exact moments
+    (Urzua 1996, Econ. Lett. 53, 247), for two uncorrelated linear combinations of two
+    variables.
+
+    Parameters
+    ----------
+    values : `~numpy.ndarray`, shape (n, 2)
+
+    Returns
+    -------
+    float
+        NaN for fewer than eight values, or if they lie on a line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.paper.components import normal_probability
+    >>> values = np.random.default_rng(1).normal(size=(500, 2))
+    >>> bool(normal_probability(values) > 0.05 > normal_probability(values**3))
+    True
+    """
+    n = len(values)
+    covariance = np.cov(values.T, bias=True) if n >= 8 else np.zeros((2, 2))
+    if not np.linalg.det(covariance) > 0:
+        return np.nan
+    root = np.linalg.cholesky(covariance)
+    unit = np.linalg.solve(root, (values - values.mean(axis=0)).T)
+    skewness = (unit**3).mean(axis=1) / np.sqrt(6 * (n - 2) / ((n + 1) * (n + 3)))
+    variance = 24 * n * (n - 2) * (n - 3) / ((n + 1) ** 2 * (n + 3) * (n + 5))
+    kurtosis = (unit**4).mean(axis=1) - 3 * (n - 1) / (n + 1)
+    # The tail of a chi-squared distribution of four degrees of freedom.
+    half = 0.5 * float((skewness**2 + kurtosis**2 / variance).sum())
+    return float(np.exp(-half) * (1 + half))

@@ -1,18 +1,203 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The stack of the paper: displacements of matches, velocities, and their sum."""
+"""The stack of the paper: pairs of dates, orders of epochs, and sums of velocities."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-#: Most velocities along an axis of the grid; the spacing grows if there would be more.
-MOST_VELOCITIES = 301
-#: Matches that are summed at once, to limit memory.
-BLOCK = 16384
 #: Gaussians are neglected beyond this many standard deviations.
 REACH_SIGMA = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class DatePairs:
+    """
+    Pairs of dates that a stack compares, the earlier date first.
+
+    Attributes
+    ----------
+    first, second : `~numpy.ndarray` of int, shape (n_pairs,)
+        Indices of the dates.
+    interval : `~numpy.ndarray`, shape (n_pairs,)
+        Time between them in years, positive.
+    weight : `~numpy.ndarray`, shape (n_pairs,)
+        Weight of the pair in the stack.
+    n_dates : int
+
+    Examples
+    --------
+    >>> from astro_scc.paper import consecutive_pairs
+    >>> pairs = consecutive_pairs([2000.0, 2000.5, 2002.0])
+    >>> len(pairs), pairs.interval.tolist()
+    (2, [0.5, 1.5])
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    interval: np.ndarray
+    weight: np.ndarray
+    n_dates: int
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def images(self, order: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the ordered pairs of images for an order of the images over the dates.
+
+        Parameters
+        ----------
+        order : array_like of int, shape (..., n_dates), optional
+            Image at each date; by default the observed order.
+
+        Returns
+        -------
+        reference, target : `~numpy.ndarray` of int, shape (..., n_pairs)
+        """
+        order = np.arange(self.n_dates) if order is None else np.asarray(order)
+        return order[..., self.first], order[..., self.second]
+
+
+def consecutive_pairs(years: ArrayLike) -> DatePairs:
+    """
+    Return the pairs of each date and the next one, as in the paper.
+
+    Epochs of the same date have no interval between them and make no pair.
+
+    Parameters
+    ----------
+    years : array_like, shape (n_dates,)
+        Dates in years, ascending.
+
+    Returns
+    -------
+    ``DatePairs``
+
+    Examples
+    --------
+    >>> from astro_scc.paper import consecutive_pairs
+    >>> consecutive_pairs([0.0, 0.5, 1.5]).interval
+    array([0.5, 1. ])
+    """
+    gaps = np.diff(np.asarray(years, dtype=float))
+    first = np.flatnonzero(gaps > 0)
+    return DatePairs(first, first + 1, gaps[first], np.ones(len(first)), len(years))
+
+
+def baseline_pairs(years: ArrayLike, shortest: float, longest: float) -> DatePairs:
+    """
+    Return all pairs of dates whose separation lies in a range.
+
+    The weights are inverse variances: a displacement error sigma gives a
+    velocity error sigma / interval, so pairs are weighted by the square of
+    their interval, normalised to a mean of one.
+
+    Parameters
+    ----------
+    years : array_like, shape (n_dates,)
+        Dates in years, ascending.
+    shortest, longest : float
+        Range of separations in years, both included.
+
+    Returns
+    -------
+    ``DatePairs``
+
+    Examples
+    --------
+    >>> from astro_scc.paper import baseline_pairs
+    >>> pairs = baseline_pairs([0.0, 0.5, 1.5], 0.8, 1.2)
+    >>> pairs.first, pairs.second
+    (array([1]), array([2]))
+    """
+    years = np.asarray(years, dtype=float)
+    separation = years[None, :] - years[:, None]
+    # Rounded limits must not lose a pair.  The slack is a third of a day, or 1% of
+    # the longest separation if dates are minutes apart.
+    slack = min(1e-3, 0.01 * longest)
+    inside = (separation >= shortest - slack) & (separation <= longest + slack)
+    first, second = np.nonzero(inside & (separation > 0))
+    interval = separation[first, second]
+    weight = interval**2 / np.mean(interval**2) if len(interval) else interval
+    return DatePairs(first, second, interval, weight, len(years))
+
+
+def draw_orders(
+    pairs: DatePairs, n_trials: int, rng: np.random.Generator, *,
+    most_pairs: int = 5000,
+) -> np.ndarray:  # fmt: skip
+    """
+    Draw random orders of the epochs, of which few ordered pairs need matches.
+
+    In a short series all orders are equally likely, also those in which an epoch
+    keeps its successor: only then is the observed order one of them.  In a longer
+    one, epochs are divided at random into groups, and each is exchanged within its
+    group alone.  These orders are a group of permutations, too, so that
+    probabilities stay exact however many trials there are.
+
+    Parameters
+    ----------
+    pairs : ``DatePairs``
+    n_trials : int
+    rng : `~numpy.random.Generator`
+    most_pairs : int, optional
+        Number of ordered pairs of epochs, for which groups are made; 5000 are about a
+        minute of correlations.  There are at least five epochs in each group.
+
+    Returns
+    -------
+    `~numpy.ndarray` of int, shape (n_trials, n_dates)
+        Image at each date.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.paper import consecutive_pairs, draw_orders, image_pairs
+    >>> pairs = consecutive_pairs(np.arange(200.0))
+    >>> orders = draw_orders(pairs, 1000, np.random.default_rng(1))
+    >>> len(image_pairs(pairs, orders)) < 6000
+    True
+    """
+    n = size = pairs.n_dates
+    if n * (n - 1) > most_pairs:
+        size = max(int(np.sqrt(most_pairs / len(pairs))), 5)
+    orders = np.tile(np.arange(n), (n_trials, 1))
+    for group in np.array_split(rng.permutation(n), max(n // size, 1)):
+        orders[:, group] = rng.permuted(np.tile(group, (n_trials, 1)), axis=1)
+    return orders
+
+
+def image_pairs(pairs: DatePairs, orders: ArrayLike) -> np.ndarray:
+    """
+    Return the ordered pairs of images that a stack and its trials compare.
+
+    Parameters
+    ----------
+    pairs : ``DatePairs``
+    orders : array_like of int, shape (n_trials, n_dates)
+        See `draw_orders`; the observed order is added.
+
+    Returns
+    -------
+    `~numpy.ndarray` of int, shape (n, 2)
+        Sorted, each once: the ``pairs`` of `~astro_scc.paper.Correlator`.
+
+    Examples
+    --------
+    >>> from astro_scc.paper import consecutive_pairs, image_pairs
+    >>> image_pairs(consecutive_pairs([0.0, 1.0, 2.0]), [[1, 0, 2]]).tolist()
+    [[0, 1], [0, 2], [1, 0], [1, 2]]
+    """
+    every = np.vstack([np.arange(pairs.n_dates), orders])
+    reference, target = pairs.images(every)
+    number = np.unique(reference * pairs.n_dates + target)
+    return np.stack(np.divmod(number, pairs.n_dates), axis=1)
+
+
+# -- the stack ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,7 +248,7 @@ class Displacements:
         return len(self.d1)
 
 
-def velocity_axes(v_max, step):
+def velocity_axes(v_max, step, *, most=301):
     """
     Return velocities along two axes, evenly spaced and symmetric about zero.
 
@@ -73,6 +258,10 @@ def velocity_axes(v_max, step):
         Largest velocity, above 0; two numbers are for the two axes.
     step : float or array_like, shape (2,)
         Largest spacing, above 0.
+    most : int, optional
+        Most velocities along an axis; the spacing grows if there would be more.
+    most : int, optional
+        Most velocities along an axis; the spacing grows if there would be more.
 
     Returns
     -------
@@ -86,12 +275,12 @@ def velocity_axes(v_max, step):
     """
     v_max, step = np.broadcast_to(v_max, 2), np.broadcast_to(step, 2)
     half = np.ceil(v_max / step - 1e-9).astype(int)
-    half = np.clip(half, 1, MOST_VELOCITIES // 2)
+    half = np.clip(half, 1, most // 2)
     axes = zip(v_max, half, strict=True)
     return tuple(v * (np.arange(-n, n + 1) / n) for v, n in axes)
 
 
-def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
+def gaussian_sum(columns, axes, *, block=16384):
     """
     Return the weighted sum of axis-parallel Gaussians of unit height on a grid.
 
@@ -100,20 +289,23 @@ def gaussian_sum(x, y, sx, sy, weight, grid_x, grid_y):
 
     Parameters
     ----------
-    x, y, sx, sy, weight : `~numpy.ndarray`, shape (k,)
-        Centres, standard deviations, and weights.
-    grid_x, grid_y : `~numpy.ndarray`, shapes (nx,) and (ny,)
+    columns : `~numpy.ndarray`, shape (5, k)
+        Centres and standard deviations on both axes, and weights.
+    axes : tuple of `~numpy.ndarray`, shapes (nx,) and (ny,)
+    block : int, optional
+        Gaussians that are summed at once, to limit memory.
 
     Returns
     -------
     `~numpy.ndarray`, shape (ny, nx)
     """
+    grid_x, grid_y = axes
     total = np.zeros((len(grid_y), len(grid_x)))
-    for start in range(0, len(x), BLOCK):
-        k = slice(start, start + BLOCK)
-        profile_x = np.exp(-0.5 * ((grid_x - x[k, None]) / sx[k, None]) ** 2)
-        profile_y = np.exp(-0.5 * ((grid_y - y[k, None]) / sy[k, None]) ** 2)
-        total += (profile_y * weight[k, None]).T @ profile_x
+    for start in range(0, columns.shape[1], block):
+        x, y, sx, sy, weight = columns[:, start : start + block, None]
+        profile_x = np.exp(-0.5 * ((grid_x - x) / sx) ** 2)
+        profile_y = np.exp(-0.5 * ((grid_y - y) / sy) ** 2)
+        total += (profile_y * weight).T @ profile_x
     return total
 
 
@@ -185,7 +377,7 @@ def stack_matches(
     columns[:2] += np.multiply.outer(shift, 1 / pairs.interval[pair])
     reach = np.array([[v[-1]] for v in axes]) + REACH_SIGMA * columns[2:4]
     columns = columns[:, np.all(np.abs(columns[:2]) < reach, axis=0)]
-    total = gaussian_sum(*columns.astype(kind), *(v.astype(kind) for v in axes))
+    total = gaussian_sum(columns.astype(kind), [v.astype(kind) for v in axes])
     reference, _ = pairs.images(order)
     number = (displacements.n_ssps[reference] * pairs.weight).sum()
     return total / number if number > 0 else total

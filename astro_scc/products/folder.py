@@ -231,7 +231,7 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
 
     Parameters
     ----------
-    result : `~astro_scc.paper_method.PaperMeasurement`
+    result : `~astro_scc.paper.method.PaperMeasurement`
     streams : `~astropy.table.QTable`
         Its ``streams``, with apparent speeds if there are any.
     directory, configuration, text

@@ -232,7 +232,7 @@ def paper_lines(streams, level):
     Parameters
     ----------
     streams : `~astropy.table.QTable`
-        See `~astro_scc.paper_method.PaperMeasurement.components`.
+        See `~astro_scc.paper.method.PaperMeasurement.components`.
     level : float
         The z-score that significant components exceed.
 

@@ -16,18 +16,8 @@ from astro_scc.simulation.resolved import Layer, m87_layers, simulate_resolved_j
 from astro_scc.simulation.streams import Flow, Stream
 
 __all__ = [
-    "Flow",
-    "JetSimulation",
-    "Layer",
-    "Stream",
-    "m87_layers",
-    "simulate_ballistic",
-    "simulate_jet",
-    "simulate_random_velocity",
-    "simulate_resolved_jet",
-    "simulate_shell",
-    "simulate_static",
-    "simulate_two_fluid",
-    "simulate_unrelated",
+    "Flow", "JetSimulation", "Layer", "Stream", "m87_layers", "simulate_ballistic",
+    "simulate_jet", "simulate_random_velocity", "simulate_resolved_jet",
+    "simulate_shell", "simulate_static", "simulate_two_fluid", "simulate_unrelated",
     "write_simulation",
-]
+]  # fmt: skip

@@ -23,8 +23,6 @@ from astro_scc.quantities import random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
-# Width of the negative bowl around a feature, in widths of its image.
-BOWL = 6.0
 # The paper's beam, and about that of the VLBA at 15 GHz.
 PAPER_BEAM, BEAM = (Beam(size * u.mas, size * u.mas) for size in (1, 0.8))
 
@@ -279,7 +277,7 @@ class JetSimulation:
             peak = flux * beam_area / np.sqrt(np.linalg.det(total))
             add_gaussians(image, x, y, peak, total)
             if self.bowl:
-                add_gaussians(image, x, y, -self.bowl * peak, BOWL**2 * total)
+                add_gaussians(image, x, y, -self.bowl * peak, 6**2 * total)
             if self.ripple:
                 image += self._ripple(image.max(), ripple_rng)
             if noise:
@@ -645,19 +643,19 @@ def simulate_jet(
     return centred(jet, ahead, margin=8 * jet.beam_length, shape=shape).run(rng=rng)
 
 
-def centred(jet, ahead, behind=0.0, *, margin, shape=None):
+def centred(jet, ahead, *, margin, shape=None):
     """
     Return a simulation whose jet is centred in the image.
 
-    ``ahead`` and ``behind`` are the lengths of jet and counter-jet, and ``margin`` the
-    width around them, in pixels; an image of another ``shape`` has other margins.
+    ``ahead`` is the length of the jet, and ``margin`` the width around it, in pixels;
+    an image of another ``shape`` has other margins.
     """
     angle = u.Quantity(jet.position_angle).to_value(u.rad)
     direction = np.array([-np.sin(angle), np.cos(angle)])
-    tip = (ahead + behind) * direction
+    tip = ahead * direction
     if shape is None:
         shape = np.round(np.abs(tip) + 2 * margin).astype(int).tolist()[::-1]
-    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2 + behind * direction)
+    x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
     return replace(jet, shape=tuple(shape), extent=(x0, x0 + ahead), axis=y0)
 
 

@@ -21,12 +21,6 @@ from astro_scc.simulation.streams import (
     raised_cosine,
 )
 
-# Part of its life over which a clump appears, and over which it fades.
-FADE = 0.25
-# Steps of the table of times in which clumps move, per interval of the table of speeds.
-FINE = 50
-# Width of the margin around a jet and its half width, in beams.
-MARGIN = 4.0
 # The beam of the VLBA at 43 GHz in M 87.
 BEAM = Beam(0.43 * u.mas, 0.21 * u.mas, -16 * u.deg)
 
@@ -67,9 +61,6 @@ class Layer:
         clumps are there at all epochs.
     flux_scatter : float, optional
         Standard deviation of the logarithm of the flux densities between clumps.
-    counter_jet : float, optional
-        Brightness of the same layer on the other side of the core, as a fraction;
-        at 0, there is none.
 
     Raises
     ------
@@ -102,7 +93,6 @@ class Layer:
     size: u.Quantity = (0.1, 0.3) * u.mas
     life: u.Quantity = 0.5 * u.yr
     flux_scatter: float = 0.5
-    counter_jet: float = 0.0
 
     def __post_init__(self):
         whose, life = f"layer {self.name!r}: ", u.Quantity(self.life).to_value(u.yr)
@@ -114,7 +104,7 @@ class Layer:
         columns = {
             k: u.Quantity(getattr(self, k)).to_value(columns[k]) for k in columns
         }
-        numbers = "scatter n_clumps flux_scatter counter_jet size"
+        numbers = "scatter n_clumps flux_scatter size"
         check_not_negative(self, f"{numbers} {' '.join(columns)}", whose)
         distance, speed = columns["distance"], columns["speed"]
         if any(column.shape != (distance.size,) for column in columns.values()):
@@ -144,13 +134,6 @@ class Layer:
         -------
         Features
         """
-        sides = [self._side(jet, rng, 1.0)]
-        if self.counter_jet:
-            sides.append(self._side(jet, rng, -1.0))
-        return Features(*map(np.concatenate, zip(*sides, strict=True)))
-
-    def _side(self, jet, rng, side):
-        """Draw the clumps of the jet (1.0) or of the counter-jet (-1.0)."""
         scale, interval = jet.pixel_scale.to_value(u.mas), jet.interval.to_value(u.yr)
         table = self.distance.to_value(u.mas)
         times, life = jet.times * interval, self.life.to_value(u.yr)
@@ -168,20 +151,18 @@ class Layer:
         fwhm = rng.uniform(*self.size.to_value(u.mas), (n, 1))
         there = raised_cosine((table[-1] - r) / (RAMP * jet.beam_length * scale))
         if np.isfinite(life):
-            there = there * raised_cosine(np.minimum(age, life - age) / (FADE * life))
+            # It appears in the first quarter of its life, and fades in the last.
+            there = there * raised_cosine(np.minimum(age, life - age) / (0.25 * life))
         peak = np.interp(r, table, self.brightness.to_value(u.Jy / u.beam)) * there
         peak = peak * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
         beams = np.mean([b.covariance.to_value(u.mas**2) for b in jet.beams], axis=0)
         total = beams + (FWHM_TO_SIGMA * fwhm)[..., None, None] ** 2 * np.eye(2)
         flux = peak * np.sqrt(np.linalg.det(total) / np.linalg.det(beams))
         y = place * np.interp(r, table, self.half_width.to_value(u.mas))
-        name, factor = self.name, 1.0
-        if side < 0:
-            name, factor = f"{self.name} counter-jet", self.counter_jet
-        flux = np.nan_to_num(factor * flux)
+        flux = np.nan_to_num(flux)
         seen = (flux > 0).any(axis=1)
-        x, y = jet.extent[0] + side * r / scale, jet.axis + y / scale
-        return in_view(name, seen, x, y, flux, fwhm / scale)
+        x, y = jet.extent[0] + r / scale, jet.axis + y / scale
+        return in_view(self.name, seen, x, y, flux, fwhm / scale)
 
     def _moved(self, start, age):
         """Return distances at ages in years of clumps that were born at ``start``."""
@@ -189,16 +170,15 @@ class Layer:
         if not speed.any():
             return start + np.zeros_like(age)
         rows = np.arange(len(table))
-        grid = np.interp(np.linspace(0, rows[-1], FINE * rows[-1] + 1), rows, table)
+        # Steps in which clumps move, 50 for each interval of the table.
+        grid = np.interp(np.linspace(0, rows[-1], 50 * rows[-1] + 1), rows, table)
         slowness = 1 / np.interp(grid, table, speed)
         steps = 0.5 * (slowness[1:] + slowness[:-1]) * np.diff(grid)
         passed = np.concatenate([[0], np.cumsum(steps)])
         return np.interp(np.interp(start, grid, passed) + age, passed, grid)
 
 
-def m87_layers(
-    *, length: u.Quantity = 10 * u.mas, counter_jet: float = 0.0
-) -> tuple[Layer, Layer]:
+def m87_layers(*, length: u.Quantity = 10 * u.mas) -> tuple[Layer, Layer]:
     """
     Return two layers after the inner jet of M 87 at 43 GHz.
 
@@ -209,8 +189,6 @@ def m87_layers(
     Parameters
     ----------
     length : `~astropy.units.Quantity`, optional
-    counter_jet : float, optional
-        See `Layer`; the counter-jet is as long as the jet.
 
     Returns
     -------
@@ -238,7 +216,6 @@ def m87_layers(
     shape = {
         "distance": r * u.mas, "half_width": 0.2 * r**0.6 * u.mas,
         "brightness": 40 * (1 + r / 0.5) ** -0.9 * u.mJy / u.beam,
-        "counter_jet": counter_jet,
     }  # fmt: skip
     return (
         Layer("slow", speed=np.full(100, slow) * u.mas / u.yr, across=(-1, 1),
@@ -290,7 +267,7 @@ def simulate_resolved_jet(
     -------
     ``SimulatedJet``
         Its ``cube``, and ``truth`` with a row for each clump and epoch; the group
-        of a clump is its layer, or its layer and 'counter-jet'.
+        of a clump is its layer.
 
     Raises
     ------
@@ -320,8 +297,7 @@ def simulate_resolved_jet(
         flux_variation=flux_variation, memory=(memory / interval).to_value(u.one),
         position_angle=position_angle,
     )  # fmt: skip
-    ends = [(a.distance[-1] / pixel_scale).to_value(u.one) for a in layers]
-    behind = [end for end, a in zip(ends, layers, strict=True) if a.counter_jet]
+    end = max((a.distance[-1] / pixel_scale).to_value(u.one) for a in layers)
     width = max((a.half_width.max() / pixel_scale).to_value(u.one) for a in layers)
-    margin = width + MARGIN * jet.beam_length
-    return centred(jet, max(ends), max(behind, default=0.0), margin=margin).run(rng=rng)
+    margin = width + 4 * jet.beam_length
+    return centred(jet, end, margin=margin).run(rng=rng)

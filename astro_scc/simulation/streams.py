@@ -14,12 +14,8 @@ from scipy.special import ndtri
 
 from astro_scc.quantities import check_choice, named
 
-# Slowest feature, as a fraction of the mean: slower ones would stay for ever.
-SLOWEST = 0.1
 # Length in beams over which features move off the axis, and fade at the end.
 RAMP = 2.0
-# Length in pixels over which the paper's features fade in and out.
-TAPER = 10.0
 
 
 class Features(NamedTuple):
@@ -158,7 +154,7 @@ class Stream:
         x, y = self._trajectories(jet, rng)
         fwhm = rng.uniform(*self.fwhm, (len(x), 1))
         peak = rng.uniform(*self.peak, (len(x), 1))
-        visible = raised_cosine(np.minimum(x - start, end - x) / TAPER)
+        visible = raised_cosine(np.minimum(x - start, end - x) / 10)
         flux = peak * (beam**2 + fwhm**2) / beam**2 * visible
         seen = ((x >= start) & (x <= end)).any(axis=1)
         return in_view(self.name, seen, x, y, flux, fwhm)
@@ -323,7 +319,8 @@ class Flow:
             factor = 1 + self.dispersion * ndtri(quantile)
         else:
             factor = np.exp(self.dispersion * (ndtri(quantile) - self.dispersion / 2))
-        return self.speed * np.maximum(factor, SLOWEST)
+        # Slower features would stay for ever.
+        return self.speed * np.maximum(factor, 0.1)
 
     def features(self, jet: Any, rng: np.random.Generator) -> Features:
         """

@@ -29,16 +29,11 @@ except ImportError:
 #: Pixels of the images of all epochs, a byte each: with them a page of up to some
 #: thousand features stays below 5 MB, of which 2 MB are the library.
 PIXELS = 2_200_000
-#: Number of columns of the diagram, which is resampled to equal intervals.
-COLUMNS = 240
 #: Markers of the streams in turn, so that colour is not all that tells them apart.
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
 #: Names of the lines of figures, and those of the kinds of streams.
 DASH = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dotdash"}
-DASHES = {kind: DASH[sign.line] for kind, sign in style.KINDS.items()}
-#: Milliseconds for which each of two epochs is shown; the accessibility guidelines
-#: WCAG 2.3.1 allow at most three flashes a second.
-BLINK = 600
+DASHES = {kind: DASH[line] for kind, line in style.KIND_LINES.items()}
 #: Names of the panels in explore.html.
 PANELS = "choose", "velocity", "sky", "diagram", "time", "table"
 #: Height of a panel in CSS pixels; opacity of what is not selected.
@@ -333,7 +328,8 @@ class Page:
         )
         first.js_link("value", self.here, "group")
         toggle = models.Toggle(label="blink", width=80, align="center")
-        what = {"toggle": toggle, "first": first, "second": second, "interval": BLINK}
+        # The guidelines WCAG 2.3.1 allow at most three flashes a second.
+        what = {"toggle": toggle, "first": first, "second": second, "interval": 600}
         toggle.js_on_change("active", self._call("blink", **what))
         sliders = models.Row(models.Column(first, second, **WIDE), toggle, **WIDE)
         return models.Column(plot, sliders, **WIDE)
@@ -367,7 +363,7 @@ class Page:
             f"Displacement ({unit_name(self.length)})",
             x_range=(0, right), y_range=(-top, top),
         )  # fmt: skip
-        level = velocity.diagram_levels(years, excess, longest, COLUMNS)
+        level = velocity.diagram_levels(years, excess, longest, 240)
         colors = interp_palette(RdBu11, 255)
         mapper = models.LinearColorMapper(colors, low=-127, high=127)
         size = {"dw": right, "dh": 2 * top}

@@ -15,16 +15,6 @@ from astro_scc.visualization import style
 
 #: Colour of masked pixels, which is not among the greys of the image.
 MASKED = "#BFDFF2"
-#: Brightness up to which the asinh stretch is linear, in units of the noise.
-LINEAR_NOISE = 3.0
-#: Lowest contour of a mean image, in its noise; each is twice the one before.
-LOWEST = 3.0
-#: Share of the width and height of a figure that counts as a corner.
-CORNER = 0.25
-#: Share of the SSPs' weight that lies beyond each side of a zoomed figure.
-EDGE = 0.015
-#: Letters of a date to the millisecond, the second, the minute and the day.
-DATES = 23, 19, 16, 10
 LEGEND = {"fontsize": "small", "frameon": False, "columnspacing": 1.0}
 LEGEND |= {"handletextpad": 0.3, "borderaxespad": 0.2, "ncols": 9}
 
@@ -63,7 +53,7 @@ class View:
     """
 
     def __init__(
-        self, cube, points, image, epochs, zoom=True, edge=EDGE, unit=None, norm=None
+        self, cube, points, image, epochs, zoom=True, edge=0.015, unit=None, norm=None
     ):
         self.cube, self.points = cube, points
         limits = image_limits(cube, points if zoom else None, edge)
@@ -97,12 +87,13 @@ class View:
             bar.minorticks_off()
 
 
-def image_limits(cube, points=None, edge=EDGE):
+def image_limits(cube, points=None, edge=0.015):
     """
     Return the range of offsets to show, shape (2, 2) in mas: east, then north.
 
     It is the whole image or, given the points of `ssp_points`, the range of the
-    points with a margin, without the outermost, which may be noise at the edges.
+    points with a margin, without the outermost, which may be noise at the edges: a
+    share of their weight, ``edge``, is beyond each side.
     """
     _, ny, nx = cube.shape
     x, y = np.meshgrid([-0.5, nx - 0.5], [-0.5, ny - 0.5])
@@ -123,7 +114,11 @@ def image_limits(cube, points=None, edge=EDGE):
 
 
 def plotting_norm(cube, image, epochs=slice(None)):
-    """Return the norm that maps brightness to colour, for the noise of the epochs."""
+    """
+    Return the norm that maps brightness to colour, for the noise of the epochs.
+
+    It is linear up to three times the noise, and logarithmic above.
+    """
     from matplotlib.colors import AsinhNorm, Normalize
 
     noise = cube.noise_rms().value[epochs]
@@ -135,7 +130,7 @@ def plotting_norm(cube, image, epochs=slice(None)):
         bottom, top = bottom - 0.5, bottom + 0.5
     if noise == 0:
         return Normalize(bottom, top)
-    return AsinhNorm(LINEAR_NOISE * noise, vmin=bottom, vmax=top)
+    return AsinhNorm(3 * noise, vmin=bottom, vmax=top)
 
 
 def ticks_of(norm):
@@ -184,9 +179,10 @@ def empty_corners(view, image):
 
     Those with noise alone are alike: left before right, and bottom before top.
     """
-    sides = np.linspace(0, CORNER, 12)
+    # A quarter of the width and height counts as a corner.
+    sides = np.linspace(0, 0.25, 12)
     light = {}
-    noise = 2 * LOWEST * np.median(view.cube.noise_rms().value)
+    noise = 6 * np.median(view.cube.noise_rms().value)
     low, size = view.limits[:, :1], np.ptp(view.limits, axis=1, keepdims=True)
     for right, top in np.ndindex(2, 2):
         ends = right != view.to_the_left, top
@@ -253,26 +249,27 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     for ax in grid.flat[max(n - columns, 0) : n]:
         # Shared axes hide the tick labels of all rows but the last.
         ax.tick_params(labelbottom=True)
-    style.label_all(figure, *view.labels)
+    figure.supxlabel(view.labels[0], fontsize="medium")
+    figure.supylabel(view.labels[1], fontsize="medium")
     return figure, grid.flat[:n]
 
 
-def mean_image_panels(cube, points, n, *, figure, unit, edge):
+def draw_mean_image(cube, points, *, figure, unit, edge):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
     view = View(cube, points, image, slice(None), unit=unit, edge=edge)
-    figure, axes = image_panels(view, n, figure)
+    figure, (ax,) = image_panels(view, 1, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
-    for ax in axes:
-        draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)
-    return view, figure, axes
+    draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)
+    draw_contours(ax, view)
+    return view, figure, ax
 
 
 def draw_contours(ax, view):
-    """Draw contours of the image on axes, a mean, from three times its noise on."""
+    """Draw contours of a mean image from three times its noise on, each twice one."""
     image, cube = ax.images[0].get_array(), view.cube
-    lowest = LOWEST * np.median(cube.noise_rms().value) / np.sqrt(len(cube))
+    lowest = 3 * np.median(cube.noise_rms().value) / np.sqrt(len(cube))
     peak = float(image.max()) / lowest if lowest > 0 else 0.0
     if not peak > 1:
         return
@@ -280,16 +277,6 @@ def draw_contours(ax, view):
         np.ma.filled(image, np.nan), colors=style.GREY, linewidths=0.4,
         levels=lowest * 2.0 ** np.arange(np.log2(peak)),
         transform=view.to_offsets + ax.transData,
-    )  # fmt: skip
-
-
-def panel_text(ax, text, corner):
-    """Write text into a corner of a panel."""
-    right, top = corner
-    ax.text(
-        0.97 if right else 0.03, 0.96 if top else 0.04, text, transform=ax.transAxes,
-        ha="right" if right else "left", va="top" if top else "bottom",
-        fontsize="small", path_effects=style.outline(),
     )  # fmt: skip
 
 
@@ -337,7 +324,8 @@ def epoch_names(times):
     """Return the shortest date of each epoch that no other epoch has."""
     dates = [date.replace("T", " ") for date in times.isot]
     names = [f"{date} ({k})" for k, date in enumerate(dates)]
-    for length in DATES:
+    # To the millisecond, the second, the minute and the day.
+    for length in (23, 19, 16, 10):
         short = [date[:length] for date in dates]
         own = [short.count(name) == 1 for name in short]
         names = np.where(own, short, names).tolist()
@@ -384,12 +372,13 @@ def draw_ssps(ax, view, epoch, size=1.0):
         return
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
     points = view.points
-    colors = style.scale_colors(points["scale"])
-    for rank, (scale, color) in enumerate(colors.items()):
+    scales = np.unique(points["scale"])
+    for rank, scale in enumerate(scales):
+        color = style.component_color(rank + 1)
         here = (points["epoch"] == epoch) & (points["scale"] == scale)
         extent = (scale_size(scale) * view.cube.pixel_scale).to_value(view.unit)
         words = "" if rank else "SSPs of scale "
-        unit = "" if rank < len(colors) - 1 else f" {unit_name(view.unit)}"
+        unit = "" if rank < len(scales) - 1 else f" {unit_name(view.unit)}"
         label = f"{words}{extent:.2g}{unit}"
         if isinstance(points["ssps"], SSPs):
             line = {"color": color, "linewidth": 0.7 + 0.4 * rank, "label": label}
@@ -522,11 +511,14 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     view = View(cube, ssp_points(cube, ssps), images, chosen, **_of_view(look))
     figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = epoch_names(cube.times)
-    of_beam, of_date, *_ = empty_corners(view, images.max(axis=0))
+    of_beam, (right, top), *_ = empty_corners(view, images.max(axis=0))
+    at = 0.97 if right else 0.03, 0.96 if top else 0.04
+    date = {"ha": "right" if right else "left", "va": "top" if top else "bottom"}
+    date |= {"fontsize": "small", "path_effects": style.outline()}
     for ax, index, image in zip(axes, chosen, images, strict=True):
         drawn = draw_image(ax, view, image, index, of_beam, look)
         draw_ssps(ax, view, index, size=0.5)
-        panel_text(ax, dates[index], of_date)
+        ax.text(*at, dates[index], transform=ax.transAxes, **date)
     view.add_colorbar(drawn, ax=figure.axes, pad=0.02, aspect=40)
     _label_masked(ax, view, images.mask.any(axis=0))
     handles, _ = ax.get_legend_handles_labels()

@@ -8,13 +8,9 @@ from astro_scc.columns import cell
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.streams.decomposed import distances
 from astro_scc.streams.finder import frame_velocities
-from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style
-
-#: Width of a bin of distance in beams, at least, and number of bins, at most.
-BIN, MOST_BINS = 2.0, 12
-#: The axis of speeds ends so far beyond what is shown, as a factor.
-BEYOND = 1.35
+from astro_scc.visualization.tracks import draw_feature_speeds
 
 
 class Speeds:
@@ -33,8 +29,7 @@ class Speeds:
     """
 
     def __init__(self, result, unit=None):
-        unit = result.cube.speed_unit if unit is None else unit
-        self.unit = unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
+        self.unit = style.speed_unit_of(result, unit)
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
         features = result.tracked_features
@@ -146,7 +141,7 @@ def _draw_streams(ax, result, speeds, top, ends):
         text += "" if stream.kind == "moving" else f", {stream.kind}"
         error = min(speeds.stream_err[k], 0.99 * speed)
         ax.errorbar(
-            speed, y, xerr=error, fmt=style.KINDS[stream.kind].marker, ms=5, capsize=2,
+            speed, y, xerr=error, fmt=style.KIND_MARKERS[stream.kind], ms=5, capsize=2,
             lw=1, color=color, mfc=filling, zorder=4,
         )  # fmt: skip
         left, wide = speed**2 > low * high, max(spread, error)
@@ -224,7 +219,8 @@ def spectra_of_bins(search):
         inside = inside & (flow.regions[0] > 0)
     r = distances(flow.grids[0])[inside]
     low, high = (r.min(), r.max()) if r.size else (0.0, 1.0)
-    n = int(np.clip((high - low) // BIN, 1, MOST_BINS))
+    # Two beams wide or more, and not more than twelve.
+    n = int(np.clip((high - low) // 2, 1, 12))
     edges = np.linspace(low, high, n + 1) * flow.beam
     found = []
     for ends in zip(edges[:-1], edges[1:], strict=True):
@@ -244,7 +240,7 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
 
     Grey is the velocity spectrum of each bin of distance, dark where most of what moves
     there has this speed.  Points are features at the dates of their speeds, in the
-    colours of their streams; those that are not secure are open.  Lines are the
+    colours of their streams; those that are not secure are pale.  Lines are the
     streams.  Further keywords are those of the grey cells, such as ``cmap``.
     """
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
@@ -256,13 +252,15 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
     cells = {"cmap": "Greys", "vmin": 0, "vmax": 1.4 * share.max() or 1.0}
     cells = style.look_of("mesh", look, rasterized=True, **cells)
     speed = images.edges(speed * speeds.factor)
-    ax.pcolormesh(edges * scale, speed, share, **cells)
-    _draw_features(ax, result, speeds, speeds.distance * scale)
+    drawn = ax.pcolormesh(edges * scale, speed, share, **cells)
+    ax.fill([], [], color=drawn.cmap(0.6), label="velocity spectrum")
+    place = speeds.distance * scale
+    draw_feature_speeds(ax, result, place, speeds.feature, speeds.feature_err)
     _draw_lines(ax, result, speeds)
     shown = [*speeds.stream, *speeds.feature[secure], 0.0]
     if not any(stream.kind == "moving" for stream in result.search.streams):
         shown += [-min(shown), -max(shown)]
-    low, high = BEYOND * min(shown), BEYOND * max(shown)
+    low, high = 1.35 * min(shown), 1.35 * max(shown)
     margin = 0.06 * (high - low)
     ax.set(xlim=(0, 1.02 * far * scale), ylim=(low - margin, high or 1.0))
     ax.set_xlabel(f"Core separation ({unit_name(lengths)})")
@@ -270,18 +268,6 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
     style.legend_above(ax)
     style.add_speed_axis(ax, speeds.unit, beta_per_pm, "right")
     return figure
-
-
-def _draw_features(ax, result, speeds, distance):
-    """Draw the speeds of features, open if they are not secure."""
-    numbers, secure = result.features["stream"], result.tracked_features.secure
-    for k in np.flatnonzero(np.isfinite(speeds.feature)):
-        color = style.component_color(numbers[k]) if numbers[k] else style.SKY_BLUE
-        look = {"ms": 3, "mfc": "white", "alpha": 0.6, "zorder": 3}
-        if secure[k]:
-            look = {"ms": 4.5, "mfc": color, "zorder": 4}
-        point = distance[k], speeds.feature[k], speeds.feature_err[k]
-        ax.errorbar(*point, fmt="o", lw=0.8, color=color, **look)
 
 
 def _draw_lines(ax, result, speeds):
@@ -293,6 +279,6 @@ def _draw_lines(ax, result, speeds):
         text = text if stream.kind == "moving" else f"{text}, {stream.kind}"
         ax.axhline(
             speeds.stream[k], color=color, lw=1.2, zorder=2, gid="stream",
-            ls=style.KINDS[stream.kind].line, label=f"{k + 1}: {text}",
+            ls=style.KIND_LINES[stream.kind], label=f"{k + 1}: {text}",
             path_effects=style.outline(2.2),
         )  # fmt: skip

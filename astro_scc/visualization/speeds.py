@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import product
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
 import numpy as np
@@ -14,17 +14,17 @@ import numpy as np
 from astro_scc.features.trust import MOST_FALSE
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
-from astro_scc.visualization.tracks import feature_look
+from astro_scc.visualization.tracks import draw_feature_speeds
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.figure import Figure
+
+    from astro_scc.epochs import EpochCube
+    from astro_scc.kinematics import RidgeLine
 
 #: Errors beyond so many times the median one are of features that say little.
 LARGE_ERROR = 4.0
-#: Most letters of a label beside a figure in one line.
-LABEL = 30
-#: What differs from zero by so many standard errors is not zero.
-SIGNIFICANT = 3.0
-#: Fewest epochs of a feature whose acceleration is judged, or that stands still.
-EPOCHS = 10
-BINS = 20
 
 
 def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **look):
@@ -39,15 +39,11 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **lo
     separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
     unit = offset_unit(separation.max(initial=1.0))
     speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
-    largest = LARGE_ERROR * np.median(error) if len(error) else 0.0
-    point = {"ms": 4, "lw": 0.8, "marker": "o"}
-    for k, place in enumerate(separation * u.mas.to(unit)):
-        usual = feature_look(result.tracked_features, k, table["stream"])
-        usual = style.look_of("line", look, **usual | point | {"linestyle": ""})
-        ax.errorbar(place, speed[k], min(error[k], largest), **usual)
+    error = np.minimum(error, LARGE_ERROR * np.median(error) if len(error) else 0.0)
+    draw_feature_speeds(ax, result, separation * u.mas.to(unit), speed, error, look)
     if profile is not None and len(profile):
         mean = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
-        style.draw_bins(ax, profile, unit, speeds, label="mean of bin", **mean)
+        style.draw_bins(ax, profile, unit, speeds, {"label": "mean of bin", **mean})
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
     ax.set_xlabel(f"Core separation ({unit_name(unit)})")
@@ -61,7 +57,8 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
     """
     Draw the main speed from parts of the data, beside that of the whole spectrum.
 
-    Further keywords are those of the symbols.
+    Parts that differ significantly are red squares.  Further keywords are those of the
+    symbols.
 
     Raises
     ------
@@ -82,7 +79,10 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
         usual = {"marker": sign, "color": color, "ms": 4, "lw": 1, "linestyle": ""}
         usual = style.look_of("line", look, **usual)
         ax.errorbar(speed[use], row[use], xerr=error[use], **usual)
-    ax.set_yticks(row, [fill(str(text), LABEL) for text in table["choice"]])
+    for k in row[~np.isfinite(speed)]:
+        where = {"transform": ax.get_yaxis_transform(), "va": "center"}
+        ax.text(0.02, k, "nothing found", fontsize="small", **where)
+    ax.set_yticks(row, [fill(str(text), 30) for text in table["choice"]])
     ax.tick_params(axis="y", labelsize="small", length=0)
     ax.set_ylim(len(table) - 0.5, -0.5)
     ax.set_xlabel(f"Proper motion ({unit_name(unit)})")
@@ -93,7 +93,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
 # -- of many sources -----------------------------------------------------------------
 
 
-def population(features):
+def population(features, *, significant=3.0, often=10):
     """
     Return which features of many sources show what.
 
@@ -101,15 +101,18 @@ def population(features):
     ----------
     features : `~astropy.table.QTable`
         ``features.ecsv`` of a survey.
+    significant : float, optional
+        What differs from zero by so many standard errors is not zero.
+    often : int, optional
+        Fewest epochs of a feature whose acceleration is judged, or that stands still.
 
     Returns
     -------
     dict of `~numpy.ndarray` of bool, shape (n,)
-        ``moving``, secure and faster than three standard errors; of these ``inward``
-        and, in at least ten epochs, ``judged``; of the latter ``accelerated``, by
-        three standard errors.  ``at rest`` are features of
-        at least ten epochs that are false with a probability of at most 0.3 and slower
-        than three standard errors; secure ones have moved by a beam.
+        ``moving``, secure and significantly fast; of these ``inward`` and, in often
+        enough epochs, ``judged``; of the latter ``accelerated``.  ``at rest`` are
+        features of as many epochs that are false with a probability of at most 0.3 and
+        not significantly fast; secure ones have moved by a beam.
     """
 
     def ratio(name):
@@ -118,16 +121,16 @@ def population(features):
 
     speed = ratio("pm")
     change = [np.abs(ratio(f"acc_{k}")) for k in ("parallel", "perpendicular")]
-    moving = np.asarray(features["secure"], dtype=bool) & (speed >= SIGNIFICANT)
-    often = np.asarray(features["n_epochs"]) >= EPOCHS
+    moving = np.asarray(features["secure"], dtype=bool) & (speed >= significant)
+    often = np.asarray(features["n_epochs"]) >= often
     true = np.asarray(features["p_false"]) <= MOST_FALSE
     return {
         "moving": moving,
-        "at rest": often & true & (speed < SIGNIFICANT),
-        "inward": moving & (ratio("pm_radial") <= -SIGNIFICANT),
+        "at rest": often & true & (speed < significant),
+        "inward": moving & (ratio("pm_radial") <= -significant),
         "judged": moving & often,
         # Only of those whose motion is better described so is it measured.
-        "accelerated": moving & often & (np.max(change, axis=0) >= SIGNIFICANT),
+        "accelerated": moving & often & (np.max(change, axis=0) >= significant),
     }
 
 
@@ -179,7 +182,7 @@ def _histogram(ax, parts, colors, names):
     if len(every) == 0:
         ax.text(0.5, 0.5, "none", ha="center", va="center", transform=ax.transAxes)
         return
-    edges = np.histogram_bin_edges(np.append(every, 0.0), bins=BINS)
+    edges = np.histogram_bin_edges(np.append(every, 0.0), bins=20)
     ax.hist(parts, edges, color=colors, label=names, stacked=True)
     ax.yaxis.get_major_locator().set_params(integer=True)
     if sum(len(part) > 0 for part in parts) > 1:
@@ -192,24 +195,11 @@ def _plain(values):
     return np.asarray(u.Quantity(values).value, dtype=float)
 
 
-if TYPE_CHECKING:
-    from astropy.table import QTable
-    from matplotlib.figure import Figure
-
-    from astro_scc.epochs import EpochCube
-    from astro_scc.kinematics import RidgeLine
-
-#: Half the width of the strip of the jet above the profile, in beams.
-STRIP = 3.0
-#: Bins of a histogram of position angles.
-ANGLE_BINS = 24
-
-
 def plot_profile(
     table: QTable, *, cube: EpochCube | None = None, line: RidgeLine | None = None,
     fits: Sequence[Callable[[u.Quantity], u.Quantity]] = (),
     others: Sequence[tuple[str, u.Quantity, u.Quantity, u.Quantity]] = (),
-    beta_per_pm: float | None = None,
+    beta_per_pm: float | None = None, **look: Any,
 ) -> Figure:  # fmt: skip
     """
     Draw speed against distance, with the jet above it.
@@ -229,6 +219,8 @@ def plot_profile(
     beta_per_pm : float, optional
         Apparent speed, in units of c, of a proper motion of 1 mas/yr, for a
         second axis.
+    **look
+        Keywords of the symbols, see `matplotlib.lines.Line2D`.
 
     Returns
     -------
@@ -264,15 +256,15 @@ def plot_profile(
     far = float(table["r_max"].to_value(u.mas).max()) if len(table) else 1.0
     for name, r, *speed in others:
         r = u.Quantity(r).to_value(u.mas)
-        look = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
-        ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **look)
+        grey = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
+        ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **grey)
         far = max(far, float(np.max(r, initial=0)))
-    _draw_streams(ax, table)
+    _draw_streams(ax, table, look)
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
             grid.value, u.Quantity(fit(grid)).to_value(speeds), lw=1.2, zorder=2,
-            color=style.component_color(k + 2), label=str(fit), ls=style.LINES[k % 3],
+            color=style.BLACK, label=str(fit), ls=style.LINES[k % 3],
         )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
     # Very large errors must not squeeze the rest.
@@ -289,7 +281,7 @@ def plot_profile(
     return figure
 
 
-def _draw_streams(ax, table):
+def _draw_streams(ax, table, given):
     """Draw streams by kind and group of scales, those not main in their bin smaller."""
     table = table[np.isfinite(table["pm_parallel"])]
     kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
@@ -297,25 +289,25 @@ def _draw_streams(ax, table):
     if "scale_group" in table.colnames:
         group = np.asarray(table["scale_group"], dtype=str)
     names = list(dict.fromkeys(group.tolist()))
-    for name, kind in product(names, style.KINDS):
+    for name, kind in product(names, style.KIND_MARKERS):
         here, color = (kinds == kind) & (group == name), names.index(name) + 1
         for part, size in ((here & main, 5), (here & ~main, 3)):
             if part.any():
                 label = f"{kind}, scales {name}" if name else kind
-                style.draw_bins(
-                    ax, table[part], u.mas, table["pm_parallel"].unit, ms=size,
-                    fmt=style.KINDS[kind].marker, lw=1.0, zorder=3,
-                    color=style.component_color(color),
+                look = style.look_of(
+                    "line", given, ms=size, marker=style.KIND_MARKERS[kind], lw=1.0,
+                    color=style.component_color(color), zorder=3, linestyle="",
                     mfc="white" if kind.startswith("not") else None,
                     label=label if size == 5 or not (here & main).any() else None,
                 )  # fmt: skip
+                style.draw_bins(ax, table[part], u.mas, table["pm_parallel"].unit, look)
 
 
 def _draw_strip(ax, cube, line, far):
-    """Draw the mean image, straightened along a line."""
+    """Draw the mean image, straightened along a line, three beams wide."""
     from scipy.ndimage import map_coordinates
 
-    half = STRIP * cube.resolution.to_value(u.mas) / 2
+    half = 3 * cube.resolution.to_value(u.mas) / 2
     s = np.linspace(0, far, 400) * u.mas
     n = np.linspace(-half, half, 80) * u.mas
     east, north = line.at(s)
@@ -356,7 +348,7 @@ def plot_position_angles(groups):
     figure, ax = style.figure_and_axes(None, (style.WIDTH, 3.2))
     degrees = {name: angles.to_value(u.deg) for name, angles in groups.items()}
     low, high = np.percentile(np.concatenate([*degrees.values()]), [0.5, 99.5])
-    edges = np.linspace(low, high if high > low else low + 1, ANGLE_BINS + 1)
+    edges = np.linspace(low, high if high > low else low + 1, 25)
     for k, (name, v) in enumerate(degrees.items()):
         color = style.component_color(k + 1)
         ax.hist(

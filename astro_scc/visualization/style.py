@@ -5,12 +5,11 @@ from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from io import BytesIO
 from itertools import product
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
 
-from astro_scc.units import PM_UNIT
+from astro_scc.units import PM_UNIT, unit_like
 
 # Colours of Okabe & Ito, which colour-blind readers can distinguish.
 BLACK = "#000000"
@@ -21,17 +20,15 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#767676"
-SCALE_COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY_BLUE)
 LINES = ("-", "--", ":")
 
 #: Width and largest height of a figure in inches, for a page.
 WIDTH = 6.0
 HEIGHT = 9.5
-#: Width of a column of a journal in inches, and settings of figures for it: journals
-#: take letters of 8 pt and no fonts of Type 3.
-COLUMN = 3.46
 #: Figures of many panels, which need two columns.
 WIDE = ("epochs",)
+#: Settings of figures for journals, which take letters of 8 pt and no fonts of Type 3.
 JOURNAL = {
     "font.size": 8.0,
     "axes.linewidth": 0.6,
@@ -48,20 +45,13 @@ OF_PLOTS = "vmin", "vmax", "shading", "capsize", "elinewidth"
 DPI = 150
 
 
-class Kind(NamedTuple):
-    """Markers of a kind of stream in maps and against an axis of speeds, its line."""
-
-    on_map: str
-    marker: str
-    line: str
-
-
-KINDS = {
-    "moving": Kind("+", "o", "-"),
-    "stationary": Kind("s", "s", "--"),
-    "not confirmed": Kind("D", "D", "-."),
-    "not significant": Kind("x", "X", ":"),
-}
+#: Markers and lines of the kinds of streams in all figures.
+KIND_MARKERS = {
+    "moving": "o", "stationary": "s", "not confirmed": "D", "not significant": "X",
+}  # fmt: skip
+KIND_LINES = {
+    "moving": "-", "stationary": "--", "not confirmed": "-.", "not significant": ":",
+}  # fmt: skip
 
 
 def look_of(kind, given, **usual):
@@ -124,11 +114,11 @@ def new_figure(figsize):
 
 
 @contextmanager
-def for_journal(columns=1):
-    """Make new figures as wide as columns of a journal, with its letters and fonts."""
+def for_journal(columns=1, width=3.46):
+    """Make figures as wide as columns, in inches, with the fonts of a journal."""
     from matplotlib import rc_context
 
-    token = _SCALE.set(columns * COLUMN / WIDTH)
+    token = _SCALE.set(columns * width / WIDTH)
     try:
         with rc_context(JOURNAL):
             yield
@@ -183,18 +173,18 @@ def legend_columns(n):
     return n if _SCALE.get() >= 1 else max(n // 2, 1)
 
 
-def scale_colors(scales):
-    """Return a colour for each scale number, the finest first."""
-    numbers = np.unique(np.asarray(scales, dtype=float)).tolist()
-    return {n: SCALE_COLORS[k % len(SCALE_COLORS)] for k, n in enumerate(numbers)}
-
-
 def component_color(number):
-    """Return the colour of the component with a number, from 1."""
-    return SCALE_COLORS[(number - 1) % len(SCALE_COLORS)]
+    """Return the colour of a stream, or a scale, with a number from 1."""
+    return COLORS[(number - 1) % len(COLORS)]
 
 
-def draw_bins(ax, table, unit, speeds, **look):
+def speed_unit_of(result, unit=None):
+    """Return a unit of speeds for figures of a result, that of its tables if None."""
+    unit = result.cube.speed_unit if unit is None else unit
+    return unit_like(PM_UNIT, unit, "an angle over a time, such as 'mas/yr'")
+
+
+def draw_bins(ax, table, unit, speeds, look):
     """Draw speeds in bins of distance in units of both, with bars for their errors."""
     low, middle, high = (table[f"r_{k}"].to_value(unit) for k in ("min", "mid", "max"))
     names = "pm_parallel", "pm_parallel_err"
@@ -260,12 +250,6 @@ def plain_log(ax):
 def beside(ax):
     """Return axes for a colour bar beside others, exactly as high as they are."""
     return ax.inset_axes((1.02, 0.0, 0.03, 1.0))
-
-
-def label_all(figure, across, up):
-    """Label the axes of all panels of a figure together."""
-    figure.supxlabel(across, fontsize="medium")
-    figure.supylabel(up, fontsize="medium")
 
 
 def add_speed_axis(ax, unit, beta_per_pm, side="top"):

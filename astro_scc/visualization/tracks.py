@@ -20,8 +20,6 @@ BESIDE = (
     ("left", 4, 0), ("right", -4, 0), ("left", 4, 7), ("left", 4, -7),
     ("center", 0, 9), ("center", 0, -9), ("right", -4, 7), ("right", -4, -7),
 )  # fmt: skip
-#: Ejections are shown so long before the first image, in spans of the images.
-EARLIER = 0.3
 #: Paths within this share of the image from the core have a panel of their own if two
 #: are as close; the gap between both panels, of the width.
 INNER, CLOSE, GAP = 0.3, 0.02, 0.1
@@ -71,7 +69,7 @@ def plot_separation(
         figure = style.new_figure((style.WIDTH, 5.4))
         ax, lower = figure.subplots(2, 1, sharex=True, height_ratios=(7, 3))
     figure, ax = style.figure_and_axes(ax, None)
-    ejected = _ejections(features)
+    ejected = ejections(features)
     earliest = min((date for date, _ in ejected.values()), default=None)
     room = 0.32 if beta_per_pm and len(features) <= CROWDED else 0.12
     on_axis = style.date_axis(lower or ax, features.cube, earliest, room)
@@ -127,10 +125,15 @@ def _draw_ejections(ax, ejected, ends, on_axis):
         ax.errorbar(on_axis(date), 0, xerr=width, color=color, **bar)
 
 
-def _ejections(features):
-    """Return date and error of the ejections that are not long before the images."""
+def ejections(features, *, earlier=0.3):
+    """
+    Return date and error of the ejections of secure features by their number.
+
+    Those that are ``earlier`` than the first image, in spans of the images, are left
+    out.
+    """
     years = features.cube.times.jyear
-    earliest = years[0] - EARLIER * (years[-1] - years[0])
+    earliest = years[0] - earlier * (years[-1] - years[0])
     fwhm, motions = features.detections.fwhm, features.motions
     secure = [k for k in _named(features) if features.secure[k]]
     dates = {k: motions[k].ejection(features.core_error, fwhm) for k in secure}
@@ -173,6 +176,15 @@ def feature_look(features, number, stream=None):
     k = int(stream[number])
     color = style.component_color(k) if k else style.BLACK
     return {"color": color, "label": f"stream {k}" if k else style.NONE, **look}
+
+
+def draw_feature_speeds(ax, result, place, speed, error, given=None):
+    """Draw the speeds of the features of a result at places, as `feature_look` says."""
+    point, streams = {"ms": 4, "lw": 0.8, "marker": "o"}, result.features["stream"]
+    for k in np.flatnonzero(np.isfinite(speed)):
+        look = feature_look(result.tracked_features, k, streams) | point
+        look = style.look_of("line", given or {}, **look | {"linestyle": ""})
+        ax.errorbar(place[k], speed[k], error[k], **look)
 
 
 def _lay_out(figure, *, own):
@@ -260,10 +272,9 @@ def plot_tracks(
     """
     place = np.concatenate([features.detections.place, features.core.place])
     points = {"place": place.T, "weight": np.ones(len(place))}
-    view, drawn, (ax,) = images.mean_image_panels(
-        features.cube, points, 1, figure=figure, unit=unit, edge=0.0
+    view, drawn, ax = images.draw_mean_image(
+        features.cube, points, figure=figure, unit=unit, edge=0.0
     )
-    images.draw_contours(ax, view)
     axes, inner, box = [ax], [], None
     if figure is None:
         inner, box = _inner_paths(features, view)

@@ -11,9 +11,9 @@ import numpy as np
 
 from astro_scc.columns import cell
 from astro_scc.images.positions import axis_words, sky_columns
-from astro_scc.units import PM_UNIT, offset_unit, unit_like, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style
-from astro_scc.visualization.style import BLACK, GREY, KINDS
+from astro_scc.visualization.style import BLACK, GREY
 
 AXIS_LABELS = {
     "parallel": "Proper motion parallel to the jet",
@@ -28,14 +28,6 @@ EXCESS = "Mean correlation, less that of permuted epochs"
 #: Corners for the legend (the first preferred) and for the arrow (the second).
 CORNERS = {"upper right": (1, 1), "lower left": (0, 0)}
 CORNERS |= {"upper left": (0, 1), "lower right": (1, 0)}
-#: Size of what is in a corner as fractions of the axes.
-CORNER_SIZE = (0.34, 0.22)
-#: Intervals are shown up to this many times the one after which the slowest
-#: moving stream leaves the diagram, and at least this number of intervals.
-BEYOND = 1.3
-FEWEST_INTERVALS = 4
-#: Fraction of the diagram that is within the range of the colours.
-UNSATURATED = 0.995
 
 
 class Scene:
@@ -67,9 +59,7 @@ class Scene:
     """
 
     def __init__(self, result, figsize, ax=None, components=None, unit=None):
-        self.result, wanted = result, "an angle over a time, such as 'mas/yr'"
-        unit = result.cube.speed_unit if unit is None else unit
-        self.unit = unit_like(PM_UNIT, unit, wanted)
+        self.result, self.unit = result, style.speed_unit_of(result, unit)
         self.components = result.components if components is None else components
         self.kinds = self.components["kind"].tolist()
         self.on_sky = result.frame.axis_names[0] in SKY
@@ -109,7 +99,8 @@ def plot_velocity_map(
     place = _draw_components(scene)
 
     def crowd(corner):
-        return np.sum(np.all(np.abs(place - CORNERS[corner]) < CORNER_SIZE, axis=1))
+        # What is in a corner takes so much of the axes.
+        return np.sum(np.all(np.abs(place - CORNERS[corner]) < (0.34, 0.22), axis=1))
 
     first, second, *_ = sorted(CORNERS, key=crowd)
     if scene.kinds:
@@ -168,7 +159,7 @@ def _draw_components(scene):
             )  # fmt: skip
             ax.add_patch(ellipse)
         ax.plot(
-            x, y, KINDS[kind].on_map, markersize=4, markerfacecolor="none",
+            x, y, style.KIND_MARKERS[kind], markersize=4, markerfacecolor="none",
             markeredgecolor="white", path_effects=effects,
             label=None if kind in scene.kinds[: len(places)] else kind,
         )  # fmt: skip
@@ -257,7 +248,7 @@ def _draw_z_scores(scene):
         on_axis = abs(across) <= 3 * max(across_error, least)
         scene.ax.errorbar(
             along, z, xerr=error if np.isfinite(error) else 0.0,
-            fmt=KINDS[kind].marker, color=color, markersize=5,
+            fmt=style.KIND_MARKERS[kind], color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
         scene.ax.annotate(
@@ -381,7 +372,7 @@ def _draw_rays(scene, slopes, factor):
 
 def _draw_ray(ax, slope, spread, kind, label):
     (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
-    ray = {"linestyle": KINDS[kind].line, "label": label, "gid": "ray"}
+    ray = {"linestyle": style.KIND_LINES[kind], "label": label, "gid": "ray"}
     outlined = {"linewidth": 1.4, "path_effects": style.outline(2.6)}
     ax.axline((0, 0), slope=slope, color=BLACK, **ray, **outlined)
     thin = {"linewidth": 0.6, "alpha": 0.7, "gid": "dispersion"}
@@ -432,21 +423,26 @@ def ray_slopes(components, kinds, angle):
     return np.where(np.array(kinds) == "stationary", 0.0, slopes)
 
 
-def longest_interval(years, slopes, kinds, reach):
-    """Return the longest interval that is shown, in years."""
+def longest_interval(years, slopes, kinds, reach, *, beyond=1.3, fewest=4):
+    """
+    Return the longest interval that is shown, in years.
+
+    It is ``beyond`` times the one after which the slowest moving stream leaves the
+    diagram, and there are the ``fewest`` intervals or more.
+    """
     ends = images.edges(years)
     for shown in ("moving", "not confirmed", "not significant"):
         speeds = np.abs(slopes[np.array(kinds) == shown])
         if (speeds > 0).any():
-            longest = BEYOND * reach / speeds[speeds > 0].min()
+            longest = beyond * reach / speeds[speeds > 0].min()
             # A fast stream alone would leave a single column.
-            return min(max(longest, ends[: FEWEST_INTERVALS + 1][-1]), ends[-1])
+            return min(max(longest, ends[: fewest + 1][-1]), ends[-1])
     return ends[-1]
 
 
 def highest_excess(years, excess, longest):
-    """Return the end of the range of the colours."""
-    return np.quantile(np.abs(excess[:, years <= longest]), UNSATURATED) or 1.0
+    """Return the end of the range of the colours, which little of a diagram exceeds."""
+    return np.quantile(np.abs(excess[:, years <= longest]), 0.995) or 1.0
 
 
 def diagram_levels(years, excess, longest, n):

@@ -2,9 +2,9 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from astro_scc.correlation import Correlator
-from astro_scc.correlation.zncc import correlate_windows
 from astro_scc.decomposition import Decomposer
+from astro_scc.images.zncc import correlate_windows
+from astro_scc.paper import Correlator
 from astro_scc.simulation import simulate_two_fluid
 
 cube = simulate_two_fluid(n_epochs=2, rng=1).cube

@@ -21,7 +21,6 @@ from astro_scc.kinematics import (
 )
 from astro_scc.kinematics.frames import (
     STEP,
-    _slice_point,
     _smoothed,
     frame_displacements,
 )
@@ -258,24 +257,6 @@ def test_position_angle_is_that_of_a_loop_over_pixels():
     assert fit_position_angle(cube[:1])[1] == np.inf * u.deg
 
 
-def test_a_slice_has_the_middle_of_what_is_above_half():
-    # A profile across that is lopsided, and a second ridge beside it.
-    y = np.arange(81)[:, None] * 0.1
-    one = np.exp(-((y - 4) ** 2) / np.where(y < 4, 0.5, 2))
-    image = np.repeat(one + 0.95 * np.exp(-((y - 7) ** 2) / 0.1), 30, axis=1)
-    cube = cube_of(image[None], reference=(0, 0))
-    guess, half, ahead = np.array([-1.5, 4.3]), 3.5, np.array([-1.0, 0.0])
-    middle, top = _slice_point(cube, image, guess, ahead, half)
-    n = np.linspace(4.3 - half, 4.3 + half, 61)
-    values = np.interp(n, y[:, 0], image[:, 0])
-    own = (values >= 0.5 * values.max()) & (n < 6.3)
-    expected = [-1.5, np.average(n[own], weights=values[own])]
-    assert_allclose([*middle, top], [*expected, values.max()], atol=1e-9)
-    outside = np.array([500.0, 500.0])
-    assert _slice_point(cube, image, outside, ahead, half) is None
-    assert _slice_point(cube, -image, guess, ahead, half) is None
-
-
 def test_a_jet_longer_than_the_image_is_wide_and_one_that_comes_back():
     t = np.linspace(0, 1.6 * np.pi, 400)
     cube = along(-4.8 * np.sin(t), 4.8 * (1 - np.cos(t)), reference=(60, 10))
@@ -292,45 +273,3 @@ def test_a_jet_longer_than_the_image_is_wide_and_one_that_comes_back():
     # Half of the way from where it is met, 3.5, to a beam before it comes there again.
     end = 6 + 2.5 * 1.5 * np.pi + 1.5
     assert line.length.value == pytest.approx(0.5 * (3.5 + end), abs=1.0)
-
-
-def test_errors_of_a_line_are_those_of_its_slices():
-    # A straight jet of even brightness: every slice has the same error, but
-    # for the core's, and nothing scatters.
-    cube = along(-np.linspace(0, 9, 300), np.zeros(300), n=4, noise=2e-3)
-    line = find_ridge_line(cube, position_angle=WEST)
-    inner = (line.distances > 2 * u.mas) & (line.distances < 7 * u.mas)
-    snr = np.nanmax(cube.data) / (2e-3 / np.sqrt(4))
-    every = np.full(len(line.east), 1 / (np.sqrt(2) * snr))
-    every[0] *= 1e-2
-    points = np.stack([line.east.value, line.north.value], axis=1)
-    _, expected = _smoothed(points, every, 2.0)
-    assert_allclose(line.error[inner].value, expected[inner], rtol=0.1)
-    assert line.error[0] < 0.1 * line.error[inner].mean()
-    assert [k.value for k in line.meta.values()] == pytest.approx([1.0, 2.0])
-
-
-def test_defaults_are_in_beams():
-    t = np.linspace(0, 1.2, 300)
-    cube = along(-7 * np.sin(t), 7 * (1 - np.cos(t)), beam=0.8, reference=(30, 20))
-    given_ = {"half_width": 1.2 * u.mas, "smoothing": 1.6 * u.mas, "threshold": 5}
-    lines = [
-        find_ridge_line(cube, position_angle=WEST, **changes).north.value
-        for changes in ({}, given_, {**given_, "half_width": 0.4 * u.mas},
-                        {**given_, "smoothing": 0.8 * u.mas})
-    ]  # fmt: skip
-    assert_allclose(lines[0], lines[1], atol=1e-12)
-    for other in lines[2:]:
-        n = min(len(other), len(lines[0]))
-        assert np.abs(other[:n] - lines[0][:n]).max() > 1e-3
-
-
-def test_the_direction_is_that_of_the_same_pixels():
-    # Something faint aside turns the mean direction.
-    cube = along(-np.linspace(0, 7, 300), np.zeros(300), reference=(30, 60))
-    cube.data[:, 80:110, 40:60] += 0.15
-    line = find_ridge_line(cube, threshold=200)
-    angle, _ = fit_position_angle(cube, threshold=200)
-    again = find_ridge_line(cube, position_angle=angle, threshold=200)
-    assert_array_equal(line.north, again.north)
-    assert line.at(0 * u.mas)[0].value == pytest.approx(0, abs=0.01)

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Maxima of surfaces, their fits, and errors from shifted positions."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.paper import Displacements, consecutive_pairs
-from astro_scc.paper.peaks import (
+from astro_scc.paper.components import (
     VelocityPeak,
     find_velocity_peaks,
     fit_gaussian,
@@ -86,17 +85,6 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     )
 
 
-def test_sorted_by_falling_coefficient():
-    heights = {-6.0: 0.2, 0.0: 0.5, 6.0: 0.3}
-    scc = sum(gaussian(AXES, x, 0.0, 0.8, 0.8, height=h) for x, h in heights.items())
-    found = find_velocity_peaks(scc, AXES, BOX)
-    assert [round(c.v1) for c in found] == [0, 6, -6]
-    np.testing.assert_allclose([c.coefficient for c in found], [0.5, 0.3, 0.2])
-    for c in found:
-        assert max(abs(AXES[0][c.column] - c.v1), abs(AXES[1][c.row])) < 0.2
-        assert c.coefficient == scc[c.row, c.column]
-
-
 @pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])
 def test_a_maximum_on_the_border_is_none(place):
     assert find_velocity_peaks(gaussian(AXES, *place, 1.0, 1.0), AXES, BOX) == []
@@ -108,20 +96,6 @@ def test_too_narrow_for_a_fit_the_quadratic_serves():
     (c,) = find_velocity_peaks(scc, AXES, BOX)
     assert abs(c.v1 - 0.1) < 0.25
     assert abs(c.v2) < 0.2
-
-
-@pytest.mark.parametrize("aside", [(0.9, 0), (-0.9, 0), (0, 1.4), (0, -1.4)])
-@pytest.mark.parametrize("times", [1.0, 1.2])
-def test_a_fit_outside_the_box_is_none(aside, times, monkeypatch):
-    module = sys.modules[find_velocity_peaks.__module__]
-    axes = velocity_axes(4.0, 0.25)
-    place = times * np.array(aside)
-    fit = tuple(place)
-    monkeypatch.setattr(module, "fit_gaussian", lambda *args: fit)
-    scc = gaussian(axes, 0, 0, 1, 1)
-    (found,) = find_velocity_peaks(scc, axes, (1.8, 2.8))
-    expected = place if times == 1 else (0, 0)
-    np.testing.assert_allclose((found.v1, found.v2), expected, atol=1e-6)
 
 
 # -- errors from shifted positions ------------------------------------------------

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What is measured: alignment, direction, scales and pairs of dates."""
+"""What is measured: alignment, direction and scales."""
 
 from types import SimpleNamespace
 
@@ -19,7 +19,6 @@ from astro_scc.plan import (
     each_fwhm,
     flow_direction,
     motion_of,
-    pairs_of_dates,
     scale_numbers,
     structure_size,
 )
@@ -50,11 +49,6 @@ def test_angles_name_the_scale_that_they_are_near(half, factor):
         assert found == number
 
 
-def test_pairs_of_dates():
-    np.testing.assert_allclose(pairs_of_dates(SMALL, None).interval * YEAR, [30, 60])
-    assert pairs_of_dates(SMALL, [50, 100] * u.day).first.tolist() == [0, 1]
-
-
 def test_resolution_is_the_mean_over_epochs_and_axes_however_beams_are_turned():
     beams = [
         Beam(b * u.mas, 1 * u.mas, pa * u.deg) for b, pa in ((1, 0), (1, 0), (3, 90))
@@ -72,11 +66,6 @@ REFUSED = [
     (lambda: scale_numbers(SMALL, [0.122, 0.4] * u.mas),
      r"^scale 0.122 mas is 1.2 px, not near 2\^j or 1.5 x 2\^j px$"),
     (lambda: scale_numbers(SMALL, [2.0] * u.arcsec), r"scale 2.0 arcsec is 2e\+04"),
-    (lambda: pairs_of_dates(cube_of((0,)), None), "^velocities need at least two epo"),
-    (lambda: pairs_of_dates(cube_of((0, 0, 0)), None),
-     r"^all 3 epochs are of one date \(2010-01-01T00:00:00.000\): velocities"),
-    (lambda: pairs_of_dates(cube_of(), [1, 2] * u.yr),
-     "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.246"),
     (lambda: motion_of(YEARLY, 1e9, np.ones(1)),
      r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, in images of 7.21 "
      "mas with pixels of 0.1 mas: give a smaller one$"),
@@ -85,7 +74,6 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore:two images are of")
 @pytest.mark.parametrize(("call", "words"), REFUSED)
 def test_what_cannot_be_meant_is_refused(call, words):
     with pytest.raises(ValueError, match=words):

@@ -27,7 +27,7 @@ def result(sky_result):
     meta = {"object": "Größe", "history": ["simulated: here"]}
     cube = replace(sky_result.cube, meta=meta)
     decomposed = replace(sky_result.decomposed, cube=cube)
-    vars(decomposed)["features"] = sky_result.tracked_features
+    decomposed._followed.append(sky_result.tracked_features)
     return replace(sky_result, decomposed=decomposed, position_angle=270 * u.deg)
 
 

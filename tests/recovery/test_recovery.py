@@ -17,17 +17,15 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import RadialFrame, RidgeLine, SkyFrame
+from astro_scc.kinematics import RidgeLine
 from astro_scc.recovery import (
     FeaturePaths,
     area_for_features,
     completeness,
     draw_paths,
     inject,
-    moving_streams,
     recovered,
     run_all,
-    velocity_along,
 )
 
 PM, WEST = u.mas / u.yr, 270 * u.deg
@@ -243,11 +241,6 @@ def test_radial_features_leave_the_reference_pixel():
     np.testing.assert_allclose(rate[np.isfinite(rate)], 2.0, rtol=1e-6)
 
 
-def test_the_direction_on_the_axes_of_frames():
-    np.testing.assert_allclose(velocity_along(SkyFrame(), 30 * u.deg), [0.5, 0.75**0.5])
-    np.testing.assert_array_equal(velocity_along(RadialFrame(), "radial"), [1, 0])
-
-
 def streams(*velocities):
     """Streams that move, by their velocities."""
     return [SimpleNamespace(velocity=np.array(v)) for v in velocities]
@@ -273,9 +266,3 @@ def test_when_features_are_found(velocities, own, number):
     found = streams(*velocities)
     stream = recovered(found, own, (5, 0), tolerance=1.0)
     assert stream is (None if number is None else found[number])
-
-
-def test_only_what_moves_is_found():
-    kinds = [SimpleNamespace(kind=k) for k in ("moving", "stationary", "not confirmed")]
-    result = SimpleNamespace(search=SimpleNamespace(streams=kinds))
-    assert moving_streams(result) == kinds[:1]

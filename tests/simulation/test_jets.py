@@ -159,15 +159,6 @@ def test_acceleration(acceleration):
     assert [start, start + slope * 16 * 0.8] == pytest.approx(expected, rel=0.02)
 
 
-def test_features_fade_and_widen():
-    truth = simulate_jet(rng=1, n_features=80, **BARE).truth
-    s = np.abs(truth["east"].value) / 0.8
-    near, far = (s > 0.5) & (s < 2), (s > 10) & (s < 13)
-    assert truth["flux"][far].mean() < 0.4 * truth["flux"][near].mean()
-    expected = 0.25 * 0.8 * (1 + s) ** 0.6
-    assert_allclose(truth["fwhm"].to_value(u.mas), expected, rtol=1e-6)
-
-
 # Images and truth -------------------------------------------------------------
 
 

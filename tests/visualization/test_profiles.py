@@ -59,6 +59,10 @@ def test_symbols_tell_kinds_and_what_has_no_speed(table):
     assert [line.get_markerfacecolor() for line in dots] == 2 * [BLUE]
     # Those that do not represent their bin are smaller.
     assert [line.get_markersize() for line in dots] == [5, 3]
+    (ax,) = plot_profile(table, markersize=9, color="red").axes
+    assert {line.get_color() for line in ax.lines if line.get_marker() == "o"} == {
+        "red"
+    }
     table["pm_parallel"][0] = np.nan * PM
     assert labels(plot_profile(table).axes[0]) == ["moving", "stationary"]
     plot_profile(table[:0]).draw_without_rendering()

@@ -3,6 +3,7 @@
 
 import itertools
 from dataclasses import replace
+from functools import partial
 
 import astropy.units as u
 import numpy as np
@@ -15,7 +16,7 @@ from matplotlib.figure import Figure
 
 from astro_scc import EpochCube
 from astro_scc.visualization import style
-from astro_scc.visualization.tracks import PALE, plot_separation, plot_tracks
+from astro_scc.visualization.tracks import PALE, ejections, plot_separation, plot_tracks
 
 MODULE = "astro_scc.visualization.tracks"
 
@@ -119,7 +120,8 @@ def test_numbers_do_not_overlap_and_colours_are_of_the_components(
 
 
 def test_dashes_lead_to_the_ejections(features, monkeypatch):
-    monkeypatch.setattr(f"{MODULE}.EARLIER", 20.0)
+    all_of_them = partial(ejections, earlier=20.0)
+    monkeypatch.setattr(f"{MODULE}.ejections", all_of_them)
     upper, _ = plot_separation(features).axes
     years, fwhm = features.cube.times.jyear, features.detections.fwhm
     secure = itertools.compress(features.motions, features.secure)

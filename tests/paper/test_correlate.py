@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Coefficients, their peaks and matches, against loops over displacements."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +9,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.correlation import Correlator, Matches, all_pairs
-from astro_scc.correlation.correlate import (
-    COLUMNS,
-    TargetStack,
-    match_epoch,
-    target_ssps,
-)
-from astro_scc.correlation.zncc import correlate_windows, find_peaks
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.images.zncc import correlate_windows, find_peaks
+from astro_scc.paper import Correlator, Matches, all_pairs
+from astro_scc.paper.correlate import (
+    COLUMNS,
+    TargetStack,
+    target_ssps,
+)
 from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 96, 128
@@ -339,7 +337,7 @@ def test_patterns_of_few_pixels_match_nothing(masked, matched, monkeypatch):
     """With two pixels the coefficient is one or minus one, wherever they fall."""
     number = SSPs.of_epochs(masked).n_pixels[matched.ssp]
     least = int(np.sort(number)[len(number) // 2])
-    monkeypatch.setattr("astro_scc.correlation.correlate.FEWEST_PIXELS", least)
+    monkeypatch.setattr("astro_scc.paper.correlate.FEWEST_PIXELS", least)
     same(Correlator()(masked, all_pairs(3), 6), matched.select(number >= least))
 
 
@@ -352,24 +350,12 @@ def test_small_batches_and_processes_give_the_same_to_the_bit(
 ):
     correlate, pairs, done = Correlator(target=target), all_pairs(3), []
     whole = correlate(masked, pairs, 6, progress=done.append)
-    monkeypatch.setattr("astro_scc.correlation.correlate.BATCH_PIXELS", 1)
+    monkeypatch.setattr("astro_scc.paper.correlate.BATCH_PIXELS", 1)
     found = correlate(masked, pairs, 6, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     assert done == [1] * 9
-
-
-def test_planes_go_to_other_processes_only_where_they_are_needed(masked, monkeypatch):
-    seen = []
-    monkeypatch.setattr(
-        "astro_scc.correlation.correlate.match_epoch",
-        lambda work: seen.append(len(pickle.dumps(work))) or match_epoch(work),
-    )
-    for target in ("segments", "plane"):
-        Correlator(target=target)(masked, [(0, 1)], 6)
-    planes = masked[1].planes.nbytes
-    assert seen[0] < seen[1] - 0.9 * planes
 
 
 def test_only_the_pairs_and_patterns_asked_for(masked, matched):

@@ -17,16 +17,16 @@ from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import name_by_frame
-from astro_scc.matching import (
+from astro_scc.measurement.axes import velocity_frame
+from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
+from astro_scc.paper.components import PaperStack, stack_patterns
+from astro_scc.paper.matching import (
     MatchedEpochs,
     SearchPlan,
     match_epochs,
     matched_displacements,
 )
-from astro_scc.measurement.axes import velocity_frame
-from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
-from astro_scc.paper import draw_orders, image_pairs, stack_patterns
-from astro_scc.paper.components import PaperStack
+from astro_scc.paper.stack import draw_orders, image_pairs
 from astro_scc.patterns import empty_region
 from astro_scc.plan import each_fwhm, flow_direction
 from astro_scc.progress import progress
@@ -42,11 +42,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PaperMeasurement", "measure_as_in_paper"]
 
-#: Shift of the paper's correction for small displacements, in beams.
-SMALL_SHIFT = 0.2
-#: A component stands still if its velocity is within this many standard errors of zero.
-STILL_SIGMA = 3.0
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperMeasurement(VelocityMaps):
@@ -55,7 +50,7 @@ class PaperMeasurement(VelocityMaps):
 
     Attributes
     ----------
-    matched : `~astro_scc.matching.MatchedEpochs`
+    matched : `~astro_scc.paper.matching.MatchedEpochs`
     frame : frame of `astro_scc.kinematics`
         The two axes of velocities.
     position_angle : `~astropy.units.Quantity`
@@ -68,7 +63,7 @@ class PaperMeasurement(VelocityMaps):
     Examples
     --------
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.paper_method import measure_as_in_paper
+    >>> from astro_scc.paper.method import measure_as_in_paper
     >>> from astro_scc.simulation import simulate_static
     >>> cube = simulate_static(n_epochs=4, rng=1).cube
     >>> found = measure_as_in_paper(cube, StackedCrossCorrelation(), n_trials=9, rng=1)
@@ -161,13 +156,14 @@ def component_row(component, number, frame, angle):
     Returns
     -------
     dict
+        What is within three standard errors of zero is ``stationary``.
     """
     errors = np.array([component.v1_err, component.v2_err])
     correlations = np.full((2, 2), component.correlation)
     np.fill_diagonal(correlations, 1.0)
     covariance = correlations * np.outer(errors, errors)
     velocity = np.array([component.v1, component.v2])
-    still = np.hypot(*(velocity / errors)) <= STILL_SIGMA
+    still = np.hypot(*(velocity / errors)) <= 3
     kind = "stationary" if still else "moving"
     columns = velocity_columns(velocity, covariance, frame, angle)
     return {
@@ -218,7 +214,7 @@ def measure_as_in_paper(
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.paper_method import measure_as_in_paper
+    >>> from astro_scc.paper.method import measure_as_in_paper
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> cube = simulate_two_fluid(rng=1).cube
     >>> settings = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
@@ -252,7 +248,7 @@ def measure_as_in_paper(
                 displacements, plan.pairs, orders,
                 fwhm=fwhm, max_speed=plan.max_speed, rng=generator,
                 alpha=settings.alpha, progress=done,
-                shift_beams=SMALL_SHIFT * settings.small_displacement_correction,
+                shift_beams=0.2 * settings.small_displacement_correction,
             )  # fmt: skip
     meta = {
         "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),

@@ -13,7 +13,6 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
-from astro_scc.correlation import Matches
 from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.kinematics import (
@@ -21,15 +20,20 @@ from astro_scc.kinematics import (
     RadialFrame,
     SkyFrame,
 )
-from astro_scc.matching import SearchPlan, matched_displacements
+from astro_scc.paper import Matches
+from astro_scc.paper.matching import SearchPlan, matched_displacements, pairs_of_dates
 
 
-def plan_of(days, speed=None, shape=(40, 60), beam=1.0):
-    """The plan for epochs without anything in them, of pixels of 0.1 mas."""
-    cube = EpochCube.from_arrays(
+def cube_of(days, shape=(40, 60), beam=1.0):
+    """Epochs without anything in them, of pixels of 0.1 mas."""
+    return EpochCube.from_arrays(
         np.zeros((len(days), *shape)), Time("2010-01-01") + np.array(days) * u.day,
         pixel_scale=0.1 * u.mas, beams=Beam(beam * u.mas, beam * u.mas),
     )  # fmt: skip
+
+
+def plan_of(days, speed=None, shape=(40, 60), beam=1.0):
+    cube = cube_of(days, shape, beam)
     speed = None if speed is None else speed * u.mas / u.yr
     return SearchPlan.of(cube, StackedCrossCorrelation(scales=[1], max_speed=speed))
 
@@ -57,6 +61,27 @@ def test_windows_end_with_the_image_and_warn():
         warnings.simplefilter("error")
         plan_of((0, YEAR), 2.85)
         assert plan_of((0, YEAR), beam=2.0).reach == (39, 59)
+
+
+def test_pairs_of_dates():
+    cube = cube_of((0, 30, 90))
+    np.testing.assert_allclose(pairs_of_dates(cube, None).interval * YEAR, [30, 60])
+    assert pairs_of_dates(cube, [50, 100] * u.day).first.tolist() == [0, 1]
+
+
+@pytest.mark.filterwarnings("ignore:two images are of")
+@pytest.mark.parametrize(
+    ("days", "baseline", "words"),
+    [
+        ((0,), None, "^velocities need at least two epo"),
+        ((0, 0, 0), None, "^all 3 epochs are of one date .2010-01-01T00:00:00.000.: v"),
+        ((0, 30, 90), [1, 2] * u.yr,
+         "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.2"),
+    ],
+)  # fmt: skip
+def test_dates_without_a_pair_are_refused(days, baseline, words):
+    with pytest.raises(ValueError, match=words):
+        pairs_of_dates(cube_of(days), baseline)
 
 
 def ssps_of(cube, east, north, epoch, scale=1.0):

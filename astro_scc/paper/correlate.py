@@ -5,17 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from astro_scc.correlation.zncc import Template, find_peaks
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.images.zncc import Template, find_peaks
 from astro_scc.parallel import in_order
 from astro_scc.quantities import CORRELATION, named
 
@@ -64,7 +64,7 @@ class Matches:
 
     Examples
     --------
-    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.paper import Correlator
     >>> from astro_scc.decomposition import Decomposer
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
@@ -99,7 +99,7 @@ class Matches:
 
         Returns
         -------
-        `~astro_scc.correlation.Matches`
+        `~astro_scc.paper.Matches`
         """
         return replace(self, **{name: getattr(self, name)[keep] for name in COLUMNS})
 
@@ -110,7 +110,7 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
 
     Parameters
     ----------
-    matches : `~astro_scc.correlation.Matches`
+    matches : `~astro_scc.paper.Matches`
     ssps : `~astro_scc.decomposition.SSPs`
         The SSPs of all epochs.
 
@@ -124,8 +124,8 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation import Correlator, all_pairs
-    >>> from astro_scc.correlation.correlate import target_ssps
+    >>> from astro_scc.paper import Correlator, all_pairs
+    >>> from astro_scc.paper.correlate import target_ssps
     >>> from astro_scc.decomposition import Decomposer, SSPs
     >>> y, x = np.mgrid[:64, :96]
     >>> def image(x0):
@@ -163,7 +163,7 @@ def all_pairs(n_epochs: int) -> np.ndarray:
 
     Examples
     --------
-    >>> from astro_scc.correlation import all_pairs
+    >>> from astro_scc.paper import all_pairs
     >>> all_pairs(3).tolist()
     [[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]]
     """
@@ -194,7 +194,7 @@ class Correlator:
 
     Examples
     --------
-    >>> from astro_scc.correlation import Correlator
+    >>> from astro_scc.paper import Correlator
     >>> from astro_scc.decomposition import Decomposer
     >>> from astro_scc.simulation import simulate_two_fluid
     >>> images = simulate_two_fluid(n_epochs=2, rng=1).cube.data
@@ -240,7 +240,7 @@ class Correlator:
 
         Returns
         -------
-        `~astro_scc.correlation.Matches`
+        `~astro_scc.paper.Matches`
             Its ``ssp`` are indices into ``SSPs.of_epochs(decompositions)``.
 
         Raises
@@ -253,7 +253,7 @@ class Correlator:
         Examples
         --------
         >>> import numpy as np
-        >>> from astro_scc.correlation import Correlator, all_pairs
+        >>> from astro_scc.paper import Correlator, all_pairs
         >>> from astro_scc.decomposition import Decomposer
         >>> y, x = np.mgrid[:64, :96]
         >>> def image(x0):
@@ -284,8 +284,8 @@ class Correlator:
         for epoch in np.unique(pairs[:, 0]):
             of_epoch = chosen & (ssps.epoch == epoch)
             others = pairs[pairs[:, 0] == epoch, 1]
-            pieces = ssps.select(of_epoch), np.flatnonzero(of_epoch), others
-            work.append(EpochPairs(self, *pieces, [targets[k] for k in others], reach))
+            rest = np.flatnonzero(of_epoch), others, [targets[k] for k in others]
+            work.append((self, ssps.select(of_epoch), *rest, reach))
         parts = [tuple(np.empty(0) for _ in COLUMNS)]
         for found in in_order(match_epoch, work, n_workers):
             parts += found
@@ -297,34 +297,25 @@ class Correlator:
         return found.select(np.lexsort((found.target, found.ssp)))
 
 
-class EpochPairs(NamedTuple):
-    """
-    An epoch and those with which its SSPs are correlated.
-
-    ``index`` are the places of its ``ssps`` in the catalogue of all epochs; the
-    decompositions of the ``targets`` have no planes if only their SSPs count.
-    """
-
-    settings: Correlator
-    ssps: SSPs
-    index: np.ndarray
-    epochs: np.ndarray
-    targets: list[Decomposition]
-    reach: np.ndarray
-
-
 def match_epoch(work):
-    """Return the columns of the matches of an epoch's SSPs, scale by scale."""
-    ssps, parts = work.ssps, []
+    """
+    Return the columns of the matches of an epoch's SSPs, scale by scale.
+
+    ``work`` are the settings, the SSPs, their places in the catalogue of all epochs,
+    the epochs with which they are correlated, the decompositions of these, without
+    planes if only their SSPs count, and the largest displacement.
+    """
+    settings, ssps, index, epochs, targets, reach = work
+    parts = []
     for scale in np.unique(ssps.scale):
-        stack, found = TargetStack(work, scale), []
+        stack, found = TargetStack(settings, targets, reach, scale), []
         for i in np.flatnonzero(ssps.scale == scale):
             if ssps.n_pixels[i] >= FEWEST_PIXELS:
                 found += stack.matches_of(ssps, i)
         if found:
             i, target, *place = map(np.concatenate, zip(*found, strict=True))
             snr = stack.snr(target, ssps.y[i] + place[0], ssps.x[i] + place[1])
-            parts.append((work.index[i], work.epochs[target], *place, snr))
+            parts.append((index[i], epochs[target], *place, snr))
     return parts
 
 
@@ -337,15 +328,15 @@ class TargetStack:
     the largest one are maxima.
     """
 
-    def __init__(self, work, scale):
-        self.settings, self.margin = work.settings, work.reach + 1
-        self.shape = np.array(work.targets[0].planes.shape[1:])
-        size = len(work.targets), *(self.shape + 2 * self.margin)
+    def __init__(self, settings, targets, reach, scale):
+        self.settings, self.margin = settings, reach + 1
+        self.shape = np.array(targets[0].planes.shape[1:])
+        size = len(targets), *(self.shape + 2 * self.margin)
         self.values, self.noise = np.zeros(size, dtype=np.float32), []
         self.valid = np.zeros(size, dtype=bool)
         ends = zip(self.margin, self.margin + self.shape, strict=True)
         inside = tuple(slice(*end) for end in ends)
-        for values, valid, d in zip(self.values, self.valid, work.targets, strict=True):
+        for values, valid, d in zip(self.values, self.valid, targets, strict=True):
             level = d.scales.index(scale)
             self.noise.append(d.noise[level])
             valid[inside] = True if d.mask is None else ~d.mask

@@ -11,7 +11,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement.result import map_hdus
 from astro_scc.paper.components import PaperComponent
-from astro_scc.paper_method import component_row, measure_as_in_paper
+from astro_scc.paper.method import component_row, measure_as_in_paper
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.units import PM_UNIT
 

@@ -5,34 +5,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import astropy.units as u
 import numpy as np
 
-from astro_scc.correlation import Correlator, Matches, all_pairs
-from astro_scc.correlation.correlate import target_ssps
-from astro_scc.decomposition import Decomposer
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.kinematics.frames import frame_displacements
-from astro_scc.paper import Displacements
-from astro_scc.paper.trials import DatePairs
+from astro_scc.paper.correlate import Correlator, Matches, all_pairs, target_ssps
+from astro_scc.paper.stack import (
+    DatePairs,
+    Displacements,
+    baseline_pairs,
+    consecutive_pairs,
+)
 from astro_scc.parallel import workers_of
 from astro_scc.patterns import (
     DecomposedEpochs,
-    allow_for_structure,
     decompose_epochs,
     gather_patterns,
 )
-from astro_scc.plan import each_fwhm, motion_of, pairs_of_dates, scale_numbers
+from astro_scc.plan import each_fwhm, motion_of, scale_numbers
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings
 from astro_scc.units import PM_UNIT
 
 __all__ = ["MatchedEpochs", "SearchPlan"]
-
-#: Without a largest speed, motion of this many beams in the longest interval of a pair
-#: of epochs is searched, as in the simulated jets of the paper.
-FAR_BEAMS = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +91,8 @@ class SearchPlan:
         pairs = pairs_of_dates(cube, settings.baseline)
         scales = scale_numbers(cube, settings.scales)
         fwhm = float(each_fwhm(cube, scales).mean())
-        speed = FAR_BEAMS * fwhm / pairs.interval.max()
+        # Four beams in the longest interval, as in the simulated jets of the paper.
+        speed = 4 * fwhm / pairs.interval.max()
         if settings.max_speed is not None:
             speed = settings.max_speed.to_value(PM_UNIT)
         moved, most = motion_of(cube, speed, pairs.interval)
@@ -121,7 +120,7 @@ class MatchedEpochs(DecomposedEpochs):
     ----------
     cube, decomposer, ssps, select, region
         See `~astro_scc.patterns.DecomposedEpochs`.
-    matches : `~astro_scc.correlation.Matches`
+    matches : `~astro_scc.paper.Matches`
 
     Examples
     --------
@@ -139,6 +138,47 @@ class MatchedEpochs(DecomposedEpochs):
 
     def __repr__(self):
         return f"{super().__repr__()[:-1]}, {len(self.matches)} matches>"
+
+
+def pairs_of_dates(cube, baseline):
+    """
+    Return the pairs of dates that are compared.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    baseline : `~astropy.units.Quantity`, shape (2,), or None
+        Shortest and longest interval; if None, consecutive epochs are paired.
+
+    Returns
+    -------
+    ``DatePairs``
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair.
+    """
+    years = cube.years.to_value(u.yr)
+    if len(years) < 2:
+        raise ValueError(
+            "velocities need at least two epochs, the cube has one: give images of "
+            "other dates (a file that is given twice counts once)"
+        )
+    if baseline is None:
+        pairs = consecutive_pairs(years)
+        why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
+        why += "velocities need different dates"
+    else:
+        shortest, longest = baseline.to_value(u.yr)
+        pairs = baseline_pairs(years, shortest, longest)
+        least, most = np.diff(years).min(), np.ptp(years)
+        why = f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
+        why += f"separations go from {least:.3g} to {most:.3g} yr; choose another "
+        why += "baseline"
+    if len(pairs) == 0:
+        raise ValueError(why)
+    return pairs
 
 
 def match_epochs(
@@ -162,11 +202,7 @@ def match_epochs(
     -------
     `MatchedEpochs`
     """
-    decomposer = Decomposer(
-        plan.scales, settings.wavelet, settings.detection, settings.segmentation,
-        settings.noise,
-    )  # fmt: skip
-    decomposer = allow_for_structure(cube, decomposer)
+    decomposer = settings.decomposer(cube)
     correlator = Correlator(settings.kappa, settings.target, settings.min_overlap)
     pairs = all_pairs(len(cube)) if pairs is None else pairs
     with workers_of(n_workers) as workers:

@@ -13,8 +13,6 @@ from astro_scc.decomposition.segmentation import quadratic_peak
 #: which were measured as 7e-16.  A pattern beside a core a million times brighter
 #: still counts, with an error of 0.002.
 VARIANCE_FLOOR = 5e-15
-#: Patterns that vary by less than this, relative to their values, are flat.
-FLAT = 1e-14
 
 
 class Overlap(NamedTuple):
@@ -46,7 +44,8 @@ class Template:
         inside = values[footprint].astype(float)
         deviation, self.n_pixels = inside - inside.mean(), len(inside)
         self.energy, self.values = 0.0, np.zeros(footprint.shape)
-        if np.abs(deviation).max() > FLAT * np.abs(inside).max():
+        # Patterns that vary less, relative to their values, are flat.
+        if np.abs(deviation).max() > 1e-14 * np.abs(inside).max():
             self.energy = float((deviation**2).sum())
             self.values[footprint] = deviation / self.energy**0.5
         self.footprint = footprint.astype(float)
@@ -168,7 +167,7 @@ def correlate_windows(
     Examples
     --------
     >>> import numpy as np
-    >>> from astro_scc.correlation.zncc import correlate_windows
+    >>> from astro_scc.images.zncc import correlate_windows
     >>> window = np.random.default_rng(3).normal(size=(20, 20))
     >>> pattern = window[7:13, 9:15]
     >>> coefficient, _ = correlate_windows(
