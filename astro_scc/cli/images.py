@@ -12,7 +12,7 @@ import numpy as np
 
 from astro_scc import EpochCube, simulation
 from astro_scc.alignment.registration import MISALIGNED, core_positions
-from astro_scc.cli.inputs import draw_seed, prepare
+from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
 from astro_scc.components.restoring import NO_BEAM
@@ -96,7 +96,7 @@ def restore(args, reporter):
     if missing := [option for option, value in needed.items() if value is None]:
         options = " and ".join(missing)
         raise ValueError(f"{options} must be given to make images (--list makes none)")
-    how = images_of(args)
+    how = images_of(args, args.tables)
     found = read_components(
         args.tables, source=args.source, origin=args.origin, beams=how["beam"]
     )
@@ -129,8 +129,8 @@ def _sources(tables):
     return table_lines(rows)
 
 
-def images_of(args):
-    """Return how images are restored, from the arguments."""
+def images_of(args, tables):
+    """Return how images of tables are restored, from the arguments."""
     after, before, seed = (
         check_setting(name, getattr(args, name)) for name in ("after", "before", "seed")
     )
@@ -141,6 +141,7 @@ def images_of(args):
         "after": after and to_time(after),
         "before": before and to_time(before),
         "seed": draw_seed(seed),
+        "tables": table_name(tables[0]) if len(tables) == 1 else f"{len(tables)} files",
     }
 
 
@@ -164,6 +165,7 @@ def write_images(components, folder, how, *, overwrite=False):
         chosen = components.select(after=how["after"], before=how["before"])
         grid = {"beam": chosen.beams, "pixel_scale": pixel}
         cube = EpochCube.from_components(chosen, noise=noise, rng=seed, **grid)
+        cube = cube.with_step(f"components from {how['tables']}")
         if noise is not None:
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         write_epochs(cube, part)

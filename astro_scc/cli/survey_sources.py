@@ -403,7 +403,7 @@ def _restore(task):
 
 def _components(args, reporter):
     """Return the components of each source with a beam, and how to restore images."""
-    how = images.images_of(args)
+    how = images.images_of(args, [args.survey])
     options, found = {"origin": args.origin, "beams": how["beam"]}, {}
     for name in args.source.split(",") if args.source else (None,):
         found |= read_sources(args.survey, source=name, **options)

@@ -18,7 +18,7 @@ from astro_scc.writing import versions
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
-    "features.ecsv positions.ecsv publication separation.png tracks.png "
+    "features.ecsv positions.ecsv citations.bib publication separation.png tracks.png "
     "separation.pdf tracks.pdf"
 ).split()
 
@@ -84,6 +84,8 @@ def _write(features, epochs, folder):
         "history": list(cube.meta.get("history", ())),
         "versions": versions(),
     }
+    if epochs.published is not None:
+        meta["history"].append(f"compared with {epochs.published.meta['survey']}")
     tables = {"features": table, "positions": features.positions}
     tables, _ = write_tables(tables, folder, meta)
     write_publication(tables, folder)

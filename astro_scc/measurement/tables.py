@@ -17,6 +17,7 @@ from astro_scc.columns import build_table, cells, describe, round_to_errors, wit
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.measurement.citations import citations_of
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 
 if TYPE_CHECKING:
@@ -107,6 +108,23 @@ class Components:
         return table_in_c(
             self.components, redshift=redshift, cosmology=cosmology, distance=distance
         )
+
+    def citations(self, components: QTable | None = None) -> str:
+        """
+        Return what the measurement rests on as BibTeX: papers, survey, this package.
+
+        Parameters
+        ----------
+        components : `~astropy.table.QTable`, optional
+            The table that `components_in_c` returns: its cosmology is cited, too.
+
+        Returns
+        -------
+        str
+            Command-line users have it in ``citations.bib``.
+        """
+        table = self.components if components is None else components
+        return citations_of(self.cube.meta.get("history", ()), table.meta)
 
 
 class VelocityMaps(Components):

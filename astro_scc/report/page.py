@@ -56,7 +56,8 @@ OF_SOURCE = (
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
     "streams.ecsv components.ecsv spectrum.ecsv features.ecsv positions.ecsv "
-    "sensitivity.ecsv epochs.ecsv ssps.ecsv scc.fits publication config.toml"
+    "sensitivity.ecsv epochs.ecsv ssps.ecsv scc.fits publication citations.bib "
+    "config.toml"
 ).split()
 #: Width and height of a small profile.
 SPARK = (144, 34)

@@ -144,8 +144,8 @@ def test_profile(profile, done, here):
     assert "p_fdr" in out
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc" in out
     assert {path.name for path in (here / "out").iterdir()} == {
-        "config.toml", "position_angles.png", "profile.ecsv", "profile.png",
-        "publication",
+        "citations.bib", "config.toml", "position_angles.png", "profile.ecsv",
+        "profile.png", "publication",
     }  # fmt: skip
     table = QTable.read(here / "out" / "profile.ecsv")
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
