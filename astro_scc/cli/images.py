@@ -32,7 +32,6 @@ from astro_scc.images.series import date_labels
 from astro_scc.paper.trials import baseline_pairs
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
-from astro_scc.report.answer import misalignment_text
 from astro_scc.settings import Settings, check_setting
 
 #: Options of the jet "jet", and their other names in `simulate_jet`.
@@ -333,22 +332,22 @@ def _rounded(interval, how):
 
 
 def _alignment(cube, of_core):
-    """Return how well the epochs are aligned, and what to do about it."""
+    """Return what the choice of an alignment leaves to be said, as lines."""
     scatter = cube.misalignment
-    lines = ["", misalignment_text(scatter)]
-    if of_core >= MISALIGNED:
-        lines += [
-            f"The core as it is fitted scatters by {of_core:.2f} beams: either the "
-            "epochs are not aligned,",
-            "or what was fitted is not the core.  Look at the images.",
+    if scatter is None and of_core >= MISALIGNED:
+        return [
+            "",
+            f"What is fitted as the core scatters by {of_core:.2f} beams: align the "
+            "epochs on it if it is the core (--align core).",
         ]
-    if max(scatter or 0, of_core) >= MISALIGNED:
-        lines += [
-            "Images that are not aligned can make a stationary jet appear to move: "
-            "align them on the core,",
-            "if there is one, or by a table of its positions, unless they are aligned.",
+    if scatter is not None and scatter < MISALIGNED <= of_core:
+        return [
+            "",
+            f"What is fitted as the core scatters by {of_core:.2f} beams, but the rest "
+            f"of the images by {scatter:.2f}:",
+            "it varies, or is not the core, and the epochs are left as they are.",
         ]
-    return lines
+    return []
 
 
 def _choices(cube):
