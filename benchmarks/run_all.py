@@ -21,6 +21,7 @@ import shlex
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -133,8 +134,13 @@ def read_cells(path):
     if not path.is_file():
         return {}
     if path.suffix != ".csv":
-        lines = path.read_text(encoding="utf-8").splitlines()
-        return {f"line {k}": line for k, line in enumerate(lines, start=1)}
+        # By their words, so that a line that is new moves no others.
+        found, seen = {}, Counter()
+        for line in path.read_text(encoding="utf-8").splitlines():
+            words = " ".join(NUMBER.sub("#", line).split())[:60]
+            seen[words] += 1
+            found[f"'{words}' {seen[words]}"] = line
+        return found
     with open(path, newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
     return {

@@ -79,6 +79,14 @@ def test_what_changed_in_a_table_is_said(tmp_path):
     assert lines[0] == "  row 1, speed: 2.0 ± 0.1 -> 2.5 ± 0.1"
     assert lines[1] == "  row 3, jet: (none) -> C"
     assert TOOL.compare(before, before) == []
+    # A line more in a text moves no others.
+    path = tmp_path / "a.txt"
+    path.write_text("speed 2.0\nspeed 3.0\n")
+    before = TOOL.read_cells(path)
+    path.write_text("new\nspeed 2.0\nspeed 3.3\n")
+    first, *lines = TOOL.compare(before, TOOL.read_cells(path))
+    assert first == "2 of 3 changed, at most by words"
+    assert "  'speed #' 2: speed 3.0 -> speed 3.3" in lines
 
 
 def test_a_run_goes_on_where_it_was(tmp_path, capsys, monkeypatch):

@@ -172,11 +172,17 @@ def read_epochs(settings, args=None, *, note=None, features=False, moving=False)
     found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = settings.changed(**found)
     n_workers = 1 if args is None else workers_of(args, cube)
-    published = None
-    if compare := getattr(args, "compare", None):
-        published = published_positions(compare, cube)
-        published.meta["survey"] = table_name(compare)
+    published = published_of(getattr(args, "compare", None), cube)
     return Inputs(cube, settings, left_out, chosen, n_workers, published)
+
+
+def published_of(path, cube):
+    """Return published features to compare with, which say of which survey they are."""
+    if path is None:
+        return None
+    published = published_positions(path, cube)
+    published.meta["survey"] = table_name(path)
+    return published
 
 
 def table_name(path):
