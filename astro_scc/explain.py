@@ -104,7 +104,7 @@ def explain_feature(
         return [*lines, f"It is lost: nothing is detected there{why}."]
     counts = Counter(owner[seen].tolist()).most_common()
     shares = (f"{n} are of {_name(features, k)}" for k, n in counts)
-    lines.append(f"Of its {_epochs(len(seen), 'detection')}, {', '.join(shares)}.")
+    lines.append(f"Of its {_count(len(seen), 'detection')}, {', '.join(shares)}.")
     k, n = next(((k, n) for k, n in counts if k >= 0), (-1, 0))
     if 2 * n < len(seen):
         return [*lines, *_not_linked(features, seen, owner)]
@@ -115,7 +115,7 @@ def _name(features, k):
     return f"feature {features.number[k]}" if k >= 0 else "no feature"
 
 
-def _epochs(n, word="epoch"):
+def _count(n, word="epoch"):
     return f"{n} {word}{'' if n == 1 else 's'}"
 
 
@@ -138,37 +138,31 @@ def _of_feature(features, number):
 def _detected(features, epoch, place):
     """Return the detections at places, whether all are bright, and lines on them."""
     cube, d = features.cube, features.detections
-    expected, signal = d.to_beams(place), _signal(cube, d, epoch, place)
-    away, beside, nearest = (np.full(len(epoch), np.inf) for _ in range(3))
-    for i, (one, there) in enumerate(zip(epoch, expected, strict=True)):
+    signal = _signal(cube, d, epoch, place)
+    nearest, away, beside = np.full((3, len(epoch)), np.inf)
+    for i, (one, there) in enumerate(zip(epoch, d.to_beams(place), strict=True)):
         here = np.flatnonzero(d.epoch == one)
-        off = np.hypot(*(d.in_beams[here] - there).T)
         if len(here):
+            off = np.hypot(*(d.in_beams[here] - there).T)
             nearest[i], away[i] = here[off.argmin()], off.min()
-            others = (
-                d.in_beams[np.delete(here, off.argmin())]
-                - d.in_beams[here[off.argmin()]]
-            )
-            beside[i] = np.hypot(*others.T).min(initial=np.inf)
+            apart = np.hypot(*(d.in_beams[here] - d.in_beams[here[off.argmin()]]).T)
+            beside[i] = np.partition(np.append(apart, np.inf), 1)[1]
     found = away <= SAME
-    lines = [
-        f"Detected within {SAME:g} beams in {found.sum()} of {_epochs(len(epoch))}"
-        f"{_range(signal[found])}."
-    ]
-    if not found.all():
-        missed = np.flatnonzero(~found)
-        each = "; ".join(
-            f"{cube.times[epoch[i]].isot[:10]}, S/N {_number(signal[i])}, "
-            + (f"at {away[i]:.2g} beams" if np.isfinite(away[i]) else "none")
-            for i in missed[:MOST]
-        )
-        more = f"; and {len(missed) - MOST} more" if len(missed) > MOST else ""
-        lines.append(
-            "Not detected (date, S/N of the image at the place, nearest detection): "
-            f"{each}{more}."
-        )
-    rivals = np.sum(beside[found] < RIVAL)
-    if rivals:
+    said = f"Detected within {SAME:g} beams in {found.sum()} of {_count(len(epoch))}"
+    if found.any():
+        low, middle, high = map(_number, np.quantile(signal[found], [0, 0.5, 1]))
+        said += f", at an S/N of {low} to {high}, {middle} in the median"
+    lines = [f"{said}."]
+    missed = np.flatnonzero(~found).tolist()
+    each = [
+        f"{cube.times[epoch[i]].isot[:10]}, S/N {_number(signal[i])}, "
+        f"at {away[i]:.2g} beams" for i in missed[:MOST]
+    ]  # fmt: skip
+    each += [f"and {len(missed) - MOST} more"] * (len(missed) > MOST)
+    if missed:
+        head = "Not detected (date, S/N of the image there, nearest detection): "
+        lines.append(f"{head}{'; '.join(each)}.".replace("at inf beams", "none"))
+    if rivals := np.sum(beside[found] < RIVAL):
         lines.append(
             f"Another detection is within a beam in {rivals} of these epochs, the "
             f"nearest at {beside[found].min():.2g} beams."
@@ -177,30 +171,20 @@ def _detected(features, epoch, place):
     return seen, bool(np.all(signal >= BRIGHT)), lines
 
 
-def _range(signal):
-    """Return the range of signal-to-noise ratios in words."""
-    if len(signal) == 0:
-        return ""
-    low, middle, high = (_number(v) for v in np.quantile(signal, [0, 0.5, 1]))
-    return f", at an S/N of {low} to {high}, {middle} in the median"
-
-
 def _number(value):
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
 
 
 def _signal(cube, d, epoch, place):
     """Return the brightest pixel in a quarter of a beam about places over the noise."""
-    x, y = cube.offset_to_pixel(*(place.T * u.mas))
+    places = np.transpose(cube.offset_to_pixel(*(place.T * u.mas)))
     reach = 0.25 * d.fwhm / cube.pixel_scale.to_value(u.mas)
+    low = np.maximum(np.ceil(places - reach), 0).astype(int)
+    high = np.maximum(places + reach + 1, 0).astype(int)
     signal, noise = np.full(len(epoch), np.nan), cube.noise_rms().value
     for i, one in enumerate(epoch):
-        rows, columns = (
-            slice(max(0, int(np.ceil(v - reach))), max(0, int(v + reach) + 1))
-            for v in (y[i], x[i])
-        )
-        there = cube.data[one][rows, columns]
-        if there.size:
+        (x0, y0), (x1, y1) = low[i], high[i]
+        if (there := cube.data[one][y0:y1, x0:x1]).size:
             signal[i] = np.nanmax(there) / noise[one]
     return signal
 
@@ -211,36 +195,30 @@ def _signal(cube, d, epoch, place):
 def _not_linked(features, seen, owner):
     """Return why the assignment has not made a feature of detections, as lines."""
     d, settings = features.detections, TrackSettings()
-    if len(np.unique(d.epoch[seen])) < settings.least_epochs:
-        return [
-            f"It is lost: a feature needs detections in {settings.least_epochs} epochs."
-        ]
+    least = settings.least_epochs
+    if len(np.unique(d.epoch[seen])) < least:
+        return [f"It is lost: a feature needs detections in {least} epochs."]
     paths, score = steady_hypotheses(d, settings)
-    common = np.array([len({*path} & {*seen.tolist()}) for path in paths], dtype=int)
-    most = common.max(initial=0)
-    if most < settings.least_epochs:
+    common = np.array([np.isin(path, seen).sum() for path in paths], dtype=int)
+    if (most := common.max(initial=0)) < least:
         return [
             f"It is lost: steady motion joins at most {most} of them, and a feature "
-            f"needs {settings.least_epochs} (a link may be off by {settings.gate:g} "
-            "standard deviations)."
+            f"needs {least} (links are off by {settings.gate:g} errors or less)."
         ]
     best = np.flatnonzero(common == most)[0]
-    taken = Counter(owner[[*paths[best]]].tolist())
-    others = ", ".join(
-        f"{n} by {_name(features, k)}" for k, n in taken.most_common() if k >= 0
-    )
-    text = (
-        f"The likeliest track joins {most} of them; its log likelihood ratio to "
-        f"unrelated detections is {score[best]:.1f}."
-    )
-    if others:
-        why = f"detections of it are taken by likelier tracks: {others}"
-    else:
+    taken = Counter(owner[[*paths[best]]].tolist()).most_common()
+    others = ", ".join(f"{n} by {_name(features, k)}" for k, n in taken if k >= 0)
+    why = f"detections of it are taken by likelier tracks: {others}"
+    if not others:
         why = (
             f"its links are in less than {settings.agreed:.0%} of the disturbed "
             "assignments, or it is at the place of a longer feature"
         )
-    return [text, f"It is lost: {why}."]
+    return [
+        f"The likeliest track joins {most} of them; its log likelihood ratio to "
+        f"unrelated detections is {score[best]:.1f}.",
+        f"It is lost: {why}.",
+    ]
 
 
 def _linked(features, k):
@@ -248,9 +226,9 @@ def _linked(features, k):
     d, track, motion = features.detections, features.tracks[k], features.motions[k]
     scatter = position_scatter(d, TrackSettings())[track.detection]
     off = np.hypot(*d.to_beams(motion.residual).T) / scatter
-    missed = d.epoch[track.detection[-1]] - d.epoch[track.detection[0]] + 1 - len(track)
+    missed = np.ptp(d.epoch[track.detection]) + 1 - len(track)
     return [
-        f"Feature {features.number[k]} links {_epochs(len(track))} and misses "
+        f"Feature {features.number[k]} links {_count(len(track))} and misses "
         f"{missed}; it is off its line by {np.sqrt((off**2).mean()):.2g} standard "
         f"deviations (rms), at most {off.max():.2g}, and {np.sum(~motion.used)} "
         "positions are set aside."
@@ -264,19 +242,20 @@ def _trusted(features, k):
     # The distance has an offset, see `properties`.
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
+    false, moved, same = features.p_false[k], features.moved[k], track.same_speed
     checks = {
-        f"p_false {features.p_false[k]:.2g} (at most {MOST_FALSE:g})":
-            features.p_false[k] <= MOST_FALSE,
-        f"{_epochs(len(track))} (at least {LEAST_EPOCHS})": len(track) >= LEAST_EPOCHS,
-        f"the same speed in {track.same_speed:.0%} of the disturbed assignments "
-        f"(at least {SAME_SPEED:.0%})": track.same_speed >= SAME_SPEED,
-        f"motion of {features.moved[k]:.2g} beams (at least {LEAST_MOTION:g})":
-            features.moved[k] >= LEAST_MOTION,
+        f"p_false {false:.2g} (at most {MOST_FALSE:g})": false <= MOST_FALSE,
+        f"{_count(len(track))} (at least {LEAST_EPOCHS})": len(track) >= LEAST_EPOCHS,
+        f"the same speed in {same:.0%} of the disturbed assignments (at least "
+        f"{SAME_SPEED:.0%})": same >= SAME_SPEED,
+        f"motion of {moved:.2g} beams (at least {LEAST_MOTION:g})":
+            moved >= LEAST_MOTION,
         f"a speed of {sigma:.2g} standard errors (at least {SIGNIFICANT:g})":
             sigma >= SIGNIFICANT,
     }  # fmt: skip
-    lines = [f"Its p_false follows from {PROPERTIES.format(*plain)}."]
-    lines.append(f"Checks: {'; '.join(checks)}.")
     failed = [text for text, passed in checks.items() if not passed]
-    said = f"not secure: {'; '.join(failed)}" if failed else "secure"
-    return [*lines, f"It is {said}."]
+    return [
+        f"Its p_false follows from {PROPERTIES.format(*plain)}.",
+        f"Checks: {'; '.join(checks)}.",
+        f"It is not secure: {'; '.join(failed)}." if failed else "It is secure.",
+    ]
