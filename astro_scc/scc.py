@@ -5,7 +5,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 ::
 
     cube       = EpochCube.read(files)             # images, dates, beams, one WCS
-    decomposed = find_patterns(cube, decomposer)   # wavelet planes, noise, SSPs
+    decomposed = scc.decompose(cube)               # wavelet planes, noise, SSPs
     features   = decomposed.follow()               # detections, tracks, motions, trust
     flow       = decompose_flow(cube, frame)       # planes along the flow, on its grid
     test       = permutation_test(diagrams)        # does anything move along it?
@@ -86,7 +86,7 @@ NAMES = tuple(field.name for field in fields(MeasurementSettings))
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StackedCrossCorrelation(MeasurementSettings):
     """
-    Measure velocity components by stacked cross-correlation.
+    Measure the streams of a flow by stacked cross-correlation.
 
     The object holds the settings; calling it with a cube measures the cube.
     Settings with a unit may be text, as on the command line.
@@ -94,7 +94,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     Parameters
     ----------
     method : {"spectrum", "paper"}, optional
-        Find streams in the velocity spectrum, or components as Mertens & Lobanov
+        Find streams in the velocity spectrum, or as Mertens & Lobanov
         (2016): then a call returns an `~astro_scc.paper.method.PaperMeasurement`.
     scales : sequence of float or str, optional
         Wavelet scales, by number (j means 2^j pixels, j + 1/2 means
@@ -121,7 +121,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     wavelet, detection, segmentation, noise
         ``kernel`` and the rest of `~astro_scc.decomposition.Decomposer`.
     alpha : float, optional
-        Largest ``p_global`` of a significant velocity component.
+        Largest ``p_global`` of a significant stream.
     outward : bool, optional
         Search only speeds away from the core, if the direction of the jet
         is given.
@@ -414,7 +414,7 @@ class StackedCrossCorrelation(MeasurementSettings):
         progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
-        Measure the velocity components of a cube.
+        Measure the streams of a cube.
 
         Parameters
         ----------
@@ -472,7 +472,7 @@ def measure_velocities(
     **settings: Any,
 ) -> QTable:  # fmt: skip
     """
-    Measure the velocity components of a cube in one call.
+    Measure the streams of a cube in one call.
 
     Parameters
     ----------
@@ -485,7 +485,7 @@ def measure_velocities(
     Returns
     -------
     `~astropy.table.QTable`
-        The components, see `~astro_scc.measurement.SCCResult.components`.
+        The streams, see `~astro_scc.measurement.SCCResult.streams`.
 
     Examples
     --------

@@ -22,7 +22,8 @@ from astropy.table import Table
 
 from astro_scc.epochs import read_components, restore
 
-RESULTS = Path(__file__).parent / "results"
+#: Where tables are written, for a test elsewhere.
+RESULTS = Path(os.environ.get("ASTRO_SCC_RESULTS") or Path(__file__).parent / "results")
 PM_UNIT = u.mas / u.yr
 
 

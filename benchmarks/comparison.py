@@ -19,7 +19,7 @@ from functools import cached_property
 
 import astropy.units as u
 import numpy as np
-from common import RESULTS, measured, write_table
+from common import RESULTS, measured, print_table, write_table
 from comparison_packages import PACKAGES
 from comparison_reading import GRID, Sample, densities, read_speeds
 from matplotlib.figure import Figure
@@ -250,7 +250,7 @@ def report(found):
                    if (case.name, package.name) in found]  # fmt: skip
     kinds = [case.name for case in CASES]
     write_table("comparison", ["package", *kinds, "CPU s a jet", "why not"], rows)
-    write_table("comparison_values", VALUES_HEADER, values)
+    print_table(VALUES_HEADER, values)
     write_table("comparison_packages", PACKAGES_HEADER, about)
 
 
@@ -323,7 +323,7 @@ def choose():
         ]
         print(*rows[-len(tried)], sep="  ", flush=True)
     print()
-    write_table("comparison_settings", CHOICE_HEADER, rows)
+    print_table(CHOICE_HEADER, rows)
 
 
 def text_of(settings):

@@ -25,7 +25,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import astropy.units as u
 import numpy as np
-from common import write_table
+from common import print_table
 from scipy.ndimage import gaussian_filter
 
 from astro_scc import Beam, EpochCube
@@ -115,7 +115,7 @@ def main():
     header = ["jets", "number", "right", "secure features of 5", "right features"]
     for word, edges in (("S/N", RATIOS), ("elongation", ELONGATIONS)):
         header += [f"{word} {edges[k]} to {edges[k + 1]}" for k in range(3)]
-    write_table("elongated", header, rows)
+    print_table(header, rows)
 
 
 if __name__ == "__main__":

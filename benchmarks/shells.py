@@ -2,12 +2,14 @@
 """
 Measure errors of rates and centres of simulated shells, and the least possible errors.
 
-``profiles.py --only shell`` runs this module.
+    python benchmarks/shells.py
 """
+
+import argparse
 
 import astropy.units as u
 import numpy as np
-from common import RESULTS, measured, write_table
+from common import RESULTS, measured, print_table, write_table
 from compact import remove_compact
 
 from astro_scc import StackedCrossCorrelation
@@ -32,6 +34,14 @@ def settings(*scales):
         scales=scales, max_speed=200 * u.mas / u.yr, baseline=[4, 26] * u.yr,
         min_error_beams=0.1, detection=7, segmentation=5,
     )  # fmt: skip
+
+
+def main():
+    """Measure the shells, write the table and draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument("--n-shells", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    two_rates(parser.parse_args())
 
 
 def two_rates(args):
@@ -70,7 +80,7 @@ def two_rates(args):
     print(f"Put in, at the mean date: {true[0]:.4f} and {true[1]:.4f} %/yr")
     header = ["seed", "knots (%/yr)", "ring (%/yr)", "centre off, east (arcsec)",
               "north", "off / 4 arcsec"]  # fmt: skip
-    write_table("shell", header, rows)
+    print_table(header, rows)
     bounds = [bound(seed) for seed in range(start, start + N_BOUNDS)]
     summary(np.array(off), np.array(errors), np.array(leaked), np.mean(bounds, axis=0))
     draw(start, np.array(off) + [*true, 0, 0], np.array(errors), true)
@@ -106,7 +116,7 @@ def summary(off, errors, leaked, least):
          f"{1 - np.exp(-(0.1**2) / (2 * best**2)):.2f}"],
     ]  # fmt: skip
     header = ["centre", "median distance (beams)", "share within 0.1 beams"]
-    write_table("shell_centre", header, rows)
+    print_table(header, rows)
 
 
 def bound(seed):
@@ -198,3 +208,7 @@ def draw(seed, found, errors, true):
     right.set(xlabel="East of the centre (arcsec)", ylabel="North of it (arcsec)")
     right.legend(frameon=False, loc="upper left")
     figure.savefig(RESULTS / "shell.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()

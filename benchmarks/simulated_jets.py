@@ -2,8 +2,8 @@
 """
 Compare statistics and images of simulated jets with those of jets of the MOJAVE survey.
 
-``python benchmarks/simulated_jets.py ../shared/data`` writes
-``results/simulated_jets.csv`` and ``results/simulated_jets.png``.
+``python benchmarks/simulated_jets.py ../shared/data`` prints a table and writes
+``results/simulated_jets.png``.
 """
 
 import argparse
@@ -12,7 +12,7 @@ from pathlib import Path
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
-from common import RESULTS, mojave_images, write_table
+from common import RESULTS, mojave_images, print_table
 from vlbi import observe
 
 from astro_scc.decomposition import Decomposer
@@ -90,7 +90,7 @@ def main():
             jet, beam=BEAM, rng=seed
         ).cube
     rows = [row(*item) for item in cubes.items()]
-    write_table("simulated_jets", list(rows[0]), [list(r.values()) for r in rows])
+    print_table(list(rows[0]), [list(r.values()) for r in rows])
     shown = {name: cubes[name] for name in ("3C 120", "3C 345")}
     shown |= {name: cubes[name] for name in list(cubes)[-6:-4]}
     figure, axes = plt.subplots(4, 3, figsize=(8.5, 9), layout="constrained")

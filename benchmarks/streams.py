@@ -5,14 +5,11 @@ Count how many rows of ``streams.ecsv`` are right on the sources of a survey.
 
     python benchmarks/streams.py dispersion ../shared
     python benchmarks/streams.py survey ../shared FOLDER [--jobs 2] [--only NAME ...]
-    python benchmarks/streams.py default ../shared FOLDER
 
 ``dispersion`` prints how much the speeds of the features of one jet differ.  ``survey``
 measures the images of ``features.py survey`` by ``astro-scc measure`` without options,
 and compares the first row that moves with the mean of the survey's features; sources
 that FOLDER holds tables of are not measured again.
-``default`` does so with the tables of ``astro-scc survey TABLE -o FOLDER --seed 1``,
-and compares the features too.
 """
 
 import argparse
@@ -34,18 +31,16 @@ from astro_scc.cli import main as astro_scc
 
 #: Fewest features of a jet of which the dispersion is taken.
 FEWEST = 3
-FEATURES = ["of the survey", "found", "own that move", "agree"]
 #: Numbers of epochs of the rows of the table.
 EPOCHS = ("all", 0, np.inf), ("10 to 17", 10, 18), ("18 and more", 18, np.inf)
 HEADER = ["images", "epochs", "sources", "with motion", "right", "wrong", "silent",
           "right, without", "wrong, without", "inward"]  # fmt: skip
-DEFAULT = ["sources", "with motion", "rows", "right", "silent"]
 
 
 def main():
     """Run one of the parts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument("part", choices=("dispersion", "survey", "default"))
+    parser.add_argument("part", choices=("dispersion", "survey"))
     parser.add_argument("shared", type=Path, help="data and survey tools")
     parser.add_argument("folder", type=Path, nargs="?", help="of images and tables")
     parser.add_argument("--jobs", type=int, default=2)
@@ -53,7 +48,7 @@ def main():
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
     args = parser.parse_args()
     sys.path.insert(0, str(args.shared / "survey"))
-    parts = {"survey": survey_rows, "default": default, "dispersion": dispersion}
+    parts = {"survey": survey_rows, "dispersion": dispersion}
     parts[args.part](args)
 
 
@@ -131,24 +126,6 @@ def survey_rows(args):
             print(*table[-1], sep="\t", flush=True)
     if args.only is None and len(args.kinds) == len(KINDS):
         write_table("streams_survey", HEADER, table)
-
-
-def default(args):
-    """Write and print the score of all sources that a survey has measured."""
-    import score
-    import survey
-
-    found, names = [], ("rows", "row_right", "silent", "survey", "right", "moving",
-                        "agree")  # fmt: skip
-    for source, rows in survey.read(args.shared / TABLE).items():
-        for path in (args.folder / "sources" / source).rglob("streams.ecsv"):
-            counts, *_ = score.score(rows, path.parent, survey.beam(source)[0])
-            motion = bool(moved(rows, survey.beam(source)[0]))
-            found.append([1, motion, *(counts[name] for name in names)])
-    header = [*DEFAULT, *FEATURES]
-    total = np.sum(found, axis=0).tolist()
-    print(*map("{}: {}".format, header, total), sep=", ")
-    write_table("streams_default", header, [total])
 
 
 if __name__ == "__main__":

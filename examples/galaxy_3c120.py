@@ -89,7 +89,7 @@ def measure(table, before="2011-01-01", n_trials=200):
     found.meta["notes"] = [
         f"{profile.acceleration}",
         f"beta_app: {line.parameters['gradient'].value:.2f} +- "
-        f"{line.errors['gradient'].value:.2f} c/mas, p {line.p_constant:.2g}",
+        f"{line.errors['gradient'].value:.2f} c/mas",
         f"gamma = a z^k: k {power.parameters['index'].value:.2f} +- "
         f"{power.errors['index'].value:.2f}, p {power.p_constant:.2g}",
     ]

@@ -44,7 +44,7 @@ def test_the_page_is_short_and_shows_what_is_kept():
 
 
 def test_numbers_of_the_simulated_jets():
-    fast, slow = (row for row in rows(printed("two-fluid")) if "moving" in row)
+    slow, fast = (row for row in rows(printed("two-fluid")) if "moving" in row)
     for row, result, paper in (
         (slow, "slow", "5.5 ± 0.5"),
         (fast, "fast", "25.0 ± 1.0"),
@@ -53,8 +53,8 @@ def test_numbers_of_the_simulated_jets():
         assert f"{result} stream (mas/yr) - {paper} - {ours} " in WORDS
         assert row[6] == "0.001"
     assert f"11.4 and 6.7 in the paper, {slow[5]} and {fast[5]} here" in WORDS
-    first = next(row for row in rows(printed("random")) if row[0] == "1")
-    assert first[1] == "not significant"
+    peaks = [row for row in rows(printed("random")) if row[1:2] == ["not significant"]]
+    first = max(peaks, key=lambda row: float(row[5]))
     assert f"z-score is {first[5]}," in WORDS
     assert f"- nothing, p {first[6]} " in WORDS
     assert f"p is {first[6]}." in WORDS
@@ -79,7 +79,7 @@ def test_numbers_of_3c_273():
     assert sum(faster) == 2
     # The rows of the profile have the same p-values in their last lines.
     p_values = table[-1]
-    lines = re.findall(r"speed on scales .* p ([\d.]+)$", printed("3c273-speeds"), re.M)
+    lines = re.findall(r"p of equal speeds ([\d.]+)$", printed("3c273-speeds"), re.M)
     assert [float(p) for p in lines] == pytest.approx(p_values, abs=0.01)
     assert min(p_values) > 0.3
 

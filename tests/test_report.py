@@ -185,7 +185,7 @@ def test_each_feature_has_its_own_speed(result, page):
     longest = np.sort(np.argsort(-table["n_epochs"], kind="stable")[:2])
     numbers = table["feature"].astype(str)
     _, said, _, *lines, secure, _ = feature_lines(table, most=2)
-    assert secure.startswith("secure: p_false at most 0.3, moved by 1.0 beams")
+    assert "secure: p_false of at most 0.3, moved by 1 beam" in secure
     assert said.endswith("secure; the 2 that were seen in most epochs:")
     for line, row in zip(lines, table[longest], strict=True):
         assert line.split()[:2] == [str(row["feature"]), str(row["stream"])]
@@ -376,21 +376,28 @@ def test_the_headline_of_one_stream(radial, columns, said):
     assert said in headline(changed(radial, **columns))
 
 
+PAIR = "first", "second"
+
+
 def test_nothing_and_the_paper_and_scales_are_said(radial):
     table = radial.copy()
     table["z_score"] = [8.123]
     lines = paper_lines(table, 4.61)
-    assert lines[0] == "Paper's method: 1 component above the level of z, 4.6."
+    assert lines[0] == "Paper's method: 1 stream with a z-score above 4.6."
     assert "8.12" in lines[3]
-    assert paper_lines(table[:0], 4.6)[0].startswith("Paper's method: no components")
+    assert paper_lines(table[:0], 4.6)[0].startswith("Paper's method: no streams")
     of_scales = QTable({"r_min": [0, 1] * u.mas, "r_max": [np.inf, 2] * u.mas})
     for name in ("first_speed", "first_speed_err", "second_speed"):
         of_scales[name] = [1.0, 2.0] * PM_UNIT
     of_scales["second_speed_err"] = [0.1, 0.1] * PM_UNIT
-    of_scales["first"], of_scales["second"] = ["1", "1"], ["2", "2"]
+    of_scales["first"], of_scales["second"] = ["1", "1"], ["2", "2, 3"]
     of_scales["p_value"] = [np.nan, 0.5]
     (line,) = scale_lines(of_scales)
-    assert line.startswith("1 to 2 mas: speed on scales 1: ")
+    first, second = (f"{cell(of_scales[1], f'{k}_speed', '+-')}" for k in PAIR)
+    assert line == (
+        f"1 to 2 mas: {first} mas/yr on scale 1, {second} mas/yr on scales 2, 3; "
+        "p of equal speeds 0.5"
+    )
 
 
 def test_what_secure_features_would_need_is_said(features):
@@ -398,7 +405,7 @@ def test_what_secure_features_would_need_is_said(features):
     lines = feature_lines(table)
     assert lines[0].startswith(f"{len(table)} features (")
     assert lines[0].endswith("), 0 of them secure.")
-    assert "moved by 1.0 beams" in lines[1]
+    assert "moved by 1 beam" in lines[1]
     assert re.match(
         r"The nearest to being secure is feature \d+: p_false .* errors", lines[2]
     )

@@ -22,6 +22,7 @@ from astro_scc import (
     decomposition,
     epochs,
     expansion,
+    explain,
     features,
     flow,
     kinematics,
@@ -101,6 +102,11 @@ def profile(
 def track(cube: EpochCube) -> features.Features:
     features.find_features(cube, settings={"gate": 5})  # type: ignore[arg-type]
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
+
+
+def why(found: features.Features, place: u.Quantity, date: Time) -> list[str]:
+    explain.explain_feature(found, feature="503")  # type: ignore[arg-type]
+    return explain.explain_feature(found, offset=place, date=date)
 
 
 def expand(scc: StackedCrossCorrelation, matched: MatchedEpochs) -> QTable:

@@ -12,7 +12,7 @@ import numpy as np
 
 from astro_scc import EpochCube, simulation
 from astro_scc.alignment.registration import MISALIGNED, core_positions
-from astro_scc.cli.inputs import draw_seed, prepare
+from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
 from astro_scc.components.restoring import NO_BEAM
@@ -32,7 +32,6 @@ from astro_scc.images.positions import readable_angle
 from astro_scc.paper.stack import baseline_pairs
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
-from astro_scc.report.answer import misalignment_text
 from astro_scc.settings import Settings, check_setting
 
 #: Options of the jet "jet", and their other names in `simulate_jet`.
@@ -96,7 +95,7 @@ def restore(args, reporter):
     if missing := [option for option, value in needed.items() if value is None]:
         options = " and ".join(missing)
         raise ValueError(f"{options} must be given to make images (--list makes none)")
-    how = images_of(args)
+    how = images_of(args, args.tables)
     found = read_components(
         args.tables, source=args.source, origin=args.origin, beams=how["beam"]
     )
@@ -129,8 +128,8 @@ def _sources(tables):
     return table_lines(rows)
 
 
-def images_of(args):
-    """Return how images are restored, from the arguments."""
+def images_of(args, tables):
+    """Return how images of tables are restored, from the arguments."""
     after, before, seed = (
         check_setting(name, getattr(args, name)) for name in ("after", "before", "seed")
     )
@@ -141,6 +140,7 @@ def images_of(args):
         "after": after and to_time(after),
         "before": before and to_time(before),
         "seed": draw_seed(seed),
+        "tables": table_name(tables[0]) if len(tables) == 1 else f"{len(tables)} files",
     }
 
 
@@ -164,6 +164,7 @@ def write_images(components, folder, how, *, overwrite=False):
         chosen = components.select(after=how["after"], before=how["before"])
         grid = {"beam": chosen.beams, "pixel_scale": pixel}
         cube = EpochCube.from_components(chosen, noise=noise, rng=seed, **grid)
+        cube = cube.with_step(f"components from {how['tables']}")
         if noise is not None:
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         write_epochs(cube, part)
@@ -331,22 +332,22 @@ def _rounded(interval, how):
 
 
 def _alignment(cube, of_core):
-    """Return how well the epochs are aligned, and what to do about it."""
+    """Return what the choice of an alignment leaves to be said, as lines."""
     scatter = cube.misalignment
-    lines = ["", misalignment_text(scatter)]
-    if of_core >= MISALIGNED:
-        lines += [
-            f"The core as it is fitted scatters by {of_core:.2f} beams: either the "
-            "epochs are not aligned,",
-            "or what was fitted is not the core.  Look at the images.",
+    if scatter is None and of_core >= MISALIGNED:
+        return [
+            "",
+            f"What is fitted as the core scatters by {of_core:.2f} beams: align the "
+            "epochs on it if it is the core (--align core).",
         ]
-    if max(scatter or 0, of_core) >= MISALIGNED:
-        lines += [
-            "Images that are not aligned can make a stationary jet appear to move: "
-            "align them on the core,",
-            "if there is one, or by a table of its positions, unless they are aligned.",
+    if scatter is not None and scatter < MISALIGNED <= of_core:
+        return [
+            "",
+            f"What is fitted as the core scatters by {of_core:.2f} beams, but the rest "
+            f"of the images by {scatter:.2f}:",
+            "it varies, or is not the core, and the epochs are left as they are.",
         ]
-    return lines
+    return []
 
 
 def _choices(cube):

@@ -29,6 +29,8 @@ from astro_scc.writing import versions
 #: Pixels of all epochs from which on more processes save more time than they take to
 #: start: some ten seconds of one.
 WORTH_PROCESSES = 3e6
+#: The survey whose tables are cited, and in how many bytes of a table its name stands.
+SURVEY, HEAD = b"MOJAVE", 4000
 #: Notes on ``common_beam``, as given, and whether beams differ, None without any.
 NOTES = {
     (None, None): "the epochs have no beams: three pixels count as one (--beam)",
@@ -170,10 +172,27 @@ def read_epochs(settings, args=None, *, note=None, features=False, moving=False)
     found |= {"epochs": [*map(str, files)], "seed": draw_seed(settings.seed)}
     settings = settings.changed(**found)
     n_workers = 1 if args is None else workers_of(args, cube)
-    published = getattr(args, "compare", None) and published_positions(
-        args.compare, cube
-    )
+    published = published_of(getattr(args, "compare", None), cube)
     return Inputs(cube, settings, left_out, chosen, n_workers, published)
+
+
+def published_of(path, cube):
+    """Return published features to compare with, which say of which survey they are."""
+    if path is None:
+        return None
+    published = published_positions(path, cube)
+    published.meta["survey"] = table_name(path)
+    return published
+
+
+def table_name(path):
+    """Return the name of a table, and that of the survey if its head says it."""
+    path = Path(path)
+    # Tables of the CDS are described beside them.
+    heads = [path, path.with_name("ReadMe")] if path.suffix == ".dat" else [path]
+    texts = [each.read_bytes()[:HEAD] for each in heads if each.is_file()]
+    survey = f" ({SURVEY.decode()})" if any(SURVEY in text for text in texts) else ""
+    return f"{path.name}{survey}"
 
 
 def refuse_paper(settings):

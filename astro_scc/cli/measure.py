@@ -36,7 +36,8 @@ STALE = (
     *("report.html", "ssp_regions", "explore.html"),
 )
 PROFILE = (
-    "profile.ecsv scales.ecsv profile.png position_angles.png config.toml publication"
+    "profile.ecsv scales.ecsv profile.png position_angles.png config.toml "
+    "citations.bib publication"
 ).split()
 #: Seed and trials of the demo, and the columns of the jet that it measures, from 0
 #: (Mertens & Lobanov 2016, Sect. 2.4).
@@ -191,6 +192,7 @@ def _profile(epochs, folder, reporter):
     )  # fmt: skip
     streams = inputs.with_speeds_in_c(found.components, settings)
     streams.meta |= cube.facts
+    streams.meta["history"] = list(cube.meta.get("history", ()))
     several = len(found.groups) > 1
     lines = [
         f"scales {name}: {line}" if several else str(line)

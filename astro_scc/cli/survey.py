@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import sys
 import traceback
 import warnings
-from collections import Counter
 from collections.abc import Callable
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,22 +20,25 @@ from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc import parallel, writing
 from astro_scc.cli import survey_sources as sources
-from astro_scc.cli.inputs import read_epochs, read_table, refuse_paper, workers_of
+from astro_scc.cli.inputs import (
+    published_of,
+    read_epochs,
+    read_table,
+    refuse_paper,
+    workers_of,
+)
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
-from astro_scc.columns import round_to_errors, table_lines
+from astro_scc.columns import round_to_errors
 from astro_scc.images.regions import refuse_pixels
-from astro_scc.kinematics.cosmology import cosmology_text, table_in_c
+from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stream_table
+from astro_scc.products import publication
 from astro_scc.products.folder import plain_meta
-from astro_scc.products.publication import (
-    FOLDER,
-    published_positions,
-    write_publication,
-)
 from astro_scc.progress import progress
+from astro_scc.report.answer import PROFILE_EXPLANATION
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
 
@@ -51,8 +52,6 @@ TABLE = "survey.ecsv"
 PARTIAL = ".partial-"
 #: Why there is nothing to test.
 NO_PATTERN = "no significant pattern here on these scales"
-#: Options on images that are restored from components.
-RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
 #: Columns that identify a row of the table, and their descriptions.
 HEAD = {
     "source": "name of the source",
@@ -67,7 +66,7 @@ def survey(args, reporter):
     """Measure the sources of a survey according to the arguments."""
     n_workers, output = workers_of(args), Path(args.output)
     reporter.resumes = True
-    plan, report = _plan(args, output, reporter)
+    plan, report = sources.survey_of(args, output, reporter)
 
     def done(name, outcomes, before):
         failed = {o.message for o in outcomes if o.status == "failed"}
@@ -87,50 +86,24 @@ def survey(args, reporter):
     if set(table["status"]) == {"failed"}:
         raise ValueError(f"no source could be measured; {output / TABLE} says why")
     reporter.say(
-        f"\nCatalogues: {output / TABLE}, {output / FEATURES}, {output / FOLDER}",
+        f"\nCatalogues: {output / TABLE}, {output / FEATURES}, "
+        f"{output / publication.FOLDER}",
         f"Overview: {output / 'overview.html'}",
         *([f"Reports: {output / SOURCES}"] if report else []),
     )
 
 
-def _plan(args, output, reporter):
-    """Return the survey of the arguments, and whether it has reports."""
-    of_file = Path(args.survey).suffix.lower() == ".toml"
-    if of_file or Path(args.survey).is_dir():
-        for name in RESTORING:
-            if getattr(args, name) is not None:
-                raise ValueError(
-                    f"--{name} is for a table of components, not for {args.survey}; "
-                    "settings are written into survey.toml"
-                )
-    redshifts = sources.read_redshifts(args.redshifts) if args.redshifts else {}
-    path = args.survey if of_file else sources.write_survey(args, output, reporter)
-    plan = sources.read_survey(path, redshifts)
-    if unknown := redshifts.keys() - {source.name for source in plan.sources}:
-        some = "source is" if len(unknown) == 1 else "sources are"
-        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
-    return plan, of_file if args.report is None else args.report
-
-
 def _summary(table):
     """Yield lines on the numbers of sources and of streams that move."""
-    rows = []
-    for status in ("measured", "empty", "failed"):
-        names = table["source"][table["status"] == status]
-        sizes = {"sources": str(len(set(names))), "rows": str(len(names))}
-        rows.append({"status": status} | sizes)
-    yield from table_lines(rows)
-    measured = table[table["status"] == "measured"]
-    if len(measured):
-        p_fdr = measured["p_fdr"][measured["kind"] == "moving"]
-        small = sum(p <= 0.05 for p in p_fdr)
-        yield f"moving: {len(p_fdr)}, {small} of them with p_fdr <= 0.05"
-    speeds = (
-        cosmology_text(meta["cosmology"]) if "cosmology" in meta else "distances"
-        for meta in table.meta["speeds_in_c"].values()
-    )
-    for text, n in Counter(speeds).items():
-        yield f"speeds in c: {text}, sources {n}"
+    kinds = ("measured", "empty", "failed")
+    numbers = (len(set(table["source"][table["status"] == kind])) for kind in kinds)
+    each = (f"{n} {kind}" for n, kind in zip(numbers, kinds, strict=True) if n)
+    yield f"Sources: {', '.join(each)}."
+    p_fdr = table["p_fdr"][table["kind"] == "moving"]
+    if len(p_fdr):
+        small = np.sum(p_fdr <= 0.05)
+        yield f"Streams that move: {len(p_fdr)}, {small} of them with p_fdr <= 0.05"
+        yield PROFILE_EXPLANATION.replace("bins", "searches")
 
 
 # -- the run ---------------------------------------------------------------------
@@ -175,7 +148,8 @@ def run_survey(
     Raises
     ------
     OSError
-        If the folder has other files, or it cannot be written to.
+        If the folder has other files, another run writes into it, or it cannot be
+        written to.
 
     Examples
     --------
@@ -195,50 +169,40 @@ def run_survey(
     >>> set(table["source"].tolist()), set(table["status"].tolist())
     ({'Jet'}, {'measured'})
     """
-    output = Path(output).absolute()
+    output, every, found = Path(output).absolute(), survey.sources, {}
     plan = output / sources.PLAN
     if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
     writing.make_folder(output / SOURCES, output)
-    with writing.replace_when_complete(plan, overwrite=True) as part:
-        part.write_text(survey.text, encoding="utf-8")
-    found = _outcomes(survey.sources, output, report, n_workers, done, progress_bar)
-    table, features = catalogues(found, survey.sources, output)
-    _write_catalogues(table, features, output)
-    published = {source.name: source.published for source in survey.sources}
-    write_overview(table, features, found, output, published=published)
-    return table
-
-
-def _outcomes(every, output, report, n_workers, done, progress_bar):
-    """Measure all sources, and return the outcomes of their parts in their order."""
-    found = {}
     # The largest first, so that no process waits for one at the end.
     order = sorted(every, key=sources.Source.size, reverse=True)
     with (
+        sources.alone(output),
         progress(len(every), "Sources", show=progress_bar) as step,
         # What terminated workers leave in this folder is deleted with it.
         writing.partial_folder(output, PARTIAL) as parts,
-        closing(
-            parallel.as_done(
-                _measure_unless_finished,
-                ((source, output, report, parts) for source in order),
-                n_workers,
-            )
-        ) as results,
     ):
-        for k, result in results:
-            if isinstance(result, Exception):
-                # The worker failed, not the measurement: it died, or its disk is full.
-                result = _failed(order[k], result), False
-            found[order[k].name], before = result
-            step(1)
-            if done is not None:
-                done(order[k].name, found[order[k].name], before)
-    return [outcome for source in every for outcome in found[source.name]]
+        with writing.replace_when_complete(plan, overwrite=True) as part:
+            part.write_text(survey.text, encoding="utf-8")
+        work = ((source, output, report, parts) for source in order)
+        with closing(parallel.as_done(_once, work, n_workers)) as results:
+            for k, result in results:
+                if isinstance(result, Exception):
+                    # The worker failed, not the measurement: it died, say.
+                    result = _failed(order[k], result), False
+                found[order[k].name], before = result
+                step(1)
+                if done is not None:
+                    done(order[k].name, found[order[k].name], before)
+        outcomes = [outcome for source in every for outcome in found[source.name]]
+        table, features = catalogues(outcomes, every, output)
+        _write_catalogues(table, features, output, parts)
+        published = {source.name: source.published for source in every}
+        write_overview(table, features, outcomes, output, published=published)
+    return table
 
 
-def _measure_unless_finished(task):
+def _once(task):
     """Return the outcomes of a source, and whether an earlier run has measured it."""
     source, output, report, parts = task
     finished = sources.finished_outcomes(source, output, report)
@@ -247,27 +211,21 @@ def _measure_unless_finished(task):
     return measure_source(source, output, report=report, parts=parts), False
 
 
-def _write_catalogues(table, features, output):
+def _write_catalogues(table, features, output, parts):
     """Write the streams and features of all sources, also for archives."""
     for name, catalogue in ((TABLE, table), (FEATURES, features)):
         with writing.replace_when_complete(output / name, overwrite=True) as part:
             catalogue.write(part, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
-    with _new_folder(output / FOLDER, output) as part:
-        write_publication({"streams": measured, "features": features}, part.parent)
+    publication.write_publication({"streams": measured, "features": features}, parts)
+    _replace(output / publication.FOLDER, parts / publication.FOLDER)
 
 
-@contextmanager
-def _new_folder(path, parts):
-    """Provide a folder that takes the place of another one when it is complete."""
-    with writing.partial_folder(parts, PARTIAL) as parent:
-        part = parent / path.name
-        part.mkdir()
-        yield part
-        if path.exists():
-            os.replace(path, parent / "old")
-        os.replace(part, path)
+def _replace(folder, part):
+    """Move a complete folder to its place."""
+    shutil.rmtree(folder, ignore_errors=True)
+    part.replace(folder)
 
 
 # -- the catalogues -------------------------------------------------------------------
@@ -298,23 +256,20 @@ def catalogues(outcomes, every, output):
     searched = {k for k in numbers if outcomes[k].status != "failed"}
     nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
     tested = false_discovery_rate({"all": found} | nothing)
-    rest = sorted(numbers - set(found["outcome"]))
-    rest = QTable({"outcome": np.array(rest, dtype=int)})
+    rest = np.array(sorted(numbers - set(found["outcome"])), dtype=int)
+    rest = QTable({"outcome": rest})
     table = vstack([tested["all"], rest], metadata_conflicts="silent")
-    redshifts = {source.name: source.settings.redshift for source in every}
-    table = _with_head(table, outcomes, redshifts)
+    table, features = (_with_head(t, outcomes, every) for t in (table, features))
     measured = {outcomes[k].source for k in searched}
-    in_c = {one.name: one.settings.in_c for one in every if one.name in measured}
     table.meta = {
         "versions": writing.versions(),
         "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
         "speeds_in_c": {
-            name: plain_meta(table_in_c(empty, **options).meta)
-            for name, options in in_c.items()
-            if options
+            one.name: plain_meta(table_in_c(empty, **one.settings.in_c).meta)
+            for one in every
+            if one.name in measured and one.settings.in_c
         },
     }
-    features = _with_head(features, outcomes, redshifts)
     features.remove_columns(["status", "message"])
     features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
     return table, features
@@ -332,16 +287,15 @@ def _stacked(outcomes, output, name, empty):
     for number, outcome in enumerate(outcomes):
         if outcome.folder:
             path = Path(output, outcome.folder, name)
-            columns, _, rest = path.read_text(encoding="utf-8").partition("\n# meta:")
             # Numbers of digits are those of the source.
-            columns = re.sub(r", format: [^,}]*", "", columns)
-            lines = f"{columns}\n# meta:{rest}".splitlines()
+            text = re.sub(r", format: [^,}]*", "", path.read_text(encoding="utf-8"))
+            lines = text.splitlines()
             head = [line for line in lines if line.startswith("#")]
-            names, rows = lines[len(head) :][:1], lines[len(head) + 1 :]
-            kind = columns, *re.findall("__class__: .*", rest)
-            _, lines, numbers = parts.setdefault(kind, (path, head + names, []))
-            lines += rows
-            numbers += [number] * len(rows)
+            start, kind = len(head) + 1, text.partition("\n# meta:")[0]
+            kind += "".join(re.findall("__class__: .*", text))
+            _, every, numbers = parts.setdefault(kind, (path, lines[:start], []))
+            every += lines[start:]
+            numbers += [number] * len(lines[start:])
     for path, lines, numbers in parts.values():
         table = read_table(lines, name=path)
         table.meta.clear()
@@ -350,16 +304,16 @@ def _stacked(outcomes, output, name, empty):
     return round_to_errors(vstack(tables, metadata_conflicts="silent"))
 
 
-def _with_head(table, outcomes, redshifts):
+def _with_head(table, outcomes, every):
     """Return rows in the order of their parts, after the columns of ``HEAD``."""
     table = table[np.argsort(table["outcome"], kind="stable")]
-    number = np.asarray(table["outcome"], dtype=int)
+    rows = [outcomes[k] for k in np.asarray(table["outcome"], dtype=int)]
     table.remove_column("outcome")
     for k, (name, text) in enumerate(HEAD.items()):
-        values = np.array([getattr(part, name) for part in outcomes], dtype=str)
-        column = Column(values[number], description=text)
-        table.add_column(column, index=k, name=name)
-    z = np.array([redshifts[part.source] or np.nan for part in outcomes])[number]
+        values = np.array([getattr(row, name) for row in rows], dtype=str)
+        table.add_column(Column(values, description=text), index=k, name=name)
+    known = {source.name: source.settings.redshift or np.nan for source in every}
+    z = np.array([known[row.source] for row in rows], dtype=float)
     column = MaskedColumn(z, mask=np.isnan(z), format="g")
     column.description = "redshift of the source, if it was given"
     table.add_column(column, index=1, name="redshift")
@@ -394,22 +348,20 @@ def measure_source(source, output, report=False, parts=None):
     output, key = Path(output), source.key()
     (output / SOURCES).mkdir(exist_ok=True)
     with (
-        _new_folder(output / SOURCES / source.folder, parts or output) as part,
+        writing.partial_folder(parts or output, PARTIAL) as part,
         warnings.catch_warnings(record=True) as said,
     ):
         warnings.simplefilter("always")
         try:
             outcomes = _measure_parts(source, output, part, report, said)
         except Exception as error:
-            _note_error(part)
-            outcomes = _failed(source, error)
+            outcomes = _failed(source, error, part)
         state = {
-            "key": key,
-            "source": source.name,
-            "outcomes": [asdict(outcome) for outcome in outcomes],
+            "key": key, "source": source.name, "outcomes": [*map(asdict, outcomes)],
             "warnings": _lines(said),
-        }
+        }  # fmt: skip
         (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
+        _replace(output / SOURCES / source.folder, part)
     return outcomes
 
 
@@ -422,33 +374,36 @@ def _measure_parts(source, output, part, report, said):
     first, last = cube.times.isot[[0, -1]].tolist()
     of_all, outcomes = said.copy(), []
     for region, group in source.parts:
-        file, before = source.regions[region], len(said)
-        names = Path(regions[region], groups[group])
+        names, before = Path(regions[region], groups[group]), len(said)
         outcome = Outcome(
             source.name, region, group, "empty", NO_PATTERN, "", len(cube), first, last
         )
         try:
             if region not in decomposed:
-                decomposed[region] = every.decompose(cube, region=file)
+                chosen = source.regions[region]
+                decomposed[region] = every.decompose(cube, region=chosen)
             if decomposed[region].select.any():
                 scales = source.scale_groups[group]
                 scales = settings.scales if scales is None else scales
-                chosen = settings.changed(region=file, scales=scales)
+                chosen = settings.changed(region=source.regions[region], scales=scales)
+                result = StackedCrossCorrelation.from_settings(chosen).measure(
+                    decomposed[region], n_trials=chosen.n_trials, rng=chosen.seed
+                )
                 where = Path(SOURCES, source.folder, names)
                 (part / names).mkdir(parents=True)
-                result = _measure(decomposed[region], chosen)
+                titles = (source.name, region, group)
                 write_measurement(
                     result, epochs._replace(settings=chosen), part / names,
                     output=output / where, report=report, archives=report,
-                    title=_title(source.name, region, group),
+                    title=", ".join(k for k in titles if k != sources.WHOLE),
                     warnings=_lines([*of_all, *said[before:]]),
                 )  # fmt: skip
                 folder = where.as_posix()
                 outcome = replace(outcome, status="measured", message="", folder=folder)
         except Exception as error:
-            _note_error(part, f"{region}, {group}:\n")
             shutil.rmtree(part / names, ignore_errors=True)
-            outcome = replace(outcome, status="failed", message=_reason(error))
+            message = _reason(error, part, f"{region}, {group}:\n")
+            outcome = replace(outcome, status="failed", message=message)
         outcomes.append(outcome)
     return outcomes
 
@@ -459,36 +414,22 @@ def _epochs(source):
     refuse_paper(epochs.settings)
     for path in filter(None, source.regions.values()):
         refuse_pixels(path, epochs.settings.crop is not None, epochs.cube)
-    published = source.compare and published_positions(source.compare, epochs.cube)
-    return epochs._replace(published=published)
+    return epochs._replace(published=published_of(source.compare, epochs.cube))
 
 
-def _measure(decomposed, settings):
-    """Return the measurement of decomposed epochs with the settings of a part."""
-    scc = StackedCrossCorrelation.from_settings(settings)
-    return scc.measure(decomposed, n_trials=settings.n_trials, rng=settings.seed)
-
-
-def _title(source, *names):
-    """Return the title of a part."""
-    return ", ".join([source, *(name for name in names if name != sources.WHOLE)])
-
-
-def _failed(source, error):
+def _failed(source, error, folder=None):
     """Return the outcomes of a source that failed as a whole."""
-    reason = _reason(error)
+    reason = _reason(error, folder)
     return [Outcome(source.name, *names, "failed", reason) for names in source.parts]
 
 
-def _reason(error):
+def _reason(error, folder=None, head=""):
     """Return an error as one line, with its class unless the text is for users."""
+    if folder is not None:
+        with open(folder / "error.txt", "a", encoding="utf-8") as file:
+            file.write(f"{head}{traceback.format_exc()}\n")
     known = isinstance(error, ValueError | OSError | Warning) and str(error)
     return one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
-
-
-def _note_error(folder, head=""):
-    with open(folder / "error.txt", "a", encoding="utf-8") as file:
-        file.write(f"{head}{traceback.format_exc()}\n")
 
 
 def _lines(said):

@@ -4,10 +4,11 @@
 import glob
 import hashlib
 import json
+import os
 import re
 import shutil
 from collections import Counter
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +25,13 @@ from astro_scc.images.headers import first_line
 from astro_scc.parallel import in_order
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
-from astro_scc.writing import replace_when_complete, versions
+from astro_scc.writing import make_folder, replace_when_complete, versions
+
+try:
+    import fcntl
+except ImportError:
+    # Windows has no such locks.
+    fcntl = None
 
 __all__ = ["read_survey"]
 
@@ -38,6 +45,8 @@ TABLES = ("regions", "scale_groups")
 KEYS = {name for name, facts in OPTIONS.items() if "measure" in facts["commands"]}
 KEYS = KEYS - {"region"} | {*TABLES, "compare"}
 SEED, N_TRIALS = 1, 1000
+#: Options on images that are restored from components.
+RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
 #: Longest name of a folder, without its check sum.
 LONGEST = 60
 #: Pattern of a check sum.
@@ -74,21 +83,19 @@ class Source:
 
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
-        groups = self.scale_groups.values()
-        settings = [self.settings.changed(scales=scales) for scales in groups]
-        settings = [one.to_dict() for one in (self.settings, *settings)]
         others = self.settings.crop, self.settings.align, self.compare
         files = {*self.regions.values(), *others}.difference(ALIGNMENTS)
-        files |= self._epochs()
-        known = settings, self.parts, self.regions, versions()
-        text = json.dumps([*known, *map(_facts, sorted(files))], sort_keys=True)
+        groups = {name: repr(scales) for name, scales in self.scale_groups.items()}
+        known = self.settings.to_dict(), groups, self.regions, versions()
+        every = map(_facts, sorted(files | self.epochs()))
+        text = json.dumps([*known, *every], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
         """Return the size of the epochs in bytes."""
-        return sum(_facts(path)[1] for path in self._epochs())
+        return sum(_facts(path)[1] for path in self.epochs())
 
-    def _epochs(self):
+    def epochs(self):
         """Return the paths of the epochs; a pattern that matches nothing is one."""
         found = (set(glob.glob(p)) or {p} for p in self.settings.epochs)
         return set().union(*found)
@@ -125,15 +132,35 @@ def finished_outcomes(source, output, report):
     with suppress(OSError, ValueError, KeyError, TypeError):
         state = json.loads(path.read_text(encoding="utf-8"))
         found = [Outcome(**outcome) for outcome in state["outcomes"]]
-        complete = all(
-            outcome.status == "empty" or Path(output, outcome.folder, name).is_file()
-            for outcome in found
-            for name in needed
-        )
+        folders = [output / o.folder for o in found if o.status == "measured"]
+        complete = all((f / name).is_file() for f in folders for name in needed)
         failed = any(outcome.status == "failed" for outcome in found)
         if state["key"] == source.key() and complete and not failed:
             return found
     return None
+
+
+@contextmanager
+def alone(folder):
+    """
+    Hold a folder against other runs, as long as this process lives or the block lasts.
+
+    Raises an OSError if another one holds it, where the system has such locks.
+    """
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        what = "another run writes into it; wait for its end, or choose another folder"
+        raise OSError(f"{folder}: {what}") from None
+    try:
+        yield
+    finally:
+        os.close(handle)
 
 
 @dataclass(frozen=True)
@@ -246,16 +273,19 @@ def _published_pm(value):
 
 def _source(name, folder, given, base):
     """Return a source from the values of its table; paths are relative to ``base``."""
-    if (published := given.pop("published_pm", None)) is not None:
+    published, compare, regions, groups = (
+        given.pop(key, None) for key in ("published_pm", "compare", *TABLES)
+    )
+    if published is not None:
         published = named("published_pm", _published_pm, published)
-    compare = given.pop("compare", None)
-    regions = given.pop("regions", None) or {WHOLE: None}
-    files = {f"regions.{label}": file for label, file in regions.items()}
+    files = {f"regions.{label}": file for label, file in (regions or {}).items()}
     for label, file in (files | {"compare": compare}).items():
-        if file is not None and not (isinstance(file, str) and file):
+        if not (isinstance(file, str) and file or label == "compare" and file is None):
             raise ValueError(f"{label} must be the path of a file")
-    groups = given.pop("scale_groups", None) or {}
-    groups = {k: named(f"scale_groups.{k}", check_scales, v) for k, v in groups.items()}
+    groups = {
+        k: named(f"scale_groups.{k}", check_scales, v)
+        for k, v in (groups or {}).items()
+    }
     if "redshift" not in given:
         given.pop("cosmology", None)
     if "scales" not in given and groups:
@@ -272,13 +302,13 @@ def _source(name, folder, given, base):
         return file and str(base / file)
 
     # Special characters in the folder's own name are not meant as a pattern.
-    escaped, align = glob.escape(str(base)), settings.align
+    escaped, align = Path(glob.escape(str(base))), settings.align
     settings = settings.changed(
-        epochs=[str(Path(escaped, pattern)) for pattern in settings.epochs],
+        epochs=[str(escaped / pattern) for pattern in settings.epochs],
         align=align if align in ALIGNMENTS else of_base(align),
         crop=of_base(settings.crop),
-    )
-    regions = {label: of_base(file) for label, file in regions.items()}
+    )  # fmt: skip
+    regions = {k: of_base(file) for k, file in (regions or {WHOLE: None}).items()}
     groups = groups or {WHOLE: settings.scales}
     return Source(name, folder, settings, regions, groups, published, of_base(compare))
 
@@ -306,6 +336,26 @@ def folder_names(names):
 # -- the file of a table of components, or of folders of images ----------------------
 
 
+def survey_of(args, output, reporter):
+    """Return the survey of the arguments of the command, and whether it has reports."""
+    given, redshifts = Path(args.survey), {}
+    of_file = given.suffix.lower() == ".toml"
+    for name in RESTORING if of_file or given.is_dir() else ():
+        if getattr(args, name) is not None:
+            raise ValueError(
+                f"--{name} is for a table of components, not for {given}; settings are "
+                "written into survey.toml"
+            )
+    if args.redshifts:
+        redshifts = read_redshifts(args.redshifts)
+    path = given if of_file else write_survey(args, output, reporter)
+    survey = read_survey(path, redshifts)
+    if unknown := redshifts.keys() - {source.name for source in survey.sources}:
+        some = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
+    return survey, of_file if args.report is None else args.report
+
+
 def write_survey(args, output, reporter):
     """
     Write the file of a survey of a table of components, or of folders of images.
@@ -331,61 +381,62 @@ def write_survey(args, output, reporter):
 
     Raises
     ------
+    OSError
+        If the folder is of something else, or another run writes into it.
     ValueError
         If there are no images, if the table lacks the source that is asked for, or if
         the images of no source can be restored.
     """
-    source, path = Path(args.survey), output / PLAN
-    found, how, defaults, made_of = {}, {}, "", str(source.absolute())
-    if source.is_dir():
-        epochs = _images_in(source)
+    given, path = Path(args.survey), output / PLAN
+    found, how, defaults, made_of = {}, {}, "", str(given.absolute())
+    if given.is_dir():
+        epochs = _images_in(given)
     else:
         found, how = _components(args, reporter)
         folders = folder_names(list(found))
         epochs = {name: f"{IMAGES}/{folders[name]}/*.fits" for name in found}
         if any((components.feature > 0).any() for components in found.values()):
             defaults = f"[defaults]\ncompare = {json.dumps(made_of)}\n"
-        state = source.stat()
         asked = {k: str(v) for k, v in how.items()} | {"seed": args.seed}
-        made_of = [made_of, state.st_size, state.st_mtime_ns, asked]
-    _update_plan(path, f"{HEAD} {json.dumps(made_of)}", defaults, epochs)
-    targets = {name: output / IMAGES / folders[name] for name in found}
-    left = [name for name in found if not targets[name].is_dir()]
-    work = ((found[name], targets[name], how) for name in left)
-    problems = in_order(_restore, work, args.workers or 1)
-    for name, problem in zip(left, problems, strict=True):
-        if problem:
-            reporter.warn(f"{name}: no images: {problem}")
+        made_of = [made_of, *_facts(given)[1:3], asked]
+    is_new = not output.is_dir()
+    make_folder(output, output)
+    with alone(output):
+        _update_plan(path, f"{HEAD} {json.dumps(made_of)}", defaults, epochs)
+        targets = {name: output / IMAGES / folders[name] for name in found}
+        left = [name for name in found if not targets[name].is_dir()]
+        work = ((found[name], targets[name], how) for name in left)
+        problems = in_order(_restore, work, args.workers or 1)
+        for name, problem in zip(left, problems, strict=True):
+            if problem:
+                reporter.warn(f"{name}: no images: {problem}")
     if found and not (output / IMAGES).is_dir():
-        with suppress(OSError):
-            path.unlink()
-            output.rmdir()
-        raise ValueError(f"{args.survey}: the images of no source can be restored")
+        if is_new:
+            shutil.rmtree(output)
+        raise ValueError(f"{given}: the images of no source can be restored")
     return path
 
 
 def _update_plan(path, head, defaults, epochs):
     """Add sources to the file of a survey, or begin it anew if its head is another."""
-    output = path.parent
-    values, before = read_toml(path) if path.is_file() else ({}, "")
+    values, text = read_toml(path) if path.is_file() else ({}, "")
     # Images that were not restored here must not be deleted.
-    if output.is_dir() and any(output.iterdir()) and not before.startswith(HEAD):
+    if any(path.parent.iterdir()) and not text.startswith(HEAD):
         raise OSError(
-            f"{output}: exists and is not of a survey of a table; choose another folder"
+            f"{path.parent}: exists and is not of a survey of a table; choose another "
+            "folder"
         )
     # What was added to the file stays, and so do the sources of other calls.
-    text, known = before, values.get("sources", {})
+    known = values.get("sources", {})
     if not text.startswith(f"{head}\n"):
         text, known = f"{head}\n\n{defaults}", {}
-        shutil.rmtree(output / IMAGES, ignore_errors=True)
+        shutil.rmtree(path.parent / IMAGES, ignore_errors=True)
     for name, files in epochs.items():
         if name not in known:
             table = f"[sources.{json.dumps(name)}]\nepochs = {json.dumps(files)}\n"
             text = f"{text.rstrip()}\n\n{table}"
-    if text != before:
-        output.mkdir(parents=True, exist_ok=True)
-        with replace_when_complete(path, overwrite=True) as part:
-            part.write_text(text, encoding="utf-8")
+    with replace_when_complete(path, overwrite=True) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def _restore(task):
@@ -403,7 +454,7 @@ def _restore(task):
 
 def _components(args, reporter):
     """Return the components of each source with a beam, and how to restore images."""
-    how = images.images_of(args)
+    how = images.images_of(args, [args.survey])
     options, found = {"origin": args.origin, "beams": how["beam"]}, {}
     for name in args.source.split(",") if args.source else (None,):
         found |= read_sources(args.survey, source=name, **options)

@@ -1,24 +1,31 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Find the features of a jet and follow each from epoch to epoch."""
+"""The commands track and explain: features followed, and why each is one."""
+
+from pathlib import Path
+
+import astropy.units as u
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
 from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.explain import explain_feature
 from astro_scc.features import find_features
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.patterns import decompose_epochs
 from astro_scc.products.folder import product_folder, write_files, write_tables
 from astro_scc.products.publication import with_published, write_publication
+from astro_scc.quantities import finite_quantities, named, to_time
 from astro_scc.report.answer import feature_lines, published_lines, speed_lines
+from astro_scc.settings import Settings
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import plot_separation, plot_tracks
 from astro_scc.writing import versions
 
 # Files of an earlier run that must not remain beside new ones.
 PRODUCTS = (
-    "features.ecsv positions.ecsv publication separation.png tracks.png "
+    "features.ecsv positions.ecsv citations.bib publication separation.png tracks.png "
     "separation.pdf tracks.pdf"
 ).split()
 
@@ -29,7 +36,7 @@ def track(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PRODUCTS) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note, features=True)
-        features = _find(epochs, reporter)
+        features = _find(epochs, reporter, epochs.settings.seed)
         table = _write(features, epochs, folder)
         if not args.no_figures:
             more = {"published": epochs.published}
@@ -50,7 +57,7 @@ def track(args, reporter):
     )
 
 
-def _find(epochs, reporter):
+def _find(epochs, reporter, seed):
     """Return the features of a cube."""
     cube, settings, ssps = epochs.cube, epochs.settings, None
     warn_of_misalignment(cube)
@@ -63,7 +70,7 @@ def _find(epochs, reporter):
         ssps = SSPs.of_epochs(decomposed)
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
-        seed=settings.seed, n_workers=n_workers, progress_bar=progress_bar,
+        seed=seed, n_workers=n_workers, progress_bar=progress_bar,
     )  # fmt: skip
     if len(features.detections) == 0:
         where = "" if settings.region is None else f" in {settings.region}"
@@ -84,7 +91,62 @@ def _write(features, epochs, folder):
         "history": list(cube.meta.get("history", ())),
         "versions": versions(),
     }
+    if epochs.published is not None:
+        meta["history"].append(f"compared with {epochs.published.meta['survey']}")
     tables = {"features": table, "positions": features.positions}
     tables, _ = write_tables(tables, folder, meta)
     write_publication(tables, folder)
     return tables["features"]
+
+
+# -- why one is a feature, or none ---------------------------------------------------
+
+
+def explain(args, reporter):
+    """Explain what became of a feature according to the arguments."""
+    subject = _subject(args)
+    folder = Path(args.folder)
+    advice = "; name a folder that astro-scc measure or track has written"
+    table = inputs.read_table(folder / "features.ecsv", advice)
+    settings = Settings(**table.meta["configuration"])
+    epochs = inputs.read_epochs(settings, args, features=True)
+    if args.published is not None:
+        rows = epochs.published[epochs.published["published"] == args.published]
+        if len(rows) == 0:
+            numbers = sorted(set(epochs.published["published"].tolist()))
+            raise ValueError(
+                f"{args.compare}: has no feature {args.published}; it has "
+                f"{', '.join(map(str, numbers))}"
+            )
+        subject = {"published": rows}
+    # A measurement has no seed of its own for the features.
+    measured = (folder / "streams.ecsv").is_file()
+    features = _find(epochs, reporter, 0 if measured else settings.seed)
+    if features.number.tolist() != table["feature"].tolist():
+        reporter.warn(
+            f"{folder}: its features are not those of the images now; measure again"
+        )
+    reporter.say(*explain_feature(features, **subject))
+
+
+def _subject(args):
+    """Return the arguments of `explain_feature` that the options name."""
+    if args.published is not None and args.compare is None:
+        raise ValueError("--published needs --compare, the table that has the feature")
+    if (args.at is None) != (args.date is None):
+        raise ValueError("--at and --date are given together")
+    given = args.feature, args.published, args.at
+    if sum(value is not None for value in given) != 1:
+        raise ValueError("give one of --feature, --published, and --at with --date")
+    if args.at is None:
+        return {"feature": args.feature}
+    offset = named("--at", _offset, args.at)
+    return {"offset": offset, "date": named("--date", to_time, args.date)}
+
+
+def _offset(value):
+    wanted = 'must be an offset to the east and to the north, such as "-3.1 1.2 mas"'
+    found = finite_quantities(value, u.mas, wanted)
+    if found.size != 2:
+        raise ValueError(wanted)
+    return found

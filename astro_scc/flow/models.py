@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
-from scipy.special import chdtrc
+from scipy.special import fdtrc
 
 from astro_scc.quantities import with_error
 from astro_scc.units import unit_name
@@ -54,8 +54,9 @@ class ProfileFit:
     aicc : float
         Akaike's criterion for small samples; the smallest is the best.
     p_constant : float
-        Probability that chance improves as much on a constant speed, from the
-        difference in chi-square; 1 for the constant itself.
+        Probability that chance improves as much on a constant speed, by Fisher's
+        distribution (of a straight line, Student's), as the speeds scatter about the
+        model, but no less than their errors; 1 for the constant itself.
 
     Examples
     --------
@@ -193,8 +194,16 @@ def fit_profile(
     return ProfileFit(
         model=model, r0=parameters.get("r_break", x0 * r.unit), parameters=parameters,
         errors=errors, chi2=least, n_free=n - k, aicc=least + 2 * k + corrected,
-        p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
+        p_constant=_p_constant(k, n - k, chi2(mean), least),
     )  # fmt: skip
+
+
+def _p_constant(k, n_free, constant, least):
+    """Return the probability of as small a chi-square beside that of a constant."""
+    if k == 1 or n_free == 0:
+        return 1.0
+    ratio = max(constant - least, 0.0) / (k - 1) / max(least / n_free, 1.0)
+    return float(fdtrc(k - 1, n_free, ratio))
 
 
 def _starts(model, x, y, s, mean):

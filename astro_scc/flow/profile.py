@@ -358,11 +358,11 @@ def _fit_again(search, sign, *, root):
     )  # fmt: skip
 
 
-def write_profile(profile, components, directory, **settings):
+def write_profile(profile, streams, directory, **settings):
     """
     Write the table and the figures of a profile into a folder that exists.
 
-    ``components`` are `Profile.components`, or those in units of c; ``settings`` are
+    ``streams`` are those of the profile, with or without units of c; ``settings`` are
     passed to ``write_tables``.  Returns the paths.
 
     Examples
@@ -380,16 +380,16 @@ def write_profile(profile, components, directory, **settings):
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'profile.png', 'position_angles.png']
     """
-    tables = {"profile": components}
-    _, paths = write_tables(tables, directory, components.meta, **settings)
+    tables = {"profile": streams}
+    _, paths = write_tables(tables, directory, streams.meta, **settings)
     result = next(one for found in profile.results.values() for one in found if one)
 
     def draw(name):
         if name == "position_angles":
             return speeds.plot_position_angles(angles_by_scale(profile, result))
         return speeds.plot_profile(
-            components, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
-            cube=result.cube, beta_per_pm=beta_per_pm(components),
+            streams, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
+            cube=result.cube, beta_per_pm=beta_per_pm(streams),
         )  # fmt: skip
 
     files = style.figure_files(("profile", "position_angles"), draw)

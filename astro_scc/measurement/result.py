@@ -320,7 +320,7 @@ class SCCResult(tables.VelocityMaps):
         **options
             ``ax``, the axes to draw on, or for "paper", "tracks" and
             "epochs" ``figure``; ``unit`` of the axes, but for "speeds" and
-            "sensitivity".  Of figures with components: their table
+            "sensitivity".  Of figures with streams: their table
             ``components``; of figures with speeds: ``beta_per_pm``, the apparent speed
             in units of c of 1 mas/yr, for a second axis.  Also ``which``, the map
             "coefficient" or "z_score"; ``colorbar``; ``max_panels`` of "epochs";

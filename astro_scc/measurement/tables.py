@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tables of a measurement: components, SSPs, matches, and adjusted p-values."""
+"""Tables of a measurement: streams, spectrum, SSPs, and adjusted p-values."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from astro_scc.columns import build_table, cells, describe, round_to_errors, wit
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
 from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.measurement.citations import citations_of
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 
 if TYPE_CHECKING:
@@ -43,12 +44,12 @@ def stream_table(
     unit: u.UnitBase = PM_UNIT,
 ) -> QTable:  # fmt: skip
     """
-    Return velocity components as a table.
+    Return streams as a table.
 
     Parameters
     ----------
     rows : sequence of dict
-        One per component: the columns as plain numbers, proper motions in
+        One per stream: the columns as plain numbers, proper motions in
         mas/yr and angles in degrees.  May be empty.
     meta : dict, optional
     unit : `~astropy.units.Unit`, optional
@@ -80,7 +81,7 @@ class Components:
         distance: u.Quantity | str | None = None,
     ) -> QTable:  # fmt: skip
         """
-        Return the components with apparent speeds in units of c.
+        Return the streams with apparent speeds in units of c.
 
         Parameters
         ----------
@@ -107,6 +108,23 @@ class Components:
         return table_in_c(
             self.components, redshift=redshift, cosmology=cosmology, distance=distance
         )
+
+    def citations(self, components: QTable | None = None) -> str:
+        """
+        Return what the measurement rests on as BibTeX: papers, survey, this package.
+
+        Parameters
+        ----------
+        components : `~astropy.table.QTable`, optional
+            The table that `components_in_c` returns: its cosmology is cited, too.
+
+        Returns
+        -------
+        str
+            Command-line users have it in ``citations.bib``.
+        """
+        table = self.components if components is None else components
+        return citations_of(self.cube.meta.get("history", ()), table.meta)
 
 
 class VelocityMaps(Components):
@@ -161,7 +179,7 @@ def paper_table(table, *, sign="±"):
     Parameters
     ----------
     table : `~astropy.table.Table`
-        Components, features or a profile.
+        Streams, features or a profile.
     sign : str, optional
         What stands between a value and its error.
 
@@ -395,7 +413,7 @@ def stack_tables(tables, meta):
 
 def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any:
     """
-    Adjust the p-values of components for the number of regions searched.
+    Adjust the p-values of streams for the number of regions searched.
 
     Let :math:`p_{(1)} \\le \\ldots \\le p_{(m)}` be the ``p_global`` of the m
     velocities that were tested in all regions, bins or groups of scales
@@ -403,7 +421,7 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
 
     .. math:: q_{(k)} = \\min_{l \\ge k}\\ \\min(1,\\ m\\, p_{(l)} / l)
 
-    (Benjamini & Hochberg 1995, J. R. Stat. Soc. B 57, 289).  Of the components with
+    (Benjamini & Hochberg 1995, J. R. Stat. Soc. B 57, 289).  Of the streams with
     ``p_fdr <= q``, a share of at most q is expected to be false.  It holds for
     independent and for positively dependent tests, for example of regions that share
     features or of scales that see the same feature.
@@ -411,8 +429,8 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
     Parameters
     ----------
     tables : sequence of `~astropy.table.QTable`, or a mapping to them
-        Components, see `SCCResult.components`: one table for each region,
-        bin or group of scales, *those without components included*.
+        Streams, see `SCCResult.streams`: one table for each region,
+        bin or group of scales, *those without streams included*.
 
     Returns
     -------
@@ -434,8 +452,8 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
     was tested counts, including those "not significant", and a table without
     any counts as one test with a p-value of 1.  If only significant velocities
     counted, a single false alarm among twenty regions would not be corrected
-    for the other nineteen.  "stationary" components are not tested and do not
-    count.  ``kind`` is not changed: a component is a discovery of the whole
+    for the other nineteen.  "stationary" streams are not tested and do not
+    count.  ``kind`` is not changed: a stream is a discovery of the whole
     search if it is "moving" *and* its ``p_fdr`` is small.
 
     With n trials, the ``p_fdr`` of a single small p-value cannot be below
@@ -461,7 +479,7 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
     tested = {}
     for name, table in tables.items():
         if "p_global" not in table.colnames:
-            raise ValueError(f"table {name!r} has no column p_global: give components")
+            raise ValueError(f"table {name!r} has no column p_global: give streams")
         # What stands still is not tested.
         kinds = table["kind"] if "kind" in table.colnames else [""] * len(table)
         tested[name] = np.array([kind != "stationary" for kind in kinds], dtype=bool)

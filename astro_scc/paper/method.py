@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PaperMeasurement", "measure_as_in_paper"]
 
+#: Kinds of rows in their order.
+KINDS = "moving", "stationary", "not significant"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperMeasurement(VelocityMaps):
@@ -104,15 +107,20 @@ class PaperMeasurement(VelocityMaps):
     @property
     def components(self) -> QTable:
         """
-        The components as a table, the largest z-score first.
+        The components as a table, numbered as those of an `SCCResult` are.
 
+        Those that move come first, then what stands still and what is not significant,
+        the slowest of each first.
         Its columns are those of ``PaperComponent``, with velocities on
         the sky and along the jet.
         """
         rows = [
-            component_row(component, number, self.frame, self.position_angle)
-            for number, component in enumerate(self.stack.components, start=1)
+            component_row(component, self.frame, self.position_angle)
+            for component in self.stack.components
         ]
+        rows.sort(key=lambda row: (KINDS.index(row["kind"]), row["pm"]))
+        for number, row in enumerate(rows, start=1):
+            row["stream"] = number
         table = in_speed_unit(build_table("paper", rows), self.cube.speed_unit)
         table.meta.update(self.meta | self.cube.facts)
         return name_by_frame(round_to_errors(table), self.cube)
@@ -141,14 +149,13 @@ class PaperMeasurement(VelocityMaps):
         return plot_result(self, "paper", level=self.level, **options)
 
 
-def component_row(component, number, frame, angle):
+def component_row(component, frame, angle):
     """
     Return a component as a row of the table, in mas/yr and degrees.
 
     Parameters
     ----------
     component : ``PaperComponent``
-    number : int
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Position angle of the jet.
@@ -167,7 +174,6 @@ def component_row(component, number, frame, angle):
     kind = "stationary" if still else "moving"
     columns = velocity_columns(velocity, covariance, frame, angle)
     return {
-        "stream": number,
         "kind": kind if component.significant else "not significant",
         **columns,
         "pm_err_jitter": columns["pm_err"],

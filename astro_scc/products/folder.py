@@ -20,6 +20,7 @@ from astropy.table import QTable
 from astro_scc import writing
 from astro_scc.columns import describe
 from astro_scc.kinematics.cosmology import table_in_c_as
+from astro_scc.measurement.citations import citations_of
 from astro_scc.measurement.result import SCCResult, map_hdus, velocity_hdus
 from astro_scc.products.publication import with_published, write_publication
 
@@ -172,9 +173,9 @@ def write_products(
         ``streams.ecsv``, ``components.ecsv``, the same for older scripts,
         ``spectrum.ecsv``, ``features.ecsv``, with apparent speeds if the streams have
         them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``, ``ssps.ecsv``,
-        ``scc.fits``, the folder ``publication``, see
-        ``astro_scc.products.publication.write_publication``, and, if ``text`` is
-        given, ``config.toml``.
+        ``citations.bib``, if ``text`` is given ``config.toml``, ``scc.fits``, and the
+        folder ``publication``, see
+        ``astro_scc.products.publication.write_publication``.
 
     Raises
     ------
@@ -206,6 +207,8 @@ def write_products(
     features = with_published(features, result.tracked_features, published)
     meta = {**result.meta, **streams.meta}
     meta["history"] = list(result.cube.meta.get("history", ()))
+    if published is not None and "survey" in published.meta:
+        meta["history"].append(f"compared with {published.meta['survey']}")
     epochs, used = result.cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
     epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
     tables = {
@@ -240,8 +243,9 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
     Returns
     -------
     list of `~pathlib.Path`
-        ``streams.ecsv``, ``components.ecsv``, the same, ``ssps.ecsv``, ``scc.fits``,
-        the folder ``publication`` and, with ``text``, ``config.toml``.
+        ``streams.ecsv``, ``components.ecsv``, the same, ``ssps.ecsv``,
+        ``citations.bib``, with ``text`` ``config.toml``, ``scc.fits`` and the folder
+        ``publication``.
     """
     directory, meta = Path(directory), {**result.meta, **streams.meta}
     tables = {"streams": streams, "components": streams, "ssps": result.ssps}
@@ -256,7 +260,7 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
 
 def write_tables(tables, folder, meta, *, configuration=None, text=None):
     """
-    Write tables by their names with one meta and their notes, and the settings.
+    Write tables by their names with one meta and their notes, settings and citations.
 
     Parameters
     ----------
@@ -282,9 +286,12 @@ def write_tables(tables, folder, meta, *, configuration=None, text=None):
         copy.meta = plain_meta(meta | note)
         paths.append(Path(folder, f"{name}.ecsv"))
         copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
+    texts = {"citations.bib": citations_of(meta.get("history", ()), meta)}
     if text is not None:
-        paths.append(Path(folder, "config.toml"))
-        paths[-1].write_text(text, encoding="utf-8")
+        texts["config.toml"] = text
+    for name, content in texts.items():
+        paths.append(Path(folder, name))
+        paths[-1].write_text(content, encoding="utf-8")
     return written, paths
 
 

@@ -17,9 +17,9 @@ EXPLANATION = (
 )
 #: What makes a feature secure, and what its p_false is.
 SECURE = (
-    f"secure: p_false at most {MOST_FALSE:g}, moved by {LEAST_MOTION:.1f} beams and "
-    f"{SIGNIFICANT:g} standard errors or more; p_false: probability that it is no "
-    "feature, or parts of several"
+    "p_false: probability that it is no feature, or parts of several; secure: p_false "
+    f"of at most {MOST_FALSE:g}, moved by {LEAST_MOTION:g} beam and {SIGNIFICANT:g} "
+    "standard errors or more"
 )
 #: Speeds agree within so many errors of both.
 AGREE = 2
@@ -46,6 +46,15 @@ FORMATS |= {"pm_pa": ".0f", "separation": ".3g", "coefficient": ".2g", "z_score"
 SOME_DAYS = 3
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it"
+)
+#: What the columns of the paper's method are.
+PAPER_EXPLANATION = (
+    "coefficient, z_score: mean correlation of the patterns (SSPs, maxima on a wavelet "
+    "scale) at this velocity",
+    "with those of other epochs, and its excess in standard deviations of shuffled "
+    "epochs",
+    "p_global: share of shuffled series of epochs with as large a z-score at any "
+    "velocity",
 )
 
 
@@ -183,11 +192,13 @@ def scale_lines(of_scales):
         where = ""
         if np.isfinite(row["r_max"]):
             where = f"{row['r_min'].value:g} to {row['r_max'].value:g} {far}: "
-        first, second = (cell(row, f"{k}_speed", "+-") for k in ("first", "second"))
-        lines.append(
-            f"{where}speed on scales {row['first']}: {first}, on scales "
-            f"{row['second']}: {second} {unit}, p {row['p_value']:.2g}"
+        first, second = (
+            f"{cell(row, f'{k}_speed', '+-')} {unit} on "
+            f"{'scales' if ',' in row[k] else 'scale'} {row[k]}"
+            for k in ("first", "second")
         )
+        p = row["p_value"]
+        lines.append(f"{where}{first}, {second}; p of equal speeds {p:.2g}")
     return lines
 
 
@@ -227,24 +238,24 @@ def stream_lines(streams, features):
 
 def paper_lines(streams, level):
     """
-    Return the components of the paper's method as a table.
+    Return the streams that the paper's method finds, its peaks, as a table.
 
     Parameters
     ----------
     streams : `~astropy.table.QTable`
         See `~astro_scc.paper.method.PaperMeasurement.components`.
     level : float
-        The z-score that significant components exceed.
+        The z-score that significant ones exceed.
 
     Returns
     -------
     list of str
     """
     n = np.sum(streams["kind"] != "not significant")
-    said = "component" if n == 1 else "components"
-    lines = [f"Paper's method: {n or 'no'} {said} above the level of z, {level:.2g}."]
+    said = "stream" if n == 1 else "streams"
+    lines = [f"Paper's method: {n or 'no'} {said} with a z-score above {level:.2g}."]
     if len(streams):
-        lines += ["", *column_lines(streams, OF_PAPER)]
+        lines += ["", *column_lines(streams, OF_PAPER), *PAPER_EXPLANATION]
     return [*lines, *speed_lines(streams.meta)]
 
 
@@ -275,10 +286,10 @@ def feature_lines(features, most=MOST):
 
 
 def feature_count(features):
-    """Return how many features there are, of which streams if those are not secure."""
+    """Return how many features there are, and of which streams, if of any."""
     n, stream = len(features), np.asarray(features["stream"])
     said = f"{n} {'feature' if n == 1 else 'features'}"
-    if not np.any(stream[~np.asarray(features["secure"])]):
+    if not np.any(stream):
         return said
     numbers = sorted(set(stream.tolist()), key=lambda k: (k == 0, k))
     each = (
@@ -367,20 +378,20 @@ def _lacking(features):
     ]
 
 
-def profile_lines(components):
+def profile_lines(streams):
     """
-    Return the components in bins of distance as the lines of a table.
+    Return the streams in bins of distance as the lines of a table.
 
     Parameters
     ----------
-    components : `~astropy.table.QTable`
+    streams : `~astropy.table.QTable`
         See `~astro_scc.flow.Profile.components`.
 
     Returns
     -------
     list of str
     """
-    rows, unit = components.copy(), components["r_min"].unit
+    rows, unit = streams.copy(), streams["r_min"].unit
     ends = zip(rows["r_min"].value, rows["r_max"].value, strict=True)
     rows["bin"] = [f"{low:g} to {high:g}" for low, high in ends]
     tested = set(rows["bin"])
@@ -389,12 +400,12 @@ def profile_lines(components):
         return ["No speed could be tested in any bin."]
     rows["remark"] = np.where(rows["kind"] == "moving", "", rows["kind"])
     lines = column_lines(rows, PROFILE)
-    for low, high in (components.meta["bins"] * u.mas).to_value(unit):
+    for low, high in (streams.meta["bins"] * u.mas).to_value(unit):
         name = f"{low:g} to {high:g}"
         if name not in rows["bin"]:
             why = "no speed exceeds its error" if name in tested else "nothing is seen"
             lines.append(f"{name} {unit_name(unit)}: {why}")
-    return [*lines, PROFILE_EXPLANATION, *speed_lines(components.meta)]
+    return [*lines, *EXPLANATION, PROFILE_EXPLANATION, *speed_lines(streams.meta)]
 
 
 def misalignment_text(scatter):

@@ -56,7 +56,8 @@ OF_SOURCE = (
 #: Products of a measurement beside report and figures, in the order of the page.
 PRODUCTS = (
     "streams.ecsv components.ecsv spectrum.ecsv features.ecsv positions.ecsv "
-    "sensitivity.ecsv epochs.ecsv ssps.ecsv scc.fits publication config.toml"
+    "sensitivity.ecsv epochs.ecsv ssps.ecsv scc.fits publication citations.bib "
+    "config.toml"
 ).split()
 #: Width and height of a small profile.
 SPARK = (144, 34)
@@ -199,7 +200,12 @@ def _part_cells(part, row, features, unit, published, folder):
     """Return the text of a region and scale group, its profile and its speed."""
     more = defaultdict(str, kind=part.message)
     cells = dict.fromkeys(OVERVIEW, "")
-    cells |= {"source": part.source, "kind": part.status, "more": more, "link": ""}
+    cells |= {
+        "source": both_names(part.source),
+        "kind": part.status,
+        "more": more,
+        "link": "",
+    }
     names = (part.region, part.scale_group)
     cells["part"] = ", ".join(name for name in names if name != "all")
     if part.n_epochs:

@@ -5,8 +5,8 @@ Show what distinguishes random walks from jets that were simulated or observed.
 
     python benchmarks/calibration/diffusion.py ../shared/data/mojave_xviii [--jets 5]
 
-Writes ``results/diffusion_table.csv``: what the speeds of the features of each jet say,
-on jets that the calibration does not use, and on those of MOJAVE's tables.
+Prints what the speeds of the features of each jet say, on jets that the calibration
+does not use, and on those of MOJAVE's tables.
 """
 
 import argparse
@@ -19,13 +19,12 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 from run import KINDS, diffusing
-from summary import write
 
 from astro_scc.features import find_features
 from astro_scc.features.diffusion import measure_diffusion
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from common import mojave_images
+from common import mojave_images, print_table
 from mojave import SOURCES
 
 FIRST_SEED = 4000
@@ -36,7 +35,7 @@ STEADY = ("single-20", "single-30", "features16-20", "two-streams", "uniform",
 
 
 def main():
-    """Write the table, jet by jet."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument("tables", type=Path, help="folder of MOJAVE's tables")
     parser.add_argument("--jets", type=int, default=5)
@@ -50,7 +49,7 @@ def main():
         cube = mojave_images(args.tables, source.table, source.beam)
         rows.append(row_of(source.name, "", cube))
     header = ["jet", "seed", "features", "step", "change", "isotropy", "diffuses"]
-    write("diffusion_table", header, rows)
+    print_table(header, rows)
 
 
 def row_of(name, seed, cube):

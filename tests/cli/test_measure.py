@@ -142,7 +142,10 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     out, _ = done(*words, "-o", "out", "--seed", 1, "--redshift", 0.1)
     assert out.startswith("Paper's method: ")
     assert {"z_score", "coefficient"} <= set(out.split())
-    kept = "streams.ecsv components.ecsv ssps.ecsv scc.fits config.toml publication"
+    kept = (
+        "streams.ecsv components.ecsv ssps.ecsv scc.fits config.toml publication "
+        "citations.bib"
+    )
     assert {path.name for path in (here / "out").iterdir()} == {*kept.split()}
     table = QTable.read(here / "out" / "streams.ecsv")
     scc = StackedCrossCorrelation(

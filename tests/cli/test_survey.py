@@ -15,7 +15,7 @@ from astropy.table import QTable
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_source, run_survey
-from astro_scc.cli.survey_sources import Outcome, folder_names, read_survey
+from astro_scc.cli.survey_sources import Outcome, alone, folder_names, read_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.plan import choose_direction
 from astro_scc.quantities import with_error
@@ -225,6 +225,21 @@ def test_interrupted_and_started_again(serial, folder, here, astro_scc, monkeypa
     # Processes give the same.
     assert written(out) == written(reference)
     assert not list(out.rglob(".partial-*"))
+
+
+def test_a_second_run_in_a_folder_ends_at_once(folder, here, refused):
+    """With one line, and what the first has written is not touched."""
+    out = here / "out"
+    out.mkdir()
+    (out / "survey.toml").write_text("# first\n")
+    (out / "sources").mkdir()
+    with alone(out):
+        line = refused("survey", folder / "survey.toml", "-o", out)
+        assert "out: another run writes into it; wait for its end" in line
+    assert (out / "survey.toml").read_text() == "# first\n"
+    # The first one may have ended in any way.
+    with alone(out):
+        pass
 
 
 def small_page(result, folder, *, streams, title, **options):

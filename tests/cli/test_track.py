@@ -94,6 +94,45 @@ def test_images_without_beams_have_features_of_ssps(done, jet, here):
     assert np.all(features["size"].value == 0)
 
 
+def test_why_it_is_a_feature(done, refused, jet, here):
+    done("track", *jet, "-o", "out", "--seed", "1", "--no-figures")
+    features, positions = tables_of(here / "out")
+    row = features[features["secure"]][0]
+    out, err = done("explain", "out", "--feature", row["feature"])
+    assert err == ""
+    assert f"Feature {row['feature']} links {row['n_epochs']} epochs" in out
+    assert out.endswith("It is secure.\n")
+    place = positions[positions["feature"] == row["feature"]][0]
+    offset = f"{place['ra_offset'].value} {place['dec_offset'].value} mas"
+    again, _ = done("explain", "out", "--at", offset, "--date", place["date"].isot)
+    assert again.splitlines()[-1] == out.splitlines()[-1]
+    # A table of published features.
+    published = QTable(
+        {
+            "epoch": positions["date"].isot, "feature": positions["feature"],
+            "east": positions["ra_offset"], "north": positions["dec_offset"],
+            "flux": np.ones(len(positions)) * u.Jy,
+        }
+    )  # fmt: skip
+    published.write("p.ecsv", format="ascii.ecsv")
+    name = "--compare", "p.ecsv", "--published"
+    again, _ = done("explain", "out", *name, row["feature"])
+    assert again.splitlines()[-1] == out.splitlines()[-1]
+    for argv, words in (
+        ((), "give one of --feature, --published, and --at with --date"),
+        (("--feature", 1), "there is no feature 1; features.ecsv has the numbers"),
+        (("--at", "1 2 mas"), "--at and --date are given together"),
+        (("--at", "2 mas", "--date", "2001-01-01"), "must be an offset to the east"),
+        (("--published", 1), "--published needs --compare"),
+        ((*name, 9), "p.ecsv: has no feature 9; it has 1"),
+    ):
+        assert words in refused("explain", "out", *argv)
+    assert "name a folder that" in refused("explain", "none", "--feature", 1)
+    features[features["secure"]].write(here / "out" / "features.ecsv", overwrite=True)
+    _, err = done("explain", "out", "--feature", row["feature"])
+    assert "its features are not those of the images now; measure again" in err
+
+
 # -- profile -------------------------------------------------------------------------
 
 
@@ -117,7 +156,7 @@ def test_the_whole_stretch(profile, done, here, no_figures):
     for words in (
         "acceleration: ",
         "20 to 30 mas: nothing is seen",
-        "0 to 20 mas: speed on scales 1: ",
+        " mas / yr on scale 1, ",
     ):
         assert words in out
     table = QTable.read(here / "out" / "profile.ecsv")
@@ -144,8 +183,8 @@ def test_profile(profile, done, here):
     assert "p_fdr" in out
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc" in out
     assert {path.name for path in (here / "out").iterdir()} == {
-        "config.toml", "position_angles.png", "profile.ecsv", "profile.png",
-        "publication",
+        "citations.bib", "config.toml", "position_angles.png", "profile.ecsv",
+        "profile.png", "publication",
     }  # fmt: skip
     table = QTable.read(here / "out" / "profile.ecsv")
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]

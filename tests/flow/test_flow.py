@@ -11,6 +11,7 @@ from astropy.wcs import WCS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.special import stdtr
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.flow import (
@@ -257,6 +258,19 @@ def test_a_fit_does_not_depend_on_the_units():
     ]
     chi2 = [fit.chi2 for fit in fits]
     assert_allclose(chi2, chi2[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.2, 3.0])
+def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
+    """Student's, whether the speeds scatter by more or less than their errors."""
+    error = 0.1 * scale * np.ones(12)
+    v = np.random.default_rng(5).normal(2 + 0.03 * R.value, 0.1)
+    found = slope_of(PartSpeeds(R.value, v, np.diag(error**2)))
+    fit = fit_profile(R, v, error)
+    slope, slope_err = found[2:4]
+    assert fit.p_constant == pytest.approx(2 * stdtr(10, -abs(slope / slope_err)))
+    # Two speeds leave nothing that a line could be judged by.
+    assert fit_profile(R[:2], v[:2], error[:2]).p_constant == 1
 
 
 def test_constant_has_uniform_probabilities():

@@ -11,7 +11,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement.result import map_hdus
 from astro_scc.paper.components import PaperComponent
-from astro_scc.paper.method import component_row, measure_as_in_paper
+from astro_scc.paper.method import KINDS, component_row, measure_as_in_paper
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.units import PM_UNIT
 
@@ -142,12 +142,21 @@ def test_what_is_within_three_errors_of_rest_is_stationary(speed, significant, k
         speed, 0.0, 0.2, 0.1, 0.5, 0.3, 6.0, 0.01, significant, 0.0, 0.0, 0.5, 1.0, 9, 3
     )
     frame = PositionAngleFrame(45 * u.deg)
-    row = component_row(component, 1, frame, frame.pa)
+    row = component_row(component, frame, frame.pa)
     assert row["kind"] == kind
     assert row["pm_parallel"] == pytest.approx(speed)
     assert (row["pm_err"], row["pm_transverse_err"]) == pytest.approx((0.2, 0.1))
     east = np.sqrt((0.2**2 + 0.1**2 + 2 * 0.5 * 0.2 * 0.1) / 2)
     assert row["pm_ra_cosdec_err"] == pytest.approx(east)
+
+
+def test_rows_are_numbered_as_streams_are(jet_cube):
+    """By kind, and each kind from slow to fast."""
+    table = measure_as_in_paper(jet_cube, settings(), n_trials=20, rng=1).components
+    assert table["stream"].tolist() == [*range(1, len(table) + 1)]
+    order = [(KINDS.index(row["kind"]), row["pm"].value) for row in table]
+    assert len(order) > 1
+    assert order == sorted(order)
 
 
 def test_the_region_is_kept_and_a_seed_is_drawn(jet_cube):

@@ -2,6 +2,7 @@
 """Folders that are complete or not there, tables and maps that others can read."""
 
 import os
+import re
 import signal
 from dataclasses import replace
 
@@ -13,9 +14,11 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
+from astro_scc.measurement.citations import citations_of
 from astro_scc.measurement.result import velocity_hdus
 from astro_scc.products import write_products
 from astro_scc.products.folder import product_folder
+from astro_scc.writing import versions
 
 SETTINGS = {"scales": [2], "max_speed": "36 mas / yr"}
 NEW = {"one.txt": "new", "images": False, "images/a.fits": "new"}
@@ -45,7 +48,8 @@ def written(result, streams, tmp_path_factory):
     names = (
         "streams components spectrum features positions sensitivity epochs ssps".split()
     )
-    kept = [f"{name}.ecsv" for name in names] + ["config.toml", "scc.fits"]
+    kept = [f"{name}.ecsv" for name in names]
+    kept += ["citations.bib", "config.toml", "scc.fits"]
     assert [path.name for path in paths if path.parent == folder] == kept
     return folder
 
@@ -226,3 +230,50 @@ def test_the_fits_file_holds_the_diagram(result, jet_results, radial):
     assert ("radial" in header.comments["CNAME2"]) == radial
     angle = image.meta["position_angle"]
     assert header.get("DISPPA") == (None if radial else angle.value)
+
+
+# -- citations -----------------------------------------------------------------------
+
+PAPERS = ["mertens2016", "mertens2015", "astro_scc"]
+
+
+def cited(text):
+    """The keys of the entries, whose braces are balanced."""
+    assert text.count("{") == text.count("}")
+    return re.findall(r"^@\w+{(\w+),", text, re.MULTILINE)
+
+
+def test_what_a_result_rests_on(result, streams, written):
+    assert cited(result.citations()) == PAPERS
+    text = result.citations(streams)
+    assert cited(text) == [*PAPERS, "cosmology"]
+    assert "Planck18: Planck Collaboration 2018" in text
+    assert r"A\&A, 641, A6" in text
+    assert f"version = {{{versions()['astro_scc']}}}" in text
+    assert (written / "citations.bib").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize(
+    ("history", "meta", "keys", "said"),
+    [
+        (["components from a.txt (MOJAVE)"], {}, [*PAPERS, "lister2021"], ""),
+        (["restored J/ApJ/923/30"], {}, [*PAPERS, "lister2021"], ""),
+        ([], {}, PAPERS, "% Cite the survey or the observers of the images, too."),
+        ([], {"cosmology": None}, PAPERS, "Om0 = 0.27, as in mertens2016."),
+        ([], {"cosmology": "H0=70,Om0=0.3"}, PAPERS, "H0 = 70 km/s/Mpc, Om0 = 0.3."),
+    ],
+)
+def test_citations_are_of_what_was_used(history, meta, keys, said):
+    text = citations_of(history, meta)
+    assert cited(text) == keys
+    assert said in text
+
+
+def test_the_table_that_was_compared_is_cited(result, tmp_path):
+    columns = {"published": [1], "date": result.cube.times[:1]}
+    columns |= {k: [1.0] * u.mas for k in ("separation", "ra_offset", "dec_offset")}
+    published = QTable(columns, meta={"survey": "table4.dat (MOJAVE)"})
+    write_products(result, result.streams, tmp_path, published=published)
+    assert "lister2021" in cited((tmp_path / "citations.bib").read_text())
+    history = QTable.read(tmp_path / "streams.ecsv").meta["history"]
+    assert history[-1] == "compared with table4.dat (MOJAVE)"
