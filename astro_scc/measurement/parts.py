@@ -42,7 +42,8 @@ def parts_of(search):
 
     def speed_of(part, intervals):
         """Return the speed with its error; what has no error is not known."""
-        found = fit_part(part, start=start, intervals=intervals)
+        diagram = search.diagram if part is flow else None
+        found = fit_part(part, start=start, intervals=intervals, diagram=diagram)
         known = found is not None and found.knows(main)
         error = found.errors().mean[main] if known else np.nan
         if not np.isfinite(error):

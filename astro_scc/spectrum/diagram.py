@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The displacement-interval diagram: correlation of all pairs of epochs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,11 +35,15 @@ class Diagram:
     years: np.ndarray
 
     @property
+    def norm(self) -> np.ndarray:
+        """Factor of the sums at each displacement, 0 where few places are known."""
+        known = self.overlap > LEAST_OVERLAP
+        return np.where(known, 1 / np.maximum(self.overlap, LEAST_NORM), 0.0)
+
+    @property
     def means(self) -> np.ndarray:
         """The sums over the number of pairs of places, shape of ``sums``."""
-        known = self.overlap > LEAST_OVERLAP
-        norm = np.where(known, 1 / np.maximum(self.overlap, LEAST_NORM), 0.0)
-        return self.sums * norm.astype(np.float32)
+        return self.sums * self.norm.astype(np.float32)
 
     @property
     def power(self) -> float:
@@ -89,33 +93,103 @@ def correlate(flow, *, region=None, across=0):
     -------
     `Diagram`
     """
-    n, mask = len(flow.years), flow.mask.astype(np.float32)
+    steps, mask = lags(flow), flow.mask.astype(np.float32)
+    both = np.concatenate([-steps[:0:-1], steps])
     weight = mask if region is None else np.asarray(region, np.float32)
     total = max((mask * weight).sum(), 1.0)
-    steps, half = lags(flow), len(lags(flow)) - 1
-    sums = np.zeros((n, n, 2 * half + 1), np.float32)
-    overlap = np.zeros(2 * half + 1)
+    weights = [_weight_of_pairs(mask, weight, lag, across) for lag in both]
+    overlap = np.array([at.sum() for at in weights]) / total
+    if region is None:
+        sums = _sums_by_waves(flow, both, across)
+    else:
+        # Without a displacement across, negative ones are the same products.
+        half = 0 if across else len(steps) - 1
+        sums = _sums_by_points(flow, both[half:], weights[half:], across)
+        if half:
+            back = sums[:, :, :0:-1].transpose(1, 0, 2)
+            sums = np.concatenate([back, sums], axis=2)
+    sums[:, :, overlap <= LEAST_OVERLAP / 2] = 0
+    sums /= total * len(flow.values)
+    return Diagram(sums, overlap, both * flow.step, flow.years)
+
+
+def _weight_of_pairs(mask, weight, lag, across):
+    """Return the weight of the places from which a displacement starts."""
+    here, there = ends(lag, len(mask))
     left, right = ends(across, mask.shape[1])
-    for k, lag in enumerate(steps):
+    at = middles(weight, abs(lag))[:, left if lag >= 0 else right]
+    return at * mask[here, left] * mask[there, right]
+
+
+def _sums_by_points(flow, displacements, weights, across):
+    """Return the weighted sums over the products at all places."""
+    n, mask = len(flow.years), flow.mask
+    left, right = ends(across, mask.shape[1])
+    # Values of all epochs at one place stand together.
+    values, number = _at_points(flow)
+    sums = np.empty((n, n, len(displacements)), np.float32)
+    for k, (lag, at) in enumerate(zip(displacements, weights, strict=True)):
         here, there = ends(lag, len(mask))
-        inside = mask[here, left] * mask[there, right]
-        at = middles(weight, lag)[:, left] * inside
-        overlap[half + k] = at.sum() / total
-        if overlap[half + k] <= LEAST_OVERLAP / 2:
-            continue
-        # Planes are zero outside the mask.
-        points = np.flatnonzero(inside if region is None else at)
+        used = at > 0
+        first, second = number[here, left][used], number[there, right][used]
         found = np.zeros((n, n), np.float32)
-        for plane in flow.values:
-            first = plane[:, here, left].reshape(n, -1)[:, points]
-            if region is not None:
-                first *= at.flat[points]
-            found += first @ plane[:, there, right].reshape(n, -1)[:, points].T
-        sums[:, :, half + k] = found / (total * len(flow.values))
-    if across == 0:
-        sums[:, :, :half] = sums[:, :, :half:-1].transpose(1, 0, 2)
-        overlap[:half] = overlap[:half:-1]
-    return Diagram(sums, overlap, _displacements(steps, flow.step), flow.years)
+        for plane in values:
+            found += (plane[first] * at[used][:, None]).T @ plane[second]
+        sums[:, :, k] = found
+    return sums
+
+
+def _at_points(flow):
+    """Return the values inside the mask by scale and point, and numbers of points."""
+    values = np.ascontiguousarray(flow.values[:, :, flow.mask].swapaxes(1, 2))
+    return values, np.cumsum(flow.mask).reshape(flow.mask.shape) - 1
+
+
+def _waves(flow):
+    """Return wave numbers along the flow that tell all places and displacements."""
+    length = len(flow.along) + lags(flow)[-1]
+    return 2 * np.pi * np.arange(length // 2 + 1) / length, length
+
+
+def _transformed(flow):
+    """Return the planes by wave number, (n_waves, n_epochs, n_scales, n_across)."""
+    waves, _ = _waves(flow)
+    values = flow.values.transpose(2, 1, 0, 3)
+    turn = np.exp(-1j * np.outer(waves, np.arange(len(values))))
+    found = np.empty((len(waves), *values.shape[1:]), np.complex64)
+    flat = values.reshape(len(values), -1)
+    found.real = (turn.real.astype(np.float32) @ flat).reshape(found.shape)
+    found.imag = (turn.imag.astype(np.float32) @ flat).reshape(found.shape)
+    return found
+
+
+def _sums_by_waves(flow, displacements, across):
+    """Return the sums over the products at all places, by their Fourier transform."""
+    n, (waves, length) = len(flow.years), _waves(flow)
+    planes = _transformed(flow)
+    left, right = ends(across, len(flow.across))
+    first = planes[..., left].conj().reshape(len(waves), n, -1)
+    second = planes[..., right].reshape(len(waves), n, -1)
+    sums = _real_sums(
+        _back(waves, length, displacements), first @ second.swapaxes(1, 2)
+    )
+    return np.ascontiguousarray(sums.reshape(-1, n, n).transpose(1, 2, 0))
+
+
+def _back(waves, length, places):
+    """Return the matrix from waves to places, real and imaginary parts in turn."""
+    # All but the first wave, and the last one of an even number, stand for two.
+    share = np.where((waves == 0) | np.isclose(waves, np.pi), 1, 2) / length
+    turn = np.exp(1j * np.outer(places, waves)) * share
+    real = np.stack([turn.real, -turn.imag], axis=-1).reshape(len(places), -1)
+    return real.astype(np.float32)
+
+
+def _real_sums(back, of_waves):
+    """Return the values of something at places from its waves."""
+    parts = of_waves.reshape(len(of_waves), -1).view(np.float32)
+    parts = parts.reshape(len(of_waves), -1, 2).swapaxes(1, 2)
+    return back @ parts.reshape(back.shape[1], -1)
 
 
 def correlate_aside(flow, lags_across, *, region=None):
@@ -135,28 +209,18 @@ def correlate_aside(flow, lags_across, *, region=None):
         From the most negative displacement to the most positive one.
     """
     middle = correlate(flow, region=region)
-    low, high, zero = [], [], middle.zero
-    for lag in lags_across:
-        pair = [correlate(flow, region=region, across=k) for k in (lag, -lag)]
-        filled = []
-        for one, other in (pair, pair[::-1]):
-            # Negative displacements are those to the other side, seen from there.
-            back = other.sums[:, :, :zero:-1].transpose(1, 0, 2)
-            sums = np.concatenate([back, one.sums[:, :, zero:]], axis=2)
-            overlap = np.concatenate([other.overlap[:zero:-1], one.overlap[zero:]])
-            filled.append(Diagram(sums, overlap, one.displacement, one.years))
-        high.append(filled[0])
-        low.append(filled[1])
+    high = [correlate(flow, region=region, across=lag) for lag in lags_across]
+    # The same products, seen from their other ends.
+    low = [
+        replace(d, sums=d.sums.transpose(1, 0, 2)[:, :, ::-1], overlap=d.overlap[::-1])
+        for d in high
+    ]
     return [*low[::-1], middle, *high]
 
 
-def _displacements(steps, step):
-    return np.concatenate([-steps[:0:-1], steps]) * step
-
-
-def influence(flow, diagram, function, *, region=None):
+def influences(flow, diagram, functions, *, region=None):
     """
-    Return what each place of each epoch adds to a linear function of the diagram.
+    Return what each place of each epoch adds to linear functions of the diagram.
 
     .. math:: I_a(x) = q_a(x) \\sum_b \\sum_d h_{ab}(d)\\, q_b(x + d)
 
@@ -165,41 +229,61 @@ def influence(flow, diagram, function, *, region=None):
     flow, region
         As in `correlate`.
     diagram : `Diagram`
-    function : `~numpy.ndarray`, shape (n_epochs, n_epochs, n_d)
-        The function h of the ``means``, symmetric as the diagram is.
+    functions : sequence of `~numpy.ndarray`, shape (n_epochs, n_epochs, n_d)
+        Functions h of the ``means``, symmetric as the diagram is.
 
     Returns
     -------
-    `~numpy.ndarray`, shape (n_epochs, n_along)
+    list of `~numpy.ndarray`, shape (n_epochs, n_along)
         Summed across the flow; half of each product is counted at either end.
     """
-    n, mask = len(flow.years), flow.mask
-    weight = mask if region is None else region
-    weight = np.asarray(weight, np.float32)
+    mask = flow.mask
+    weight = np.asarray(mask if region is None else region, np.float32)
     total = max((mask * weight).sum(), 1.0) * len(flow.values)
-    known = diagram.overlap > LEAST_OVERLAP
-    norm = np.where(known, 1 / np.maximum(diagram.overlap, LEAST_NORM), 0.0) / total
-    half, found = diagram.zero, np.zeros((n, len(mask)))
+    norm = (diagram.norm / total).astype(np.float32)
+    if region is None:
+        return _influences_by_waves(flow, diagram, functions, norm)
+    return _influences_by_points(flow, diagram, functions, norm, weight)
+
+
+def _influences_by_waves(flow, diagram, functions, norm):
+    """Return the influences without weights, by their Fourier transform."""
+    n, (waves, length) = len(flow.years), _waves(flow)
+    displacements = np.rint(diagram.displacement / flow.step)
+    turn = (np.exp(1j * np.outer(waves, displacements)) * norm).astype(np.complex64)
+    planes = _transformed(flow).reshape(len(waves), n, -1)
+    back = _back(waves, length, np.arange(len(flow.along)))
+    values = flow.values.transpose(2, 1, 0, 3)
+    found = []
+    for function in functions:
+        h = np.asarray(function, np.float32).reshape(n * n, -1).T
+        of_waves = (turn @ h).reshape(len(waves), n, n)
+        sums = _real_sums(back, of_waves @ planes).reshape(values.shape)
+        found.append(np.einsum("xasy,xasy->ax", values, sums))
+    return found
+
+
+def _influences_by_points(flow, diagram, functions, norm, weight):
+    """Return the influences with the weights of a region."""
+    n, mask = len(flow.years), flow.mask.astype(np.float32)
+    values, number = _at_points(flow)
+    found = [np.zeros((len(mask), n)) for _ in functions]
     for k, lag in enumerate(lags(flow)):
-        if norm[half + k] == 0:
+        at = _weight_of_pairs(mask, weight, lag, 0)
+        used = at > 0
+        if norm[diagram.zero + k] == 0 or not used.any():
             continue
         here, there = ends(lag, len(mask))
-        inside = mask[here] * mask[there]
-        at = middles(weight, lag) * inside
-        points = np.flatnonzero(inside if region is None else at)
-        rows = points // mask.shape[1]
+        first, second = number[here][used], number[there][used]
+        rows = np.nonzero(used)[0]
         starts = np.flatnonzero(np.diff(rows, prepend=-1))
-        h = np.asarray(function[:, :, half + k] * norm[half + k], np.float32)
+        rows = rows[starts]
         # The negative displacements are the same products.
-        both = 1 if k else 0.5
-        for plane in flow.values:
-            first = plane[:, here].reshape(n, -1)[:, points]
-            second = plane[:, there].reshape(n, -1)[:, points]
-            if region is not None:
-                first *= at.flat[points]
-            for end, at_end, other in (
-                (here, first, h @ second), (there, second, h.T @ first),
-            ):  # fmt: skip
-                added = np.add.reduceat(at_end * other, starts, axis=1)
-                found[:, end][:, rows[starts]] += both * added
-    return found
+        share = at[used][:, None] * (1 if k else 0.5)
+        slices = [f[:, :, diagram.zero + k] * norm[diagram.zero + k] for f in functions]
+        for plane in values:
+            one, other = plane[first] * share, plane[second]
+            for sums, h in zip(found, slices, strict=True):
+                sums[here][rows] += np.add.reduceat(one * (other @ h.T), starts)
+                sums[there][rows] += np.add.reduceat(other * (one @ h), starts)
+    return [sums.T for sums in found]

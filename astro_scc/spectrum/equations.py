@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.sparse import csr_array
 
 from astro_scc.spectrum.diagram import LEAST_OVERLAP
 from astro_scc.spectrum.permutations import (
@@ -162,28 +163,26 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     alike = autocorrelation(diagram)
     # The last row is the interval zero, of each epoch with itself.
     tau = np.append(interval, 0.0)
-    moved = speed[:, None] * tau
+    forward = len(speed) // 2
+    moved = speed[forward:, None] * tau
     shape = np.interp(x - moved[..., None], x, alike, left=0, right=0)
     shape *= np.exp(-np.abs(moved) / LENGTH)[..., None]
     span = np.ptp(years)
     memory = np.exp(-np.abs(tau) / (span * np.array(STANDING)[:, None]))
     shape = np.concatenate([shape, memory[..., None] * alike])
     index = np.where(bins < 0, len(number), bins)
-    of_first = np.zeros((n, len(tau)))
-    np.add.at(of_first, (np.repeat(np.arange(n), n), index.ravel()), 1 / n)
-    of_second = np.zeros((n, len(tau)))
-    np.add.at(of_second, (np.tile(np.arange(n), n), index.ravel()), 1 / n)
-    pairs = np.nonzero(bins >= 0)
-    first, second = (_shares(bins[pairs], k, (len(number), n)) for k in pairs)
-    mean = of_first.mean(axis=0)
-    centre = np.eye(len(number), len(tau)) + mean
-    centre -= first @ of_first + second @ of_second
-    design = np.einsum("bt,vtd->vbd", centre, shape, optimize=True)
+    of_first, of_second = (_counts(epochs, index) for epochs in np.indices((n, n)))
+    centre = np.eye(len(number), len(tau)) + of_first.sum(axis=1) / n**2
+    for of_epochs in (of_first, of_second):
+        centre -= of_epochs[:-1] / number[:, None] @ of_epochs.T / n
     share = np.where(used, number, 0) / max(number[used].sum(), 1)
-    design -= np.einsum("b,vbd->vd", share, design)[:, None]
+    design = centre @ shape
+    design -= (share @ design)[:, None]
     design *= np.sqrt(number)[:, None]
     design *= diagram.overlap > LEAST_OVERLAP
     design[:, ~used] = 0
+    # What moves backward looks as what moves forward, with the other sign of d.
+    design = np.concatenate([design[forward:0:-1, :, ::-1], design])
     data = binned(diagram.means, bins, number, share)
     data[~used] = 0
     flat = design.reshape(len(design), -1)
@@ -193,18 +192,22 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     )  # fmt: skip
 
 
-def _shares(bins, epochs, shape):
-    """Return the share of each epoch among the pairs of each bin."""
-    found = np.zeros(shape)
-    np.add.at(found, (bins, epochs), 1)
-    return found / found.sum(axis=1, keepdims=True)
+def _counts(epochs, index):
+    """Return the number of pairs of each bin with each epoch, (n_bins + 1, n)."""
+    n = len(epochs)
+    shape = index.max() + 1, n
+    return np.bincount((index * n + epochs).ravel(), minlength=shape[0] * n).reshape(
+        shape
+    )
 
 
 def binned(values, bins, number, share):
     """Return values of pairs summed over bins, less the mean of pairs that are used."""
-    use = bins >= 0
-    sums = np.zeros((len(number), values.shape[2]))
-    np.add.at(sums, bins[use], values[use].astype(float))
+    pairs = np.argsort(bins, axis=None, kind="stable")[np.sum(bins < 0) :]
+    starts = np.append(0, np.cumsum(number))
+    shape = len(number), bins.size
+    sums = csr_array((np.ones(len(pairs)), pairs, starts), shape=shape)
+    sums = sums @ values.reshape(bins.size, -1)
     sums -= number[:, None] * (share / number @ sums)
     return sums / np.sqrt(number)[:, None]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from astro_scc.spectrum.diagram import influence
+from astro_scc.spectrum.diagram import influences
 from astro_scc.spectrum.gaussians import FLOOR, columns_of, standing_columns
 
 #: Length of a cluster: patterns that leave within so many beams are not independent.
@@ -78,18 +78,17 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
     all_rows = np.concatenate([of_amplitude, standing_columns(equations)])
     model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows
     model = np.tensordot(model, equations.design, 1)
+    residual = diagram.means - unbinned(equations, model)
+    # The amplitudes stand before the means.
+    functions = [function_of(equations, weights[i]) for i in range(2 * k)]
+    pieces = influences(flow, diagram, functions, region=region)
     errors, numbers, clusters, epochs = [], [], [], []
     for i in range(k):
         speed = fit.mean[i] if travel is None else travel
-        of_speed = function_of(equations, weights[k + i])
-        of_share = function_of(equations, weights[i])
-        pieces = [
-            influence(flow, diagram, f, region=region) for f in (of_speed, of_share)
-        ]
-        sums, parts = clusters_of(flow, pieces, speed)
+        sums, parts = clusters_of(flow, (pieces[k + i], pieces[i]), speed)
         number = np.mean([_effective(part) for part in parts])
         factor = stdtrit(max(number - 1, 1.0), ONE_SIGMA)
-        deleted = _of_epochs(of_speed, diagram.means - unbinned(equations, model))
+        deleted = _of_epochs(functions[k + i], residual)
         variance = factor**2 * np.mean([_variance(v) for v in sums])
         unequal = max(fit.sd[i] ** 2 - (FLOOR * fit.mean[i]) ** 2, 0) / max(number, 1)
         errors.append(np.sqrt(variance + (deleted**2).sum() + unequal))

@@ -84,14 +84,15 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
     shape = len(later), *values.shape[2:]
     to_map = _rays(along, across, interval[later], number[later], aside, x, shape)
     first, second = np.nonzero(np.isin(bins, later))
-    row = np.searchsorted(later, bins[first, second])
-    mean = csr_array(
-        (1 / number[later][row], (row, np.arange(len(row)))), shape=(shape[0], len(row))
-    )
+    by_bin = np.argsort(bins[first, second], kind="stable")
+    first, second = first[by_bin], second[by_bin]
+    each = np.repeat(1 / number[later], number[later]).astype(np.float32)
+    starts = np.append(0, np.cumsum(number[later]))
 
     def stacked(order):
         images = order[first] * n + order[second]
-        return (to_map @ (mean @ flat[images]).ravel()).reshape(along.shape)
+        mean = csr_array((each, images, starts), shape=(len(later), n * n))
+        return (to_map @ (mean @ flat).ravel()).reshape(along.shape)
 
     observed = stacked(epochs)
     trials = np.array([stacked(rng.permutation(n)) for _ in range(TRIALS)])

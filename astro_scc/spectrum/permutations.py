@@ -33,6 +33,10 @@ TESTED, FLOOR = 0.8, 0.1
 #: Part of the largest z from which directions are alike.
 NEARLY = 0.8
 TINY = np.finfo(float).tiny
+#: Permuted numbers at a time, which the cache of a processor holds.
+PIECE = 4e6
+#: Variance by which two epochs of one date differ at least.
+SAME = 1e-9
 #: Memories, in median intervals and in the whole time, and white shares that are tried.
 SHORTEST, LONGEST, N_MEMORIES = 0.3, 2.0, 24
 WHITE = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
@@ -153,25 +157,24 @@ def memory_of(years, zero):
     gaps = np.diff(years)
     median = np.median(gaps[gaps > 0])
     differ = differences(n)
-    data, best = differ @ zero @ differ.T, (np.inf,)
+    # In these combinations of the epochs the white part is white.
+    whiten = np.linalg.inv(np.linalg.cholesky(differ @ differ.T)) @ differ
+    data, best = whiten @ zero @ whiten.T, (np.inf,)
     times = np.geomspace(SHORTEST * median, LONGEST * np.ptp(years), N_MEMORIES)
     for time in (0.0, *times):
         decay = np.exp(-tau / time) if time else np.eye(n)
+        variance, axes = np.linalg.eigh(whiten @ decay @ whiten.T)
+        power = np.einsum("ij,ij->j", axes, data @ axes)
         for white in WHITE if time else (0.0,):
-            covariance = (1 - white) * decay + white * np.eye(n)
-            factor = _factor(differ @ covariance @ differ.T)
-            left = np.linalg.solve(factor, np.linalg.solve(factor, data).T)
-            log = 2 * np.log(np.diag(factor)).sum()
-            log += (n - 1) * np.log(max(np.trace(left), np.finfo(float).tiny))
+            expected = (1 - white) * np.maximum(variance, SAME) + white
+            log = np.log(expected).sum()
+            log += (n - 1) * np.log(max((power / expected).sum(), TINY))
             if log < best[0] - 1e-9:
-                best = log, time, white, factor
-    return best[1:]
-
-
-def _factor(covariance):
-    """Return the Cholesky factor; two epochs of one date are not quite the same."""
-    jitter = 1e-9 * np.trace(covariance) / len(covariance)
-    return np.linalg.cholesky(covariance + jitter * np.eye(len(covariance)))
+                best = log, time, white, (1 - white) * decay + white * np.eye(n)
+    covariance = differ @ best[-1] @ differ.T
+    jitter = SAME * np.trace(covariance) / len(covariance)
+    factor = np.linalg.cholesky(covariance + jitter * np.eye(len(covariance)))
+    return *best[1:-1], factor
 
 
 def differences(n):
@@ -344,34 +347,36 @@ def _scores(diagram, speed, tau, orders, intervals):
         ridge = 1.0
     whiten = np.linalg.inv(np.linalg.cholesky(scatter + ridge * np.eye(len(y))))
     filters = np.empty((len(speed), len(first), len(y)), np.float32)
-    asked = within(np.abs(tau), intervals)[..., None]
+    norm = np.empty(len(speed))
+    pairs = np.triu_indices(n, 1)
+    asked = within(np.abs(tau[pairs]), intervals)[:, None]
+    expected = np.zeros((n, n, len(y)), np.float32)
     for k, v in enumerate(speed):
-        moved = (v * tau)[..., None]
-        expected = np.interp(np.abs(y - moved), x, correlation, right=0)
-        expected -= np.interp(np.abs(y + moved), x, correlation, right=0)
-        expected *= np.exp(-np.abs(moved) / LENGTH) * overlap[use] * asked
+        moved = (v * tau[pairs])[:, None]
+        forward = np.interp(np.abs(y - moved), x, correlation, right=0)
+        forward -= np.interp(np.abs(y + moved), x, correlation, right=0)
+        forward *= np.exp(-np.abs(moved) / LENGTH) * overlap[use] * asked
+        expected[pairs], expected[pairs[::-1]] = forward, -forward
         filters[k] = _sandwich(to_innovations, expected)[first, second] @ whiten.T
-    filters = filters.reshape(len(speed), -1)
-    norm = np.sqrt((filters.astype(float) ** 2).sum(axis=1))
-    filters /= np.where(norm > 0, norm, 1)[:, None].astype(np.float32)
-    odd = np.asarray(odd @ whiten.T, np.float32)
-    flat = odd.reshape((n - 1) ** 2, -1)
-    scores = np.empty((len(orders), len(speed)))
+        norm[k] = np.sqrt(np.square(filters[k], dtype=float).sum())
+        filters[k] /= norm[k] if norm[k] > 0 else 1
+    odd = np.asarray(odd @ whiten.T, np.float32).reshape((n - 1) ** 2, -1)
+    scores = np.zeros((len(orders), len(speed)))
     # In pieces, as all permutations of a long series are large.
-    piece = max(1, int(2e7 / max(filters.shape[1], 1)))
-    for low in range(0, len(orders), piece):
-        some = orders[low : low + piece]
-        rows = some[:, first] * (n - 1) + some[:, second]
-        scores[low : low + piece] = flat[rows].reshape(len(some), -1) @ filters.T
+    piece = max(1, int(PIECE / len(orders) / max(len(y), 1)))
+    for low in range(0, len(first), piece):
+        some = slice(low, low + piece)
+        rows = orders[:, first[some]] * (n - 1) + orders[:, second[some]]
+        permuted = np.take(odd, rows, axis=0).reshape(len(orders), -1)
+        scores += permuted @ filters[:, some].reshape(len(speed), -1).T
     power = max(float(sums[np.arange(n), np.arange(n), zero].mean()), TINY)
     share = scores[0] / np.where(norm > 0, norm, np.inf) / power
+    filters = filters.reshape(len(speed), -1)
     return scores, (filters @ filters.T).astype(float), share, time, white
 
 
 def _sandwich(matrix, values):
     """Return ``B D(d) B'`` for every displacement d."""
-    n, m = matrix.shape[1], len(matrix)
-    matrix = np.asarray(matrix, np.float32)
-    half = matrix @ np.asarray(values, np.float32).reshape(n, -1)
-    half = half.reshape(m, n, -1).swapaxes(0, 1).reshape(n, -1)
-    return (matrix @ half).reshape(m, m, -1).swapaxes(0, 1)
+    matrix, values = np.asarray(matrix, np.float32), np.asarray(values, np.float32)
+    half = matrix @ values.reshape(matrix.shape[1], -1)
+    return matrix @ half.reshape(len(matrix), *values.shape[1:])
