@@ -107,7 +107,7 @@ class PaperMeasurement(VelocityMaps):
     @property
     def components(self) -> QTable:
         """
-        The components as a table, numbered as those of an `~astro_scc.measurement.SCCResult` are.
+        The components as a table, with the numbers that streams have.
 
         Those that move come first, then what stands still and what is not significant,
         the slowest of each first.
