@@ -50,27 +50,31 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     def read():
         for (path, k), name, window in zip(images, names, windows, strict=True):
             plane = _in_reach(fits.read_plane(path, window=window, frame=k))
-            plane.label, (ny, nx) = name, plane.data.shape
+            plane.label = name
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
                 raise ValueError(
                     f"{path}: has no more than two different values{where}, it seems "
                     f"to be a mask; {UNCHECKED}"
                 )
-            # Before the machine is blocked by more than its memory holds, with masks.
-            need = len(images) * ny * nx * (8 + 1)
-            if need > (have := machine_memory()):
-                raise MemoryError(
-                    f"{len(images)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
-                    f"GB, this machine has {have / 1e9:.3g}; read a region of them "
-                    "(region=, --crop)"
-                )
+            _refuse_too_large(len(images), *plane.data.shape)
             yield plane
 
     fields = _assemble(read(), *given, frame, check, f"{len(images)} FITS images")
     if region is not None:
         fields["meta"]["history"].append(regions.crop_line(part))
     return fields
+
+
+def _refuse_too_large(n, ny, nx):
+    """Refuse images before the machine is blocked by more than its memory holds."""
+    # Of float64, with masks.
+    need = n * ny * nx * (8 + 1)
+    if need > (have := machine_memory()):
+        raise MemoryError(
+            f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
+            f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
+        )
 
 
 def images_of(files):
