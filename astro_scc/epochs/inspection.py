@@ -129,10 +129,9 @@ def kind_of(path):
 
 
 def _frames(path):
-    """Return the numbers of the images on an axis of time of a file, else None."""
+    """Return the numbers of the images of a file, of which `_row_of` says faults."""
     with suppress(OSError, ValueError):
-        if (n := fits.frames_of(path)) not in (None, 1):
-            return range(n)
+        return fits.frames_of(path)
     return [None]
 
 

@@ -31,7 +31,7 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     for path in files:
         if path.suffix.lower() in LISTS:
             raise ValueError(f"{path}: {NO_IMAGE}")
-    images = images_of(files)
+    images = [(path, k) for path in files for k in fits.frames_of(path)]
     given = _given(times, beams, len(images), frame)
     names = [fits.labelled(path.name, k) for path, k in images]
     if len(set(names)) < len(names):
@@ -50,21 +50,14 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     def read():
         for (path, k), name, window in zip(images, names, windows, strict=True):
             plane = _in_reach(fits.read_plane(path, window=window, frame=k))
-            plane.label, (ny, nx) = name, plane.data.shape
+            plane.label = name
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
                 raise ValueError(
                     f"{path}: has no more than two different values{where}, it seems "
                     f"to be a mask; {UNCHECKED}"
                 )
-            # Before the machine is blocked by more than its memory holds, with masks.
-            need = len(images) * ny * nx * (8 + 1)
-            if need > (have := machine_memory()):
-                raise MemoryError(
-                    f"{len(images)} images of {nx} x {ny} pixels are {need / 1e9:.3g} "
-                    f"GB, this machine has {have / 1e9:.3g}; read a region of them "
-                    "(region=, --crop)"
-                )
+            _refuse_too_large(len(images), *plane.data.shape)
             yield plane
 
     fields = _assemble(read(), *given, frame, check, f"{len(images)} FITS images")
@@ -73,13 +66,15 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     return fields
 
 
-def images_of(files):
-    """Return each image of files, with its number on an axis of time or None."""
-    found = []
-    for path in files:
-        n = fits.frames_of(path)
-        found += [(path, None)] if n in (None, 1) else [(path, k) for k in range(n)]
-    return found
+def _refuse_too_large(n, ny, nx):
+    """Refuse images before the machine is blocked by more than its memory holds."""
+    # Of float64, with masks.
+    need = n * ny * nx * (8 + 1)
+    if need > (have := machine_memory()):
+        raise MemoryError(
+            f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
+            f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
+        )
 
 
 def read_images(images, times, beams, frame, *, check):
@@ -220,14 +215,14 @@ def _beam_is_small(plane):
 
 def _completed(planes, times, beams):
     """Return images by date, and their dates, with what is given and their noise."""
-    planes, every, remarks = list(planes), [], {}
+    planes, remarks = list(planes), {}
     if all(_beam_is_small(plane) for plane in planes):
         for plane in planes:
             plane.beam_problem = f"{plane.beam} is smaller than a pixel"
             plane.beam = None
     for plane, time, beam in zip(planes, times, beams, strict=True):
         plane.time = _observed(plane, time)
-        written, notes = plane.beam, []
+        written = plane.beam
         if beam is not None:
             if beam.major.to_value(u.deg) > plane.extent:
                 raise ValueError(
@@ -236,19 +231,19 @@ def _completed(planes, times, beams):
                 )
             plane.beam, plane.beam_problem, plane.beam_choice = beam, "", ""
             if written is not None and different_beam((beam, written)) is not None:
-                notes = [f"the beam that is given, {beam}, replaces that of the header"]
+                line = f"the beam that is given, {beam}, replaces that of the header"
+                plane.remarks.append(line)
         if plane.beam_choice:
             raise ValueError(f"{plane.name}: {plane.beam_choice}")
         with series.naming(plane.name):
             plane.take_uncertainty()
-        for note in plane.notes + notes:
+        for note in plane.notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
-        every.append(plane)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
-    times = dates.as_times([plane.time for plane in every], len(every))
+    times = dates.as_times([plane.time for plane in planes], len(planes))
     order = dates.order_of(times)
-    return [every[i] for i in order], times[order]
+    return [planes[i] for i in order], times[order]
 
 
 def _refuse_strangers(planes):

@@ -75,13 +75,11 @@ def observing_time(header, *, start=False):
             raise ValueError(problem or other)
         return None, ""
     first = [*starts, *middles][0]
-    day_alone = first.day_only and not first.middle
-    if day_alone:
-        starts[1:1] = _with_clock(header, first)
+    doubt = ""
+    if first.day_only and not first.middle:
+        starts[1:1], doubt = _with_clock(header, first)
     begin = min((one for one in starts if _agrees(one, first)), default=None)
-    remark = _contradictions(starts, first) or _unknown_scale(scale)
-    if day_alone:
-        remark = remark or _hours_or_seconds(header)
+    remark = _contradictions(starts, first) or _unknown_scale(scale) or doubt
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
     exposure = _exposure(header)
@@ -195,20 +193,6 @@ def _lasted(begin, ends, exposure):
     return exposure if exposure <= DAY else 0.0
 
 
-def _hours_or_seconds(header):
-    """Return a remark if a time of the day is a number of which the unit is unknown."""
-    for keyword in WORDS["clock"]:
-        number = get(header, keyword, kind=float)
-        if number is None or not 0 < number <= HOURS or _unit_of(header, keyword, 0.0):
-            continue
-        what = "is left out" if keyword.startswith("UT") else "is seconds"
-        return (
-            f"its {keyword} = {number:g} may be hours or seconds and {what}; write it "
-            "as HH:MM:SS"
-        )
-    return ""
-
-
 def _dates(header, keywords, scale, *, middle=False):
     """Return the dates of some keywords, and why one could not be read."""
     found, problem = [], ""
@@ -260,19 +244,24 @@ def _of_text(text, scale):
 
 
 def _with_clock(header, day):
-    """Return the date of a day alone with its times of the day in other keywords."""
-    found = []
+    """
+    Return the dates of a day alone with its times of the day in other keywords.
+
+    A remark says if one is a number of which the unit is not known.
+    """
+    found, remark = [], ""
     for keyword in WORDS["clock"]:
-        precision, seconds = _seconds(header, keyword)
+        precision, seconds, doubt = _seconds(header, keyword)
+        remark = remark or doubt
         if seconds is not None:
             # On the day itself, so that leap seconds do not move it.
             time = day.time + TimeDelta(seconds, format="sec")
             found.append(Found(precision, time, f"{day.keyword} and {keyword}"))
-    return found
+    return found, remark
 
 
 def _seconds(header, keyword):
-    """Return the precision of a time of the day, and it in seconds, None if none."""
+    """Return precision and seconds (None if none) of a time of the day, and a doubt."""
     text = get(header, keyword, kind=str) or ""
     # It may have the day, too.
     text = re.split(r"[T_ ](?=\d{1,2}:)", text.upper())[-1]
@@ -281,15 +270,21 @@ def _seconds(header, keyword):
         # Of one of the two forms.
         hours, minutes, seconds, fraction = match.groups()[4 * (match[1] is None) :][:4]
         if int(hours) > HOURS or int(minutes) > 59:
-            return DAY, None
+            return DAY, None, ""
         total = 3600 * int(hours) + 60 * int(minutes) + float(seconds or 0)
         precision = 60.0 if seconds is None else 10.0 ** -len((fraction or ".")[1:])
-        return precision, total + float(fraction or 0)
+        return precision, total + float(fraction or 0), ""
     number, unit = get(header, keyword, kind=float), _unit_of(header, keyword, 0.0)
-    doubtful = keyword.startswith("UT") and not unit and 0 < (number or 0) <= HOURS
-    if number is None or not 0 <= number <= DAY or doubtful:
-        return DAY, None
-    return (unit or 1.0) * _last_digit(text), (unit or 1.0) * number
+    if number is None or not 0 <= number <= DAY:
+        return DAY, None, ""
+    left_out, doubt = False, ""
+    if 0 < number <= HOURS and not unit:
+        left_out = keyword.startswith("UT")
+        what = "is left out" if left_out else "is seconds"
+        doubt = f"its {keyword} = {number:g} may be hours or seconds and {what}; write "
+        doubt += "it as HH:MM:SS"
+    unit = unit or 1.0
+    return unit * _last_digit(text), None if left_out else unit * number, doubt
 
 
 def _in_scale(time, scale):

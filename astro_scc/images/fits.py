@@ -170,11 +170,12 @@ def read_plane(path, *, window=None, pixels=True, frame=None):
 
 
 def frames_of(path):
-    """Return the number of dates on the axis of time of a file, None without one."""
+    """Return the numbers of the images on an axis of time of a file, else [None]."""
     with opened(path) as hdus:
         header = find_image(hdus, path, file_of(Path(path))[1]).header
         axis = time_axis(header)
-        return axis and header[f"NAXIS{axis}"]
+        n = header[f"NAXIS{axis}"] if axis else 1
+        return [None] if n == 1 else range(n)
 
 
 @contextmanager

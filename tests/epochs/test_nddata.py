@@ -419,7 +419,6 @@ def of_ndcube(ndcube):
         (of(NDData(PLANE, meta=DATED)), "image 0: it has no WCS"),
         (of(NDData(np.ones((2, 8, 9)), wcs=celestial())), r"0: has shape \(2, 8, 9\)"),
         (of(NDData(PLANE * np.nan, wcs=celestial())), "image 0: no valid pixel"),
-        (of(with_hdu(np.ones((3, 8, 9)), **DATED)), "image 0: has 3 planes"),
         (of(PLANE), "image 0: is a .*; give NDData, such as"),
         (of(SimpleNamespace(hdu=fits.BinTableHDU())), "image 0: is a .*; give NDData"),
         (lambda: EpochCube([image(0), image(1)], DATES[:2], celestial()),

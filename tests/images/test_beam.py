@@ -1,15 +1,18 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Beams, those that differ, and convolution to a common one."""
+"""Beams, those that differ, a common one, and the one of an image among several."""
+
+import pickle
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.io import fits
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.epochs import Beam
+from astro_scc.epochs import Beam, inspect_epochs
 from astro_scc.images.beam import different_beam, parse_beam, smallest_common_beam
 from astro_scc.images.grid import common_beam, gaussian_smooth
 from astro_scc.images.positions import offset_wcs
@@ -23,12 +26,39 @@ def beam(major, minor, pa=0.0):
     return Beam(major * u.mas, minor * u.mas, pa * u.deg)
 
 
-def test_beams_compare_with_beams_and_are_read_from_text():
-    assert beam(2, 1, 30) == Beam(2e-3 * u.arcsec, 1e-3 * u.arcsec, 210 * u.deg)
-    assert beam(2, 1, 30) != beam(2, 1, 31)
-    assert beam(2, 1, 30) != "beam"
+def test_beams_are_read_from_text():
     assert parse_beam("1.0 mas 0.5 mas -7 deg") == beam(1, 0.5, -7)
     assert parse_beam("0.8 mas") == beam(0.8, 0.8)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (beam(1, 0.5), Beam(1000 * u.uas, 500 * u.uas)),
+        (beam(1, 0.5, -7), beam(1, 0.5, 173)),
+        (beam(1, 1), beam(1, 1, 30)),
+        (beam(3, 1), Beam(float(np.float32(3 / 3.6e6)) * u.deg, 1 * u.mas)),
+    ],
+)
+def test_equal_beams_are_one_in_a_set(one, other):
+    assert one == other
+    assert len({one, other, pickle.loads(pickle.dumps(one))}) == 1
+    assert len({one, other, beam(one.major.value * 1.001, one.minor.value)}) == 2
+    assert one not in (1, "beam", beam(2, 1, 31))
+    assert with_beams(one, other, one).facts["beam"] == str(one)
+
+
+def test_beams_of_radio_beam():
+    radio_beam = pytest.importorskip("radio_beam")
+    beams = radio_beam.Beams([3] * 3 * u.mas, [1, 2, 3] * u.mas, [10, 20, 30] * u.deg)
+    made = with_beams(*[ROUND] * 3)
+    fields = {"data": made.data, "times": DATES, "pixel_scale": PIXEL}
+    cube = EpochCube.from_arrays(**fields, beams=beams)
+    assert [one.minor.value for one in cube.beams] == [1, 2, 3]
+    with pytest.raises(ValueError, match="3 epochs need 3 beams, got 1"):
+        EpochCube.from_arrays(**fields, beams=beams[:1])
+    with pytest.raises(ValueError, match="of a beam are single angles, got 2; make a"):
+        Beam([1, 2] * u.mas, 1 * u.mas)
 
 
 ROUND, WIDE = beam(0.5, 0.5), beam(0.52, 0.5)
@@ -67,6 +97,85 @@ def test_beams_that_differ_are_refused_until_that_is_stated():
     with pytest.raises(ValueError, match=f"the beams differ, .*{words}"):
         scc.match(cube)
     assert len(scc.match(cube.to_common_beam()).matches)
+
+
+# -- the beam of a channel -----------------------------------------------------
+
+CHANNELS = np.linspace(4.0, 1.0, 4)
+ONE = [{"CHAN": 0, "POL": 0, "BMAJ": 2.0}]
+FOUR = [{"CHAN": k, "POL": 0, "BMAJ": width} for k, width in enumerate(CHANNELS)]
+FROM_1 = [row | {"CHAN": row["CHAN"] + 1} for row in FOUR]
+STOKES = [{"CHAN": 0, "POL": k, "BMAJ": width} for k, width in enumerate(CHANNELS)]
+BOTH = [row | {"POL": k, "BMAJ": row["BMAJ"] + 5 * k} for k in (0, 1) for row in FOUR]
+SAME = [row | {"BMAJ": 2.0} for row in FOUR]
+BLANK = [row | {"BMAJ": 2.0 * (row["CHAN"] == 2)} for row in FOUR]
+VELOCITY = {"CTYPE3": "VRAD", "CUNIT3": "m/s", "CDELT3": 1e3}
+#: Forms and units of the columns of a table BEAMS, by the starts of their names.
+KINDS = {"CHA": ("1J",), "POL": ("1J",), "BPA": ("1E", "deg")}
+KINDS |= dict.fromkeys(("BMA", "BMI"), ("1E", "arcsec"))
+#: Rows of such a table (0.1 mas), changes of the header, and the major axis.
+BEAMS = [
+    (ONE, {}, 2.0),
+    (ONE, {"CRPIX3": -1.0}, 2.0),
+    (FOUR, {"CRPIX3": 0.0}, 3.0),
+    (FOUR, {"CRPIX3": -2.0}, 1.0),
+    (FOUR, {"CRPIX3": -1.0, **VELOCITY}, 2.0),
+    (FROM_1, {"CRPIX3": -2.0}, 1.0),
+    (STOKES, {}, 4.0),
+    (STOKES, {"CRPIX4": -1.0}, 2.0),
+    (BOTH, {"CRPIX3": -2.0}, 1.0),
+    (BOTH, {"CRPIX3": -2.0, "CRPIX4": 0.0}, 6.0),
+    (SAME, {}, 2.0),
+    (SAME, {"CRPIX3": -7.0}, 2.0),
+    (BLANK, {}, 2.0),
+    # What the header says counts.
+    (FOUR, {"BMAJ": 5 / 3.6e7, "BMIN": 1 / 3.6e7, "BPA": 0.0}, 5.0),
+]
+UNKNOWN = [
+    (FOUR, {}),
+    (FOUR, {"CRPIX3": 0.5}),
+    (FOUR, {"CRPIX3": -7.0}),
+    (FOUR, {"CTYPE3": None}),
+    (BOTH, {}),
+    ([{"BMAJ": width} for width in CHANNELS], {"CRPIX3": 0.0}),
+]
+
+
+@pytest.fixture
+def with_table(make_fits):
+    """Write an image with a table of beams."""
+
+    def make(rows, changes, name="a.fits"):
+        own = dict.fromkeys(("BMAJ", "BMIN", "BPA")) | changes
+        path = make_fits(name, **own)
+        columns = {"BMIN": np.full(len(rows), 1e-4), "BPA": np.zeros(len(rows))}
+        columns |= {key: [row[key] for row in rows] for key in rows[0]}
+        columns["BMAJ"] = np.divide(columns["BMAJ"], 1e4)
+        table = fits.BinTableHDU.from_columns(
+            [fits.Column(key, *KINDS[key[:3]], array=values)
+             for key, values in columns.items()], name="BEAMS"
+        )  # fmt: skip
+        fits.append(path, table.data, table.header)
+        return path
+
+    return make
+
+
+@pytest.mark.parametrize(("rows", "changes", "major"), BEAMS)
+def test_the_beam_of_the_channel(with_table, rows, changes, major):
+    cube = EpochCube.read(with_table(rows, changes))
+    assert cube.beams[0].major.to_value(u.mas) == pytest.approx(major / 10, rel=1e-6)
+
+
+@pytest.mark.parametrize(("rows", "changes"), UNKNOWN)
+def test_which_channel_it_is_cannot_be_told(with_table, rows, changes):
+    path = with_table(rows, changes)
+    words = f"its table BEAMS has {len(rows)} beams, and which one is that of its chan"
+    with pytest.raises(ValueError, match=f"a.fits: {words}"):
+        EpochCube.read(path)
+    assert words in inspect_epochs(path)["problem"][0]
+    given = Beam(1 * u.mas, 1 * u.mas)
+    assert EpochCube.read(path, beams=given).beams == (given,)
 
 
 # -- a common beam ---------------------------------------------------------------
