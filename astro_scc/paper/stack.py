@@ -260,8 +260,6 @@ def velocity_axes(v_max, step, *, most=301):
         Largest spacing, above 0.
     most : int, optional
         Most velocities along an axis; the spacing grows if there would be more.
-    most : int, optional
-        Most velocities along an axis; the spacing grows if there would be more.
 
     Returns
     -------
