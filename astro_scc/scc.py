@@ -5,7 +5,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 ::
 
     cube       = EpochCube.read(files)             # images, dates, beams, one WCS
-    decomposed = find_patterns(cube, decomposer)   # wavelet planes, noise, SSPs
+    decomposed = scc.decompose(cube)               # wavelet planes, noise, SSPs
     features   = decomposed.follow()               # detections, tracks, motions, trust
     flow       = decompose_flow(cube, frame)       # planes along the flow, on its grid
     test       = permutation_test(diagrams)        # does anything move along it?
