@@ -42,8 +42,6 @@ class PaperComponent:
         Height above the mean of the trials, in their standard deviations.
     p_global : float
         Probability that permuted epochs have as large a z-score at any velocity.
-    significant : bool
-        Whether ``p_global`` is at most ``alpha``.
     offset1, offset2 : float
         Mean of the maximum over the trials with shifted SSPs, from the velocity: a
         small part of the error where the error is valid.
@@ -63,7 +61,6 @@ class PaperComponent:
     coefficient: float
     z_score: float
     p_global: float
-    significant: bool
     offset1: float
     offset2: float
     p_normal: float
@@ -103,7 +100,7 @@ class PaperStack:
 def stack_patterns(
     displacements: Displacements, pairs: DatePairs, orders: ArrayLike, *,
     fwhm: ArrayLike, max_speed: ArrayLike, rng: np.random.Generator,
-    alpha: float = 0.01, shift_beams: float = 0.0,
+    shift_beams: float = 0.0,
     progress: Callable[[int], Any] | None = None,
 ) -> PaperStack:  # fmt: skip
     """
@@ -123,8 +120,6 @@ def stack_patterns(
         Largest speed along both axes, in the unit of the displacements per year.
     rng : `~numpy.random.Generator`
         For the errors, which have as many trials as there are orders.
-    alpha : float, optional
-        Largest ``p_global`` of a significant component.
     shift_beams : float, optional
         Shift of the images of a trial, in beams, along each axis and in each direction
         in turn.  A fifth is the paper's correction for small displacements, at which
@@ -198,7 +193,7 @@ def stack_patterns(
     components = []
     for k in [*order[:1], *strong]:
         both = coefficient[tuple(points[k])], heights[k]
-        found = _component(matches, velocities[k], box, both, trial_z, alpha, rng)
+        found = _component(matches, velocities[k], box, both, trial_z, rng)
         components.append(found)
     number = int(displacements.n_ssps[np.unique(pairs.first)].sum())
     maps = VelocityMap(*axes, coefficient, z_score)
@@ -239,7 +234,7 @@ def _significance(stacks, least_std=0.3):
     return z_score, highest[1:]
 
 
-def _component(matches, velocity, box, heights, trial_z, alpha, rng):
+def _component(matches, velocity, box, heights, trial_z, rng):
     """Return a maximum with its significance, errors, and matches."""
     (coefficient, z_score), n_trials = heights, len(trial_z)
     # Equal orders give equal z-scores within rounding.
@@ -255,7 +250,7 @@ def _component(matches, velocity, box, heights, trial_z, alpha, rng):
     n_ssp = len(np.unique(ends[0, member]))
     return PaperComponent(
         *velocity.tolist(), *error.tolist(), float(covariance[0, 1] / np.prod(error)),
-        float(coefficient), float(z_score), p_global, p_global <= alpha,
+        float(coefficient), float(z_score), p_global,
         *offset.tolist(), normal_probability(away), len(away) / n_trials,
         n_ssp, len(np.unique(pair[member])),
     )  # fmt: skip

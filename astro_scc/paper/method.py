@@ -110,7 +110,9 @@ class PaperMeasurement(VelocityMaps):
         the sky and along the jet.
         """
         rows = [
-            component_row(component, number, self.frame, self.position_angle)
+            component_row(
+                component, number, self.frame, self.position_angle, self.meta["alpha"]
+            )
             for number, component in enumerate(self.stack.components, start=1)
         ]
         table = in_speed_unit(build_table("paper", rows), self.cube.speed_unit)
@@ -141,7 +143,7 @@ class PaperMeasurement(VelocityMaps):
         return plot_result(self, "paper", level=self.level, **options)
 
 
-def component_row(component, number, frame, angle):
+def component_row(component, number, frame, angle, alpha):
     """
     Return a component as a row of the table, in mas/yr and degrees.
 
@@ -152,6 +154,8 @@ def component_row(component, number, frame, angle):
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Position angle of the jet.
+    alpha : float
+        Largest ``p_global`` of what is significant.
 
     Returns
     -------
@@ -168,7 +172,7 @@ def component_row(component, number, frame, angle):
     columns = velocity_columns(velocity, covariance, frame, angle)
     return {
         "stream": number,
-        "kind": kind if component.significant else "not significant",
+        "kind": kind if component.p_global <= alpha else "not significant",
         **columns,
         "pm_err_jitter": columns["pm_err"],
         **asdict(component),
@@ -247,7 +251,7 @@ def measure_as_in_paper(
             stack = stack_patterns(
                 displacements, plan.pairs, orders,
                 fwhm=fwhm, max_speed=plan.max_speed, rng=generator,
-                alpha=settings.alpha, progress=done,
+                progress=done,
                 shift_beams=0.2 * settings.small_displacement_correction,
             )  # fmt: skip
     meta = {

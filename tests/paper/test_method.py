@@ -123,20 +123,20 @@ def test_radial_axes_have_no_direction_on_the_sky(jet_cube):
 
 
 @pytest.mark.parametrize(
-    ("speed", "significant", "kind"),
+    ("speed", "p_global", "kind"),
     [
-        (0.59, True, "stationary"),
-        (0.61, True, "moving"),
-        (0.61, False, "not significant"),
+        (0.59, 0.01, "stationary"),
+        (0.61, 0.01, "moving"),
+        (0.61, 0.02, "not significant"),
     ],
 )
-def test_what_is_within_three_errors_of_rest_is_stationary(speed, significant, kind):
+def test_what_is_within_three_errors_of_rest_is_stationary(speed, p_global, kind):
     """Errors on both axes and their correlation give those on the sky."""
     component = PaperComponent(
-        speed, 0.0, 0.2, 0.1, 0.5, 0.3, 6.0, 0.01, significant, 0.0, 0.0, 0.5, 1.0, 9, 3
+        speed, 0.0, 0.2, 0.1, 0.5, 0.3, 6.0, p_global, 0.0, 0.0, 0.5, 1.0, 9, 3
     )
     frame = PositionAngleFrame(45 * u.deg)
-    row = component_row(component, 1, frame, frame.pa)
+    row = component_row(component, 1, frame, frame.pa, 0.01)
     assert row["kind"] == kind
     assert row["pm_parallel"] == pytest.approx(speed)
     assert (row["pm_err"], row["pm_transverse_err"]) == pytest.approx((0.2, 0.1))
