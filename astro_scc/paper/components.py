@@ -362,9 +362,9 @@ def find_velocity_peaks(
             if away1 <= max(box[0] / 2, step1) and away2 <= max(box[1] / 2, step2):
                 v1, v2 = fit
         found.append((v1, v2))
-    points = np.reshape(points, (-1, 2)).astype(int)
-    order = np.argsort(-scc[tuple(points.T)], kind="stable")
-    return np.reshape(found, (-1, 2))[order], points[order]
+    pixels = np.reshape(points, (-1, 2)).astype(int)
+    order = np.argsort(-scc[tuple(pixels.T)], kind="stable")
+    return np.reshape(found, (-1, 2))[order], pixels[order]
 
 
 def jitter_positions(
