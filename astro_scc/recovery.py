@@ -440,9 +440,10 @@ def _bare(cube, scc, region, n_trials, rng):
 def _streams(scc, decomposed, n_trials, rng):
     """Return the streams that move in decomposed epochs."""
     try:
-        return moving_streams(scc.measure(decomposed, n_trials=n_trials, rng=rng))
+        found = scc.measure(decomposed, n_trials=n_trials, rng=rng).search.streams
     except NoFlowError:
         return []
+    return [stream for stream in found if stream.kind == "moving"]
 
 
 def _direction(position_angle, axis):
@@ -556,11 +557,6 @@ def velocity_along(frame, position_angle):
         return np.array([1.0, 0.0])
     angle = position_angle.to_value(u.rad)
     return frame.matrix(0.0, 0.0) @ [np.sin(angle), np.cos(angle)]
-
-
-def moving_streams(result):
-    """Return the streams of a result that move."""
-    return [stream for stream in result.search.streams if stream.kind == "moving"]
 
 
 def recovered(streams, claims, velocity, *, tolerance):

@@ -72,8 +72,8 @@ def strongest(result):
     """The highest maximum of the stack, significant or not, as `in_pixels`."""
     box = (6 * PIXEL).value
     axes = result.grid.v1, result.grid.v2
-    peak = find_velocity_peaks(result.coefficient, axes, (box, box))[0]
-    return result.frame.matrix().T @ (peak.v1, peak.v2) * [-1, 1] / PIXEL.value
+    velocities, _ = find_velocity_peaks(result.coefficient, axes, (box, box))
+    return result.frame.matrix().T @ velocities[0] * [-1, 1] / PIXEL.value
 
 
 def check_motion(result, velocity, atol=0.15):

@@ -26,17 +26,23 @@ FINE = 8
 STEP = 0.25
 
 
-def frame_displacements(frame, position, motion):
-    """
-    Return displacements along the axes of a frame, shape (n, 2).
+class StraightAxes:
+    """What frames have in common whose axes are straight lines."""
 
-    ``position`` and ``motion``, shape (n, 2), are east and north in mas.  The method
-    ``displacement`` of a frame is used if it has one, or else its axes at the position.
-    """
-    if hasattr(frame, "displacement"):
-        return frame.displacement(position, motion)
-    axes = frame.matrix(position[:, 0], position[:, 1])
-    return np.einsum("nai,ni->na", axes, motion)
+    def displacement(self, position: ArrayLike, motion: ArrayLike) -> np.ndarray:
+        """
+        Return displacements along the axes at their beginning.
+
+        Parameters
+        ----------
+        position, motion : array_like, shape (n, 2)
+            East and north in mas.
+
+        Returns
+        -------
+        `numpy.ndarray`, shape (n, 2)
+        """
+        return np.einsum("nai,ni->na", self.matrix(*np.transpose(position)), motion)
 
 
 def axes_along(sin, cos):
@@ -47,7 +53,7 @@ def axes_along(sin, cos):
 
 
 @dataclass(frozen=True)
-class SkyFrame:
+class SkyFrame(StraightAxes):
     """
     Axes to the east and to the north.
 
@@ -80,7 +86,7 @@ class SkyFrame:
 
 
 @dataclass(eq=False)
-class PositionAngleFrame:
+class PositionAngleFrame(StraightAxes):
     """
     Axes along a position angle and across it.
 
@@ -140,7 +146,7 @@ class PositionAngleFrame:
 
 
 @dataclass(eq=False)
-class RadialFrame:
+class RadialFrame(StraightAxes):
     """
     Axes away from a point and around it.
 

@@ -42,8 +42,6 @@ class PaperComponent:
         Height above the mean of the trials, in their standard deviations.
     p_global : float
         Probability that permuted epochs have as large a z-score at any velocity.
-    significant : bool
-        Whether ``p_global`` is at most ``alpha``.
     offset1, offset2 : float
         Mean of the maximum over the trials with shifted SSPs, from the velocity: a
         small part of the error where the error is valid.
@@ -63,7 +61,6 @@ class PaperComponent:
     coefficient: float
     z_score: float
     p_global: float
-    significant: bool
     offset1: float
     offset2: float
     p_normal: float
@@ -103,7 +100,7 @@ class PaperStack:
 def stack_patterns(
     displacements: Displacements, pairs: DatePairs, orders: ArrayLike, *,
     fwhm: ArrayLike, max_speed: ArrayLike, rng: np.random.Generator,
-    alpha: float = 0.01, shift_beams: float = 0.0,
+    shift_beams: float = 0.0,
     progress: Callable[[int], Any] | None = None,
 ) -> PaperStack:  # fmt: skip
     """
@@ -123,8 +120,6 @@ def stack_patterns(
         Largest speed along both axes, in the unit of the displacements per year.
     rng : `~numpy.random.Generator`
         For the errors, which have as many trials as there are orders.
-    alpha : float, optional
-        Largest ``p_global`` of a significant component.
     shift_beams : float, optional
         Shift of the images of a trial, in beams, along each axis and in each direction
         in turn.  A fifth is the paper's correction for small displacements, at which
@@ -189,19 +184,20 @@ def stack_patterns(
     z_score, trial_z = _significance(stacks)
     box = tuple(fwhm / np.average(pairs.interval, weights=pairs.weight))
     coefficient = stack_matches(displacements, pairs, axes)
-    peaks = find_velocity_peaks(coefficient, axes, box)
-    peaks.sort(key=lambda c: -z_score[c.row, c.column])
+    velocities, points = find_velocity_peaks(coefficient, axes, box)
+    heights = z_score[tuple(points.T)]
+    order = np.argsort(-heights, kind="stable")
     # But for the first, those that more than half of the trials exceed are left out.
-    noise = np.median(trial_z)
-    strong = [c for c in peaks[1:] if z_score[c.row, c.column] > noise]
+    strong = [k for k in order[1:] if heights[k] > np.median(trial_z)]
     matches = match_velocities(displacements, pairs)
-    components = tuple(
-        _component(matches, c, box, z_score[c.row, c.column], trial_z, alpha, rng)
-        for c in peaks[:1] + strong
-    )
+    components = []
+    for k in [*order[:1], *strong]:
+        both = coefficient[tuple(points[k])], heights[k]
+        found = _component(matches, velocities[k], box, both, trial_z, rng)
+        components.append(found)
     number = int(displacements.n_ssps[np.unique(pairs.first)].sum())
-    velocities = VelocityMap(*axes, coefficient, z_score)
-    return PaperStack(velocities, trial_z, components, number)
+    maps = VelocityMap(*axes, coefficient, z_score)
+    return PaperStack(maps, trial_z, tuple(components), number)
 
 
 def _axes(displacements, pairs, max_speed):
@@ -238,53 +234,29 @@ def _significance(stacks, least_std=0.3):
     return z_score, highest[1:]
 
 
-def _component(matches, peak, box, z_score, trial_z, alpha, rng):
+def _component(matches, velocity, box, heights, trial_z, rng):
     """Return a maximum with its significance, errors, and matches."""
-    n_trials = len(trial_z)
+    (coefficient, z_score), n_trials = heights, len(trial_z)
     # Equal orders give equal z-scores within rounding.
     larger = np.count_nonzero(trial_z >= z_score * (1 - 1e-6))
     p_global = (1 + larger) / (n_trials + 1)
     ends, pair, columns = matches
-    away = jitter_positions(ends, columns, peak, box, n_trials, rng)
+    away = jitter_positions(ends, columns, velocity, box, n_trials, rng)
     covariance, offset = np.full((2, 2), np.nan), np.full(2, np.nan)
     if len(away) >= 3:
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     error = np.sqrt(np.diag(covariance))
-    v1, v2, s1, s2, _ = columns
-    member = np.hypot((v1 - peak.v1) / s1, (v2 - peak.v2) / s2) <= 2
+    member = np.hypot(*((columns[:2].T - velocity).T / columns[2:4])) <= 2
     n_ssp = len(np.unique(ends[0, member]))
     return PaperComponent(
-        peak.v1, peak.v2, *error.tolist(), float(covariance[0, 1] / np.prod(error)),
-        peak.coefficient, float(z_score), p_global, p_global <= alpha,
+        *velocity.tolist(), *error.tolist(), float(covariance[0, 1] / np.prod(error)),
+        float(coefficient), float(z_score), p_global,
         *offset.tolist(), normal_probability(away), len(away) / n_trials,
         n_ssp, len(np.unique(pair[member])),
     )  # fmt: skip
 
 
 # -- maxima and their errors -------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class VelocityPeak:
-    """
-    A maximum of a stack.
-
-    Attributes
-    ----------
-    v1, v2 : float
-        Velocity along the two axes, from the Gaussian fit or, if no
-        Gaussian with a maximum in the box fits, from the local quadratic.
-    coefficient : float
-        Stacked correlation coefficient at the maximum.
-    row, column : int
-        Grid point of the maximum.
-    """
-
-    v1: float
-    v2: float
-    coefficient: float
-    row: int
-    column: int
 
 
 def fit_gaussian(values, x, y):
@@ -331,7 +303,7 @@ def fit_gaussian(values, x, y):
 def find_velocity_peaks(
     scc: np.ndarray, axes: tuple[np.ndarray, np.ndarray], box: tuple[float, float],
     *, level: float = 0.5,
-) -> list[VelocityPeak]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """
     Find the maxima of a stack and fit a Gaussian to a box around each.
 
@@ -352,8 +324,11 @@ def find_velocity_peaks(
 
     Returns
     -------
-    list of `VelocityPeak`
-        In the order of decreasing coefficient.
+    velocities : `~numpy.ndarray`, shape (n, 2)
+        From the Gaussian fit or, if no Gaussian with a maximum in the box fits, from
+        the local quadratic; in the order of decreasing coefficient.
+    points : `~numpy.ndarray` of int, shape (n, 2)
+        Row and column of the grid point of each maximum.
 
     Examples
     --------
@@ -361,8 +336,9 @@ def find_velocity_peaks(
     >>> from astro_scc.paper.components import find_velocity_peaks
     >>> v = np.linspace(-4, 4, 33)
     >>> scc = np.exp(-((v - 1.1) ** 2 + v[:, None] ** 2) / 2)
-    >>> [round(c.v1, 3) for c in find_velocity_peaks(scc, (v, v), (2.0, 2.0))]
-    [1.1]
+    >>> velocities, _ = find_velocity_peaks(scc, (v, v), (2.0, 2.0))
+    >>> velocities.round(3) + 0
+    array([[1.1, 0. ]])
     """
     _, y, x, _ = find_peaks(scc[None], np.finfo(float).tiny)
     # Simple rounding may miss the grid point of a maximum.
@@ -385,12 +361,14 @@ def find_velocity_peaks(
             away1, away2 = np.abs(np.subtract(fit, (v1, v2)))
             if away1 <= max(box[0] / 2, step1) and away2 <= max(box[1] / 2, step2):
                 v1, v2 = fit
-        found.append(VelocityPeak(v1, v2, float(scc[row, column]), row, column))
-    return sorted(found, key=lambda c: -c.coefficient)
+        found.append((v1, v2))
+    pixels = np.reshape(points, (-1, 2)).astype(int)
+    order = np.argsort(-scc[tuple(pixels.T)], kind="stable")
+    return np.reshape(found, (-1, 2))[order], pixels[order]
 
 
 def jitter_positions(
-    ends: np.ndarray, columns: np.ndarray, peak: VelocityPeak,
+    ends: np.ndarray, columns: np.ndarray, velocity: np.ndarray,
     box: tuple[float, float], n_trials: int, rng: np.random.Generator, *,
     n_points: int = 21,
 ) -> np.ndarray:  # fmt: skip
@@ -407,7 +385,8 @@ def jitter_positions(
         The SSP of each match, and the SSP on which it falls, or -1.
     columns : `~numpy.ndarray`, shape (5, k)
         See ``match_velocities``.
-    peak : `VelocityPeak`
+    velocity : `~numpy.ndarray`, shape (2,)
+        Of the maximum.
     box : tuple of float
         Sides of the box, see `find_velocity_peaks`.
     n_trials : int
@@ -424,9 +403,9 @@ def jitter_positions(
     box = np.asarray(box, dtype=float)
     # Two boxes wide, so that what the fit takes from a box is inside.
     axes = velocity_axes(box, box / (n_points - 1))
-    apart = np.abs(columns[:2] - np.array([[peak.v1], [peak.v2]]))
-    near = np.all(apart < box[:, None] + REACH_SIGMA * columns[2:4], axis=0)
-    (ssp, target), (v1, v2, s1, s2, weight) = ends[:, near], columns[:, near]
+    place = columns[:2] - np.reshape(velocity, (2, 1))
+    near = np.all(np.abs(place) < box[:, None] + REACH_SIGMA * columns[2:4], axis=0)
+    (ssp, target), place, width = ends[:, near], place[:, near], columns[2:4, near]
     # An SSP is one position in all its matches, at either end of a displacement; an end
     # without an SSP is a position of its own.
     target = np.where(target < 0, -1 - np.arange(len(target)), target)
@@ -435,10 +414,9 @@ def jitter_positions(
     for _ in range(n_trials):
         # Each end of a displacement has half of its variance.
         unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
-        moved1, moved2 = unit[:, end] - unit[:, start]
-        x, y = v1 - peak.v1 + s1 * moved1, v2 - peak.v2 + s2 * moved2
-        local = gaussian_sum(np.stack([x, y, s1, s2, weight]), axes)
-        maxima = np.array([(c.v1, c.v2) for c in find_velocity_peaks(local, axes, box)])
+        moved = place + width * (unit[:, end] - unit[:, start])
+        local = gaussian_sum(np.vstack([moved, width, columns[4, near]]), axes)
+        maxima, _ = find_velocity_peaks(local, axes, box)
         if len(maxima):
             away = np.abs(maxima / box)
             nearest = np.argmin((away**2).sum(axis=1))

@@ -11,7 +11,6 @@ import numpy as np
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
-from astro_scc.kinematics.frames import frame_displacements
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs, target_ssps
 from astro_scc.paper.stack import (
     DatePairs,
@@ -248,7 +247,7 @@ def matched_displacements(matched, frame, *, min_error_beams):
     owner = matches.ssp
     pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
     position = np.stack([east[owner], north[owner]], axis=-1)
-    d = frame_displacements(frame, position, pixels @ cube.pixel_matrix.value.T)
+    d = frame.displacement(position, pixels @ cube.pixel_matrix.value.T)
     # The resolution in the epochs of SSPs and of their matches.
     here = beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
     axes = axes if axes.ndim == 2 else axes[owner]
@@ -257,14 +256,9 @@ def matched_displacements(matched, frame, *, min_error_beams):
     second = position_errors(matches.target_snr, there, min_error_beams)
     s = np.sqrt(first**2 + second**2)
     return Displacements(
-        d1=d[:, 0],
-        d2=d[:, 1],
-        s1=s[:, 0],
-        s2=s[:, 1],
-        weight=(matches.coefficient * matches.overlap).astype(float),
+        *d.T, *s.T, weight=(matches.coefficient * matches.overlap).astype(float),
         reference=ssps.epoch[owner].astype(np.int32),
-        target=matches.target.astype(np.int32),
-        ssp=owner.astype(np.int32),
+        target=matches.target.astype(np.int32), ssp=owner.astype(np.int32),
         target_ssp=target_ssps(matches, ssps).astype(np.int32),
         n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
-    )
+    )  # fmt: skip

@@ -115,7 +115,9 @@ class PaperMeasurement(VelocityMaps):
         the sky and along the jet.
         """
         rows = [
-            component_row(component, self.frame, self.position_angle)
+            component_row(
+                component, self.frame, self.position_angle, self.meta["alpha"]
+            )
             for component in self.stack.components
         ]
         rows.sort(key=lambda row: (KINDS.index(row["kind"]), row["pm"]))
@@ -149,7 +151,7 @@ class PaperMeasurement(VelocityMaps):
         return plot_result(self, "paper", level=self.level, **options)
 
 
-def component_row(component, frame, angle):
+def component_row(component, frame, angle, alpha):
     """
     Return a component as a row of the table, in mas/yr and degrees.
 
@@ -159,6 +161,8 @@ def component_row(component, frame, angle):
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Position angle of the jet.
+    alpha : float
+        Largest ``p_global`` of what is significant.
 
     Returns
     -------
@@ -174,7 +178,7 @@ def component_row(component, frame, angle):
     kind = "stationary" if still else "moving"
     columns = velocity_columns(velocity, covariance, frame, angle)
     return {
-        "kind": kind if component.significant else "not significant",
+        "kind": kind if component.p_global <= alpha else "not significant",
         **columns,
         "pm_err_jitter": columns["pm_err"],
         **asdict(component),
@@ -253,7 +257,7 @@ def measure_as_in_paper(
             stack = stack_patterns(
                 displacements, plan.pairs, orders,
                 fwhm=fwhm, max_speed=plan.max_speed, rng=generator,
-                alpha=settings.alpha, progress=done,
+                progress=done,
                 shift_beams=0.2 * settings.small_displacement_correction,
             )  # fmt: skip
     meta = {

@@ -33,16 +33,13 @@ class View:
         See `ssp_points`.
     image : `numpy.ma.MaskedArray`
         One or more images, which decide on the colours.
-    epochs : index
-        Those whose noise counts for the colours.
-    zoom : bool, optional
-        Show only the part with SSPs.
+    norm : `matplotlib.colors.Normalize`
+        See `plotting_norm`.
     edge : float, optional
-        Share of the SSPs' weight that may lie beyond each side.
+        Share of the SSPs' weight that may lie beyond each side; the whole image is
+        shown if it is None.
     unit : `~astropy.units.Unit`, optional
         Unit of the offsets.
-    norm : `matplotlib.colors.Normalize`, optional
-        By default that of `plotting_norm`.
 
     Attributes
     ----------
@@ -52,18 +49,16 @@ class View:
         Converts mas to the unit.
     """
 
-    def __init__(
-        self, cube, points, image, epochs, zoom=True, edge=0.015, unit=None, norm=None
-    ):
+    def __init__(self, cube, points, image, norm, edge=0.015, unit=None):
         self.cube, self.points = cube, points
-        limits = image_limits(cube, points if zoom else None, edge)
+        limits = image_limits(cube, None if edge is None else points, edge)
         self.unit = offset_unit(np.ptp(limits, axis=1).max(), unit)
         self.factor = u.mas.to(self.unit)
         self.limits = limits * self.factor
-        if not (norm is None or hasattr(norm, "autoscale_None")):
+        if not hasattr(norm, "autoscale_None"):
             raise TypeError(f"norm must be one of matplotlib.colors, got {norm!r}")
         # Limits that it lacks are those of this image.
-        self.norm = copy(norm) if norm else plotting_norm(cube, image, epochs)
+        self.norm = copy(norm)
         self.norm.autoscale_None(image.compressed())
         *words, self.to_the_left = axis_words(cube)
         self.labels = axis_labels("Offset", words, self.unit)
@@ -258,7 +253,7 @@ def draw_mean_image(cube, points, *, figure, unit, edge):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
-    view = View(cube, points, image, slice(None), unit=unit, edge=edge)
+    view = View(cube, points, image, plotting_norm(cube, image), edge, unit)
     figure, (ax,) = image_panels(view, 1, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)
@@ -458,7 +453,7 @@ def plot_epoch(cube, epoch, ssps=None, *, ax=None, colorbar=True, **look):
     """
     index = epoch_index(epoch, len(cube))
     image = np.ma.masked_array(cube.data[index], cube.mask[index])
-    view = View(cube, ssp_points(cube, ssps), image, [index], **_of_view(look))
+    view = _view_of(cube, ssps, image, [index], look)
     width, height = np.ptp(view.limits, axis=1)
     height = float(np.clip(4.6 * height / width + 1.0, 2.4, 8.0))
     figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
@@ -508,7 +503,7 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     n = len(cube)
     chosen = np.unique(np.rint(np.linspace(0, n - 1, min(n, max_panels))).astype(int))
     images = np.ma.masked_array(cube.data[chosen], cube.mask[chosen])
-    view = View(cube, ssp_points(cube, ssps), images, chosen, **_of_view(look))
+    view = _view_of(cube, ssps, images, chosen, look)
     figure, axes = image_panels(view, len(chosen), figure, aside=1.4, above=0.4)
     dates = epoch_names(cube.times)
     of_beam, (right, top), *_ = empty_corners(view, images.max(axis=0))
@@ -528,9 +523,11 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     return figure
 
 
-def _of_view(look):
-    """Take the keywords of a view out of those of an image, and return them."""
-    return {k: look.pop(k) for k in ("unit", "norm", "zoom") if k in look}
+def _view_of(cube, ssps, image, epochs, look):
+    """Return the view of images, and take its keywords out of those of an image."""
+    norm = look.pop("norm", None) or plotting_norm(cube, image, epochs)
+    edge = 0.015 if look.pop("zoom", True) else None
+    return View(cube, ssp_points(cube, ssps), image, norm, edge, look.pop("unit", None))
 
 
 def _label_masked(ax, view, mask):

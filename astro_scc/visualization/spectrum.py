@@ -132,7 +132,7 @@ def _draw_streams(ax, result, speeds, top, ends):
             continue
         speed, (color, filling) = abs(speeds.stream[k]), _look(stream, k + 1)
         row += 1
-        y, spread = top * (1 + 0.14 * row), speeds.dispersion[k]
+        y, spread = top * (1 + 0.18 * row - 0.06), speeds.dispersion[k]
         ax.plot(
             [max(speed - spread, 1e-3 * speed), speed + spread], [y, y], lw=6,
             alpha=0.3, color=color, solid_capstyle="butt", gid="dispersion",
@@ -144,21 +144,13 @@ def _draw_streams(ax, result, speeds, top, ends):
             speed, y, xerr=error, fmt=style.KIND_MARKERS[stream.kind], ms=5, capsize=2,
             lw=1, color=color, mfc=filling, zorder=4,
         )  # fmt: skip
-        left, wide = speed**2 > low * high, max(spread, error)
-        x = max(speed - wide, 0.1 * speed) if left else speed + wide
-        place = {"xytext": (-6 if left else 6, 0), "ha": "right" if left else "left"}
-        if not (x > 5 * low if left else x < high / 5):
-            # There is no room beside the bar.
-            x = low if left else high
-            place = {
-                "xytext": (4 if left else -4, 8),
-                "ha": "left" if left else "right",
-            }
+        # Above the bar, towards the middle of the axes, where there is room.
         ax.annotate(
-            text, (x, y), textcoords="offset points", va="center", fontsize="small",
-            color=color, path_effects=style.outline(), **place,
+            text, (speed, y), (0, 5), textcoords="offset points", va="bottom",
+            ha="right" if speed**2 > low * high else "left", fontsize="small",
+            color=color, path_effects=style.outline(),
         )  # fmt: skip
-    ax.set_ylim(-0.06 * top, top * (1.14 + 0.14 * row))
+    ax.set_ylim(-0.06 * top, top * (1.14 + 0.18 * row))
 
 
 def _draw_ticks(ax, result, speeds, top):

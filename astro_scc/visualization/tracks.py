@@ -230,7 +230,7 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
         if found:
             _, side, shift, box = min(found, key=lambda one: one[0])
             text.set(ha=side, position=shift)
-            taken.append(box)
+            taken.append(box.padded(3))
         else:
             text.remove()
 

@@ -22,7 +22,6 @@ from astro_scc.kinematics import (
 from astro_scc.kinematics.frames import (
     STEP,
     _smoothed,
-    frame_displacements,
 )
 
 OFFSET = st.floats(-50, 50)
@@ -121,7 +120,7 @@ def test_straight_line_is_the_frame_of_its_position_angle(pa, x, y):
     line, frame = RidgeLine(s * np.sin(p), s * np.cos(p)), PositionAngleFrame(p * u.rad)
     assert_allclose(line.matrix(x, y), frame.matrix(), atol=1e-9)
     position, motion = np.array([[x, y]]), np.array([[0.3, -0.7]])
-    pair = [frame_displacements(own, position, motion) for own in (line, frame)]
+    pair = [own.displacement(position, motion) for own in (line, frame)]
     assert_allclose(*pair, atol=1e-8)
 
 

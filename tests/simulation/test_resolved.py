@@ -4,7 +4,6 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
@@ -13,7 +12,6 @@ from astro_scc.simulation import (
     Layer,
     m87_layers,
     simulate_resolved_jet,
-    write_simulation,
 )
 
 ANGLE = 288 * u.deg
@@ -152,14 +150,6 @@ def test_layers_of_m87():
     assert slow.across == (-1, 1)
     with pytest.raises(ValueError, match=r"length must be above 0.5 mas, got 0.2 mas"):
         m87_layers(length=0.2 * u.mas)
-
-
-def test_written(tmp_path):
-    jet = simulate_resolved_jet(n_epochs=2, rng=1)
-    table = write_simulation(jet, tmp_path / "jet")[-1]
-    truth = QTable.read(table)
-    assert_allclose(truth["x"].value, jet.truth["x"].value)
-    assert truth.meta["streams"][0]["name"] == "slow"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from astropy.table import vstack
 
 from astro_scc.flow import feature_profile
 from astro_scc.units import PM_UNIT
-from astro_scc.visualization.velocity import longest_interval
 
 #: Labels of the velocities, and of the displacement, by the kind of axes.
 LABELS = {
@@ -80,19 +79,6 @@ def test_kinds_that_are_not_significant_and_what_is_unknown(result):
     assert len(parts(figure.axes[0], "error")) == len(numbers(figure.axes[0])) - 1
 
 
-def test_the_slice_is_the_middle_row_of_the_map(result):
-    ax = result.plot("significance").axes[0]
-    _, highest, middle, *_ = ax.lines
-    np.testing.assert_allclose(middle.get_xdata(), result.grid.v1)
-    row = result.z_score[len(result.grid.v2) // 2]
-    np.testing.assert_allclose(middle.get_ydata(), row)
-    np.testing.assert_allclose(highest.get_ydata(), result.z_score.max(axis=0))
-    for bar, row in zip(ax.containers, result.streams, strict=True):
-        (place,) = bar.lines[0].get_xydata()
-        assert place[0] == pytest.approx(row["pm_parallel"].value)
-        assert place[1] in result.z_score
-
-
 def test_the_slice_of_a_map_on_the_sky_is_along_the_position_angle(jet_results):
     sky, theta = jet_results["sky"], np.radians(33)
     along = sky.grid.v1 * np.sin(theta) + sky.grid.v2[:, None] * np.cos(theta)
@@ -159,21 +145,6 @@ def test_rays_have_the_slopes_and_lines_of_their_kinds(result):
     # The band is one dispersion wide.
     band = [line.get_slope() for line in parts(figure, "dispersion")]
     np.testing.assert_allclose(band, [4500, 7500])
-
-
-@pytest.mark.parametrize(
-    ("kinds", "slopes", "end"),
-    [
-        (["moving", "moving", "not significant"], [9.0, 24.0, 0.1], 1.3 * 4.0 / 9),
-        # Never fewer than four intervals, or more than there are.
-        (["moving"], [1e3], 4.5 * 0.1),
-        (["stationary"], [0.0], 7.5 * 0.1),
-        (["moving"], [-1e-3], 7.5 * 0.1),
-    ],
-)
-def test_intervals_are_shown_until_the_slowest_stream_has_left(kinds, slopes, end):
-    years = 0.1 * np.arange(1, 8)
-    assert longest_interval(years, np.array(slopes), kinds, 4.0) == pytest.approx(end)
 
 
 # -- speeds of features --------------------------------------------------------------

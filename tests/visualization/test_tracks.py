@@ -91,9 +91,7 @@ def test_paths_over_the_mean_image(features):
 
 
 @pytest.mark.parametrize("plot", [plot_separation, plot_tracks])
-def test_numbers_do_not_overlap_and_colours_are_of_the_components(
-    plot, features, monkeypatch
-):
+def test_numbers_do_not_overlap_and_colours_are_of_the_components(plot, features):
     component = np.arange(len(features)) % 3
     ax = plot(features, stream=component).axes[0]
     frame = ax.get_window_extent()
@@ -108,12 +106,6 @@ def test_numbers_do_not_overlap_and_colours_are_of_the_components(
     lines = [line for line in ax.lines if line.get_marker() == "o"]
     shown = [to_hex(line.get_color()).upper() for line in lines]
     assert shown == [colors[k] for k in component]
-    # Of many, those of most epochs have numbers.
-    for name in ("CROWDED", "NAMED"):
-        monkeypatch.setattr(f"{MODULE}.{name}", 2)
-    n = np.array([len(track) for track in features.tracks]) * features.secure
-    longest = features.number[np.argsort(-n, kind="stable")[:2]]
-    assert names(plot(features).axes[0]) <= {str(number) for number in longest}
     nothing = features.detections.select(np.zeros(len(features.detections), bool))
     core = features.core.select(np.zeros(len(features.core), bool))
     plot(replace(features, detections=nothing, core=core, tracks=()))
