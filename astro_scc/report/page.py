@@ -414,8 +414,8 @@ def write_overview(table, features, parts, folder, *, published):
         Of `~astro_scc.cli.survey.run_survey`, which is in this folder too.
     features : `~astropy.table.QTable`
         The features of all sources.
-    parts : sequence of `~astro_scc.cli.survey.Outcome`
-        The regions and scale groups of the sources; their products are read.
+    parts : sequence of Outcome
+        Of the regions and scale groups of the sources; their products are read.
     folder : path
         Folder of the survey.
     published : dict of str to `~astropy.units.Quantity` or None
