@@ -194,17 +194,22 @@ def run_survey(
                 if done is not None:
                     done(*result)
         outcomes = [outcomes[part] for part in survey.parts]
-        table, features = catalogues(outcomes, survey, output)
-        for name, catalogue in ((TABLE, table), (FEATURES, features)):
-            with writing.replace_when_complete(output / name, overwrite=True) as file:
-                catalogue.write(file, format="ascii.ecsv")
-        measured = table[table["status"] == "measured"]
-        measured.remove_columns(["status", "message"])
-        printed = {"streams": measured, "features": features}
-        publication.write_publication(printed, folder)
-        _replace(output / publication.FOLDER, folder / publication.FOLDER)
-        published = {part.source: part.published for part in survey.parts}
-        write_overview(table, features, outcomes, output, published=published)
+        return _write_catalogues(outcomes, survey, output, folder)
+
+
+def _write_catalogues(outcomes, survey, output, folder):
+    """Write the streams and features of all parts, and return the streams."""
+    table, features = catalogues(outcomes, survey, output)
+    for name, catalogue in ((TABLE, table), (FEATURES, features)):
+        with writing.replace_when_complete(output / name, overwrite=True) as file:
+            catalogue.write(file, format="ascii.ecsv")
+    measured = table[table["status"] == "measured"]
+    measured.remove_columns(["status", "message"])
+    printed = {"streams": measured, "features": features}
+    publication.write_publication(printed, folder)
+    _replace(output / publication.FOLDER, folder / publication.FOLDER)
+    published = {part.source: part.published for part in survey.parts}
+    write_overview(table, features, outcomes, output, published=published)
     return table
 
 

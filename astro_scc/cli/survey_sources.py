@@ -103,10 +103,10 @@ class Part:
 
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
-        own = self.settings
-        others = {own.region, own.crop, own.align, self.compare}.difference(ALIGNMENTS)
-        files = map(_facts, sorted(others | self.epochs()))
-        text = json.dumps([own.to_dict(), versions(), *files], sort_keys=True)
+        given = self.settings
+        others = given.region, given.crop, given.align, self.compare
+        files = map(_facts, sorted({*others}.difference(ALIGNMENTS) | self.epochs()))
+        text = json.dumps([given.to_dict(), versions(), *files], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
