@@ -56,12 +56,12 @@ def tables(folder):
     }
 
 
-def ready(source):
-    """Measure a source in a worker, so that it imports everything it needs."""
-    from astro_scc.cli.survey import measure_source
+def ready(part):
+    """Measure a part in a worker, so that it imports everything it needs."""
+    from astro_scc.cli.survey import measure_part
 
     with tempfile.TemporaryDirectory() as folder:
-        measure_source(source, folder)
+        measure_part(part, folder)
 
 
 def timed(survey, output, n_workers):
@@ -77,7 +77,7 @@ def timed(survey, output, n_workers):
         Client(cluster, set_as_default=False) as client,
     ):
         client.wait_for_workers(n_workers)
-        client.run(ready, survey.sources[0])
+        client.run(ready, survey.parts[0])
         before = sum(client.run(time.process_time).values())
         with Sampler(at_work, 0.5) as busy:
             start = time.perf_counter()

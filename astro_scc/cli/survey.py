@@ -29,9 +29,8 @@ from astro_scc.cli.inputs import (
 )
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
-from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, Outcome
+from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE
 from astro_scc.columns import round_to_errors
-from astro_scc.images.regions import refuse_pixels
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stream_table
@@ -68,12 +67,11 @@ def survey(args, reporter):
     reporter.resumes = True
     plan, report = sources.survey_of(args, output, reporter)
 
-    def done(name, outcomes, before):
-        failed = {o.message for o in outcomes if o.status == "failed"}
-        for message in sorted(failed):
-            reporter.warn(f"{name}: {message}")
-        if not failed and not sys.stderr.isatty():
-            reporter.say(f"{name}: {'finished before' if before else 'done'}")
+    def done(outcome, before):
+        if outcome.status == "failed":
+            reporter.warn(f"{outcome.source}: {outcome.message}")
+        elif not sys.stderr.isatty():
+            reporter.say(f"{outcome.title}: {'finished before' if before else 'done'}")
 
     with parallel.workers_of(n_workers) as workers:
         if workers is not n_workers:
@@ -122,16 +120,17 @@ def run_survey(
     survey : Survey
         See `~astro_scc.cli.survey_sources.read_survey`.
     output : path
-        Folder of the products; on a cluster, all workers must see it.  Sources
-        that an earlier run in this folder finished are not measured again.
+        Folder of the products; on a cluster, all workers must see it.  What an
+        earlier run in this folder finished is not measured again.
     n_workers : int, str or `dask.distributed.Client`, optional
         Number of processes, or a Dask scheduler, given by its address or a
-        client; the unit of work is a source.  The results do not depend on it.
+        client; the unit of work is a region and scale group of a source.  The results
+        do not depend on it.
     report : bool, optional
         Write a report for each region and scale group.
     done : callable, optional
-        Called for each source that is done, with its name, the list of outcomes
-        of its regions and scale groups, and whether it was finished before.
+        Called for each region and scale group of a source that is done, with its
+        outcome and whether it was finished before.
     progress_bar : bool, optional
 
     Returns
@@ -169,76 +168,153 @@ def run_survey(
     >>> set(table["source"].tolist()), set(table["status"].tolist())
     ({'Jet'}, {'measured'})
     """
-    output, every, found = Path(output).absolute(), survey.sources, {}
+    output, outcomes = Path(output).absolute(), {}
     plan = output / sources.PLAN
     if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
     writing.make_folder(output / SOURCES, output)
     # The largest first, so that no process waits for one at the end.
-    order = sorted(every, key=sources.Source.size, reverse=True)
+    order = sorted(survey.parts, key=sources.Part.size, reverse=True)
     with (
         sources.alone(output),
-        progress(len(every), "Sources", show=progress_bar) as step,
+        progress(len(order), "Parts", show=progress_bar) as step,
         # What terminated workers leave in this folder is deleted with it.
-        writing.partial_folder(output, PARTIAL) as parts,
+        writing.partial_folder(output, PARTIAL) as folder,
     ):
-        with writing.replace_when_complete(plan, overwrite=True) as part:
-            part.write_text(survey.text, encoding="utf-8")
-        work = ((source, output, report, parts) for source in order)
+        with writing.replace_when_complete(plan, overwrite=True) as file:
+            file.write_text(survey.text, encoding="utf-8")
+        work = ((part, output, report, folder) for part in order)
         with closing(parallel.as_done(_once, work, n_workers)) as results:
             for k, result in results:
                 if isinstance(result, Exception):
                     # The worker failed, not the measurement: it died, say.
                     result = _failed(order[k], result), False
-                found[order[k].name], before = result
+                outcomes[order[k]] = result[0]
                 step(1)
                 if done is not None:
-                    done(order[k].name, found[order[k].name], before)
-        outcomes = [outcome for source in every for outcome in found[source.name]]
-        table, features = catalogues(outcomes, every, output)
-        _write_catalogues(table, features, output, parts)
-        published = {source.name: source.published for source in every}
-        write_overview(table, features, outcomes, output, published=published)
+                    done(*result)
+        outcomes = [outcomes[part] for part in survey.parts]
+        return _write_catalogues(outcomes, survey, output, folder)
+
+
+def _write_catalogues(outcomes, survey, output, folder):
+    """Write the streams and features of all parts, and return the streams."""
+    table, features = catalogues(outcomes, survey, output)
+    for name, catalogue in ((TABLE, table), (FEATURES, features)):
+        with writing.replace_when_complete(output / name, overwrite=True) as file:
+            catalogue.write(file, format="ascii.ecsv")
+    measured = table[table["status"] == "measured"]
+    measured.remove_columns(["status", "message"])
+    printed = {"streams": measured, "features": features}
+    publication.write_publication(printed, folder)
+    _replace(output / publication.FOLDER, folder / publication.FOLDER)
+    published = {part.source: part.published for part in survey.parts}
+    write_overview(table, features, outcomes, output, published=published)
     return table
 
 
 def _once(task):
-    """Return the outcomes of a source, and whether an earlier run has measured it."""
-    source, output, report, parts = task
-    finished = sources.finished_outcomes(source, output, report)
+    """Return the outcome of a part, and whether an earlier run has measured it."""
+    part, output, report, folder = task
+    finished = sources.finished_outcome(part, output, report)
     if finished is not None:
         return finished, True
-    return measure_source(source, output, report=report, parts=parts), False
+    return measure_part(part, output, report=report, partial=folder), False
 
 
-def _write_catalogues(table, features, output, parts):
-    """Write the streams and features of all sources, also for archives."""
-    for name, catalogue in ((TABLE, table), (FEATURES, features)):
-        with writing.replace_when_complete(output / name, overwrite=True) as part:
-            catalogue.write(part, format="ascii.ecsv")
-    measured = table[table["status"] == "measured"]
-    measured.remove_columns(["status", "message"])
-    publication.write_publication({"streams": measured, "features": features}, parts)
-    _replace(output / publication.FOLDER, parts / publication.FOLDER)
-
-
-def _replace(folder, part):
+def _replace(folder, new):
     """Move a complete folder to its place."""
     shutil.rmtree(folder, ignore_errors=True)
-    part.replace(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    new.replace(folder)
+
+
+def measure_part(part, output, report=False, partial=None):
+    """
+    Measure a region and scale group of a source, without raising errors.
+
+    Its folder is replaced as a whole when everything is written.  An error becomes the
+    message of the outcome; its traceback is in ``error.txt`` of the folder.
+
+    Parameters
+    ----------
+    part : Part
+    output : path
+        Folder of the survey.
+    report : bool, optional
+    partial : path, optional
+        Where the folder is until it is complete, by default that of ``output``.
+
+    Returns
+    -------
+    Outcome
+    """
+    output, key = Path(output), part.key()
+    with (
+        writing.partial_folder(partial or output, PARTIAL) as folder,
+        warnings.catch_warnings(record=True) as said,
+    ):
+        warnings.simplefilter("always")
+        try:
+            outcome = _measured(part, folder, output, report, said)
+        except Exception as error:
+            for path in folder.iterdir():
+                path.unlink() if path.is_file() else shutil.rmtree(path)
+            (folder / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+            outcome = _failed(part, error)
+        state = {"key": key, "outcome": asdict(outcome), "warnings": _lines(said)}
+        (folder / STATE).write_text(json.dumps(state, indent=1) + "\n", "utf-8")
+        _replace(output / part.folder, folder)
+    return outcome
+
+
+def _measured(part, folder, output, report, said):
+    """Measure a part into a folder; return its outcome."""
+    epochs = read_epochs(part.settings, moving=True)
+    refuse_paper(epochs.settings)
+    cube, settings = epochs.cube, epochs.settings
+    epochs = epochs._replace(published=published_of(part.compare, cube))
+    first, last = cube.times.isot[[0, -1]].tolist()
+    outcome = replace(
+        part.outcome, status="empty", message=NO_PATTERN, n_epochs=len(cube),
+        first=first, last=last,
+    )  # fmt: skip
+    scc = StackedCrossCorrelation.from_settings(settings)
+    decomposed = scc.decompose(cube, region=settings.region)
+    if not decomposed.select.any():
+        return outcome
+    result = scc.measure(decomposed, n_trials=settings.n_trials, rng=settings.seed)
+    write_measurement(
+        result, epochs, folder, output=output / part.folder, report=report,
+        archives=report, title=outcome.title, warnings=_lines(said),
+    )  # fmt: skip
+    return replace(outcome, status="measured", message="", folder=part.folder)
+
+
+def _failed(part, error):
+    """Return the outcome of a part with an error as one line."""
+    known = isinstance(error, ValueError | OSError | Warning) and str(error)
+    name = "" if known else f"{type(error).__name__}: "
+    return replace(part.outcome, status="failed", message=f"{name}{one_line(error)}")
+
+
+def _lines(said):
+    """Return the recorded warnings as lines, each once."""
+    return sorted({one_line(warning.message) for warning in said})
 
 
 # -- the catalogues -------------------------------------------------------------------
 
 
-def catalogues(outcomes, every, output):
+def catalogues(outcomes, survey, output):
     """
     Return the streams and the features of all sources.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
-    every : sequence of Source
+        Of the parts of the survey.
+    survey : Survey
     output : path
         Folder of the survey.
 
@@ -257,19 +333,18 @@ def catalogues(outcomes, every, output):
     nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
     tested = false_discovery_rate({"all": found} | nothing)
     rest = np.array(sorted(numbers - set(found["outcome"])), dtype=int)
-    rest = QTable({"outcome": rest})
-    table = vstack([tested["all"], rest], metadata_conflicts="silent")
-    table, features = (_with_head(t, outcomes, every) for t in (table, features))
-    measured = {outcomes[k].source for k in searched}
+    table = vstack([tested["all"], QTable({"outcome": rest})], "outer", "silent")
+    settings = [part.settings for part in survey.parts]
+    table, features = (_with_head(t, outcomes, settings) for t in (table, features))
+    in_c = {outcomes[k].source: settings[k].in_c for k in sorted(searched)}
     table.meta = {
         "versions": writing.versions(),
         "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
         "speeds_in_c": {
-            one.name: plain_meta(table_in_c(empty, **one.settings.in_c).meta)
-            for one in every
-            if one.name in measured and one.settings.in_c
+            name: plain_meta(table_in_c(empty, **how).meta)
+            for name, how in in_c.items() if how
         },
-    }
+    }  # fmt: skip
     features.remove_columns(["status", "message"])
     features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
     return table, features
@@ -290,9 +365,8 @@ def _stacked(outcomes, output, name, empty):
             # Numbers of digits are those of the source.
             text = re.sub(r", format: [^,}]*", "", path.read_text(encoding="utf-8"))
             lines = text.splitlines()
-            head = [line for line in lines if line.startswith("#")]
-            start, kind = len(head) + 1, text.partition("\n# meta:")[0]
-            kind += "".join(re.findall("__class__: .*", text))
+            start = sum(line.startswith("#") for line in lines) + 1
+            kind = text.partition("\n# meta:")[0], *re.findall("__class__: .*", text)
             _, every, numbers = parts.setdefault(kind, (path, lines[:start], []))
             every += lines[start:]
             numbers += [number] * len(lines[start:])
@@ -304,134 +378,16 @@ def _stacked(outcomes, output, name, empty):
     return round_to_errors(vstack(tables, metadata_conflicts="silent"))
 
 
-def _with_head(table, outcomes, every):
+def _with_head(table, outcomes, settings):
     """Return rows in the order of their parts, after the columns of ``HEAD``."""
     table = table[np.argsort(table["outcome"], kind="stable")]
-    rows = [outcomes[k] for k in np.asarray(table["outcome"], dtype=int)]
+    rows = np.asarray(table["outcome"], dtype=int).tolist()
     table.remove_column("outcome")
     for k, (name, text) in enumerate(HEAD.items()):
-        values = np.array([getattr(row, name) for row in rows], dtype=str)
+        values = np.array([getattr(outcomes[row], name) for row in rows], dtype=str)
         table.add_column(Column(values, description=text), index=k, name=name)
-    known = {source.name: source.settings.redshift or np.nan for source in every}
-    z = np.array([known[row.source] for row in rows], dtype=float)
+    z = np.array([settings[row].redshift or np.nan for row in rows], dtype=float)
     column = MaskedColumn(z, mask=np.isnan(z), format="g")
     column.description = "redshift of the source, if it was given"
     table.add_column(column, index=1, name="redshift")
     return table
-
-
-# -- one source ------------------------------------------------------------------
-
-
-def measure_source(source, output, report=False, parts=None):
-    """
-    Measure a source in all its regions and scale groups, without raising errors.
-
-    The epochs are decomposed once for each region.  The folder of the source is
-    replaced as a whole when everything is written.  An error becomes the message of an
-    outcome; its traceback is in ``error.txt`` of the folder.
-
-    Parameters
-    ----------
-    source : Source
-    output : path
-        Folder of the survey.
-    report : bool, optional
-    parts : path, optional
-        Where the folder is until it is complete, by default that of ``output``.
-
-    Returns
-    -------
-    list of Outcome
-        One for each region and scale group.
-    """
-    output, key = Path(output), source.key()
-    (output / SOURCES).mkdir(exist_ok=True)
-    with (
-        writing.partial_folder(parts or output, PARTIAL) as part,
-        warnings.catch_warnings(record=True) as said,
-    ):
-        warnings.simplefilter("always")
-        try:
-            outcomes = _measure_parts(source, output, part, report, said)
-        except Exception as error:
-            outcomes = _failed(source, error, part)
-        state = {
-            "key": key, "source": source.name, "outcomes": [*map(asdict, outcomes)],
-            "warnings": _lines(said),
-        }  # fmt: skip
-        (part / STATE).write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
-        _replace(output / SOURCES / source.folder, part)
-    return outcomes
-
-
-def _measure_parts(source, output, part, report, said):
-    """Measure all regions and scale groups of a source into a folder."""
-    epochs = _epochs(source)
-    cube, settings = epochs.cube, epochs.settings
-    regions, groups = map(sources.folder_names, (source.regions, source.scale_groups))
-    every, decomposed = StackedCrossCorrelation.from_settings(settings), {}
-    first, last = cube.times.isot[[0, -1]].tolist()
-    of_all, outcomes = said.copy(), []
-    for region, group in source.parts:
-        names, before = Path(regions[region], groups[group]), len(said)
-        outcome = Outcome(
-            source.name, region, group, "empty", NO_PATTERN, "", len(cube), first, last
-        )
-        try:
-            if region not in decomposed:
-                chosen = source.regions[region]
-                decomposed[region] = every.decompose(cube, region=chosen)
-            if decomposed[region].select.any():
-                scales = source.scale_groups[group]
-                scales = settings.scales if scales is None else scales
-                chosen = settings.changed(region=source.regions[region], scales=scales)
-                result = StackedCrossCorrelation.from_settings(chosen).measure(
-                    decomposed[region], n_trials=chosen.n_trials, rng=chosen.seed
-                )
-                where = Path(SOURCES, source.folder, names)
-                (part / names).mkdir(parents=True)
-                titles = (source.name, region, group)
-                write_measurement(
-                    result, epochs._replace(settings=chosen), part / names,
-                    output=output / where, report=report, archives=report,
-                    title=", ".join(k for k in titles if k != sources.WHOLE),
-                    warnings=_lines([*of_all, *said[before:]]),
-                )  # fmt: skip
-                folder = where.as_posix()
-                outcome = replace(outcome, status="measured", message="", folder=folder)
-        except Exception as error:
-            shutil.rmtree(part / names, ignore_errors=True)
-            message = _reason(error, part, f"{region}, {group}:\n")
-            outcome = replace(outcome, status="failed", message=message)
-        outcomes.append(outcome)
-    return outcomes
-
-
-def _epochs(source):
-    """Return the epochs of a source with its published features."""
-    epochs = read_epochs(source.settings, moving=True)
-    refuse_paper(epochs.settings)
-    for path in filter(None, source.regions.values()):
-        refuse_pixels(path, epochs.settings.crop is not None, epochs.cube)
-    return epochs._replace(published=published_of(source.compare, epochs.cube))
-
-
-def _failed(source, error, folder=None):
-    """Return the outcomes of a source that failed as a whole."""
-    reason = _reason(error, folder)
-    return [Outcome(source.name, *names, "failed", reason) for names in source.parts]
-
-
-def _reason(error, folder=None, head=""):
-    """Return an error as one line, with its class unless the text is for users."""
-    if folder is not None:
-        with open(folder / "error.txt", "a", encoding="utf-8") as file:
-            file.write(f"{head}{traceback.format_exc()}\n")
-    known = isinstance(error, ValueError | OSError | Warning) and str(error)
-    return one_line(error) if known else f"{type(error).__name__}: {one_line(error)}"
-
-
-def _lines(said):
-    """Return the recorded warnings as lines, each once."""
-    return sorted({one_line(warning.message) for warning in said})

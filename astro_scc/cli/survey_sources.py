@@ -10,6 +10,7 @@ import shutil
 from collections import Counter
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import astropy.units as u
@@ -35,8 +36,8 @@ except ImportError:
 
 __all__ = ["read_survey"]
 
-#: What a survey's folder has: a folder of sources, in each of which is a file of state.
-SOURCES, STATE, FEATURES = "sources", "source.json", "features.ecsv"
+#: What a survey's folder has: a folder of sources, with a file of state in each part.
+SOURCES, STATE, FEATURES = "sources", "part.json", "features.ecsv"
 #: Name of the part without a region, or without scale groups.
 WHOLE = "all"
 ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
@@ -65,30 +66,47 @@ NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
 
 @dataclass(frozen=True)
-class Source:
-    """A source: its scale groups and regions by name; the region None is everything."""
+class Outcome:
+    """Outcome of a part of a survey; ``folder`` has its products."""
 
-    name: str
+    source: str
+    region: str
+    scale_group: str
+    status: str = ""
+    message: str = ""
+    folder: str = ""
+    n_epochs: int = 0
+    first: str = ""
+    last: str = ""
+
+    @property
+    def title(self):
+        """The names of the part that are not ``all``."""
+        names = self.source, self.region, self.scale_group
+        return ", ".join(name for name in names if name != WHOLE)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A region and scale group of a source, with all settings of a measurement."""
+
+    outcome: Outcome
     folder: str
     settings: Settings
-    regions: dict
-    scale_groups: dict
     published: u.Quantity | None = None
     compare: str | None = None
 
     @property
-    def parts(self):
-        """Names of all pairs of a region and a scale group."""
-        return [(r, g) for r in self.regions for g in self.scale_groups]
+    def source(self):
+        """Name of the source."""
+        return self.outcome.source
 
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
-        others = self.settings.crop, self.settings.align, self.compare
-        files = {*self.regions.values(), *others}.difference(ALIGNMENTS)
-        groups = {name: repr(scales) for name, scales in self.scale_groups.items()}
-        known = self.settings.to_dict(), groups, self.regions, versions()
-        every = map(_facts, sorted(files | self.epochs()))
-        text = json.dumps([*known, *every], sort_keys=True)
+        given = self.settings
+        others = given.region, given.crop, given.align, self.compare
+        files = map(_facts, sorted({*others}.difference(ALIGNMENTS) | self.epochs()))
+        text = json.dumps([given.to_dict(), versions(), *files], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
@@ -110,32 +128,16 @@ def _facts(path):
     return [str(path), 0]
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a region and scale group; ``folder`` has its products."""
-
-    source: str
-    region: str
-    scale_group: str
-    status: str
-    message: str = ""
-    folder: str = ""
-    n_epochs: int = 0
-    first: str = ""
-    last: str = ""
-
-
-def finished_outcomes(source, output, report):
-    """Return the outcomes of a source whose products are complete, else None."""
-    path = Path(output, SOURCES, source.folder, STATE)
+def finished_outcome(part, output, report):
+    """Return the outcome of a part whose products are complete, else None."""
+    folder = Path(output, part.folder)
     needed = ["streams.ecsv", FEATURES, "report.html"][: 2 + report]
     with suppress(OSError, ValueError, KeyError, TypeError):
-        state = json.loads(path.read_text(encoding="utf-8"))
-        found = [Outcome(**outcome) for outcome in state["outcomes"]]
-        folders = [output / o.folder for o in found if o.status == "measured"]
-        complete = all((f / name).is_file() for f in folders for name in needed)
-        failed = any(outcome.status == "failed" for outcome in found)
-        if state["key"] == source.key() and complete and not failed:
+        state = json.loads((folder / STATE).read_text(encoding="utf-8"))
+        found = Outcome(**state["outcome"])
+        complete = all((folder / name).is_file() for name in needed)
+        complete = complete and found.status == "measured" or found.status == "empty"
+        if complete and state["key"] == part.key():
             return found
     return None
 
@@ -165,10 +167,15 @@ def alone(folder):
 
 @dataclass(frozen=True)
 class Survey:
-    """Sources to be measured together, and the text of their file."""
+    """Parts of sources to be measured together, and the text of their file."""
 
-    sources: tuple[Source, ...]
+    parts: tuple[Part, ...]
     text: str = ""
+
+    @property
+    def names(self):
+        """Names of the sources."""
+        return list(dict.fromkeys(part.source for part in self.parts))
 
 
 def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> Survey:
@@ -190,7 +197,7 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     Returns
     -------
     Survey
-        With ``sources``, for `~astro_scc.cli.survey.run_survey`.
+        With ``parts``, for `~astro_scc.cli.survey.run_survey`.
 
     Raises
     ------
@@ -211,8 +218,8 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     ... redshift = 0.158
     ... ''')
     >>> survey = read_survey("survey.toml")
-    >>> [(source.name, source.parts) for source in survey.sources]
-    [('3C 273', [('all', 'fine'), ('all', 'coarse')])]
+    >>> [part.outcome.title for part in survey.parts]
+    ['3C 273, fine', '3C 273, coarse']
     """
     path = Path(path)
     values, text = read_toml(path)
@@ -226,15 +233,14 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
         raise ValueError(f"{path}: names no source; add a table [sources.NAME]")
     base = {"seed": SEED, "n_trials": N_TRIALS}
     defaults = base | _known(values.get("defaults", {}), f"{path}: defaults")
-    folders = folder_names(list(sources))
-    found = []
+    folders, found = folder_names(list(sources)), []
     for name, values in sources.items():
         where = f"{path}: sources.{name}"
         given = inputs.override(defaults, _known(values, where, "published_pm"))
         if name in (redshifts or {}):
             given = inputs.override(given, {"redshift": redshifts[name]})
         try:
-            found.append(_source(name, folders[name], given, path.absolute().parent))
+            found += _parts(name, folders[name], given, path.absolute().parent)
         except ValueError as error:
             if getattr(error, "setting", None) not in {None, *values}:
                 where = f"{path}: defaults"
@@ -271,29 +277,21 @@ def _published_pm(value):
     return found
 
 
-def _source(name, folder, given, base):
-    """Return a source from the values of its table; paths are relative to ``base``."""
+def _parts(name, folder, given, base):
+    """Yield the parts of a source from its table; paths are relative to ``base``."""
     published, compare, regions, groups = (
         given.pop(key, None) for key in ("published_pm", "compare", *TABLES)
     )
     if published is not None:
         published = named("published_pm", _published_pm, published)
-    files = {f"regions.{label}": file for label, file in (regions or {}).items()}
+    regions, groups = regions or {WHOLE: None}, groups or {}
+    files = {f"regions.{label}": file for label, file in regions.items()}
     for label, file in (files | {"compare": compare}).items():
-        if not (isinstance(file, str) and file or label == "compare" and file is None):
+        if file is not None and not (isinstance(file, str) and file):
             raise ValueError(f"{label} must be the path of a file")
-    groups = {
-        k: named(f"scale_groups.{k}", check_scales, v)
-        for k, v in (groups or {}).items()
-    }
+    groups = {k: named(f"scale_groups.{k}", check_scales, v) for k, v in groups.items()}
     if "redshift" not in given:
         given.pop("cosmology", None)
-    if "scales" not in given and groups:
-        if len({hasattr(group, "unit") for group in groups.values()}) > 1:
-            raise ValueError(
-                "scale_groups must be all numbers or all angles, or give scales"
-            )
-        given["scales"] = np.unique(np.concatenate([*groups.values()]))
     settings = Settings(**given)
     if not settings.epochs:
         raise ValueError("has no epochs; name the FITS files")
@@ -308,9 +306,15 @@ def _source(name, folder, given, base):
         align=align if align in ALIGNMENTS else of_base(align),
         crop=of_base(settings.crop),
     )  # fmt: skip
-    regions = {k: of_base(file) for k, file in (regions or {WHOLE: None}).items()}
     groups = groups or {WHOLE: settings.scales}
-    return Source(name, folder, settings, regions, groups, published, of_base(compare))
+    of_region, of_group = folder_names(list(regions)), folder_names(list(groups))
+    for (region, file), (group, scales) in product(regions.items(), groups.items()):
+        yield Part(
+            Outcome(name, region, group),
+            f"{SOURCES}/{folder}/{of_region[region]}/{of_group[group]}",
+            settings.changed(region=of_base(file), scales=scales),
+            published, of_base(compare),
+        )  # fmt: skip
 
 
 def folder_names(names):
@@ -350,7 +354,7 @@ def survey_of(args, output, reporter):
         redshifts = read_redshifts(args.redshifts)
     path = given if of_file else write_survey(args, output, reporter)
     survey = read_survey(path, redshifts)
-    if unknown := redshifts.keys() - {source.name for source in survey.sources}:
+    if unknown := redshifts.keys() - {*survey.names}:
         some = "source is" if len(unknown) == 1 else "sources are"
         reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
     return survey, of_file if args.report is None else args.report

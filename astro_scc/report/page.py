@@ -200,17 +200,13 @@ def _part_cells(part, row, features, unit, published, folder):
     """Return the text of a region and scale group, its profile and its speed."""
     more = defaultdict(str, kind=part.message)
     cells = dict.fromkeys(OVERVIEW, "")
-    cells |= {
-        "source": both_names(part.source),
-        "kind": part.status,
-        "more": more,
-        "link": "",
-    }
+    cells |= {"source": both_names(part.source), "kind": part.status, "link": ""}
     names = (part.region, part.scale_group)
-    cells["part"] = ", ".join(name for name in names if name != "all")
+    cells |= {"more": more, "part": ", ".join(name for name in names if name != "all")}
     if part.n_epochs:
         cells["n_epochs"] = str(part.n_epochs)
         cells["span"], more["span"] = _span(*Time([part.first, part.last]))
+    known = known_error = np.nan
     if published is not None:
         known, known_error, *_ = *np.atleast_1d(published.to_value(unit)), np.nan
         exact = np.isnan(known_error)
@@ -219,24 +215,21 @@ def _part_cells(part, row, features, unit, published, folder):
         return cells
     cells["kind"], more["kind"] = row["kind"], row["caution"].removeprefix("-")
     cells["n_features"] = str(row["n_features"])
+    cells |= {name: cell(row, name, form=".2g") for name in ("p_global", "p_fdr")}
     # What has no feature has no speed.
     if row["n_features"]:
-        speed, error = (float(row[name].to_value(unit)) for name in ("pm", "pm_err"))
-        cells |= {"pm": cell(row, "pm"), "speed": speed}
-        if published is not None and np.isfinite(error + known):
-            difference = (speed - known) / np.hypot(error, np.nan_to_num(known_error))
-            cells["difference"] = difference
-            more["published"] = f"{difference:+.1f} standard errors"
-        if "beta_app" in row.colnames:
-            beta = cell(row, "beta_app")
-            cells["beta_app"] = "" if beta == "-" else beta
-    cells |= {name: cell(row, name, form=".2g") for name in ("p_global", "p_fdr")}
+        for name in {"pm", "beta_app"} & {*row.colnames}:
+            cells[name] = cell(row, name).removeprefix("-")
+        cells["speed"], error = (row[k].to_value(unit) for k in ("pm", "pm_err"))
+        if np.isfinite(error + known):
+            off = (cells["speed"] - known) / np.hypot(error, np.nan_to_num(known_error))
+            cells["difference"], more["published"] = off, f"{off:+.1f} standard errors"
     report = f"{part.folder}/report.html"
     cells["link"] = report if Path(folder, report).is_file() else ""
     cells["profile"] = _small_profile(features, unit)
     if len(features):
-        fastest = features["pm"][population(features)["moving"]].to_value(unit)
-        cells["fastest"] = f"{max(fastest):.3g}" if len(fastest) else ""
+        moving = features["pm"][population(features)["moving"]].to_value(unit)
+        cells["fastest"] = f"{max(moving):.3g}" if len(moving) else ""
         if "published" in features.colnames:
             cells["same"] = str(np.ma.count(features["published"]))
     return cells
@@ -414,8 +407,8 @@ def write_overview(table, features, parts, folder, *, published):
         Of `~astro_scc.cli.survey.run_survey`, which is in this folder too.
     features : `~astropy.table.QTable`
         The features of all sources.
-    parts : sequence of `~astro_scc.cli.survey.Outcome`
-        The regions and scale groups of the sources; their products are read.
+    parts : sequence of Outcome
+        Of the regions and scale groups of the sources; their products are read.
     folder : path
         Folder of the survey.
     published : dict of str to `~astropy.units.Quantity` or None

@@ -11,15 +11,11 @@ REFUSED = {
     "measure JET -o out": """
 --scales "0.01 mas" | scale 0.01 mas is 0.1 px
 --baseline "5 6 yr" | no two epochs are 5 to 6 yr apart
---seed -3 | --seed '-3' must be 0 to
 --workers 0 | --workers must be at least 1
 --beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another
 --max-speed -2mas/yr | '-2mas/yr' must be finite and above 0
---baseline -1yr,1yr | --baseline '-1yr,1yr' must be a shortest and
---cosmology Planck18 | --cosmology needs a redshift
 --before 1990-01-01 | no epoch is left between --after and --before
 --before 2000-01-15 | too few epochs: 1 image, 6 are needed to show that
---method sum | --method 'sum' must be one of spectrum, paper
 --align coer | --align 'coer' is none of
 --region no.reg | no.reg: No such file or directory
 --region odd.reg | odd.reg:
@@ -37,17 +33,7 @@ MODELS -o out --beam "1 mas 2 mas" | is no beam: has 2 numbers, not one or three
 """,
     "profile JET -o out": """
 | --bins is missing
---bins "2 1 mas" | must be increasing distances
 --bins "1 mas" | 2 distance
---bins "1 2 mas" --workers 0 | --workers must be at least 1
-""",
-    "profile -o out": """
---bins "1 2 mas" | no epochs were given
-""",
-    "track JET -o out": """
---detections clean | 'clean' must be one of gaussians, ssp
---scales "1 yr" | must be scale numbers such as 1,2,3 or angles
---workers 0 | --workers must be at least 1
 """,
     "track -o out": """
 | no epochs were given
@@ -56,7 +42,6 @@ model.mod --beam "1 mas" | model.mod: no DATE-OBS in the header, or no date in a
     "inspect": """
 | no epochs were given; name the FITS files
 JET --speed fast | --speed 'fast' has 'fast' where a number is expected; it must be an
-JET "--speed=-2 mas/yr" | --speed '-2 mas/yr' must be finite and above 0
 no.fits | no.fits: no such file
 not*.here | not*.here: no file matches
 note.fits more.fits | (and 1 more like it)
@@ -64,21 +49,14 @@ note.fits more.fits | (and 1 more like it)
     "simulate": """
 static x --dense | --dense is for two-fluid, not for static
 static x --motion 1 | --motion is for jet, not for static
-jet x --dense | --dense is for two-fluid, not for jet
 jet x --motion -1 | error: --motion must be zero or positive
-jet x --standing -1 | error: --standing must be zero or
 jet x --distribution flat | error: --distribution = 'flat' must
 static x --epochs 0 | --epochs must be at least 1
-static x --seed one | --seed 'one' must be a whole number
 static . | .: exists and is not empty
 """,
     'restore MODELS -o out --beam "1 mas" --pixel "0.1 mas"': """
 --beam "1 mas 2 mas 0 deg" | 2 mas 0 deg' is no beam: a beam is finite with major
---beam "1 mas 1 mas 1 Jy" | --beam '1 mas 1 mas 1 Jy' is no beam:
 --pixel 0.1 | --pixel '0.1' has no unit at its end; it must be one
---pixel "0.1 yr" | --pixel '0.1 yr' must be one number with a unit
---noise "1 mas" | --noise '1 mas' must be one number with a unit
---seed x | --seed 'x' must be a whole number
 --after 2011-01-01 | no component is left
 --origin core | no core component (feature 0)
 --source M87 | no source 'M87'; it does not say of which source it is

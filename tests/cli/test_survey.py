@@ -14,7 +14,7 @@ from astropy.table import QTable
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import survey
-from astro_scc.cli.survey import measure_source, run_survey
+from astro_scc.cli.survey import measure_part, run_survey
 from astro_scc.cli.survey_sources import Outcome, alone, folder_names, read_survey
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.plan import choose_direction
@@ -204,14 +204,14 @@ def test_interrupted_and_started_again(serial, folder, here, astro_scc, monkeypa
     _, reference = serial
     out = here / "out"
 
-    def interrupted(source, output, **options):
-        if source.name == "Two":
+    def interrupted(part, output, **options):
+        if part.source == "Two":
             raise KeyboardInterrupt
-        return measure_source(source, output, **options)
+        return measure_part(part, output, **options)
 
     argv = ("survey", folder / "survey.toml", "-o", out, "--no-report")
     with monkeypatch.context() as patch:
-        patch.setattr("astro_scc.cli.survey.measure_source", interrupted)
+        patch.setattr("astro_scc.cli.survey.measure_part", interrupted)
         status, _, err = astro_scc(*argv, "--quiet")
     assert status == 130
     assert "the same command goes on" in err
@@ -219,8 +219,8 @@ def test_interrupted_and_started_again(serial, folder, here, astro_scc, monkeypa
     assert not list(out.rglob(".partial-*"))
     status, said, err = astro_scc(*argv, "--workers", 2)
     assert status == 0
-    assert "One/../../up: finished before" in said
-    assert "Two: done" in said
+    assert "One/../../up, left: finished before" in said
+    assert "Two, fine: done" in said
     assert "warning: Gone: " in err
     # Processes give the same.
     assert written(out) == written(reference)
@@ -253,11 +253,11 @@ def small_page(result, folder, *, streams, title, **options):
 def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
     monkeypatch.setattr("astro_scc.cli.measure.write_report", small_page)
     every = read_survey(folder / "survey.toml")
-    only = replace(every, sources=every.sources[1:2])
+    only = replace(every, parts=every.parts[2:4])
     out, told = tmp_path / "out", []
 
     def run(**options):
-        run_survey(only, out, done=lambda *a: told.append(a[2]), **options)
+        run_survey(only, out, done=lambda *a: told.append(a[1]), **options)
 
     run()
     assert not list(out.rglob("report.html"))
@@ -265,7 +265,7 @@ def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
     run(report=True)
     run(report=True)
     run()
-    assert told == [False, False, True, True]
+    assert told[::2] == told[1::2] == [False, False, True, True]
     pages = [json.loads(path.read_text()) for path in sorted(out.rglob("report.html"))]
     assert [page["title"] for page in pages] == ["Two, coarse", "Two, fine"]
     for page in pages:
@@ -276,33 +276,36 @@ def test_every_region_and_group_has_a_report(folder, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
-    *_, two, _ = read_survey(folder / "survey.toml").sources
+    *_, two, coarse, _ = read_survey(folder / "survey.toml").parts
     real = survey.write_measurement
 
-    def wrong(result, epochs, *args, **options):
+    def wrong(result, epochs, folder, **options):
         if epochs.settings.scales == (1,):
-            # As a mistake of the program.
+            # As a mistake of the program, half way.
+            (folder / "streams.ecsv").touch()
+            (folder / "publication").mkdir()
             raise AssertionError("odd")
-        return real(result, epochs, *args, **options)
+        return real(result, epochs, folder, **options)
 
     monkeypatch.setattr(survey, "write_measurement", wrong)
-    fine, coarse = measure_source(two, tmp_path)
+    fine, coarse = (measure_part(part, tmp_path) for part in (two, coarse))
     assert (fine.status, fine.message) == ("failed", "AssertionError: odd")
     assert coarse.status in ("measured", "empty")
-    text = (tmp_path / "sources" / "Two" / "error.txt").read_text()
-    assert "AssertionError: odd" in text
+    folder = tmp_path / "sources" / "Two" / "all" / "fine"
+    assert {path.name for path in folder.iterdir()} == {"error.txt", "part.json"}
+    assert "AssertionError: odd" in (folder / "error.txt").read_text()
 
 
 def test_what_a_survey_does_not_measure(folder, tmp_path):
-    *_, two, _ = read_survey(folder / "survey.toml").sources
+    two = read_survey(folder / "survey.toml").parts[2]
     for changes, words in (
         ({"method": "paper"}, "method is 'paper', which astro-scc measure has"),
         ({"before": "2000-02-15"}, "too few epochs: 2 images, 6 are needed"),
     ):
         other = replace(two, settings=two.settings.changed(**changes))
-        for part in measure_source(other, tmp_path):
-            assert part.status == "failed"
-            assert words in part.message
+        found = measure_part(other, tmp_path)
+        assert found.status == "failed"
+        assert words in found.message
 
 
 def test_when_nothing_could_be_measured(here, astro_scc):
@@ -340,7 +343,6 @@ WRONG = [
     (f"{A}published_pm = 3", "published_pm = 3 must be a"),
     (f"{A}max_speed = '2 mas'", "max_speed = '2 mas' must"),
     (f"[defaults]\nmax_speed = '2 mas'\n{A}", "defaults: max_speed = '2 mas' must"),
-    (f"{A}scale_groups = {{b = [1], c = '0.2 mas'}}", "must be all numbers or all an"),
     (f"{A}distance = '3 Mpc'\nredshift = 0.1", "distance needs neither redshift nor"),
     (f"{A}redshift = 0.1\ncosmology = 'Planck'", "'Planck' is no cosmology; give H0"),
 ]
@@ -370,13 +372,14 @@ def test_defaults_and_what_replaces_them(tmp_path):
         "[sources.C]\nepochs = 'c'\nalign = 'core'\nscale_groups = {x = [3, 1]}\n"
         "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
     )
-    sources = read_survey(tmp_path / "s.toml", {"B": 0.3}).sources
-    a, b, c = (source.settings for source in sources)
+    parts = read_survey(tmp_path / "s.toml", {"B": 0.3}).parts
+    a, b, other, c = (part.settings for part in parts)
     assert b.redshift == 0.3
     assert (a.distance, a.redshift, a.cosmology) == (3 * u.Mpc, None, None)
     assert a.epochs == [str(tmp_path / "a*"), "/b"]
     assert a.align == str(tmp_path / "t.csv")
     assert b.cosmology == "Planck18"
-    assert b.scales.to_value(u.mas).tolist() == [0.1, 0.2, 0.4]
-    assert (c.scales, c.redshift, c.align) == ((1, 3), 0.158, "core")
+    assert b.scales.to_value(u.mas).tolist() == [0.2]
+    assert other.scales.to_value(u.mas).tolist() == [0.1, 0.4]
+    assert (c.scales, c.redshift, c.align) == ((3, 1), 0.158, "core")
     assert c.position_angle == -112 * u.deg

@@ -30,7 +30,7 @@ def test_sources_of_a_survey_that_are_no_longer_finished(inputs, tmp_path, monke
 
     def finished():
         told, plan = [], read_survey(tmp_path / "s.toml")
-        run_survey(plan, tmp_path / "out", done=lambda *args: told.append(args[2]))
+        run_survey(plan, tmp_path / "out", done=lambda *args: told.append(args[1]))
         return told[0]
 
     assert [finished(), finished()] == [False, True]
@@ -42,7 +42,7 @@ def test_sources_of_a_survey_that_are_no_longer_finished(inputs, tmp_path, monke
     ):
         rewrite(tmp_path / name, old, new)
         assert [finished(), finished()] == [False, True], name
-    (state,) = (tmp_path / "out").rglob("source.json")
+    (state,) = (tmp_path / "out").rglob("part.json")
     for content in ("", "{}", '{"key": 1}', "[]", "nothing"):
         state.write_text(content)
         assert not finished(), content
