@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+import scipy
+import skimage
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
-from scipy import ndimage
-from skimage.feature import peak_local_max
-from skimage.segmentation import watershed
 
 from astro_scc.decomposition import wavelet
 from astro_scc.decomposition.wavelet import scale_kernel, scale_size, wavelet_planes
@@ -267,7 +266,9 @@ def find_ssps(
     n, at = len(peaks), tuple(peaks.T)
     markers = np.zeros(plane.shape, dtype=np.int32)
     markers[at] = np.arange(1, n + 1)
-    labels = watershed(-plane, markers, connectivity=1, mask=significant)
+    labels = skimage.segmentation.watershed(
+        -plane, markers, connectivity=1, mask=significant
+    )
     pixels = np.flatnonzero(labels)
     pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")]
     owner, weight = labels.flat[pixels] - 1, plane.flat[pixels]
@@ -286,7 +287,7 @@ def find_ssps(
     known = plane if mask is None else np.where(np.asarray(mask)[box], np.nan, plane)
     around = sliding_window_view(known, (3, 3))[at[0] - 1, at[1] - 1]
     dy, dx, _ = quadratic_peak(around)
-    boxes = ndimage.find_objects(labels)
+    boxes = scipy.ndimage.find_objects(labels)
     return SSPs(
         scale=np.full(n, float(scale)), y=at[0] + corner[0] + dy,
         x=at[1] + corner[1] + dx, y_centroid=y_centroid, x_centroid=x_centroid,
@@ -320,13 +321,13 @@ def _outside(shape, mask):
     if mask is None or not np.any(mask):
         return frame
     frame[1:-1, 1:-1] = mask
-    label, _ = ndimage.label(frame)
+    label, _ = scipy.ndimage.label(frame)
     return label == label[0, 0]
 
 
 def _maxima(plane, scale, outside, box):
     """Return the places in a box of local maxima that are not beside the outside."""
-    peaks = peak_local_max(
+    peaks = skimage.feature.peak_local_max(
         plane, min_distance=round(scale_size(scale)), threshold_abs=0.0,
         exclude_border=False,
     )  # fmt: skip

@@ -2,8 +2,8 @@
 """The isotropic undecimated ("a trous") wavelet transform, and the noise."""
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 #: Low-pass filters by name: linear and cubic B-spline.
 KERNELS = {
@@ -68,7 +68,7 @@ def _smooth(image, kernel, level):
     dilated = np.zeros((len(kernel) - 1) * 2**level + 1)
     dilated[:: 2**level] = kernel
     for axis in (0, 1):
-        image = ndimage.convolve1d(image, dilated, axis=axis, mode="mirror")
+        image = scipy.ndimage.convolve1d(image, dilated, axis=axis, mode="mirror")
     return image
 
 
@@ -205,9 +205,9 @@ def _away_from_source(values, radius, valid, sigma):
     away = np.ones(values.shape, dtype=bool)
     margin = int(np.ceil(radius))
     # There is one box around the source, or none without a source.
-    for box in ndimage.find_objects(source.astype(np.uint8)):
+    for box in scipy.ndimage.find_objects(source.astype(np.uint8)):
         near = tuple(slice(max(k.start - margin, 0), k.stop + margin) for k in box)
-        away[near] = ndimage.distance_transform_edt(~source[near]) > radius
+        away[near] = scipy.ndimage.distance_transform_edt(~source[near]) > radius
     return away
 
 

@@ -6,9 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import ndimage
-from scipy.linalg.lapack import dgesv
 
 # Full width at half maximum of a Gaussian in standard deviations.
 _FWHM = np.sqrt(8 * np.log(2))
@@ -213,8 +212,8 @@ class _Data:
             for at, m in zip(np.nonzero(bright), margin, strict=True)
         )
         good, bright, value = good[cut], bright[cut], value[cut]
-        peak = ndimage.maximum_filter(value, size=tuple(width.astype(int) | 1))
-        near = ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
+        peak = scipy.ndimage.maximum_filter(value, size=tuple(width.astype(int) | 1))
+        near = scipy.ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
         step = np.maximum(width.astype(int) // 3, 1)
         y, x = np.nonzero((near & good)[:: step[0], :: step[1]])
         if len(y) == 0:
@@ -342,7 +341,7 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4, enough=
         for _ in range(6):
             damped = normal.copy()
             damped.flat[:: len(free) + 1] += damping
-            step = dgesv(damped, gradient)[2]
+            step = scipy.linalg.lapack.dgesv(damped, gradient)[2]
             promised, step = gradient @ step, step / scale
             new = p.copy()
             step = np.minimum(np.maximum(step, -largest_step), largest_step)

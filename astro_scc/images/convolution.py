@@ -3,7 +3,7 @@
 
 import astropy.units as u
 import numpy as np
-from scipy import fft
+import scipy
 
 from astro_scc.images.beam import (
     CONTAINS,
@@ -32,11 +32,11 @@ def gaussian_smooth(image, covariance, mask=False):
     variances = np.linalg.eigvalsh(covariance)
     bad = ~np.isfinite(image) | mask
     pad = int(np.ceil(6 * np.sqrt(variances[1]))) + 2
-    shape = [fft.next_fast_len(n + pad, real=True) for n in image.shape]
+    shape = [scipy.fft.next_fast_len(n + pad, real=True) for n in image.shape]
     transfer = gaussian_transfer(covariance, shape)
 
     def convolve(values):
-        smooth = fft.irfft2(fft.rfft2(values, s=shape) * transfer, s=shape)
+        smooth = scipy.fft.irfft2(scipy.fft.rfft2(values, s=shape) * transfer, s=shape)
         return smooth[: image.shape[0], : image.shape[1]]
 
     weight = convolve((~bad).astype(float))
@@ -52,8 +52,8 @@ def gaussian_transfer(covariance, shape):
     The ``covariance`` over (x, y), in square pixels, may be singular; ``shape`` is
     that of the image, (ny, nx).
     """
-    ky = fft.fftfreq(shape[0])[:, None]
-    kx = fft.rfftfreq(shape[1])[None, :]
+    ky = scipy.fft.fftfreq(shape[0])[:, None]
+    kx = scipy.fft.rfftfreq(shape[1])[None, :]
     (xx, xy), (_, yy) = covariance
     form = xx * kx**2 + 2 * xy * kx * ky + yy * ky**2
     return np.exp(-2 * np.pi**2 * form)

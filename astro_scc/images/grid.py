@@ -12,10 +12,10 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
+import scipy
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
-from scipy import ndimage
 
 from astro_scc.exceptions import warn
 from astro_scc.images import local
@@ -63,13 +63,13 @@ def fill_masked(image, mask, n_iterations=20):
         return np.array(image, dtype=float)
     if mask.all():
         return np.zeros(image.shape)
-    nearest = ndimage.distance_transform_edt(
+    nearest = scipy.ndimage.distance_transform_edt(
         mask, return_distances=False, return_indices=True
     )
     filled = np.asarray(image, dtype=float)[tuple(nearest)]
     neighbours = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
     for _ in range(n_iterations):
-        filled[mask] = ndimage.convolve(filled, neighbours, mode="nearest")[mask]
+        filled[mask] = scipy.ndimage.convolve(filled, neighbours, mode="nearest")[mask]
     return filled
 
 
@@ -89,10 +89,10 @@ def shift_image(image, mask, shift):
     whole = np.rint(step)
     if np.all(np.abs(step - whole) < WHOLE_PIXEL):
         return _copy(image, mask, whole.astype(int), image.shape)
-    moved = ndimage.shift(
+    moved = scipy.ndimage.shift(
         fill_masked(image, mask), step, order=3, mode="constant", cval=np.nan
     )
-    weight = ndimage.shift(mask.astype(float), step, order=1, cval=1.0)
+    weight = scipy.ndimage.shift(mask.astype(float), step, order=1, cval=1.0)
     bad = (weight > BAD_WEIGHT) | ~np.isfinite(moved)
     return np.where(bad, np.nan, moved), bad
 

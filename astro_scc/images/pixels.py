@@ -2,7 +2,7 @@
 """Which pixels of an image are missing."""
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from astro_scc.images.headers import ContentError
 
@@ -76,15 +76,15 @@ def padding(image):
     if np.count_nonzero(zero) < BLOCK**2:
         return none
     block = np.ones((BLOCK, BLOCK), dtype=bool)
-    solid = ndimage.binary_erosion(zero, block, border_value=1)
+    solid = scipy.ndimage.binary_erosion(zero, block, border_value=1)
     if not solid.any():
         return none
-    solid = ndimage.binary_dilation(solid, block)
-    padded = ndimage.binary_propagation(solid, mask=zero)
+    solid = scipy.ndimage.binary_dilation(solid, block)
+    padded = scipy.ndimage.binary_propagation(solid, mask=zero)
     other = np.isfinite(image) & ~zero
-    edge = ndimage.binary_dilation(padded, block) & other
+    edge = scipy.ndimage.binary_dilation(padded, block) & other
     border, inside = image[edge], np.abs(image[other & ~edge])
-    filled = np.count_nonzero(ndimage.binary_opening(other, block))
+    filled = np.count_nonzero(scipy.ndimage.binary_opening(other, block))
     if (
         border.size == 0
         or inside.size == 0

@@ -4,8 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.sparse import csr_array
+import scipy
 
 from astro_scc.spectrum.diagram import LEAST_OVERLAP
 from astro_scc.spectrum.permutations import (
@@ -96,7 +95,7 @@ def _least_squares(gram, right, ridge):
     factor = gram.copy()
     factor.flat[:: len(gram) + 1] += ridge
     factor = np.linalg.cholesky(factor)
-    return nnls(factor.T, np.linalg.solve(factor, right))[0]
+    return scipy.optimize.nnls(factor.T, np.linalg.solve(factor, right))[0]
 
 
 def spectrum_speeds(years, fastest=None, intervals=EVERY):
@@ -212,7 +211,7 @@ def binned(values, bins, number, share):
     pairs = np.argsort(bins, axis=None, kind="stable")[np.sum(bins < 0) :]
     starts = np.append(0, np.cumsum(number))
     shape = len(number), bins.size
-    sums = csr_array((np.ones(len(pairs)), pairs, starts), shape=shape)
+    sums = scipy.sparse.csr_array((np.ones(len(pairs)), pairs, starts), shape=shape)
     sums = sums @ values.reshape(bins.size, -1)
     sums -= number[:, None] * (share / number @ sums)
     return sums / np.sqrt(number)[:, None]

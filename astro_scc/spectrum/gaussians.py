@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from astro_scc.spectrum.equations import deconvolve
 
@@ -112,7 +112,7 @@ def fit_streams(equations, start):
     simplex = np.vstack([first, first + np.diag(steps)])
     options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-7 * square}
     options["maxiter"] = 150 * len(start)
-    found = minimize(cost, first, method="Nelder-Mead", options=options)
+    found = scipy.optimize.minimize(cost, first, method="Nelder-Mead", options=options)
     mean, sd = unpack(found.x)
     order = np.argsort(np.abs(mean))
     return amplitudes_of(equations, mean[order], sd[order])
