@@ -8,8 +8,7 @@ from contextlib import suppress
 
 import astropy.units as u
 import numpy as np
-from scipy import fft
-from scipy.ndimage import gaussian_filter, map_coordinates
+import scipy
 
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
@@ -279,9 +278,9 @@ def structure_size(cube, *, background=16.0, most_epochs=5, most_pixels=512):
         parts = (a[epoch][middle] for a in (cube.data, cube.mask))
         image = np.ma.masked_invalid(np.ma.masked_array(*parts, dtype=float))
         image = (image - np.ma.median(image)).filled(0.0)
-        image -= gaussian_filter(image, background)
-        power = np.abs(fft.rfft2(image, np.array(image.shape) + n - 1)) ** 2
-        total += fft.irfft2(power, np.array(image.shape) + n - 1)[:n, :n]
+        image -= scipy.ndimage.gaussian_filter(image, background)
+        power = np.abs(scipy.fft.rfft2(image, np.array(image.shape) + n - 1)) ** 2
+        total += scipy.fft.irfft2(power, np.array(image.shape) + n - 1)[:n, :n]
     lag = np.rint(np.hypot(*np.indices((n, n)))).astype(int).ravel()
     profile = (np.bincount(lag, total.ravel()) / np.bincount(lag))[:n]
     if not 0 < profile[2] < profile[1]:
@@ -351,7 +350,7 @@ def choose_direction(
     beams = np.sqrt(beams / (8 * np.log(2)))
     # Without what is as bright on the other side: the core's wings, a shell.
     x, y = cube.offset_to_pixel(-east, -north)
-    excess = image - map_coordinates(image, [y, x], order=1, cval=0.0)
+    excess = image - scipy.ndimage.map_coordinates(image, [y, x], order=1, cval=0.0)
     noise = np.median(u.Quantity(cube.noise_rms()).value)
     for core in cores:
         use = (excess > snr * noise) & (beams > core)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import astropy.units as u
 import numpy as np
+import scipy
 from astropy.table import QTable
-from scipy import ndimage, optimize
 
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.beam import FWHM_TO_SIGMA
@@ -148,7 +148,7 @@ def _candidate(image, good, shape, direction, noise):
     # Maxima are compared within half a beam, at least with the eight neighbours.
     size = np.maximum(np.sqrt(np.diag(shape)[::-1]) / FWHM_TO_SIGMA / 2, 3)
     size = (2 * np.rint((size - 1) / 2) + 1).astype(int)
-    maximum = (image == ndimage.maximum_filter(image, size=tuple(size))) & good
+    maximum = (image == scipy.ndimage.maximum_filter(image, size=tuple(size))) & good
     maximum &= image > max(FAINTEST * image[maximum].max(initial=-np.inf), 5 * noise)
     places = np.argwhere(maximum)[:, ::-1]
     if len(places) == 0:
@@ -187,12 +187,12 @@ def _fit(image, good, start, shape, direction, noise, radius=1.5):
     def residuals(parameters):
         return solve(parameters)[1]
 
-    fit = one = optimize.least_squares(residuals, start)
+    fit = one = scipy.optimize.least_squares(residuals, start)
     core, blended = 0, False
     if direction is not None:
         width = 1 / np.sqrt(direction @ precision @ direction) / FWHM_TO_SIGMA
         guess = [start - 0.1 * width * direction, start + 0.4 * width * direction]
-        two = optimize.least_squares(residuals, np.concatenate(guess))
+        two = scipy.optimize.least_squares(residuals, np.concatenate(guess))
         positions, peaks = two.x.reshape(2, 2), solve(two.x)[0]
         # A bright feature hides the maximum of a core up to 1.4 beams upstream.
         near = _distance2(*positions.T, start, precision) < radius**2
@@ -243,18 +243,21 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     y, x = np.nonzero(use & (steep >= 0.01 * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the
     # fit moves by up to one and a half.
-    around = ndimage.binary_dilation(mask, iterations=3).astype(float)
+    around = scipy.ndimage.binary_dilation(mask, iterations=3).astype(float)
     at = [y + start[1], x + start[0]]
-    keep = ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
+    keep = scipy.ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
     if keep.sum() < 10:
         raise ValueError("too few good pixels to compare; leave it out")
     y, x = y[keep], x[keep]
     target = reference[y, x] - reference[y, x].mean()
     design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
     solve = np.linalg.pinv(np.stack(design, axis=1))
-    spline, d = ndimage.spline_filter(filled, order=3), np.array(start, dtype=float)
+    spline, d = (
+        scipy.ndimage.spline_filter(filled, order=3),
+        np.array(start, dtype=float),
+    )
     for _ in range(10):
-        values = ndimage.map_coordinates(
+        values = scipy.ndimage.map_coordinates(
             spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"
         )
         *step, gain, level = solve @ values
@@ -281,7 +284,7 @@ def _whole_pixels(filled, mask, reference, use, reach, min_overlap=0.5):
     At least the part ``min_overlap`` of the pixels in use must fall on good ones.
     """
     steps = int(np.ceil(reach)) + 1
-    (box,) = ndimage.find_objects(use.astype(int))
+    (box,) = scipy.ndimage.find_objects(use.astype(int))
     # Windows reach past the box on all sides, and past the image.
     window = tuple(slice(s.start, s.stop + 2 * steps) for s in box)
     coefficient, _ = correlate_windows(
@@ -405,7 +408,7 @@ def _shift(cube, k, weights, noise, width, positions, alike=0.9):
     if positions is not None:
         for i, image in enumerate(images):
             x, y = np.linalg.solve(matrix, positions[k - 1 + i])
-            images[i] = ndimage.shift(image, (-y, -x), order=3)
+            images[i] = scipy.ndimage.shift(image, (-y, -x), order=3)
     reference = weights[0] * images[0] + weights[1] * images[2]
     masked = cube.mask[three].any(axis=0)
     source = ~masked & (reference > 5 * noise)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import astropy.units as u
 import numpy as np
-from scipy import fft
+import scipy
 
 from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
@@ -321,7 +321,7 @@ def correlated_noise(
     covariance = in_pixels(beam, pixel_scale)
     # By six deviations, the noise of opposite edges is independent to exp(-(6 / 2)^2).
     padding = int(np.ceil(6 * np.sqrt(np.trace(covariance))))
-    padded = tuple(fft.next_fast_len(n + padding, real=True) for n in shape)
+    padded = tuple(scipy.fft.next_fast_len(n + padding, real=True) for n in shape)
     transfer = gaussian_transfer(covariance, padded)
     # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)
     # over the whole plane, of which rfft keeps one half.
@@ -331,5 +331,5 @@ def correlated_noise(
         weight[-1] = 1.0
     gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
     white = random_generator(rng).standard_normal(padded)
-    noise = fft.irfft2(fft.rfft2(white) * transfer, s=padded)
+    noise = scipy.fft.irfft2(scipy.fft.rfft2(white) * transfer, s=padded)
     return rms * (noise[: shape[0], : shape[1]] / gain)

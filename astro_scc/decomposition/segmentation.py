@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+import scipy
+import skimage
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
-from scipy import ndimage
-from skimage.feature import peak_local_max
-from skimage.segmentation import watershed
 
 from astro_scc.decomposition import wavelet
 from astro_scc.decomposition.wavelet import scale_kernel, scale_size, wavelet_planes
@@ -249,11 +248,17 @@ def find_ssps(
     >>> len(ssps), float(ssps.x_centroid[0].round(1))
     (1, 20.3)
     """
-    plane = np.asarray(plane, dtype=float)
-    noise = np.broadcast_to(np.asarray(noise, dtype=float), plane.shape)
-    valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
-    significant = valid & (plane > segmentation * noise)
-    peaks = _maxima(np.where(significant, plane, 0.0), scale, ~valid)
+    whole = np.asarray(plane, dtype=float)
+    noise = np.broadcast_to(np.asarray(noise, dtype=float), whole.shape)
+    significant = whole > segmentation * noise
+    if mask is not None:
+        significant &= ~np.asarray(mask)
+    box = _box_around(significant, margin=round(scale_size(scale)) + 1)
+    if box is None:
+        return SSPs.empty()
+    outside = _outside(whole.shape, mask)
+    plane, noise, significant = whole[box], noise[box], significant[box]
+    peaks = _maxima(np.where(significant, plane, 0.0), scale, outside, box)
     at = tuple(peaks.T)
     peaks = peaks[plane[at] >= detection * noise[at]]
     if len(peaks) == 0:
@@ -261,38 +266,74 @@ def find_ssps(
     n, at = len(peaks), tuple(peaks.T)
     markers = np.zeros(plane.shape, dtype=np.int32)
     markers[at] = np.arange(1, n + 1)
-    labels = watershed(-plane, markers, connectivity=1, mask=significant)
+    labels = skimage.segmentation.watershed(
+        -plane, markers, connectivity=1, mask=significant
+    )
     pixels = np.flatnonzero(labels)
-    pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")].astype(np.int32)
+    pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")]
     owner, weight = labels.flat[pixels] - 1, plane.flat[pixels]
     flux = np.bincount(owner, weight, n)
+    corner = [side.start for side in box]
+    rows, columns = (
+        place + first
+        for place, first in zip(
+            np.unravel_index(pixels, plane.shape), corner, strict=True
+        )
+    )
     y_centroid, x_centroid = (
-        np.bincount(owner, weight * place, n) / flux
-        for place in np.unravel_index(pixels, plane.shape)
+        np.bincount(owner, weight * place, n) / flux for place in (rows, columns)
     )
     # Beside a missing pixel the curvature is unknown, and the whole pixel is kept.
-    known = np.pad(np.where(valid, plane, np.nan), 1, mode="reflect")
-    dy, dx, _ = quadratic_peak(sliding_window_view(known, (3, 3))[at])
-    boxes = ndimage.find_objects(labels)
+    known = plane if mask is None else np.where(np.asarray(mask)[box], np.nan, plane)
+    around = sliding_window_view(known, (3, 3))[at[0] - 1, at[1] - 1]
+    dy, dx, _ = quadratic_peak(around)
+    boxes = scipy.ndimage.find_objects(labels)
     return SSPs(
-        scale=np.full(n, float(scale)), y=at[0] + dy, x=at[1] + dx,
-        y_centroid=y_centroid, x_centroid=x_centroid, peak=plane[at], flux=flux,
-        snr=plane[at] / noise[at], pixels=pixels, values=weight.astype(np.float32),
-        bbox=np.array([(y.start, x.start, y.stop, x.stop) for y, x in boxes]),
+        scale=np.full(n, float(scale)), y=at[0] + corner[0] + dy,
+        x=at[1] + corner[1] + dx, y_centroid=y_centroid, x_centroid=x_centroid,
+        peak=plane[at], flux=flux, snr=plane[at] / noise[at],
+        pixels=(rows * whole.shape[1] + columns).astype(np.int32),
+        values=weight.astype(np.float32),
+        bbox=np.array([(y.start, x.start, y.stop, x.stop) for y, x in boxes])
+        + np.tile(corner, 2),
         starts=_starts(np.bincount(owner, minlength=n)), epoch=np.zeros(n, dtype=int),
     )  # fmt: skip
 
 
-def _maxima(plane, scale, missing):
-    """Return the places of local maxima that are not at the edge of the image."""
-    peaks = peak_local_max(
+def _box_around(significant, margin):
+    """Return the slices around pixels with a margin, or None without any."""
+    box = []
+    for axis in (1, 0):
+        seen = np.flatnonzero(significant.any(axis=axis))
+        if len(seen) == 0:
+            return None
+        box.append(slice(max(seen[0] - margin, 0), seen[-1] + 1 + margin))
+    return tuple(box)
+
+
+def _outside(shape, mask):
+    """
+    Return what is outside of an image, which is framed by a pixel.
+
+    Missing pixels that are joined to its edge are, others are holes.
+    """
+    frame = np.pad(np.zeros(shape, dtype=bool), 1, constant_values=True)
+    if mask is None or not np.any(mask):
+        return frame
+    frame[1:-1, 1:-1] = mask
+    label, _ = scipy.ndimage.label(frame)
+    return label == label[0, 0]
+
+
+def _maxima(plane, scale, outside, box):
+    """Return the places in a box of local maxima that are not beside the outside."""
+    peaks = skimage.feature.peak_local_max(
         plane, min_distance=round(scale_size(scale)), threshold_abs=0.0,
         exclude_border=False,
     )  # fmt: skip
-    # Missing pixels that are joined to the edge of the image are outside, others holes.
-    outside, _ = ndimage.label(np.pad(missing, 1, constant_values=True))
-    around = sliding_window_view(outside, (3, 3))[tuple(peaks.T)]
-    return peaks[(around != outside[0, 0]).all(axis=(1, 2))]
+    framed = outside[tuple(slice(s.start, s.stop + 2) for s in box)]
+    around = sliding_window_view(framed, (3, 3))[tuple(peaks.T)]
+    return peaks[~around.any(axis=(1, 2))]
 
 
 # -- decomposition of images --------------------------------------------------------

@@ -2,8 +2,8 @@
 """The isotropic undecimated ("a trous") wavelet transform, and the noise."""
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 #: Low-pass filters by name: linear and cubic B-spline.
 KERNELS = {
@@ -68,7 +68,7 @@ def _smooth(image, kernel, level):
     dilated = np.zeros((len(kernel) - 1) * 2**level + 1)
     dilated[:: 2**level] = kernel
     for axis in (0, 1):
-        image = ndimage.convolve1d(image, dilated, axis=axis, mode="mirror")
+        image = scipy.ndimage.convolve1d(image, dilated, axis=axis, mode="mirror")
     return image
 
 
@@ -175,21 +175,23 @@ def source_free(plane, scale, *, mask=None):
     sky, the first sigma is that of all pixels.
     """
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
-    values = np.abs(plane[valid])
-    values = values[values > 0]
-    if values.size == 0:
+    values = np.abs(plane)
+    known = valid & (values > 0)
+    seen = values[known]
+    if seen.size == 0:
         return valid, 0.0
-    quantiles = np.quantile(values, [0.1, 0.5]) * [DECILE_TO_SIGMA, MAD_TO_SIGMA]
-    faintest, everything = quantiles.tolist()
+    quantiles = np.quantile(seen, [0.1, 0.5], overwrite_input=True)
+    faintest, everything = (quantiles * [DECILE_TO_SIGMA, MAD_TO_SIGMA]).tolist()
     free, radius = valid, scale_size(scale)
     for sigma in (min(faintest, everything), everything):
         for _ in range(MAX_ITERATIONS):
-            candidate = valid & _away_from_source(plane, radius, valid, sigma)
-            sky = np.abs(plane[candidate & (plane != 0)])
+            candidate = valid & _away_from_source(values, radius, valid, sigma)
+            sky = values[candidate & known]
             # A sky smaller than one disk is too small to measure noise.
             if candidate.sum() < np.pi * radius**2 or len(sky) == 0:
                 break
-            before, free, sigma = sigma, candidate, MAD_TO_SIGMA * np.median(sky)
+            middle = np.median(sky, overwrite_input=True)
+            before, free, sigma = sigma, candidate, MAD_TO_SIGMA * middle
             if abs(sigma - before) < 1e-3 * before:
                 break
         if free is not valid:
@@ -197,15 +199,15 @@ def source_free(plane, scale, *, mask=None):
     return free, float(sigma)
 
 
-def _away_from_source(plane, radius, valid, sigma):
-    """Return the pixels farther than a radius from all pixels beyond 5 sigma."""
-    source = valid & (np.abs(plane) > SOURCE_SNR * sigma)
-    away = np.ones(plane.shape, dtype=bool)
+def _away_from_source(values, radius, valid, sigma):
+    """Return the pixels farther than a radius from all values beyond 5 sigma."""
+    source = valid & (values > SOURCE_SNR * sigma)
+    away = np.ones(values.shape, dtype=bool)
     margin = int(np.ceil(radius))
     # There is one box around the source, or none without a source.
-    for box in ndimage.find_objects(source.astype(np.uint8)):
+    for box in scipy.ndimage.find_objects(source.astype(np.uint8)):
         near = tuple(slice(max(k.start - margin, 0), k.stop + margin) for k in box)
-        away[near] = ndimage.distance_transform_edt(~source[near]) > radius
+        away[near] = scipy.ndimage.distance_transform_edt(~source[near]) > radius
     return away
 
 
@@ -313,7 +315,7 @@ def local_noise(plane, scale, *, mask=None):
         except ValueError:  # no box has enough pixels
             break
         noise = sigma * np.sqrt(np.where(variance > 0, variance, 1.0))
-        free = valid & _away_from_source(plane, radius, valid, noise)
+        free = valid & _away_from_source(np.abs(plane), radius, valid, noise)
     return noise
 
 

@@ -6,9 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import ndimage
-from scipy.linalg.lapack import dgesv
 
 # Full width at half maximum of a Gaussian in standard deviations.
 _FWHM = np.sqrt(8 * np.log(2))
@@ -33,6 +32,8 @@ GOOD = 1.5
 NARROWEST = 0.9
 #: Components are added again after some have been joined, at most so often.
 ROUNDS = 3
+#: A fit is hopeless if so many times what its next step promises are not enough.
+HOPELESS = 100.0
 #: Greatest number of components.
 MOST_COMPONENTS = 20
 
@@ -174,19 +175,25 @@ class _Data:
     Samples of an image near its bright parts, three to a beam.
 
     ``value`` and ``weight`` (inverse errors) are in units of the noise, the
-    positions ``y`` and ``x`` count from ``origin``.  ``independent`` is the number
-    of independent samples for each sample, ``penalty`` the least decrease of chi^2 for
-    a component.
+    positions ``y`` and ``x`` count from ``origin``.  ``monomials`` are the products of
+    (1, y, x) with each other.  ``independent`` is the number of independent samples for
+    each sample, ``penalty`` the least decrease of chi^2 for a component, ``widest`` the
+    largest variance, ``root`` the Cholesky factor of the beam, of which
+    ``inverse_root`` is the inverse.
     """
 
     y: np.ndarray
     x: np.ndarray
+    monomials: np.ndarray
     value: np.ndarray
     weight: np.ndarray
     origin: tuple[int, int]
     beam: np.ndarray
+    root: np.ndarray
+    inverse_root: np.ndarray
     independent: float
     penalty: float
+    widest: float
 
     @classmethod
     def of(cls, image, beam, noise, mask):
@@ -205,8 +212,8 @@ class _Data:
             for at, m in zip(np.nonzero(bright), margin, strict=True)
         )
         good, bright, value = good[cut], bright[cut], value[cut]
-        peak = ndimage.maximum_filter(value, size=tuple(width.astype(int) | 1))
-        near = ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
+        peak = scipy.ndimage.maximum_filter(value, size=tuple(width.astype(int) | 1))
+        near = scipy.ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
         step = np.maximum(width.astype(int) // 3, 1)
         y, x = np.nonzero((near & good)[:: step[0], :: step[1]])
         if len(y) == 0:
@@ -214,21 +221,25 @@ class _Data:
         independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
         at = y * step[0], x * step[1]
         error = np.hypot(1.0, RELATIVE_ERROR * peak[at])
+        y, x = (places.astype(float) for places in at)
+        first, root = np.stack([np.ones_like(y), y, x]), np.linalg.cholesky(beam)
         return cls(
-            y=at[0].astype(float), x=at[1].astype(float), value=value[at],
-            weight=1 / error, beam=beam, origin=(cut[0].start, cut[1].start),
-            independent=independent, penalty=4 * np.log(max(len(y) * independent, 2)),
+            y=y, x=x, monomials=(first[:, None] * first).reshape(9, -1),
+            value=value[at], weight=1 / error, beam=beam,
+            origin=(cut[0].start, cut[1].start), root=root,
+            inverse_root=np.linalg.inv(root), independent=independent,
+            penalty=4 * np.log(max(len(y) * independent, 2)),
+            widest=np.ptp(y) ** 2 + np.ptp(x) ** 2,
         )  # fmt: skip
 
     def distance(self, y, x, at):
         """Return distances from a position in full widths of the beam."""
-        offset = np.stack([y - at[0], x - at[1]])
-        inverse = np.linalg.inv(self.beam)
-        return np.sqrt(np.einsum("in,ij,jn->n", offset, inverse, offset)) / _FWHM
+        offset = self.inverse_root @ np.stack([y - at[0], x - at[1]])
+        return np.sqrt((offset**2).sum(axis=0)) / _FWHM
 
     def model(self, p, where):
         """Return the sum of components at some of the samples."""
-        return p[:, _PEAK] @ _shapes(p, self.y[where], self.x[where], self.beam)[0]
+        return p[:, _PEAK] @ _shapes(_forms(p, self.beam), self.monomials[:, where])
 
     def chi2(self, p, where):
         """Return the chi^2 of some of the samples."""
@@ -254,68 +265,75 @@ def _is_round(p):
     return (p[:, _STRETCH] == 0) & (p[:, _TILT] == 0)
 
 
-def _shapes(p, y, x, beam):
+def _forms(p, beam):
     """
-    Return components of unit peak, and the offsets times the inverse covariance.
+    Return the offsets of each component, and they times its inverse covariance.
 
-    All have the shape (n, number of positions).
+    Both are linear forms over (1, y, x) for both axes, shape (n, 2, 3).  Of their
+    products follow the logarithms of components and their derivatives, at all samples
+    in one product of matrices.
     """
-    along_y, along_x, cross = (
-        value[:, None] for value in _covariances(p, beam) / _areas(p, beam)
-    )
-    dy, dx = y - p[:, _Y, None], x - p[:, _X, None]
-    gy = along_x * dy
-    gy -= cross * dx
-    gx = along_y * dx
-    gx -= cross * dy
-    # These arrays are small, and new ones take longer than the numbers.
-    dy *= gy
-    dx *= gx
-    dy += dx
-    dy *= -0.5
-    return np.exp(dy, out=dy), gy, gx
+    yy, xx, yx = _covariances(p, beam)
+    inverse = np.array([[xx, -yx], [-yx, yy]]) / (yy * xx - yx**2)
+    offset = np.zeros((len(p), 2, 3))
+    offset[:, :, 0] = -p[:, [_Y, _X]]
+    offset[:, 0, 1] = offset[:, 1, 2] = 1
+    return offset, inverse.transpose(2, 0, 1) @ offset
 
 
-def _derivatives(p, shape, gy, gx, n=6):
+def _shapes(forms, monomials):
+    """Return components of unit peak, shape (n, number of positions)."""
+    offset, gradient = forms
+    exponent = -0.5 * (offset.swapaxes(1, 2) @ gradient).reshape(len(offset), 9)
+    values = exponent @ monomials
+    return np.exp(values, out=values)
+
+
+def _derivatives(peak, forms, shape, monomials, n=6):
     """Return derivatives of components by the first n parameters, (n_c, n, n_pos)."""
-    value = p[:, _PEAK, None] * shape
-    found = np.empty((len(p), n, shape.shape[1]))
-    found[:, _PEAK] = shape
-    np.multiply(value, gy, out=found[:, _Y])
-    np.multiply(value, gx, out=found[:, _X])
-    along_y, along_x = 0.5 * gy * gy, 0.5 * gx * gx
-    np.multiply(value, along_y + along_x, out=found[:, _VARIANCE])
+    gy, gx = forms[1][:, 0], forms[1][:, 1]
+    factor = np.zeros((len(peak), n, 3, 3))
+    factor[:, _PEAK, 0, 0] = 1
+    factor[:, _Y, 0], factor[:, _X, 0] = gy, gx
+    along_y, along_x = (0.5 * g[:, :, None] * g[:, None] for g in (gy, gx))
+    factor[:, _VARIANCE] = along_y + along_x
     if n > _STRETCH:
-        np.multiply(value, along_y - along_x, out=found[:, _STRETCH])
-        np.multiply(value, gy * gx, out=found[:, _TILT])
+        factor[:, _STRETCH] = along_y - along_x
+        factor[:, _TILT] = gy[:, :, None] * gx[:, None]
+    factor[:, _PEAK + 1 :] *= peak[:, None, None, None]
+    found = (factor.reshape(-1, 9) @ monomials).reshape(len(peak), n, -1)
+    found *= shape[:, None]
     return found
 
 
-def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
+def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4, enough=np.inf):
     """
     Fit components by the method of Levenberg and Marquardt.
 
     ``fixed`` is the sum of other components at the samples.  The normal equations
     are solved, which takes less time than the decomposition of the whole Jacobian
-    by `scipy.optimize.least_squares`.
+    by `scipy.optimize.least_squares`.  Fits are given up whose chi^2 stays above
+    ``enough``, even if it falls by a hundred times what the next step promises.
     """
     if len(p) == 0:
         return p
-    y, x, weight = data.y[where], data.x[where], data.weight[where]
+    monomials, weight = data.monomials[:, where], data.weight[where]
     value = (data.value[where] - fixed) * weight
     is_round = _is_round(p)
     n, free, variance, largest_step = _free(is_round, data.beam)
 
     def state(p):
-        shape, gy, gx = _shapes(p, y, x, data.beam)
+        forms = _forms(p, data.beam)
+        shape = _shapes(forms, monomials)
         shape *= weight
         left = value - p[:, _PEAK] @ shape
-        return (shape, gy, gx), left, left @ left
+        return (forms, shape), left, left @ left
 
     parts, left, cost = state(p)
     damping = 1e-3
     for _ in range(iterations):
-        jacobian = _derivatives(p, *parts, n).reshape(len(p) * n, -1)
+        jacobian = _derivatives(p[:, _PEAK], *parts, monomials, n)
+        jacobian = jacobian.reshape(len(p) * n, -1)
         if len(free) < len(jacobian):
             jacobian = jacobian[free]
         zero = variance[p[is_round, _VARIANCE] <= 0]
@@ -323,10 +341,12 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
         for _ in range(6):
             damped = normal.copy()
             damped.flat[:: len(free) + 1] += damping
-            step = dgesv(damped, gradient)[2] / scale
-            new = p[:, :n].copy()
-            new.flat[free] += step.clip(-largest_step, largest_step)
-            new = _allowed(np.hstack([new, p[:, n:]]), is_round, data)
+            step = scipy.linalg.lapack.dgesv(damped, gradient)[2]
+            promised, step = gradient @ step, step / scale
+            new = p.copy()
+            step = np.minimum(np.maximum(step, -largest_step), largest_step)
+            new[:, :n].flat[free] += step
+            new = _allowed(new, is_round, data)
             after = state(new)
             if after[2] < cost:
                 break
@@ -336,7 +356,7 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4):
         done = cost - after[2] < tolerance * cost
         p, (parts, left, cost) = new, after
         damping = max(damping / 5, 1e-7)
-        if done:
+        if done or (cost - HOPELESS * promised) * data.independent > enough:
             break
     return p
 
@@ -376,17 +396,19 @@ def _free(is_round, beam):
 
 def _allowed(p, is_round, data):
     """Return components with positive peaks, and with variances that are possible."""
-    beam, widest = data.beam, np.ptp(data.y) ** 2 + np.ptp(data.x) ** 2
-    p[:, _PEAK] = p[:, _PEAK].clip(0)
-    p[is_round, _VARIANCE] = p[is_round, _VARIANCE].clip(0, widest)
-    if not is_round.all():
+    beam, widest, root = data.beam, data.widest, data.root
+    p[:, _PEAK] = np.maximum(p[:, _PEAK], 0)
+    round_ones = np.maximum(p[is_round, _VARIANCE], 0)
+    p[is_round, _VARIANCE] = np.minimum(round_ones, widest)
+    if len(round_ones) < len(p):
         along_y, along_x, cross = _covariances(p[~is_round], beam)
         covariance = np.stack([along_y, cross, cross, along_x], axis=-1)
-        root = np.linalg.cholesky(beam)
-        inverse = np.linalg.inv(root)
+        inverse = data.inverse_root
         ratio, axes = np.linalg.eigh(inverse @ covariance.reshape(-1, 2, 2) @ inverse.T)
-        ratio = ratio.clip(NARROWEST**2, 1 + widest / beam.trace())
-        axes = root @ axes * np.sqrt(ratio)[:, None]
+        limits = NARROWEST**2, 1 + widest / beam.trace()
+        if ratio.min() >= limits[0] and ratio.max() <= limits[1]:
+            return p
+        axes = root @ axes * np.sqrt(ratio.clip(*limits))[:, None]
         extra = axes @ axes.swapaxes(1, 2) - beam
         p[~is_round, _VARIANCE] = (extra[:, 0, 0] + extra[:, 1, 1]) / 2
         p[~is_round, _STRETCH] = (extra[:, 0, 0] - extra[:, 1, 1]) / 2
@@ -394,17 +416,23 @@ def _allowed(p, is_round, data):
     return p
 
 
-def _refitted(p, data, at):
-    """Fit the components around a position; return all, and the samples used."""
-    near = data.distance(p[:, _Y], p[:, _X], at) < 3
+def _refitted(new, p, data, at, least):
+    """
+    Fit new components around a position.
+
+    Returns all of them, and by how much chi^2 is lower than with the components ``p``.
+    If that is less than ``least``, the fit need not be complete.
+    """
+    near = data.distance(new[:, _Y], new[:, _X], at) < 3
     width = _FWHM * np.sqrt(np.diag(data.beam))
     where = np.abs(data.y - at[0]) < 4 * width[0]
     where &= np.abs(data.x - at[1]) < 4 * width[1]
+    before = data.chi2(p, where)
     if near.any():
-        fixed = data.model(p[~near], where)
-        p = p.copy()
-        p[near] = _least_squares(p[near], data, where, fixed)
-    return p, where
+        fixed = data.model(new[~near], where)
+        new = new.copy()
+        new[near] = _least_squares(new[near], data, where, fixed, enough=before - least)
+    return new, before - data.chi2(new, where)
 
 
 def _grown(p, data):
@@ -416,8 +444,8 @@ def _grown(p, data):
             break
         at = data.y[k], data.x[k]
         first = residual[k] / data.weight[k], *at, data.beam.trace() / 32, 0, 0
-        new, where = _refitted(np.vstack([p, first]), data, at)
-        if data.chi2(p, where) - data.chi2(new, where) > data.penalty:
+        new, gain = _refitted(np.vstack([p, first]), p, data, at, data.penalty)
+        if gain > data.penalty:
             p, tried = new, 0
             residual = (data.value - data.model(p, EVERYWHERE)) * data.weight
         else:
@@ -430,8 +458,9 @@ def _pruned(p, data):
     """Return components without those whose removal costs less than they do."""
     for one in p[np.argsort(p[:, _PEAK], kind="stable")]:
         k = np.argmin(np.abs(p - one).sum(axis=1))
-        new, where = _refitted(np.delete(p, k, axis=0), data, p[k, [_Y, _X]])
-        if data.chi2(new, where) - data.chi2(p, where) < data.penalty:
+        new, at = np.delete(p, k, axis=0), p[k, [_Y, _X]]
+        new, gain = _refitted(new, p, data, at, -data.penalty)
+        if gain > -data.penalty:
             p = new
     return p
 
@@ -477,16 +506,16 @@ def _joined(p, data, least):
         for n in range(2, 1 + min(MOST_JOINED, np.sum(away < JOINED))):
             parts, others = np.sort(near[:n]), np.delete(p, near[:n], axis=0)
             new = np.vstack([others, _moments(p[parts], data.beam)])
-            new, where = _refitted(new, data, at)
-            gain = data.chi2(p, where) - data.chi2(new, where)
+            # Each of the components has four parameters, the ellipse six.
+            as_good = -(n - 1.5) * data.penalty
+            new, gain = _refitted(new, p, data, at, as_good)
             if gain > least:
                 moved = np.cumsum(np.isin(np.arange(len(p)), parts))
                 wholes = [(k - moved[k], ellipse) for k, ellipse in wholes]
                 seen = np.append(np.delete(seen, parts), False)
                 p = new
                 break
-            # Each of the components has four parameters, the ellipse six.
-            if gain > -(n - 1.5) * data.penalty:
+            if gain > as_good:
                 whole = parts, new[-1:]
         else:
             if whole:
@@ -509,6 +538,13 @@ def _moments(p, beam):
     return found
 
 
+def _changes(p, data, beam):
+    """Return derivatives of components by their parameters at all samples."""
+    forms = _forms(p, beam)
+    shape = _shapes(forms, data.monomials)
+    return _derivatives(p[:, _PEAK], forms, shape, data.monomials)
+
+
 def _position_errors(p, data):
     """
     Return the standard errors of y and x.
@@ -518,8 +554,7 @@ def _position_errors(p, data):
     turns components into wider ones.
     """
     beam, weight = data.beam, data.weight
-    plain = _derivatives(p, *_shapes(p, data.y, data.x, beam)) * weight
-    smooth = _derivatives(p, *_shapes(p, data.y, data.x, 2 * beam)) * weight
+    plain, smooth = (_changes(p, data, b) * weight for b in (beam, 2 * beam))
     area, wide = _areas(p, beam), _areas(p, 2 * beam)
     # The convolution lowers the peak, the less the wider the component.
     (yy, xx, yx), (wide_yy, wide_xx, wide_yx) = (

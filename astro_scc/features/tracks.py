@@ -6,10 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse.csgraph import connected_components
-from scipy.special import gammaln, ndtri
+import scipy
 
 from astro_scc.features.detections import Detections, rank_in_group
 
@@ -252,7 +249,9 @@ def _normal(d, one, other, seed, trial):
         bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         bits ^= bits >> np.uint64(31)
-    return ndtri((bits >> np.uint64(11)).astype(float) / 2.0**53 + 2.0**-54)
+    return scipy.special.ndtri(
+        (bits >> np.uint64(11)).astype(float) / 2.0**53 + 2.0**-54
+    )
 
 
 # -- tracks that steady motion allows ---------------------------------------------
@@ -264,7 +263,7 @@ LOWEST_GAIN = -4.0
 def log_t(square, variance, freedom, n_axes):
     """Return the logarithm of the density of Student's t distribution."""
     half = (freedom + n_axes) / 2
-    norm = gammaln(half) - gammaln(freedom / 2)
+    norm = scipy.special.gammaln(half) - scipy.special.gammaln(freedom / 2)
     norm = norm - n_axes / 2 * np.log(freedom * np.pi * variance)
     return norm - half * np.log1p(square / (freedom * variance))
 
@@ -451,8 +450,8 @@ def lowest(value, *keys, n=1):
 
 def connected(one, other, n):
     """Return the number of each node's group, for n nodes connected in pairs."""
-    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
-    return connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def chains(before, after, n):
@@ -494,7 +493,7 @@ class Assignment:
         self._paths, self._detections = paths, [np.array(path) for path in paths]
         start = np.cumsum([0, *map(len, paths)])
         entries = np.ones(start[-1]), np.concatenate(self._detections), start
-        self.uses = sparse.csr_array(entries, shape=(len(paths), n_detections))
+        self.uses = scipy.sparse.csr_array(entries, shape=(len(paths), n_detections))
         self.price = np.zeros(n_detections)
 
     def best(self, score):
@@ -525,11 +524,11 @@ class Assignment:
         keep = np.sort(keep[np.argsort(-value[keep], kind="stable")][:MOST_TRACKS])
         uses = self.uses[keep].T.tocsr()
         uses = uses[np.diff(uses.indptr) > 0]
-        found = milp(
+        found = scipy.optimize.milp(
             -score[keep],
-            constraints=LinearConstraint(uses, -np.inf, 1),
+            constraints=scipy.optimize.LinearConstraint(uses, -np.inf, 1),
             integrality=np.ones(len(keep)),
-            bounds=Bounds(0, 1),
+            bounds=scipy.optimize.Bounds(0, 1),
             options={"time_limit": LONGEST, "mip_rel_gap": TOLERANCE},
         )
         if found.x is not None and -found.fun > total:

@@ -3,7 +3,7 @@
 
 import astropy.units as u
 import numpy as np
-from scipy.ndimage import map_coordinates
+import scipy
 
 from astro_scc.decomposition.wavelet import (
     MAD_TO_SIGMA,
@@ -114,14 +114,21 @@ def sample_planes(
             for plane, scale in zip(found, scales, strict=True)
         ]
         for j, plane in enumerate(found):
-            planes[j, k] = map_coordinates(plane, where, order=order, mode="constant")
+            planes[j, k] = scipy.ndimage.map_coordinates(
+                plane, where, order=order, mode="constant"
+            )
         valid[k] = (
             inside
             if masked is None
             else inside
-            & (map_coordinates(missing.astype(float), where, order=1, cval=1.0) < 0.5)
+            & (
+                scipy.ndimage.map_coordinates(
+                    missing.astype(float), where, order=1, cval=1.0
+                )
+                < 0.5
+            )
         )
-    mask = map_coordinates(seen[box].astype(float), where, order=1) > 0.5
+    mask = scipy.ndimage.map_coordinates(seen[box].astype(float), where, order=1) > 0.5
     side = (
         cube.pixel_scale.to_value(u.mas) / grid.beam / (grid.along[1] - grid.along[0])
     )
@@ -144,7 +151,9 @@ def sample_planes(
 def sample_mask(mask, grid):
     """Return the weight of the points of a grid inside a region."""
     where = np.array([grid.y, grid.x])
-    return map_coordinates(np.asarray(mask, float), where, order=1, mode="constant")
+    return scipy.ndimage.map_coordinates(
+        np.asarray(mask, float), where, order=1, mode="constant"
+    )
 
 
 def _noise(plane, scale, sky, mask):

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import astropy.units as u
 import numpy as np
-from scipy import optimize
+import scipy
 
 from astro_scc.images.cards import KEYWORDS, axis_numbers, axis_of, get, parse_unit
 from astro_scc.quantities import parse_quantities
@@ -274,7 +274,7 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
         c, s = np.cos(angle), np.sin(angle)
         return np.cosh(r) * np.eye(2) + np.sinh(r) * np.array([[c, s], [s, -c]])
 
-    best = optimize.minimize(
+    best = scipy.optimize.minimize(
         lambda p: np.log(beam_excess(shape(p), covariances).max()),
         [0.1, 0.1],
         method="Nelder-Mead",

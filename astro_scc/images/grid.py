@@ -7,10 +7,10 @@ from functools import partial
 
 import astropy.units as u
 import numpy as np
+import scipy
 from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
-from scipy import fft, ndimage
 
 from astro_scc.exceptions import warn
 from astro_scc.images import local
@@ -53,13 +53,13 @@ def fill_masked(image, mask, n_iterations=20):
         return np.array(image, dtype=float)
     if mask.all():
         return np.zeros(image.shape)
-    nearest = ndimage.distance_transform_edt(
+    nearest = scipy.ndimage.distance_transform_edt(
         mask, return_distances=False, return_indices=True
     )
     filled = np.asarray(image, dtype=float)[tuple(nearest)]
     neighbours = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
     for _ in range(n_iterations):
-        filled[mask] = ndimage.convolve(filled, neighbours, mode="nearest")[mask]
+        filled[mask] = scipy.ndimage.convolve(filled, neighbours, mode="nearest")[mask]
     return filled
 
 
@@ -88,10 +88,10 @@ def shift_image(image, mask, shift):
     step = np.asarray(shift, dtype=float)[::-1]
     if (whole := whole_pixels(step)) is not None:
         return _copy(image, mask, whole, image.shape)
-    moved = ndimage.shift(
+    moved = scipy.ndimage.shift(
         fill_masked(image, mask), step, order=3, mode="constant", cval=np.nan
     )
-    weight = ndimage.shift(mask.astype(float), step, order=1, cval=1.0)
+    weight = scipy.ndimage.shift(mask.astype(float), step, order=1, cval=1.0)
     bad = (weight > BAD_WEIGHT) | ~np.isfinite(moved)
     return np.where(bad, np.nan, moved), bad
 
@@ -419,11 +419,11 @@ def gaussian_smooth(image, covariance, mask=False):
     variances = np.linalg.eigvalsh(covariance)
     bad = ~np.isfinite(image) | mask
     pad = int(np.ceil(6 * np.sqrt(variances[1]))) + 2
-    shape = [fft.next_fast_len(n + pad, real=True) for n in image.shape]
+    shape = [scipy.fft.next_fast_len(n + pad, real=True) for n in image.shape]
     transfer = gaussian_transfer(covariance, shape)
 
     def convolve(values):
-        smooth = fft.irfft2(fft.rfft2(values, s=shape) * transfer, s=shape)
+        smooth = scipy.fft.irfft2(scipy.fft.rfft2(values, s=shape) * transfer, s=shape)
         return smooth[: image.shape[0], : image.shape[1]]
 
     weight = convolve((~bad).astype(float))
@@ -439,8 +439,8 @@ def gaussian_transfer(covariance, shape):
     The ``covariance`` over (x, y), in square pixels, may be singular; ``shape`` is
     that of the image, (ny, nx).
     """
-    ky = fft.fftfreq(shape[0])[:, None]
-    kx = fft.rfftfreq(shape[1])[None, :]
+    ky = scipy.fft.fftfreq(shape[0])[:, None]
+    kx = scipy.fft.rfftfreq(shape[1])[None, :]
     (xx, xy), (_, yy) = covariance
     form = xx * kx**2 + 2 * xy * kx * ky + yy * ky**2
     return np.exp(-2 * np.pi**2 * form)

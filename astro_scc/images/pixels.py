@@ -3,8 +3,8 @@
 
 import astropy.units as u
 import numpy as np
+import scipy
 from astropy.nddata import InverseVariance, StdDevUncertainty, VarianceUncertainty
-from scipy import ndimage
 
 from astro_scc.images.cards import parse_unit
 from astro_scc.images.extensions import NAMES
@@ -74,15 +74,15 @@ def padding(image, side=3, each_sign=0.1, jump=0.5):
     if np.count_nonzero(zero) < side**2:
         return none
     block = np.ones((side, side), dtype=bool)
-    solid = ndimage.binary_erosion(zero, block, border_value=1)
+    solid = scipy.ndimage.binary_erosion(zero, block, border_value=1)
     if not solid.any():
         return none
-    solid = ndimage.binary_dilation(solid, block)
-    padded = ndimage.binary_propagation(solid, mask=zero)
+    solid = scipy.ndimage.binary_dilation(solid, block)
+    padded = scipy.ndimage.binary_propagation(solid, mask=zero)
     other = np.isfinite(image) & ~zero
-    edge = ndimage.binary_dilation(padded, block) & other
+    edge = scipy.ndimage.binary_dilation(padded, block) & other
     border, inside = image[edge], np.abs(image[other & ~edge])
-    filled = np.count_nonzero(ndimage.binary_opening(other, block))
+    filled = np.count_nonzero(scipy.ndimage.binary_opening(other, block))
     if not (border.size and inside.size and 2 * filled >= border.size + inside.size):
         return none
     positive = np.mean(border > 0)

@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
+import scipy
 
 from astro_scc.decomposition.segmentation import quadratic_peak
 
@@ -55,30 +55,30 @@ class Template:
         )
         # Circular correlation is exact at displacements where nothing wraps.
         self.fft_shape = tuple(
-            fft.next_fast_len(int(n), real=True) for n in self.window_shape
+            scipy.fft.next_fast_len(int(n), real=True) for n in self.window_shape
         )
 
     @cached_property
     def _transforms(self):
         """Conjugate transforms of the values and of the footprint."""
         arrays = self.values, self.footprint
-        return [np.conj(fft.rfft2(array, self.fft_shape)) for array in arrays]
+        return [np.conj(scipy.fft.rfft2(array, self.fft_shape)) for array in arrays]
 
     def _correlate(self, window_fft, template_fft):
         # Rows that belong to no displacement are dropped after the first axis.
         ny, nx = self.result_shape
-        columns = fft.ifft(window_fft * template_fft, axis=-2, overwrite_x=True)
-        rows = fft.irfft(columns[..., :ny, :], self.fft_shape[1], axis=-1)
+        columns = scipy.fft.ifft(window_fft * template_fft, axis=-2, overwrite_x=True)
+        rows = scipy.fft.irfft(columns[..., :ny, :], self.fft_shape[1], axis=-1)
         return rows[..., :nx]
 
     def overlap(self, valid, min_overlap):
         """Return the `Overlap` of the template with valid pixels, shape (..., h, w)."""
-        valid_fft = fft.rfft2(valid.astype(float), self.fft_shape)
+        valid_fft = scipy.fft.rfft2(valid.astype(float), self.fft_shape)
         values_fft, footprint_fft = self._transforms
         number = np.rint(self._correlate(valid_fft, footprint_fft))
         some = np.maximum(number, 1.0)
         own_mean = self._correlate(valid_fft, values_fft)
-        squares_fft = np.conj(fft.rfft2(self.values**2, self.fft_shape))
+        squares_fft = np.conj(scipy.fft.rfft2(self.values**2, self.fft_shape))
         variance = self._correlate(valid_fft, squares_fft) - own_mean**2 / some
         flat = variance <= VARIANCE_FLOOR
         share = number / self.n_pixels
@@ -98,10 +98,10 @@ class Template:
         some are, ``overlap`` accounts for them, and coefficients are NaN where
         it is too small.
         """
-        transform = fft.rfft2(windows, self.fft_shape)
+        transform = scipy.fft.rfft2(windows, self.fft_shape)
         squares = windows * windows
         floor = VARIANCE_FLOOR * squares.sum(axis=(-2, -1), keepdims=True)
-        squares_fft = fft.rfft2(squares, self.fft_shape)
+        squares_fft = scipy.fft.rfft2(squares, self.fft_shape)
         values_fft, footprint_fft = self._transforms
         variance = self._correlate(squares_fft, footprint_fft)
         total = self._correlate(transform, footprint_fft * self.n_pixels**-0.5)

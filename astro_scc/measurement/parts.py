@@ -5,7 +5,7 @@ from itertools import combinations
 
 import astropy.units as u
 import numpy as np
-from scipy.special import ndtr
+import scipy
 
 from astro_scc.columns import with_errors
 from astro_scc.spectrum.permutations import within
@@ -63,7 +63,7 @@ def parts_of(search):
         # Both parts may differ from the whole, if they have other features.
         sigma = largest_difference([*both, rows[0]])
         for row in both:
-            p = 2 * ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
+            p = 2 * scipy.special.ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
             row |= {"change_sigma": sigma, "p_value": p}
             row["significant"] = bool(sigma > DIFFERENT)
         rows += both

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import Decomposition
@@ -144,7 +144,7 @@ def target_ssps(matches: Matches, ssps: SSPs) -> np.ndarray:
     there = ssps.y, ssps.x, apart * (level * n_epochs + ssps.epoch)
     y, x = ssps.y[owner] + matches.dy, ssps.x[owner] + matches.dx
     here = y, x, apart * (level[owner] * n_epochs + matches.target)
-    tree = cKDTree(np.stack(there, axis=1))
+    tree = scipy.spatial.cKDTree(np.stack(there, axis=1))
     distance, nearest = tree.query(np.stack(here, axis=1), distance_upper_bound=apart)
     return np.where(distance <= size[level[owner]], nearest, -1)
 

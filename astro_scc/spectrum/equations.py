@@ -4,8 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.sparse import csr_array
+import scipy
 
 from astro_scc.spectrum.diagram import LEAST_OVERLAP
 from astro_scc.spectrum.permutations import (
@@ -48,6 +47,8 @@ class Equations:
         Pairs of each bin, and their mean interval in years.
     share : `~numpy.ndarray`, shape (n_bins,)
         Share of each bin in the pairs that are used.
+    square : float
+        Sum of the squares of the data.
     """
 
     speed: np.ndarray
@@ -60,35 +61,41 @@ class Equations:
     number: np.ndarray
     interval: np.ndarray
     share: np.ndarray
+    square: float
 
-    @property
-    def square(self) -> float:
-        """Sum of the squares of the data."""
-        return float((self.data**2).sum())
-
-    def solve(self, columns, right=None):
+    def solve(self, shares):
         """
-        Return non-negative amplitudes of combinations of columns, and the misfit.
+        Return non-negative amplitudes of combinations of speeds, and the misfit.
 
         Parameters
         ----------
-        columns : `~numpy.ndarray`, shape (k, n_columns)
-        right : `~numpy.ndarray`, shape (n_columns,), optional
+        shares : `~numpy.ndarray`, shape (k, n_v)
 
         Returns
         -------
-        amplitudes : `~numpy.ndarray`, shape (k,)
+        amplitudes : `~numpy.ndarray`, shape (k + 3,)
+            Of these, and of what stands still and varies.
         misfit : float
             Sum of the squared residuals.
         """
-        gram = columns @ self.gram @ columns.T
-        right = columns @ (self.right if right is None else right)
-        ridge = 1e-9 * np.trace(gram) * np.eye(len(gram))
+        n, k = len(self.speed), len(shares)
+        gram = np.empty((k + len(self.gram) - n,) * 2)
+        of_shares = shares @ self.gram[:n]
+        gram[:k, :k], gram[:k, k:] = of_shares[:, :n] @ shares.T, of_shares[:, n:]
+        gram[k:, :k], gram[k:, k:] = of_shares[:, n:].T, self.gram[n:, n:]
+        right = np.concatenate([shares @ self.right[:n], self.right[n:]])
         if not np.trace(gram) > 0:
-            return np.zeros(len(columns)), self.square
-        factor = np.linalg.cholesky(gram + ridge)
-        found, _ = nnls(factor.T, np.linalg.solve(factor, right))
+            return np.zeros(len(gram)), self.square
+        found = _least_squares(gram, right, 1e-9 * np.trace(gram))
         return found, self.square - 2 * found @ right + found @ gram @ found
+
+
+def _least_squares(gram, right, ridge):
+    """Return the non-negative solution of the normal equations."""
+    factor = gram.copy()
+    factor.flat[:: len(gram) + 1] += ridge
+    factor = np.linalg.cholesky(factor)
+    return scipy.optimize.nnls(factor.T, np.linalg.solve(factor, right))[0]
 
 
 def spectrum_speeds(years, fastest=None, intervals=EVERY):
@@ -176,11 +183,9 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     for of_epochs in (of_first, of_second):
         centre -= of_epochs[:-1] / number[:, None] @ of_epochs.T / n
     share = np.where(used, number, 0) / max(number[used].sum(), 1)
-    design = centre @ shape
-    design -= (share @ design)[:, None]
-    design *= np.sqrt(number)[:, None]
-    design *= diagram.overlap > LEAST_OVERLAP
-    design[:, ~used] = 0
+    centre -= share @ centre
+    centre *= (np.sqrt(number) * used)[:, None]
+    design = centre @ (shape * (diagram.overlap > LEAST_OVERLAP))
     # What moves backward looks as what moves forward, with the other sign of d.
     design = np.concatenate([design[forward:0:-1, :, ::-1], design])
     data = binned(diagram.means, bins, number, share)
@@ -188,7 +193,7 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     flat = design.reshape(len(design), -1)
     return Equations(
         speed, widths_of(speed), design, data, flat @ flat.T, flat @ data.ravel(),
-        bins, number, interval, share,
+        bins, number, interval, share, float((data**2).sum()),
     )  # fmt: skip
 
 
@@ -206,7 +211,7 @@ def binned(values, bins, number, share):
     pairs = np.argsort(bins, axis=None, kind="stable")[np.sum(bins < 0) :]
     starts = np.append(0, np.cumsum(number))
     shape = len(number), bins.size
-    sums = csr_array((np.ones(len(pairs)), pairs, starts), shape=shape)
+    sums = scipy.sparse.csr_array((np.ones(len(pairs)), pairs, starts), shape=shape)
     sums = sums @ values.reshape(bins.size, -1)
     sums -= number[:, None] * (share / number @ sums)
     return sums / np.sqrt(number)[:, None]
@@ -229,6 +234,5 @@ def deconvolve(equations):
     scale = np.trace(equations.gram) / n
     if not scale > 0:
         return np.zeros(len(equations.speed))
-    factor = np.linalg.cholesky(equations.gram + RIDGE * scale * np.eye(n))
-    found, _ = nnls(factor.T, np.linalg.solve(factor, equations.right))
+    found = _least_squares(equations.gram, equations.right, RIDGE * scale)
     return found[: len(equations.speed)]

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from astro_scc.spectrum.diagram import influences
 from astro_scc.spectrum.gaussians import FLOOR, columns_of, standing_columns
@@ -87,7 +87,7 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
         speed = fit.mean[i] if travel is None else travel
         sums, parts = clusters_of(flow, (pieces[k + i], pieces[i]), speed)
         number = np.mean([_effective(part) for part in parts])
-        factor = stdtrit(max(number - 1, 1.0), ONE_SIGMA)
+        factor = scipy.special.stdtrit(max(number - 1, 1.0), ONE_SIGMA)
         deleted = _of_epochs(functions[k + i], residual)
         variance = factor**2 * np.mean([_variance(v) for v in sums])
         unequal = max(fit.sd[i] ** 2 - (FLOOR * fit.mean[i]) ** 2, 0) / max(number, 1)

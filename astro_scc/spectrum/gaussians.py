@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from astro_scc.spectrum.equations import deconvolve
 
@@ -43,16 +43,21 @@ class StreamFit:
         return self.amplitude / max(self.amplitude.sum(), np.finfo(float).tiny)
 
 
+def shares_of(equations, mean, sd):
+    """Return the share of Gaussians at each speed, and distances from their means."""
+    sd = np.hypot(sd, 0.05 * np.abs(mean))[:, None]
+    z = (equations.speed - mean[:, None]) / sd
+    shares = np.exp(-0.5 * z**2) * equations.width / sd / np.sqrt(2 * np.pi)
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 0.2)
+    return shares, z, sd
+
+
 def columns_of(equations, mean, sd):
     """Return Gaussians in speed as combinations of columns, and their derivatives."""
-    v, width = equations.speed, equations.width
-    sd = np.hypot(sd, 0.05 * np.abs(mean))[:, None]
-    z = (v - mean[:, None]) / sd
-    shares = np.exp(-0.5 * z**2) * width / sd / np.sqrt(2 * np.pi)
-    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 0.2)
-    pad = np.zeros((len(shares), len(equations.gram) - len(v)))
+    shares, z, sd = shares_of(equations, mean, sd)
+    pad = (0, 0), (0, len(equations.gram) - shares.shape[1])
     both = shares * z / sd, shares * (z * z - 1)
-    return tuple(np.concatenate([part, pad], axis=1) for part in (shares, *both))
+    return tuple(np.pad(part, pad) for part in (shares, *both))
 
 
 def standing_columns(equations):
@@ -63,9 +68,7 @@ def standing_columns(equations):
 def amplitudes_of(equations, mean, sd):
     """Return a `StreamFit` with the best amplitudes for means and dispersions."""
     mean, sd = np.asarray(mean, float), np.asarray(sd, float)
-    of_streams = columns_of(equations, mean, sd)[0]
-    columns = np.concatenate([of_streams, standing_columns(equations)])
-    found, misfit = equations.solve(columns)
+    found, misfit = equations.solve(shares_of(equations, mean, sd)[0])
     k = len(mean)
     return StreamFit(mean, sd, found[:k], found[k:], misfit)
 
@@ -109,7 +112,7 @@ def fit_streams(equations, start):
     simplex = np.vstack([first, first + np.diag(steps)])
     options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-7 * square}
     options["maxiter"] = 150 * len(start)
-    found = minimize(cost, first, method="Nelder-Mead", options=options)
+    found = scipy.optimize.minimize(cost, first, method="Nelder-Mead", options=options)
     mean, sd = unpack(found.x)
     order = np.argsort(np.abs(mean))
     return amplitudes_of(equations, mean[order], sd[order])

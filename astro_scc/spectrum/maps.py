@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
+import scipy
 
 from astro_scc.spectrum.equations import interval_bins
 from astro_scc.spectrum.permutations import LENGTH
@@ -91,7 +91,7 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
 
     def stacked(order):
         images = order[first] * n + order[second]
-        mean = csr_array((each, images, starts), shape=(len(later), n * n))
+        mean = scipy.sparse.csr_array((each, images, starts), shape=(len(later), n * n))
         return (to_map @ (mean @ flat).ravel()).reshape(along.shape)
 
     observed = stacked(epochs)
@@ -123,4 +123,4 @@ def _rays(along, across, interval, number, aside, x, shape):
             columns.append((k * shape[1] + low_h + i) * shape[2] + low_d + j)
     where = np.tile(row, 4), np.concatenate(columns)
     size = along.size, int(np.prod(shape))
-    return csr_array((np.concatenate(parts), where), shape=size)
+    return scipy.sparse.csr_array((np.concatenate(parts), where), shape=size)

@@ -4,7 +4,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+import scipy
 
 #: Largest value of a plane, in standard deviations over time: no flare decides.
 CLIP = 4.0
@@ -122,12 +122,12 @@ def flow_planes(
         variance = (rest**2).sum(axis=0) / number * inside
         if normalise == "local":
             width = WINDOW * size
-            area = np.maximum(gaussian_filter(inside, width), 1e-3)
-            variance = gaussian_filter(variance, width) / area
+            area = np.maximum(scipy.ndimage.gaussian_filter(inside, width), 1e-3)
+            variance = scipy.ndimage.gaussian_filter(variance, width) / area
         else:
             width = WINDOW * max(sizes)
-            area = gaussian_filter1d(inside.sum(axis=1), width)
-            variance = gaussian_filter1d(variance.sum(axis=1), width)
+            area = scipy.ndimage.gaussian_filter1d(inside.sum(axis=1), width)
+            variance = scipy.ndimage.gaussian_filter1d(variance.sum(axis=1), width)
             variance = (variance / np.maximum(area, 1e-3))[:, None]
         variance = np.maximum(variance, TINY)
         share = np.sqrt(variance / (variance + (NOISES * noise[k]) ** 2))
