@@ -7,13 +7,13 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
     cube       = EpochCube.read(files)             # images, dates, beams, one WCS
     decomposed = scc.decompose(cube)               # wavelet planes, noise, SSPs
     features   = decomposed.follow()               # detections, tracks, motions, trust
-    flow       = decompose_flow(cube, frame)       # planes along the flow, on its grid
-    test       = permutation_test(diagrams)        # does anything move along it?
-    diagram    = correlate(planes, region=region)  # all pairs of dates, displacements
-    spectrum   = deconvolve(set_up(diagram))       # share of the flow at each speed
-    streams    = find_streams(flow, features, settings, rng=rng)
-    result     = SCCResult(decomposed, streams, ...)  # tables, figures, files
-    paper      = measure_as_in_paper(cube, settings)  # the paper's own, on request
+    flow       = scc.flow(decomposed)              # planes along the flow, on its grid
+    search     = find_streams(flow, features, settings, rng=rng)
+      flow, test = find_motion(flow, settings, rng)  # does anything move along it?
+      diagrams   = correlate_aside(planes, lags)     # all pairs of dates, displacements
+      spectrum   = deconvolve(set_up(diagram))       # share of the flow at each speed
+    result     = SCCResult(decomposed, search, ...)  # streams as tables, figures, files
+    paper      = measure_as_in_paper(cube, scc)    # the paper's own method, instead
 """
 
 from __future__ import annotations
