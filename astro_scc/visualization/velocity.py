@@ -219,7 +219,7 @@ def plot_significance(
     if level is not None:
         ax.axhline(level, color=GREY, lw=0.8, ls="--", gid="level")
         ax.annotate(
-            "significant", (1.0, level), xycoords=ax.get_yaxis_transform(),
+            "significant maximum", (1.0, level), xycoords=ax.get_yaxis_transform(),
             xytext=(-3, 2), textcoords="offset points", ha="right", va="bottom",
             fontsize="small", color=GREY,
         )  # fmt: skip
@@ -260,7 +260,9 @@ def _draw_z_scores(scene):
 
 
 def _z_of(scene, row):
-    """Return the z-score of the map at the velocity of a stream."""
+    """Return the z-score of a row, or else that of the map at its velocity."""
+    if "z_score" in row.colnames:
+        return float(row["z_score"])
     grid = scene.result.grid
     names = axis_columns(scene.components, on_sky=scene.on_sky)
     v1, v2 = (row[name].to_value(PM_UNIT) for name in names)
