@@ -62,15 +62,23 @@ def measure(table, before="2011-01-01", n_trials=200):
     bins = profile.components.meta["covariance"]["all"]
     r, beta_app = bins["distance"], (bins["speed"] * PER_C).to_value(u.mas / u.yr)
     covariance = bins["covariance"].to_value((u.mas / u.yr) ** 2) * PER_C.value**2
-    error = np.sqrt(np.diag(covariance))
+    # Errors of single speeds count in full that patterns have different ones.  The same
+    # patterns cross neighbouring bins, so that slopes have the covariance.
+    rows = {round(row["r_min"].to_value(u.mas), 3): row for row in profile.main}
+    rows = [rows[round(edges[k].to_value(u.mas), 3)] for k in bins["bins"]]
+    error = [(row["pm_parallel_err"] * PER_C).to_value(u.mas / u.yr) for row in rows]
     gamma = gamma_of(beta_app).value
     slope = (gamma_of(beta_app + 0.01) - gamma_of(beta_app - 0.01)).value / 0.02
     gamma_covariance = slope[:, None] * covariance * slope
-    gamma_err = np.sqrt(np.diag(gamma_covariance))
+    gamma_err = np.abs(slope) * error
     power = fit_profile(
-        r, gamma, gamma_err, model="power-law", covariance=gamma_covariance
+        r,
+        gamma,
+        np.sqrt(np.diag(gamma_covariance)),
+        model="power-law",
+        covariance=gamma_covariance,
     )
-    line = fit_profile(r, beta_app, error, covariance=covariance)
+    line = fit_profile(r, beta_app, np.sqrt(np.diag(covariance)), covariance=covariance)
     feature_speed, feature_err, n = feature_speeds(components, r)
     found = QTable(
         {
