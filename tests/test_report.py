@@ -2,7 +2,6 @@
 """The report: sentences, tables, figures and files, and the same on the terminal."""
 
 import base64
-import os
 import re
 from dataclasses import replace
 
@@ -293,22 +292,6 @@ def test_accelerations_are_named(result):
     k, unit = np.flatnonzero(table["secure"])[0], table["acc_parallel"].unit
     table["acc_parallel"][k], table["acc_parallel_err"][k] = 1.25 * unit, 0.31 * unit
     assert acceleration_text(table) == f"{table['feature'][k]}: 1.25 ± 0.31 mas/yr²"
-
-
-def test_what_cannot_be_written(result, tmp_path, words_of, monkeypatch):
-    (tmp_path / "out").touch()
-    with pytest.raises(OSError, match="out: is a file; choose another folder"):
-        write_report(result, tmp_path / "out")
-    (tmp_path / "report.html").write_text("old")
-
-    def fail(*args):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(OSError, match="No space left"):
-        words_of(result)
-    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "out"}
-    assert (tmp_path / "report.html").read_text() == "old"
 
 
 # -- the terminal --------------------------------------------------------------------

@@ -222,10 +222,3 @@ def test_files_that_make_no_sense(tmp_path, text, reason):
         read_config(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
-
-
-def test_a_measurement_takes_its_values_from_settings():
-    settings = Settings(**FULL).changed(kappa=0.7)
-    scc = StackedCrossCorrelation.from_settings(settings)
-    assert (scc.kappa, scc.detection) == (0.7, 4)
-    assert scc.baseline.unit == u.yr

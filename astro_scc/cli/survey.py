@@ -341,8 +341,8 @@ def catalogues(outcomes, survey, output):
         "versions": writing.versions(),
         "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
         "speeds_in_c": {
-            name: plain_meta(table_in_c(empty, **how).meta)
-            for name, how in in_c.items() if how
+            name: plain_meta(table_in_c(empty, **options).meta)
+            for name, options in in_c.items() if options
         },
     }  # fmt: skip
     features.remove_columns(["status", "message"])

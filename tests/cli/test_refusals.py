@@ -15,7 +15,6 @@ REFUSED = {
 --beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another
 --max-speed -2mas/yr | '-2mas/yr' must be finite and above 0
 --before 1990-01-01 | no epoch is left between --after and --before
---before 2000-01-15 | too few epochs: 1 image, 6 are needed to show that
 --align coer | --align 'coer' is none of
 --region no.reg | no.reg: No such file or directory
 --region odd.reg | odd.reg:
