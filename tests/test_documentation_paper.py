@@ -56,7 +56,7 @@ def test_numbers_of_the_simulated_jets():
     peaks = [row for row in rows(printed("random")) if row[1:2] == ["not significant"]]
     first = max(peaks, key=lambda row: float(row[5]))
     assert f"z-score is {first[5]}," in WORDS
-    assert f"- nothing, p {first[6]} " in WORDS
+    assert f"- nothing significant, p {first[6]} " in WORDS
     assert f"p is {first[6]}." in WORDS
     # A pixel is 0.1 mas, and an epoch 30 days.
     step = 0.1 * 365.25 / 30
@@ -92,6 +92,8 @@ def test_numbers_of_3c_120():
         assert f"3C 120 at {place:g} mas - {paper} - {speed} ± {error} c" in WORDS
     *_, feature, feature_err, _, _, _ = table[7.0]
     assert f"features have {feature} ± {feature_err} c" in WORDS
+    alone = re.search(r"features: (\S+) \+- (\S+) c/mas", text).groups()
+    assert "accelerate by {} ± {} c/mas".format(*alone) in WORDS
     slope, slope_err = re.search(r"beta_app: (\S+) \+- (\S+) c/mas", text).groups()
     p = re.search(r"acceleration: .*, p ([^ ,]+),", text)[1]
     assert f"by {slope} ± {slope_err} c/mas (p {p})" in WORDS
