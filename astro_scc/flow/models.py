@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import curve_fit
-from scipy.special import chdtrc
 
 from astro_scc.quantities import with_error
 from astro_scc.units import unit_name
@@ -180,9 +179,10 @@ def fit_profile(
     def chi2(speeds):
         return float((np.linalg.solve(factor, y - speeds) ** 2).sum())
 
-    fits = (curve_fit(curve, x, y, start, **options) for start in starts)
+    fits = (scipy.optimize.curve_fit(curve, x, y, start, **options) for start in starts)
     values, errors = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
     least = chi2(curve(x, *values))
+    better = scipy.special.chdtrc(k - 1, max(chi2(mean) - least, 0.0))
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
     units = [units.get(name, v.unit / r.unit) for name in names]
     parameters, errors = (
@@ -193,7 +193,7 @@ def fit_profile(
     return ProfileFit(
         model=model, r0=parameters.get("r_break", x0 * r.unit), parameters=parameters,
         errors=errors, chi2=least, n_free=n - k, aicc=least + 2 * k + corrected,
-        p_constant=float(chdtrc(k - 1, max(chi2(mean) - least, 0.0))) if k > 1 else 1.0,
+        p_constant=float(better) if k > 1 else 1.0,
     )  # fmt: skip
 
 

@@ -303,7 +303,7 @@ def find_streams(
     """
     map_rng = rng.spawn(1)[0]
     flow, test = find_motion(flow, settings, rng)
-    planes = flow.planes[0].square_root() if root else flow.planes[0]
+    planes = flow.planes[0].square_root if root else flow.planes[0]
     sheet, aside = _sheet(planes, flow.regions[0], 3)
     diagram = sheet[len(sheet) // 2]
     equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
@@ -417,7 +417,7 @@ def _turned(flow, direction, speed):
     angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
     for _ in range(MOST_TURNS):
         found = flow.along(angle)
-        sheet, aside = _sheet(found.planes[0].square_root(), found.regions[0], 1)
+        sheet, aside = _sheet(found.planes[0].square_root, found.regions[0], 1)
         across, error = transverse_speed(sheet, aside, abs(speed))
         if not np.isfinite(error):
             break

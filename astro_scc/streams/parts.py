@@ -66,7 +66,7 @@ def fit_part(
     -------
     `PartFit` or None
     """
-    planes = flow.planes[0].square_root() if root else flow.planes[0]
+    planes = flow.planes[0].square_root if root else flow.planes[0]
     if not has_flow(flow):
         return None
     region = flow.regions[0]
