@@ -213,10 +213,12 @@ def find_features(
     found = found.aligned()
     if region is not None:
         found = found.select(found.core(settings.core) | _inside(found, cube, region))
-    found = without_alternatives(found, settings, seed)
+    found, tracks = without_alternatives(found, settings, seed)
     is_core = found.core(settings.core)
     jet = found.select(~is_core)
-    tracks = distinct_tracks(jet, find_tracks(jet, settings, seed=seed))
+    if tracks is None:
+        tracks = find_tracks(jet, settings, seed=seed)
+    tracks = distinct_tracks(jet, tracks)
     return Features(cube, jet, found.select(is_core), tuple(tracks))
 
 
@@ -272,12 +274,14 @@ def without_alternatives(detections, settings, seed=0):
 
     Returns
     -------
-    ``Detections``
+    detections : ``Detections``
+    tracks : list of ``Track`` or None
+        Those of the detections without the core, where no parts replace any.
     """
     found = detections
     whole, every = np.zeros(len(found), dtype=bool), np.arange(len(found))
     if not np.any(found.group < 0):
-        return found
+        return found, None
     one = found.group <= 0
     joined, every = found.select(one), every[one]
     is_core = joined.core(settings.core)
@@ -290,7 +294,9 @@ def without_alternatives(detections, settings, seed=0):
             whole[split] = _keep_their_distance(found, split)
         elif len(plain) >= settings.least_epochs and not is_core[members[0]]:
             whole[split] = [_continues(found, plain, k) for k in split.tolist()]
-    return found.chosen(whole)
+    chosen = found.chosen(whole)
+    same = np.array_equal(chosen.group, joined.group)
+    return chosen, tracks if same else None
 
 
 def _continues(found, plain, k):

@@ -7,7 +7,6 @@ import os
 import re
 import warnings
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -50,10 +49,8 @@ MANY_ROWS = 2000
 #: Most digits after the point of a number in an archive.
 DIGITS = 8
 #: Common units as archives write them; Astropy makes hundreds more to know the others.
-CDS_UNITS = {
-    u.mas: "mas", u.deg: "deg", u.Jy: "Jy", u.day: "d", u.yr: "yr",
-    u.mas / u.yr: "mas.yr-1", u.mas / u.yr**2: "mas.yr-2",
-}  # fmt: skip
+CDS_UNITS = {unit: unit for unit in ("mas", "deg", "Jy", "d", "yr")}
+CDS_UNITS |= {"mas / yr": "mas.yr-1", "mas / yr2": "mas.yr-2"}
 #: A published feature has at least so many epochs, and so many of those in common.
 LEAST = 3
 #: Features are the same if their paths are apart by at most so many beams.
@@ -294,13 +291,12 @@ def _cells(column):
     return cells, ("I{width}" if values.dtype.kind in "iu" else "A{width}")
 
 
-@cache
 def _cds_unit(unit):
     """Return a unit as archives write it; of what they do not know, in words."""
     if unit in (None, u.one, ""):
         return "---", ""
-    if unit in CDS_UNITS:
-        return CDS_UNITS[unit], ""
+    if str(unit) in CDS_UNITS:
+        return CDS_UNITS[str(unit)], ""
     try:
         return u.Unit(unit).to_string("cds"), ""
     except ValueError:
