@@ -222,9 +222,6 @@ def find_features(
     return Features(cube, jet, found.select(is_core), tuple(tracks))
 
 
-#: Two tracks are of the same emission if half of the epochs of one are common and they
-#: are so many beams apart there.
-SAME_PLACE = 0.3
 #: Parts of one elongated feature keep their distance and direction: in so many epochs
 #: or more, with a scatter of less than so many beams, or such a share of the distance,
 #: beyond their errors.  Where there are parts in fewer epochs, the whole has the size
@@ -232,7 +229,7 @@ SAME_PLACE = 0.3
 ELONGATED_EPOCHS, STEADY = 3, 0.2
 
 
-def distinct_tracks(detections, tracks):
+def distinct_tracks(detections, tracks, apart=0.3):
     """
     Return tracks without those that are at the place of a longer or brighter one.
 
@@ -240,6 +237,9 @@ def distinct_tracks(detections, tracks):
     ----------
     detections : ``Detections``
     tracks : list of ``Track``
+    apart : float, optional
+        Two are of the same emission if half of the epochs of one are common and they
+        are less than so many beams apart there.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def distinct_tracks(detections, tracks):
                 d.epoch[one], d.epoch[other], assume_unique=True, return_indices=True
             )
             off = d.in_beams[one[i]] - d.in_beams[other[j]]
-            if 2 * len(i) >= len(one) and np.median(np.hypot(*off.T)) < SAME_PLACE:
+            if 2 * len(i) >= len(one) and np.median(np.hypot(*off.T)) < apart:
                 break
         else:
             kept.append(k)
