@@ -158,13 +158,9 @@ def wavelet_planes(
 MAD_TO_SIGMA = 1.482602218505602
 #: A tenth of a Gaussian's absolute values lie below ``sigma / DECILE_TO_SIGMA``.
 DECILE_TO_SIGMA = 1 / 0.12566134685507402
-#: Pixels above this many sigma belong to the source, with their surroundings.
-SOURCE_SNR = 5.0
-MAX_ITERATIONS = 25
-LOCAL_ITERATIONS = 3
 
 
-def source_free(plane, scale, *, mask=None):
+def source_free(plane, scale, *, mask=None, iterations=25):
     """
     Find the pixels of a wavelet plane that show no source, and their sigma.
 
@@ -184,7 +180,7 @@ def source_free(plane, scale, *, mask=None):
     faintest, everything = (quantiles * [DECILE_TO_SIGMA, MAD_TO_SIGMA]).tolist()
     free, radius = valid, scale_size(scale)
     for sigma in (min(faintest, everything), everything):
-        for _ in range(MAX_ITERATIONS):
+        for _ in range(iterations):
             candidate = valid & _away_from_source(values, radius, valid, sigma)
             sky = values[candidate & known]
             # A sky smaller than one disk is too small to measure noise.
@@ -199,9 +195,9 @@ def source_free(plane, scale, *, mask=None):
     return free, float(sigma)
 
 
-def _away_from_source(values, radius, valid, sigma):
+def _away_from_source(values, radius, valid, sigma, snr=5.0):
     """Return the pixels farther than a radius from all values beyond 5 sigma."""
-    source = valid & (values > SOURCE_SNR * sigma)
+    source = valid & (values > snr * sigma)
     away = np.ones(values.shape, dtype=bool)
     margin = int(np.ceil(radius))
     # There is one box around the source, or none without a source.
@@ -286,7 +282,7 @@ def shared_variance(pair, scale):
     return float(correlation.max()), float(chance)
 
 
-def local_noise(plane, scale, *, mask=None):
+def local_noise(plane, scale, *, mask=None, iterations=3):
     """
     Measure the standard deviation of the noise of a wavelet plane, pixel by pixel.
 
@@ -308,7 +304,7 @@ def local_noise(plane, scale, *, mask=None):
     valid = np.ones(plane.shape, dtype=bool) if mask is None else ~np.asarray(mask)
     options = {"exclude_percentile": 90.0, "filter_size": 3, "sigma_clip": None}
     options["bkg_estimator"] = MeanBackground()
-    for _ in range(LOCAL_ITERATIONS if sigma > 0 else 0):
+    for _ in range(iterations if sigma > 0 else 0):
         squares = (plane / sigma) ** 2
         try:
             variance = Background2D(squares, box_size, mask=~free, **options).background
@@ -375,13 +371,9 @@ def propagated_noise(
     return np.array(sigma)
 
 
-#: Pixels further from the median, in standard deviations, are no noise of an image.
-CLIP = 3.0
-#: Images with a larger fraction of exact zeros have been blanked with zeros.
-BLANKED = 0.1
-
-
-def measure_noise(image: np.ndarray, mask: np.ndarray) -> float:
+def measure_noise(
+    image: np.ndarray, mask: np.ndarray, *, clip: float = 3.0, blanked: float = 0.1
+) -> float:
     """
     Return the root mean square of the noise of an image, away from the source.
 
@@ -400,6 +392,10 @@ def measure_noise(image: np.ndarray, mask: np.ndarray) -> float:
     image : `~numpy.ndarray`, shape (ny, nx)
     mask : `~numpy.ndarray` of bool, shape (ny, nx)
         True marks bad pixels.
+    clip : float, optional
+        Pixels further from the median, in standard deviations, are no noise.
+    blanked : float, optional
+        Images with a larger fraction of exact zeros have been blanked with zeros.
 
     Returns
     -------
@@ -418,7 +414,7 @@ def measure_noise(image: np.ndarray, mask: np.ndarray) -> float:
     image = np.asarray(image, dtype=float)
     kept = image[np.isfinite(image) & ~mask]
     n_zero = kept.size - np.count_nonzero(kept)
-    if n_zero and n_zero / kept.size > BLANKED:
+    if n_zero and n_zero / kept.size > blanked:
         kept = kept[kept != 0]
     if kept.size == 0:
         return 0.0
@@ -428,7 +424,7 @@ def measure_noise(image: np.ndarray, mask: np.ndarray) -> float:
         middle = np.median(kept, overwrite_input=True)
         deviation = np.abs(kept - middle)
         sigma = MAD_TO_SIGMA * float(np.median(deviation))
-        inside = deviation <= CLIP * sigma
+        inside = deviation <= clip * sigma
         if sigma == 0 or inside.all():
             return sigma or float(np.std(kept))
         kept = kept[inside]

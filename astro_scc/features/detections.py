@@ -243,8 +243,6 @@ class Detections:
         return shifted.select(np.isin(self.epoch, seen))
 
 
-#: SSPs nearer to each other than this, in sizes of the larger one, are one pattern.
-SAME_PATTERN = 0.7
 #: Ratio of the errors of positions to those of noise: in CLEANed images, blended
 #: components are off by about twice the formal errors (``benchmarks/features.py``).
 CLEANED = 2.0
@@ -330,11 +328,15 @@ def finest_patterns(ssps, keep=None, choice=True):
     return np.flatnonzero(keep)
 
 
-def is_new(ssps, keep, k):
-    """Return whether an SSP lies on none of those that are kept."""
+def is_new(ssps, keep, k, apart=0.7):
+    """
+    Return whether an SSP lies on none of those that are kept.
+
+    Those that are nearer to each other, in sizes of the larger one, are one pattern.
+    """
     same = np.flatnonzero(keep & (ssps.epoch == ssps.epoch[k]))
     off = np.hypot(ssps.y[same] - ssps.y[k], ssps.x[same] - ssps.x[k])
-    return not (off <= SAME_PATTERN * scale_size(ssps.scale[k])).any()
+    return not (off <= apart * scale_size(ssps.scale[k])).any()
 
 
 def ssps_of(cube, ssps, which):

@@ -213,16 +213,15 @@ def find_features(
     found = found.aligned()
     if region is not None:
         found = found.select(found.core(settings.core) | _inside(found, cube, region))
-    found = without_alternatives(found, settings, seed)
+    found, tracks = without_alternatives(found, settings, seed)
     is_core = found.core(settings.core)
     jet = found.select(~is_core)
-    tracks = distinct_tracks(jet, find_tracks(jet, settings, seed=seed))
+    if tracks is None:
+        tracks = find_tracks(jet, settings, seed=seed)
+    tracks = distinct_tracks(jet, tracks)
     return Features(cube, jet, found.select(is_core), tuple(tracks))
 
 
-#: Two tracks are of the same emission if half of the epochs of one are common and they
-#: are so many beams apart there.
-SAME_PLACE = 0.3
 #: Parts of one elongated feature keep their distance and direction: in so many epochs
 #: or more, with a scatter of less than so many beams, or such a share of the distance,
 #: beyond their errors.  Where there are parts in fewer epochs, the whole has the size
@@ -230,7 +229,7 @@ SAME_PLACE = 0.3
 ELONGATED_EPOCHS, STEADY = 3, 0.2
 
 
-def distinct_tracks(detections, tracks):
+def distinct_tracks(detections, tracks, apart=0.3):
     """
     Return tracks without those that are at the place of a longer or brighter one.
 
@@ -238,6 +237,9 @@ def distinct_tracks(detections, tracks):
     ----------
     detections : ``Detections``
     tracks : list of ``Track``
+    apart : float, optional
+        Two are of the same emission if half of the epochs of one are common and they
+        are less than so many beams apart there.
 
     Returns
     -------
@@ -253,7 +255,7 @@ def distinct_tracks(detections, tracks):
                 d.epoch[one], d.epoch[other], assume_unique=True, return_indices=True
             )
             off = d.in_beams[one[i]] - d.in_beams[other[j]]
-            if 2 * len(i) >= len(one) and np.median(np.hypot(*off.T)) < SAME_PLACE:
+            if 2 * len(i) >= len(one) and np.median(np.hypot(*off.T)) < apart:
                 break
         else:
             kept.append(k)
@@ -272,12 +274,14 @@ def without_alternatives(detections, settings, seed=0):
 
     Returns
     -------
-    ``Detections``
+    detections : ``Detections``
+    tracks : list of ``Track`` or None
+        Those of the detections without the core, where no parts replace any.
     """
     found = detections
     whole, every = np.zeros(len(found), dtype=bool), np.arange(len(found))
     if not np.any(found.group < 0):
-        return found
+        return found, None
     one = found.group <= 0
     joined, every = found.select(one), every[one]
     is_core = joined.core(settings.core)
@@ -290,7 +294,9 @@ def without_alternatives(detections, settings, seed=0):
             whole[split] = _keep_their_distance(found, split)
         elif len(plain) >= settings.least_epochs and not is_core[members[0]]:
             whole[split] = [_continues(found, plain, k) for k in split.tolist()]
-    return found.chosen(whole)
+    chosen = found.chosen(whole)
+    same = np.array_equal(chosen.group, joined.group)
+    return chosen, tracks if same else None
 
 
 def _continues(found, plain, k):

@@ -20,22 +20,13 @@ _PEAK, _Y, _X, _VARIANCE, _STRETCH, _TILT = range(6)
 EVERYWHERE = slice(None)
 #: Least residual for a new component, and its least peak, in errors of the image there.
 THRESHOLD = 5.0
-#: Error of an image relative to its largest value within half a beam, for what is
-#: neither Gaussian nor well calibrated; added to the noise in quadrature.
-RELATIVE_ERROR = 0.001
 #: Components of which the nearest are so many beams away may be parts of one ellipse,
 #: at most so many of them, if it lowers chi^2 by so many penalties of a component.
 JOINED, MOST_JOINED, BETTER = 1.6, 5, 5.0
-#: A model with such ellipses must fit the image with at most this mean chi^2.
-GOOD = 1.5
 #: An ellipse is at least as wide as so many beams: those of headers may be off.
 NARROWEST = 0.9
-#: Components are added again after some have been joined, at most so often.
-ROUNDS = 3
 #: A fit is hopeless if so many times what its next step promises are not enough.
 HOPELESS = 100.0
-#: Greatest number of components.
-MOST_COMPONENTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +187,13 @@ class _Data:
     widest: float
 
     @classmethod
-    def of(cls, image, beam, noise, mask):
-        """Return the samples of an image; None if nothing is above the threshold."""
+    def of(cls, image, beam, noise, mask, relative=0.001):
+        """
+        Return the samples of an image; None if nothing is above the threshold.
+
+        The ``relative`` error is that of the largest value within half a beam, for what
+        is neither Gaussian nor well calibrated, added to the noise in quadrature.
+        """
         if not noise > 0:
             return None
         good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
@@ -220,7 +216,7 @@ class _Data:
             return None
         independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
         at = y * step[0], x * step[1]
-        error = np.hypot(1.0, RELATIVE_ERROR * peak[at])
+        error = np.hypot(1.0, relative * peak[at])
         y, x = (places.astype(float) for places in at)
         first, root = np.stack([np.ones_like(y), y, x]), np.linalg.cholesky(beam)
         return cls(
@@ -435,10 +431,10 @@ def _refitted(new, p, data, at, least):
     return new, before - data.chi2(new, where)
 
 
-def _grown(p, data):
-    """Return components, added one after the other at the largest residual."""
+def _grown(p, data, most=20):
+    """Return at most so many components, added at the largest residual in turn."""
     tried, residual = 0, (data.value - data.model(p, EVERYWHERE)) * data.weight
-    while len(p) < MOST_COMPONENTS and tried < 3:
+    while len(p) < most and tried < 3:
         k = np.argmax(residual)
         if residual[k] < THRESHOLD:
             break
@@ -465,10 +461,15 @@ def _pruned(p, data):
     return p
 
 
-def _model(data):
-    """Return components, and ellipses that can replace some of them, see `_joined`."""
+def _model(data, rounds=3, good=1.5):
+    """
+    Return components, and ellipses that can replace some of them, see `_joined`.
+
+    Components are added again after some have been joined, in at most so many rounds;
+    a model with ellipses must fit the image with a good mean chi^2.
+    """
     p = plain = _fitted(np.empty((0, 6)), data)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = len(p)
         p, wholes = _joined(p, data, BETTER * data.penalty)
         if len(p) == before:
@@ -478,7 +479,7 @@ def _model(data):
         p, wholes = _joined(p, data, np.inf)
     left = (data.value - data.model(p, EVERYWHERE)) * data.weight
     # Where no model is good, ellipses that seem better may cover several sources.
-    if not _is_round(p).all() and np.mean(left**2) > GOOD:
+    if not _is_round(p).all() and np.mean(left**2) > good:
         return _joined(plain, data, np.inf)
     return p, wholes
 

@@ -93,12 +93,6 @@ class TrackSettings:
     rounds: int = 6
 
 
-#: A track of another assignment is the same if it has so many of its detections...
-SAME_DETECTIONS = 0.5
-#: ... and has the same velocity, if that differs relatively by at most so much.
-SAME_VELOCITY = 0.2
-
-
 @dataclass(frozen=True, eq=False)
 class Track:
     """
@@ -215,8 +209,13 @@ def _agreed(d, settings, seed):
     ]
 
 
-def _same_speed(d, detection, paths, solutions):
-    """Return the share of the assignments in which a track has the same velocity."""
+def _same_speed(d, detection, paths, solutions, *, least=0.5, off=0.2):
+    """
+    Return the share of the assignments in which a track has the same velocity.
+
+    There a track is the same if it has at ``least`` such a share of its detections, and
+    the velocity if it is ``off`` by at most such a part.
+    """
     time, n_same = d.time, 0
     first, last = time[detection[[0, -1]]]
     members, velocity = set(detection.tolist()), d.velocity(detection)[0]
@@ -225,13 +224,13 @@ def _same_speed(d, detection, paths, solutions):
             ((len(members.intersection(paths[k])), k) for k in chosen.tolist()),
             default=(0, 0),
         )
-        if common < SAME_DETECTIONS * len(members):
+        if common < least * len(members):
             continue
         same = np.array(paths[best])
         same = same[(time[same] >= first) & (time[same] <= last)]
         if len(same) > 2:
-            off = np.hypot(*(d.velocity(same)[0] - velocity))
-            n_same += off <= SAME_VELOCITY * np.hypot(*velocity)
+            change = np.hypot(*(d.velocity(same)[0] - velocity))
+            n_same += change <= off * np.hypot(*velocity)
     return n_same / len(solutions)
 
 
@@ -463,10 +462,6 @@ def chains(before, after, n):
 
 # -- the choice among tracks -------------------------------------------------------
 
-#: Iterations of the prices, without and with prices to start from.
-ITERATIONS, ITERATIONS_AGAIN = 150, 60
-#: Iterations between two assignments by prices.
-BETWEEN = 15
 #: Tracks that enter the integer program, the most valuable ones by their prices: on
 #: the sources of ``benchmarks/features.py`` more tracks change nothing.
 MOST_TRACKS = 1500
@@ -513,7 +508,7 @@ class Assignment:
         """
         first, length = np.zeros_like(self.price), np.diff(self.uses.indptr)
         np.maximum.at(first, self.uses.indices, np.repeat(score / length, length))
-        self.price, chosen, bound = self._priced(score, first / 2, ITERATIONS)
+        self.price, chosen, bound = self._priced(score, first / 2, 150)
         total = score[chosen].sum()
         if bound - total <= TOLERANCE * total:
             return chosen, True
@@ -547,10 +542,14 @@ class Assignment:
         -------
         `~numpy.ndarray` of int
         """
-        return self._priced(score, self.price, ITERATIONS_AGAIN)[1]
+        return self._priced(score, self.price, 60)[1]
 
-    def _priced(self, score, price, iterations):
-        """Return the best prices, the best assignment by prices, and the bound."""
+    def _priced(self, score, price, iterations, between=15):
+        """
+        Return the best prices, the best assignment by prices, and the bound.
+
+        An assignment is made whenever so many iterations are ``between``.
+        """
         lowest, best_price, total, chosen = np.inf, price, -1.0, np.empty(0, dtype=int)
         step, in_vain = 1.0, 0
         for k in range(iterations + 1):
@@ -563,7 +562,7 @@ class Assignment:
             if in_vain >= 8:
                 step, in_vain, price = 0.6 * step, 0, best_price
                 value = score - self.uses @ price
-            if k % BETWEEN == 0 or k == iterations:
+            if k % between == 0 or k == iterations:
                 other = self._greedy(value, score)
                 if score[other].sum() > total:
                     chosen, total = other, score[other].sum()

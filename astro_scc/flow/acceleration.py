@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
-from scipy.special import stdtr
+import scipy
 
 from astro_scc.flow.parts import place_of, slope_of, speeds_in_parts
 from astro_scc.measurement import SCCResult
@@ -91,7 +91,7 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
     return FlowAcceleration(
         speed, centre * beam * u.mas, *gradients,
         *((gradient * speed).to(length / time**2) for gradient in gradients),
-        p_value=2 * float(stdtr(number - 2, -abs(slope / error))),
+        p_value=2 * float(scipy.special.stdtr(number - 2, -abs(slope / error))),
         n_parts=number,
     )  # fmt: skip
 

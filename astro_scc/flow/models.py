@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import curve_fit
-from scipy.special import fdtrc
 
 from astro_scc.quantities import with_error
 from astro_scc.units import unit_name
@@ -181,7 +180,7 @@ def fit_profile(
     def chi2(speeds):
         return float((np.linalg.solve(factor, y - speeds) ** 2).sum())
 
-    fits = (curve_fit(curve, x, y, start, **options) for start in starts)
+    fits = (scipy.optimize.curve_fit(curve, x, y, start, **options) for start in starts)
     values, errors = min(fits, key=lambda fit: chi2(curve(x, *fit[0])))
     least = chi2(curve(x, *values))
     units = {"v0": v.unit, "index": u.one, "r_break": r.unit}
@@ -203,7 +202,7 @@ def _p_constant(k, n_free, constant, least):
     if k == 1 or n_free == 0:
         return 1.0
     ratio = max(constant - least, 0.0) / (k - 1) / max(least / n_free, 1.0)
-    return float(fdtrc(k - 1, n_free, ratio))
+    return float(scipy.special.fdtrc(k - 1, n_free, ratio))
 
 
 def _starts(model, x, y, s, mean):

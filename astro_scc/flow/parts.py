@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
+import scipy
 
 from astro_scc.spectrum.errors import ONE_SIGMA
 from astro_scc.streams.parts import weight_of
@@ -106,7 +106,10 @@ def difference(first, second):
     travel = (first.fit.mean[0] + second.fit.mean[0]) / 2
     both = first.errors(travel), second.errors(travel)
     speeds = abs(first.fit.mean[0]), abs(second.fit.mean[0])
-    factors = [stdtrit(max(error.number[0] - 1, 1.0), ONE_SIGMA) for error in both]
+    factors = [
+        scipy.special.stdtrit(max(error.number[0] - 1, 1.0), ONE_SIGMA)
+        for error in both
+    ]
     variance = ((both[1].epochs[0] - both[0].epochs[0]) ** 2).sum()
     for half in (0, 1):
         one, other = (both[k].clusters[0][half] / factors[k] for k in (0, 1))
@@ -156,4 +159,4 @@ def slope_of(parts):
 
 def two_sided(sigma):
     """Return the probability of as large a value of either sign."""
-    return float(2 * ndtr(-abs(sigma)))
+    return float(2 * scipy.special.ndtr(-abs(sigma)))

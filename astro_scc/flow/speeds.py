@@ -14,7 +14,7 @@ from astropy.table import QTable
 
 from astro_scc.flow.parts import difference, two_sided
 from astro_scc.measurement import SCCResult
-from astro_scc.streams.finder import moving_features
+from astro_scc.streams.members import moving_features
 from astro_scc.streams.parts import fit_part
 from astro_scc.streams.spread import mean_speed
 from astro_scc.units import PM_UNIT

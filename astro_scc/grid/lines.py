@@ -15,13 +15,9 @@ from astro_scc.kinematics import (
 )
 from astro_scc.kinematics.frames import axes_along
 
-#: Points of a grid in a beam, at most.
-POINTS = 8.0
 #: Part of the flow on the other side of the core that makes a counter-jet, and the gap
 #: between both halves of the grid, in beams.
 COUNTER, GAP = 0.02, 2.0
-#: Number of directions, over half a turn, where none is known.
-N_DIRECTIONS = 12
 #: Margin around what is seen, in beams.
 MARGIN = 0.5
 
@@ -67,7 +63,7 @@ class FlowGrid:
         return axes_along(np.sin(self.angle), np.cos(self.angle))
 
 
-def flow_grids(cube, frame, seen, beam, *, core):
+def flow_grids(cube, frame, seen, beam, *, core, points=8.0):
     """
     Return the grids on which the flow is looked at.
 
@@ -83,6 +79,8 @@ def flow_grids(cube, frame, seen, beam, *, core):
         In mas.
     core : bool
         Whether there is a core at the reference pixel, from which both sides flow.
+    points : float, optional
+        Points of a grid in a beam, at most.
 
     Returns
     -------
@@ -90,9 +88,9 @@ def flow_grids(cube, frame, seen, beam, *, core):
     """
     y, x = np.nonzero(seen)
     east, north = (offset.to_value(u.mas) for offset in cube.pixel_to_offset(x, y))
-    step = max(cube.pixel_scale.to_value(u.mas) / beam, 1 / POINTS)
+    step = max(cube.pixel_scale.to_value(u.mas) / beam, 1 / points)
     if isinstance(frame, SkyFrame):
-        turns = np.arange(N_DIRECTIONS) * np.pi / N_DIRECTIONS
+        turns = np.arange(12) * np.pi / 12
         return [straight_grid(cube, t, east, north, step, beam) for t in turns]
     if isinstance(frame, PositionAngleFrame):
         angle = frame.pa.to_value(u.rad)

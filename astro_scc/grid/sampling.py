@@ -13,23 +13,17 @@ from astro_scc.decomposition.wavelet import (
 )
 from astro_scc.spectrum.planes import REACH, flow_planes
 
-#: Faintest flow, in noises of an epoch: the mean of the brightest quarter of epochs.
-THRESHOLD = 5.0
-#: Distance from the core from which the flow is looked at, in beams.
-CORE = 1.2
-#: Largest scale that is used if none is given, in beams, and how many.
-LARGEST, N_SCALES = 0.55, 3
 #: Margin around the grid, in sizes of the largest scale.
 MARGIN = 10
 
 
-def default_scales(beam_px):
-    """Return the scales of the velocity spectrum for a beam in pixels."""
-    last = max(0, int(np.floor(np.log2(LARGEST * beam_px) + 1e-9)))
-    return tuple(range(max(0, last - N_SCALES + 1), last + 1))
+def default_scales(beam_px, largest=0.55, number=3):
+    """Return a number of scales up to a part of the beam, whose size is in pixels."""
+    last = max(0, int(np.floor(np.log2(largest * beam_px) + 1e-9)))
+    return tuple(range(max(0, last - number + 1), last + 1))
 
 
-def seen_flow(cube, beam, *, core):
+def seen_flow(cube, beam, *, core, threshold=5.0, least=1.2):
     """
     Return the pixels in which the flow is seen.
 
@@ -40,6 +34,10 @@ def seen_flow(cube, beam, *, core):
         In mas.
     core : bool
         Whether the core at the reference pixel is left out.
+    threshold : float, optional
+        Faintest mean of the brightest quarter of epochs, in noises of an epoch.
+    least : float, optional
+        Distance from the core from which the flow is looked at, in beams.
 
     Returns
     -------
@@ -49,10 +47,10 @@ def seen_flow(cube, beam, *, core):
     few = max(2, n // 4)
     images = np.where(cube.mask, -np.inf, cube.data)
     top = np.partition(images, n - few, axis=0)[n - few :].mean(axis=0)
-    seen = top > THRESHOLD * rms
+    seen = top > threshold * rms
     if core:
         east, north = (offset.to_value(u.mas) for offset in cube.offsets())
-        seen &= np.hypot(east, north) > CORE * beam
+        seen &= np.hypot(east, north) > least * beam
     return seen
 
 

@@ -10,11 +10,10 @@ import scipy
 from astro_scc.columns import with_errors
 from astro_scc.spectrum.permutations import within
 from astro_scc.streams.decomposed import distances
+from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.streams.parts import fit_part, weight_of
 from astro_scc.units import offset_unit
 
-#: Fewest epochs of half of the dates.
-FEWEST_OF_HALF = 6
 #: Speeds of two parts differ if their difference is larger than so many errors.
 DIFFERENT = 2.0
 
@@ -100,7 +99,7 @@ def _pairs_of_parts(search):
         (f"intervals from {shown}", flow, (limit, every[1])),
     )
     middle = len(flow.years) // 2
-    if middle >= FEWEST_OF_HALF:
+    if middle >= FEWEST_EPOCHS:
         date = flow.cube.times[middle].strftime("%Y-%m-%d")
         yield (
             (f"epochs before {date}", flow.part(epochs=slice(middle)), every),

@@ -26,7 +26,8 @@ from astro_scc.measurement import tables
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.finder import StreamSearch, frame_velocities
+from astro_scc.streams.finder import StreamSearch
+from astro_scc.streams.members import frame_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 

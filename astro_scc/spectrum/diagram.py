@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-#: Points of the diagram in a beam, at most.
-POINTS = 6.0
 #: Displacements at which fewer pairs of places than this share are inside the mask are
 #: left out, and sums are divided by at least the other share.
 LEAST_OVERLAP, LEAST_NORM = 0.05, 0.15
@@ -57,9 +55,13 @@ class Diagram:
         return len(self.displacement) // 2
 
 
-def lags(flow):
-    """Return the displacements of a diagram in points of the grid, from zero."""
-    step = max(1, int(1 / (POINTS * flow.step)))
+def lags(flow, points=6.0):
+    """
+    Return the displacements of a diagram in points of the grid, from zero.
+
+    There are at most so many ``points`` in a beam.
+    """
+    step = max(1, int(1 / (points * flow.step)))
     most = min(int(np.ceil(flow.reach / flow.step)), len(flow.along) - 2)
     return np.arange(0, max(most, step) + 1, step)
 

@@ -16,14 +16,8 @@ from astro_scc.spectrum.permutations import (
     within,
 )
 
-#: Ratio of neighbouring speeds, and of the intervals of neighbouring bins.
-RATIO, INTERVALS = 1.12, 1.04
-#: Speeds of the spectrum go so much beyond the fastest one that is tested.
-BEYOND = 1.5
 #: Memories of what stands still and varies, in whole times.
 STANDING = (1 / 30, 1 / 8, 1 / 2)
-#: Part of the mean diagonal that keeps the equations apart.
-RIDGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,12 +92,16 @@ def _least_squares(gram, right, ridge):
     return scipy.optimize.nnls(factor.T, np.linalg.solve(factor, right))[0]
 
 
-def spectrum_speeds(years, fastest=None, intervals=EVERY):
-    """Return the speeds of the spectrum, with both signs and zero, in beams/yr."""
+def spectrum_speeds(years, fastest=None, intervals=EVERY, *, ratio=1.12, beyond=1.5):
+    """
+    Return the speeds of the spectrum, with both signs and zero, in beams/yr.
+
+    ``ratio`` is that of neighbours; they go ``beyond`` the fastest one that is tested.
+    """
     top = fastest_speed(years, intervals) if fastest is None else fastest
-    top *= BEYOND
+    top *= beyond
     low = min(SLOWEST / min(np.ptp(years), intervals[1]), top / 2)
-    n = int(np.ceil(np.log(top / low) / np.log(RATIO)))
+    n = int(np.ceil(np.log(top / low) / np.log(ratio)))
     speed = low * (top / low) ** (np.arange(n + 1) / n)
     return np.concatenate([-speed[::-1], [0.0], speed])
 
@@ -117,9 +115,11 @@ def widths_of(speed):
     return np.diff(edges)
 
 
-def interval_bins(years):
+def interval_bins(years, ratio=1.04):
     """
     Return pairs of epochs in bins of their interval, of equal relative width.
+
+    ``ratio`` is that of the intervals of neighbouring bins.
 
     Returns
     -------
@@ -129,9 +129,7 @@ def interval_bins(years):
     """
     tau = years - years[:, None]
     use = tau != 0
-    key = np.floor(
-        np.log(np.abs(tau[use]) / np.abs(tau[use]).min()) / np.log(INTERVALS)
-    )
+    key = np.floor(np.log(np.abs(tau[use]) / np.abs(tau[use]).min()) / np.log(ratio))
     key = 2 * key.astype(int) + (tau[use] > 0)
     _, index = np.unique(key, return_inverse=True)
     bins = np.full(tau.shape, -1)
@@ -217,13 +215,15 @@ def binned(values, bins, number, share):
     return sums / np.sqrt(number)[:, None]
 
 
-def deconvolve(equations):
+def deconvolve(equations, ridge=1e-4):
     """
     Return the velocity spectrum: the share of the variance that moves at each speed.
 
     Parameters
     ----------
     equations : `Equations`
+    ridge : float, optional
+        Part of the mean diagonal that keeps the equations apart.
 
     Returns
     -------
@@ -234,5 +234,5 @@ def deconvolve(equations):
     scale = np.trace(equations.gram) / n
     if not scale > 0:
         return np.zeros(len(equations.speed))
-    found = _least_squares(equations.gram, equations.right, RIDGE * scale)
+    found = _least_squares(equations.gram, equations.right, ridge * scale)
     return found[: len(equations.speed)]

@@ -10,11 +10,8 @@ from astro_scc.spectrum.equations import deconvolve
 
 #: Smallest dispersion, relative to the mean: patterns change on their way.
 FLOOR = 0.1
-#: Largest dispersion relative to the mean.
-WIDEST = 0.6
-#: Two streams fit better than a broad one if they explain so much more, the smaller has
-#: such a share, and the means differ by such a factor and so many dispersions.
-GAIN, SHARE, FACTOR, APART = 0.05, 0.15, 1.7, 1.5
+#: Two streams fit better than a broad one if they explain so much more.
+GAIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +70,7 @@ def amplitudes_of(equations, mean, sd):
     return StreamFit(mean, sd, found[:k], found[k:], misfit)
 
 
-def fit_streams(equations, start):
+def fit_streams(equations, start, widest=0.6):
     """
     Fit means and dispersions of streams by least squares.
 
@@ -81,7 +78,9 @@ def fit_streams(equations, start):
     ----------
     equations : ``Equations``
     start : sequence of (mean, sd)
-        In beams/yr; positive means.
+        In beams/yr.
+    widest : float, optional
+        Largest dispersion relative to the mean.
 
     Returns
     -------
@@ -93,7 +92,7 @@ def fit_streams(equations, start):
 
     def unpack(p):
         mean = sign * np.exp(p[::2])
-        low, high = FLOOR * np.abs(mean), WIDEST * np.abs(mean)
+        low, high = FLOOR * np.abs(mean), widest * np.abs(mean)
         return mean, low + (high - low) / (1 + np.exp(-p[1::2]))
 
     def cost(p):
@@ -105,7 +104,7 @@ def fit_streams(equations, start):
 
     first = []
     for mean, sd in start:
-        part = np.clip((sd / abs(mean) - FLOOR) / (WIDEST - FLOOR), 0.05, 0.95)
+        part = np.clip((sd / abs(mean) - FLOOR) / (widest - FLOOR), 0.05, 0.95)
         first += [np.log(abs(mean)), np.log(part / (1 - part))]
     first = np.array(first)
     steps = np.tile([0.06, 1.0], len(start))
@@ -192,11 +191,18 @@ def two_streams(equations, one, least, tested=()):
     return min((fit_streams(equations, s) for s in starts), key=lambda f: f.misfit)
 
 
-def two_are_better(equations, one, two, gain=GAIN):
-    """Return whether two streams fit so much better than a broad one as to be two."""
+def two_are_better(
+    equations, one, two, gain=GAIN, *, share=0.15, factor=1.7, distance=1.5
+):
+    """
+    Return whether two streams fit so much better than a broad one as to be two.
+
+    The smaller has such a ``share``, and the means differ by such a ``factor`` and
+    ``distance``, in dispersions.
+    """
     none = amplitudes_of(equations, np.empty(0), np.empty(0)).misfit
     better = (one.misfit - two.misfit) / max(none - two.misfit, np.finfo(float).tiny)
     slow, fast = np.abs(two.mean)
     apart = (fast - slow) / np.hypot(*two.sd)
-    clear = two.share.min() > SHARE and fast > FACTOR * slow
-    return bool(better > gain and clear and apart > APART)
+    clear = two.share.min() > share and fast > factor * slow
+    return bool(better > gain and clear and apart > distance)

@@ -9,11 +9,6 @@ import scipy
 from astro_scc.spectrum.equations import interval_bins
 from astro_scc.spectrum.permutations import LENGTH
 
-#: Permutations of the epochs from which the significance of the map follows.
-TRIALS = 60
-#: Half size of the map, in points.
-HALF = 30
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VelocityMap:
@@ -47,7 +42,7 @@ class VelocityMap:
         return self.v1[1] - self.v1[0], self.v2[1] - self.v2[0]
 
 
-def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
+def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, n_trials=60, rng):
     """
     Return the map of velocities along and across the flow.
 
@@ -63,6 +58,8 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
         Direction of the flow from the first axis of the map, in radians.
     beam : float, optional
         Length of a beam in the unit of the axes.
+    n_trials : int, optional
+        Permutations of the epochs from which its significance follows.
     rng : `~numpy.random.Generator`
 
     Returns
@@ -78,7 +75,8 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
     epochs = np.arange(n)
     values /= max(diagram.power, np.finfo(float).tiny)
     flat = values.reshape(n * n, -1)
-    v = fastest * np.arange(-HALF, HALF + 1) / HALF
+    # The map has 61 points on either axis.
+    v = fastest * np.arange(-30, 31) / 30
     along = np.cos(angle) * v + np.sin(angle) * v[:, None]
     across = -np.sin(angle) * v + np.cos(angle) * v[:, None]
     shape = len(later), *values.shape[2:]
@@ -95,7 +93,7 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, rng):
         return (to_map @ (mean @ flat).ravel()).reshape(along.shape)
 
     observed = stacked(epochs)
-    trials = np.array([stacked(rng.permutation(n)) for _ in range(TRIALS)])
+    trials = np.array([stacked(rng.permutation(n)) for _ in range(n_trials)])
     scatter = trials.std(axis=0)
     scatter = scatter + 0.1 * scatter.mean()
     excess = observed - trials.mean(axis=0)

@@ -11,37 +11,23 @@ from astro_scc.spectrum.diagram import LEAST_NORM, LEAST_OVERLAP
 
 #: Length in beams over which features keep their shape.
 LENGTH = 3.0
-#: Displacement in beams beyond which images are not alike.
-ALIKE = 2.2
 #: Slowest and fastest speed: beams in the whole time, and beams in the shorter quarter
 #: of the intervals.
 SLOWEST, FASTEST = 0.5, 2.0
 #: All intervals between dates, in years.
 EVERY = 0.0, np.inf
-#: Steps of the speeds that are tested: beams at the end of the way.
-SPACING = 0.35
-#: Part of the mean scatter of displacements that is added to that of each.
-RIDGE = 1.0
 #: Weight of speeds towards the core, against the flow, relative to those away from it.
 INWARD = 0.1
 #: A second stream is searched beyond this factor from the speed of the first: with 1.3,
 #: one in twenty features of one stream is.
 BEYOND = 2.0
-#: The test compares displacements up to this share of the largest; this share of the
-#: mean is added to standard deviations.
-TESTED, FLOOR = 0.8, 0.1
-#: Part of the largest z from which directions are alike.
-NEARLY = 0.8
+#: The test compares displacements up to this share of the largest.
+TESTED = 0.8
 TINY = np.finfo(float).tiny
-#: Permuted numbers at a time, which the cache of a processor holds.
-PIECE = 4e6
 #: Variance by which two epochs of one date differ at least.
 SAME = 1e-9
-#: Memories, in median intervals and in the whole time, and white shares that are tried.
-SHORTEST, LONGEST, N_MEMORIES = 0.3, 2.0, 24
+#: White shares of the variance that are tried.
 WHITE = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
-#: Share of the permutations below the level that figures show.
-LEVEL = 0.99
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,7 +49,7 @@ class MotionTest:
     p_smallest : float
         Smallest p-value that permutations and epochs allow.
     level : float
-        The largest z of 99% of the permutations.
+        The largest z of 99% of the permutations, which figures show.
     amplitude : `~numpy.ndarray`, shape (n_directions, n_v)
         Share of the variance of the images that moves with each speed.
     memory, white : float
@@ -124,16 +110,20 @@ class MotionTest:
         return float(v[~near][k]), share_of_larger(z.max(axis=1))
 
 
-def _best(z, amplitude):
-    """Return the direction and the speed of the motion, see `MotionTest.best`."""
+def _best(z, amplitude, nearly=0.8):
+    """
+    Return the direction and the speed of the motion, see `MotionTest.best`.
+
+    ``nearly`` is the part of the largest z from which directions are alike.
+    """
     speed = z.argmax(axis=1)
     every = np.arange(len(z))
     top, moved = z[every, speed], amplitude[every, speed]
-    direction = int(np.where(top >= NEARLY * top.max(), moved, -np.inf).argmax())
+    direction = int(np.where(top >= nearly * top.max(), moved, -np.inf).argmax())
     return direction, int(speed[direction])
 
 
-def memory_of(years, zero):
+def memory_of(years, zero, *, shortest=0.3, longest=2.0, number=24):
     """
     Return the correlation of the epochs over time, by restricted maximum likelihood.
 
@@ -146,6 +136,10 @@ def memory_of(years, zero):
     years : `~numpy.ndarray`, shape (n,)
     zero : `~numpy.ndarray`, shape (n, n)
         The diagram at zero displacement.
+    shortest, longest : float, optional
+        Times that are tried, in median intervals and in the whole time.
+    number : int, optional
+        How many times are tried.
 
     Returns
     -------
@@ -160,7 +154,7 @@ def memory_of(years, zero):
     # In these combinations of the epochs the white part is white.
     whiten = np.linalg.inv(np.linalg.cholesky(differ @ differ.T)) @ differ
     data, best = whiten @ zero @ whiten.T, (np.inf,)
-    times = np.geomspace(SHORTEST * median, LONGEST * np.ptp(years), N_MEMORIES)
+    times = np.geomspace(shortest * median, longest * np.ptp(years), number)
     for time in (0.0, *times):
         decay = np.exp(-tau / time) if time else np.eye(n)
         variance, axes = np.linalg.eigh(whiten @ decay @ whiten.T)
@@ -199,18 +193,19 @@ def fastest_speed(years, intervals=EVERY):
     return FASTEST / np.quantile(gaps, 0.25) if len(gaps) else FASTEST / np.ptp(years)
 
 
-def speeds_tested(years, fastest=None, intervals=EVERY):
+def speeds_tested(years, fastest=None, intervals=EVERY, spacing=0.35):
     """
     Return the speeds that are tested, in beams/yr.
 
     From half a beam in the whole time to two beams in the shorter quarter of the
-    intervals, or to ``fastest`` if that is given.
+    intervals, or to ``fastest`` if that is given, in steps of ``spacing`` beams at the
+    end of the way.
     """
     span = min(np.ptp(years), intervals[1])
     top = fastest_speed(years, intervals) if fastest is None else fastest
     speeds = [SLOWEST / span, (SLOWEST + 1) / 2 / span, 1 / span]
     while speeds[-1] < top:
-        speeds.append(speeds[-1] + SPACING * max(1 / span, speeds[-1] / LENGTH))
+        speeds.append(speeds[-1] + spacing * max(1 / span, speeds[-1] / LENGTH))
     if fastest is not None:
         speeds = [*(speed for speed in speeds if speed < fastest), fastest]
     return np.array(speeds)
@@ -224,15 +219,15 @@ def orders_of(n, n_trials, rng):
     return np.array([np.arange(n), *drawn])
 
 
-def autocorrelation(diagram):
-    """Return the images' own correlation at each displacement, to 2.2 beams."""
+def autocorrelation(diagram, farthest=2.2):
+    """Return the images' own correlation at displacements up to so many beams."""
     epochs = np.arange(len(diagram.years))
     correlation = diagram.means[epochs, epochs].mean(axis=0).astype(float)
     correlation = (correlation + correlation[::-1]) / 2
     peak = correlation[diagram.zero]
     if not peak > 0:
         return np.zeros_like(correlation)
-    return np.where(np.abs(diagram.displacement) <= ALIKE, correlation / peak, 0.0)
+    return np.where(np.abs(diagram.displacement) <= farthest, correlation / peak, 0.0)
 
 
 def permutation_test(
@@ -302,7 +297,7 @@ def permutation_test(
         p_speed=(largest[None, :, None] >= both[:, :1]).mean(axis=1),
         p_global=share_of_larger(evidence),
         p_smallest=1 / len(orders),
-        level=float(np.quantile(largest[1:], LEVEL)),
+        level=float(np.quantile(largest[1:], 0.99)),
         memory=memories[k][0],
         white=memories[k][1],
         amplitude=amplitude,
@@ -311,10 +306,14 @@ def permutation_test(
     )
 
 
-def standardised(scores):
-    """Return scores in standard deviations of those of the permutations."""
+def standardised(scores, floor=0.1):
+    """
+    Return scores in standard deviations of those of the permutations.
+
+    To each standard deviation a part of the mean is added, the ``floor``.
+    """
     scatter = np.sqrt((scores[1:] ** 2).mean(axis=0))
-    scatter = scatter + FLOOR * scatter.mean()
+    scatter = scatter + floor * scatter.mean()
     return scores / np.where(scatter > 0, scatter, 1.0)
 
 
@@ -323,8 +322,12 @@ def share_of_larger(values):
     return float((values >= values[0]).mean())
 
 
-def _scores(diagram, speed, tau, orders, intervals):
-    """Return the sums over the filter of each speed for all orders, and their gram."""
+def _scores(diagram, speed, tau, orders, intervals, numbers=4e6):
+    """
+    Return the sums over the filter of each speed for all orders, and their gram.
+
+    So many ``numbers`` are permuted at a time as the cache of a processor holds.
+    """
     n, zero = len(diagram.years), diagram.zero
     x = diagram.displacement[zero:]
     overlap = np.maximum(diagram.overlap[zero:], LEAST_NORM)
@@ -342,7 +345,7 @@ def _scores(diagram, speed, tau, orders, intervals):
     first, second = np.triu_indices(n - 1, 1)
     y = x[use]
     scatter = odd[first, second].T @ odd[first, second] / len(first)
-    ridge = RIDGE * np.trace(scatter) / max(len(y), 1)
+    ridge = np.trace(scatter) / max(len(y), 1)
     if not ridge > 0:
         ridge = 1.0
     whiten = np.linalg.inv(np.linalg.cholesky(scatter + ridge * np.eye(len(y))))
@@ -363,7 +366,7 @@ def _scores(diagram, speed, tau, orders, intervals):
     odd = np.asarray(odd @ whiten.T, np.float32).reshape((n - 1) ** 2, -1)
     scores = np.zeros((len(orders), len(speed)))
     # In pieces, as all permutations of a long series are large.
-    piece = max(1, int(PIECE / len(orders) / max(len(y), 1)))
+    piece = max(1, int(numbers / len(orders) / max(len(y), 1)))
     for low in range(0, len(first), piece):
         some = slice(low, low + piece)
         rows = orders[:, first[some]] * (n - 1) + orders[:, second[some]]

@@ -1,7 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Flow planes: what changes in the wavelet planes of all epochs, along the flow."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -67,9 +70,10 @@ class FlowPlanes:
         values = values - values.mean(axis=1, keepdims=True)
         return replace(self, values=values, years=self.years[epochs])
 
-    def square_root(self):
+    @cached_property
+    def square_root(self) -> FlowPlanes:
         """
-        Return planes with the signed square root of all values, less its mean in time.
+        Planes with the signed square root of all values, less its mean in time.
 
         Bright features weigh less in a speed than by their brightness.
         """

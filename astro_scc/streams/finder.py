@@ -8,7 +8,6 @@ import numpy as np
 
 from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.features.motion import SIGNIFICANT
-from astro_scc.features.trust import LEAST_EPOCHS
 from astro_scc.spectrum.diagram import Diagram, correlate_aside
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import SpeedErrors, fit_errors
@@ -27,6 +26,12 @@ from astro_scc.spectrum.permutations import (
     permutation_test,
 )
 from astro_scc.streams.decomposed import DecomposedFlow
+from astro_scc.streams.members import (
+    divided,
+    mean_across,
+    moving_features,
+    turn_to_flow,
+)
 from astro_scc.streams.spread import chance_of_separation, mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
 
@@ -218,66 +223,6 @@ class StreamSearch:
         return self.beam / np.median(gaps[gaps > 0])
 
 
-#: A secure feature that moves, along a direction: speeds, errors, epochs, number.
-MOVING = {
-    "names": "along along_err across across_err weight number".split(),
-    "formats": [float] * 5 + [int],
-}
-
-
-def moving_features(features, frame, angle, use=None, walk=None):
-    """
-    Return the secure features that move, with speeds in mas/yr, as a record array.
-
-    If they diffuse, ``walk`` is the variance of their speeds times years, and all that
-    are followed count: a random walk cannot be told from motion by one of them.
-    """
-    chosen = features.secure if walk is None else np.ones(len(features.tracks), bool)
-    chosen = np.flatnonzero(chosen if use is None else chosen & use)
-    turn, rows = _turn(angle), []
-    for k in chosen:
-        motion = features.motions[k]
-        n = len(features.tracks[k].detection)
-        slow = motion.speed < SIGNIFICANT * motion.speed_err
-        if n < LEAST_EPOCHS or (slow and walk is None):
-            continue
-        local = turn @ np.asarray(frame.matrix(*motion.place))
-        if not np.isfinite(local).all():
-            continue
-        along, across = local @ motion.velocity
-        errors = np.hypot(*(local * motion.velocity_err).T)
-        if walk is not None:
-            errors = np.hypot(errors, np.sqrt(walk / motion.span))
-        elif abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
-            continue
-        rows.append((along, errors[0], across, errors[1], n, k))
-    return np.array(rows, dtype=MOVING).view(np.recarray)
-
-
-def frame_velocities(frame, features):
-    """
-    Return the velocities of features along the axes of a frame.
-
-    Parameters
-    ----------
-    frame : frame of `astro_scc.kinematics`
-    features : `~astro_scc.features.Features`
-
-    Returns
-    -------
-    velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
-        In mas/yr and its square; NaN where the frame has no axes.
-    """
-    motions = features.motions
-    place, velocity, error = (
-        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-        for name in ("place", "velocity", "velocity_err")
-    )
-    axes = np.asarray(frame.matrix(*place.T))
-    turned = axes * error[:, None, :]
-    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
-
-
 def find_streams(
     flow: DecomposedFlow, features: Any, settings: SearchSettings, *,
     inside: np.ndarray | None = None, root: bool = True, rng: np.random.Generator,
@@ -303,7 +248,7 @@ def find_streams(
     """
     map_rng = rng.spawn(1)[0]
     flow, test = find_motion(flow, settings, rng)
-    planes = flow.planes[0].square_root() if root else flow.planes[0]
+    planes = flow.planes[0].square_root if root else flow.planes[0]
     sheet, aside = _sheet(planes, flow.regions[0], 3)
     diagram = sheet[len(sheet) // 2]
     equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
@@ -417,7 +362,7 @@ def _turned(flow, direction, speed):
     angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
     for _ in range(MOST_TURNS):
         found = flow.along(angle)
-        sheet, aside = _sheet(found.planes[0].square_root(), found.regions[0], 1)
+        sheet, aside = _sheet(found.planes[0].square_root, found.regions[0], 1)
         across, error = transverse_speed(sheet, aside, abs(speed))
         if not np.isfinite(error):
             break
@@ -432,8 +377,13 @@ def _turned(flow, direction, speed):
 
 def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
     """Return the streams that move, or the strongest speed, none of them judged yet."""
-    beam, turn, sign, test = search.beam, _turn(search.angle), search.sign, search.test
-    groups = [moving] if len(rows) == 1 else _divided(moving, [abs(r[0]) for r in rows])
+    beam, turn, sign, test = (
+        search.beam,
+        turn_to_flow(search.angle),
+        search.sign,
+        search.test,
+    )
+    groups = [moving] if len(rows) == 1 else divided(moving, [abs(r[0]) for r in rows])
     found = []
     for row, members in zip(rows, groups, strict=True):
         speed, error, spread, spread_err, share = row
@@ -483,7 +433,7 @@ def _of_spectrum(search, equations, well_known):
 
 def _judged(stream, search, *, diffusing):
     """Return a stream that the test finds with its kind, and the reason."""
-    turn = _turn(search.angle)
+    turn = turn_to_flow(search.angle)
     speed = abs((turn @ stream.velocity)[0])
     fast = not len(stream.members) and speed > search.unambiguous
     kind, reason = verdict(
@@ -530,29 +480,6 @@ def _unlike(test):
     """Return whether epochs have so little in common that patterns may be mistaken."""
     white = 1.0 if test.memory == 0 else test.white
     return white >= WHITE and test.amplitude[test.best] < LEAST_MOVING
-
-
-def _turn(angle):
-    """Return the matrix that turns axes of the frame into those along the flow."""
-    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-
-
-def mean_across(moving, mean):
-    """Return the mean speed of features across the flow, and its error."""
-    share = moving.weight / moving.weight.sum()
-    across = share @ moving.across
-    variance = share @ (moving.across - across) ** 2 * (share**2).sum()
-    error = np.sqrt(variance + (share**2) @ moving.across_err**2)
-    n = len(share)
-    # A few features may agree by chance: directions scatter by ten degrees or more.
-    prior = (0.15 * mean.mean) ** 2 * 2 / (n + 1) / n
-    return across, np.sqrt(error**2 + prior)
-
-
-def _divided(moving, speeds):
-    """Return the features of each of two streams: the nearer one by ratio."""
-    slow = np.abs(moving.along) < np.sqrt(np.prod(speeds))
-    return [moving[slow], moving[~slow]]
 
 
 def _harmonic(search, equations):

@@ -12,9 +12,6 @@ from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
 from astro_scc.spectrum.permutations import EVERY
 from astro_scc.spectrum.planes import FlowPlanes
 
-#: Part of the fastest speed of the search that is not known to be slower.
-TOP = 0.99
-
 
 @dataclass(frozen=True, eq=False)
 class PartFit:
@@ -35,7 +32,7 @@ class PartFit:
 
     def knows(self, stream: int) -> bool:
         """Return whether a stream is seen, and not at the limit of the search."""
-        inside = abs(self.fit.mean[stream]) < TOP * self.equations.speed[-1]
+        inside = abs(self.fit.mean[stream]) < 0.99 * self.equations.speed[-1]
         return bool(self.fit.amplitude[stream] > 0 and inside)
 
 
@@ -66,7 +63,7 @@ def fit_part(
     -------
     `PartFit` or None
     """
-    planes = flow.planes[0].square_root() if root else flow.planes[0]
+    planes = flow.planes[0].square_root if root else flow.planes[0]
     if not has_flow(flow):
         return None
     region = flow.regions[0]

@@ -7,7 +7,7 @@ import numpy as np
 from astro_scc.columns import cell
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.streams.decomposed import distances
-from astro_scc.streams.finder import frame_velocities
+from astro_scc.streams.members import frame_velocities
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style
 from astro_scc.visualization.tracks import draw_feature_speeds

@@ -125,7 +125,9 @@ def test_what_is_one_in_most_epochs_is_one_in_all(series, off, size, is_whole):
     parts = d.flux < 1
     group = np.select([parts, (d.epoch == 3) & ~parts], [1, -1])
     sizes = np.where(parts, 0.0, np.where(group < 0, size, 0.5))
-    found = without_alternatives(replace(d, group=group, size=sizes), TrackSettings())
+    found, _ = without_alternatives(
+        replace(d, group=group, size=sizes), TrackSettings()
+    )
     assert np.sum(found.epoch == 3) == (1 if is_whole else 2)
     assert np.sum(found.group == (-1 if is_whole else 1)) == (1 if is_whole else 2)
 

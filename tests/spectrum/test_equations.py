@@ -94,7 +94,7 @@ def test_speeds_and_errors_of_random_flows(moving_flow):
     """Errors are those of the scatter, within what twelve flows show."""
     speeds, errors = [], []
     for seed in range(12):
-        flow = moving_flow([1.0], seed=seed).square_root()
+        flow = moving_flow([1.0], seed=seed).square_root
         diagram = correlate(flow)
         equations = set_up(diagram)
         fit = one_stream(equations, 0.1)
@@ -108,7 +108,7 @@ def test_speeds_and_errors_of_random_flows(moving_flow):
 
 
 def test_the_map_has_its_peak_at_the_velocity(moving_flow):
-    flow = moving_flow([1.0]).square_root()
+    flow = moving_flow([1.0]).square_root
     sheet = correlate_aside(flow, [3, 6])
     aside = 3 * flow.step * np.arange(-2, 3)
     rng = np.random.default_rng(0)

@@ -53,7 +53,7 @@ def test_parts_have_no_mean():
     part = found.of_epochs(slice(4))
     assert np.abs(part.values.mean(axis=1)).max() < 1e-6
     assert len(part.years) == 4
-    assert np.abs(found.square_root().values.mean(axis=1)).max() < 1e-6
+    assert np.abs(found.square_root.values.mean(axis=1)).max() < 1e-6
     assert found.of_scales([1]).values.shape == found.values.shape
     along = planes_of(rng.normal(size=(9, 20, 10)), normalise="along")
     assert along.values.std() > 0.5
