@@ -166,16 +166,14 @@ class _Data:
     Samples of an image near its bright parts, three to a beam.
 
     ``value`` and ``weight`` (inverse errors) are in units of the noise, the
-    positions ``y`` and ``x`` count from ``origin``.  ``monomials`` are the products of
-    (1, y, x) with each other.  ``independent`` is the number of independent samples for
-    each sample, ``penalty`` the least decrease of chi^2 for a component, ``widest`` the
-    largest variance, ``root`` the Cholesky factor of the beam, of which
-    ``inverse_root`` is the inverse.
+    positions ``y`` and ``x`` count from ``origin``.  ``root`` is the Cholesky factor of
+    the ``beam``, ``inverse_root`` its inverse, ``independent`` the number of
+    independent samples for each sample, ``penalty`` the least decrease of chi^2 for a
+    component, ``widest`` its largest variance.
     """
 
     y: np.ndarray
     x: np.ndarray
-    monomials: np.ndarray
     value: np.ndarray
     weight: np.ndarray
     origin: tuple[int, int]
@@ -218,10 +216,9 @@ class _Data:
         at = y * step[0], x * step[1]
         error = np.hypot(1.0, relative * peak[at])
         y, x = (places.astype(float) for places in at)
-        first, root = np.stack([np.ones_like(y), y, x]), np.linalg.cholesky(beam)
+        root = np.linalg.cholesky(beam)
         return cls(
-            y=y, x=x, monomials=(first[:, None] * first).reshape(9, -1),
-            value=value[at], weight=1 / error, beam=beam,
+            y=y, x=x, value=value[at], weight=1 / error, beam=beam,
             origin=(cut[0].start, cut[1].start), root=root,
             inverse_root=np.linalg.inv(root), independent=independent,
             penalty=4 * np.log(max(len(y) * independent, 2)),
@@ -235,7 +232,7 @@ class _Data:
 
     def model(self, p, where):
         """Return the sum of components at some of the samples."""
-        return p[:, _PEAK] @ _shapes(_forms(p, self.beam), self.monomials[:, where])
+        return p[:, _PEAK] @ _shapes(p, self.y[where], self.x[where], self.beam)[0]
 
     def chi2(self, p, where):
         """Return the chi^2 of some of the samples."""
@@ -261,44 +258,40 @@ def _is_round(p):
     return (p[:, _STRETCH] == 0) & (p[:, _TILT] == 0)
 
 
-def _forms(p, beam):
+def _shapes(p, y, x, beam):
     """
-    Return the offsets of each component, and they times its inverse covariance.
+    Return components of unit peak, and the offsets times the inverse covariance.
 
-    Both are linear forms over (1, y, x) for both axes, shape (n, 2, 3).  Of their
-    products follow the logarithms of components and their derivatives, at all samples
-    in one product of matrices.
+    All have the shape (n, number of positions).
     """
-    yy, xx, yx = _covariances(p, beam)
-    inverse = np.array([[xx, -yx], [-yx, yy]]) / (yy * xx - yx**2)
-    offset = np.zeros((len(p), 2, 3))
-    offset[:, :, 0] = -p[:, [_Y, _X]]
-    offset[:, 0, 1] = offset[:, 1, 2] = 1
-    return offset, inverse.transpose(2, 0, 1) @ offset
+    along_y, along_x, cross = (
+        value[:, None] for value in _covariances(p, beam) / _areas(p, beam)
+    )
+    dy, dx = y - p[:, _Y, None], x - p[:, _X, None]
+    gy = along_x * dy
+    gy -= cross * dx
+    gx = along_y * dx
+    gx -= cross * dy
+    # These arrays are small, and new ones take longer than the numbers.
+    dy *= gy
+    dx *= gx
+    dy += dx
+    dy *= -0.5
+    return np.exp(dy, out=dy), gy, gx
 
 
-def _shapes(forms, monomials):
-    """Return components of unit peak, shape (n, number of positions)."""
-    offset, gradient = forms
-    exponent = -0.5 * (offset.swapaxes(1, 2) @ gradient).reshape(len(offset), 9)
-    values = exponent @ monomials
-    return np.exp(values, out=values)
-
-
-def _derivatives(peak, forms, shape, monomials, n=6):
+def _derivatives(p, shape, gy, gx, n=6):
     """Return derivatives of components by the first n parameters, (n_c, n, n_pos)."""
-    gy, gx = forms[1][:, 0], forms[1][:, 1]
-    factor = np.zeros((len(peak), n, 3, 3))
-    factor[:, _PEAK, 0, 0] = 1
-    factor[:, _Y, 0], factor[:, _X, 0] = gy, gx
-    along_y, along_x = (0.5 * g[:, :, None] * g[:, None] for g in (gy, gx))
-    factor[:, _VARIANCE] = along_y + along_x
+    value = p[:, _PEAK, None] * shape
+    found = np.empty((len(p), n, shape.shape[1]))
+    found[:, _PEAK] = shape
+    np.multiply(value, gy, out=found[:, _Y])
+    np.multiply(value, gx, out=found[:, _X])
+    along_y, along_x = 0.5 * gy * gy, 0.5 * gx * gx
+    np.multiply(value, along_y + along_x, out=found[:, _VARIANCE])
     if n > _STRETCH:
-        factor[:, _STRETCH] = along_y - along_x
-        factor[:, _TILT] = gy[:, :, None] * gx[:, None]
-    factor[:, _PEAK + 1 :] *= peak[:, None, None, None]
-    found = (factor.reshape(-1, 9) @ monomials).reshape(len(peak), n, -1)
-    found *= shape[:, None]
+        np.multiply(value, along_y - along_x, out=found[:, _STRETCH])
+        np.multiply(value, gy * gx, out=found[:, _TILT])
     return found
 
 
@@ -313,23 +306,21 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4, enough=
     """
     if len(p) == 0:
         return p
-    monomials, weight = data.monomials[:, where], data.weight[where]
+    y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight
     is_round = _is_round(p)
     n, free, variance, largest_step = _free(is_round, data.beam)
 
     def state(p):
-        forms = _forms(p, data.beam)
-        shape = _shapes(forms, monomials)
+        shape, gy, gx = _shapes(p, y, x, data.beam)
         shape *= weight
         left = value - p[:, _PEAK] @ shape
-        return (forms, shape), left, left @ left
+        return (shape, gy, gx), left, left @ left
 
     parts, left, cost = state(p)
     damping = 1e-3
     for _ in range(iterations):
-        jacobian = _derivatives(p[:, _PEAK], *parts, monomials, n)
-        jacobian = jacobian.reshape(len(p) * n, -1)
+        jacobian = _derivatives(p, *parts, n).reshape(len(p) * n, -1)
         if len(free) < len(jacobian):
             jacobian = jacobian[free]
         zero = variance[p[is_round, _VARIANCE] <= 0]
@@ -539,13 +530,6 @@ def _moments(p, beam):
     return found
 
 
-def _changes(p, data, beam):
-    """Return derivatives of components by their parameters at all samples."""
-    forms = _forms(p, beam)
-    shape = _shapes(forms, data.monomials)
-    return _derivatives(p[:, _PEAK], forms, shape, data.monomials)
-
-
 def _position_errors(p, data):
     """
     Return the standard errors of y and x.
@@ -555,7 +539,8 @@ def _position_errors(p, data):
     turns components into wider ones.
     """
     beam, weight = data.beam, data.weight
-    plain, smooth = (_changes(p, data, b) * weight for b in (beam, 2 * beam))
+    plain = _derivatives(p, *_shapes(p, data.y, data.x, beam)) * weight
+    smooth = _derivatives(p, *_shapes(p, data.y, data.x, 2 * beam)) * weight
     area, wide = _areas(p, beam), _areas(p, 2 * beam)
     # The convolution lowers the peak, the less the wider the component.
     (yy, xx, yx), (wide_yy, wide_xx, wide_yx) = (
