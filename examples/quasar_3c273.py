@@ -72,9 +72,9 @@ def plot(found, ssps):
         own = found[found["scales"] == name]
         low, high = own["r_min"].to_value(u.mas), own["r_max"].to_value(u.mas)
         speed, error = own["beta_app"], own["beta_app_err"]
-        above.errorbar(
-            (low + high) / 2 + 0.3 * k, speed, error, (high - low) / 2, fmt="o"
-        )
+        # The regions are the same; their points stand side by side.
+        middle = (low + high) / 2 + 0.3 * (k - 0.5)
+        above.errorbar(middle, speed, error, fmt="o", label=f"scales {name}")
         angles = position_angles(ssps, scales, *([1, 6] * u.mas))
         below.hist(
             angles,
@@ -86,6 +86,9 @@ def plot(found, ssps):
         )
     above.set(xlabel="Core separation (mas)", ylabel="Apparent speed (c)", ylim=(0, 13))
     below.set(xlabel="Position angle (deg)", ylabel="Share of the patterns, 1 to 6 mas")
+    for edge in (1, 6, 11, 16):
+        above.axvline(edge, color="0.8", lw=0.8, zorder=0)
+    above.legend(loc="lower right")
     below.legend()
     return figure
 

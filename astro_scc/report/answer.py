@@ -45,7 +45,7 @@ FORMATS |= {"pm_pa": ".0f", "separation": ".3g", "coefficient": ".2g", "z_score"
 #: Features seen over fewer days have the times of their epochs.
 SOME_DAYS = 3
 PROFILE_EXPLANATION = (
-    "p_fdr: p_global adjusted for all bins, the share of false discoveries up to it"
+    "p_fdr: p_global adjusted for the number of bins (Benjamini & Hochberg 1995)"
 )
 #: What the columns of the paper's method are.
 PAPER_EXPLANATION = (
