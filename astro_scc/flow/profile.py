@@ -378,7 +378,7 @@ def write_profile(profile, streams, directory, **settings):
     >>> profile = measure_profile(scc, cube, [2, 10, 18] * u.mas, n_trials=20, rng=1)
     >>> Path("out").mkdir()
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
-    ['profile.ecsv', 'profile.png', 'position_angles.png']
+    ['profile.ecsv', 'citations.bib', 'profile.png', 'position_angles.png']
     """
     tables = {"profile": streams}
     _, paths = write_tables(tables, directory, streams.meta, **settings)
