@@ -219,7 +219,7 @@ def plot_significance(
     if level is not None:
         ax.axhline(level, color=GREY, lw=0.8, ls="--", gid="level")
         ax.annotate(
-            "significant maximum", (1.0, level), xycoords=ax.get_yaxis_transform(),
+            "significant", (1.0, level), xycoords=ax.get_yaxis_transform(),
             xytext=(-3, 2), textcoords="offset points", ha="right", va="bottom",
             fontsize="small", color=GREY,
         )  # fmt: skip
