@@ -4,6 +4,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 #: Displacements at which fewer pairs of places than this share are inside the mask are
 #: left out, and sums are divided by at least the other share.
@@ -147,51 +148,22 @@ def _at_points(flow):
     return values, np.cumsum(flow.mask).reshape(flow.mask.shape) - 1
 
 
-def _waves(flow):
-    """Return wave numbers along the flow that tell all places and displacements."""
-    length = len(flow.along) + lags(flow)[-1]
-    return 2 * np.pi * np.arange(length // 2 + 1) / length, length
-
-
 def _transformed(flow):
-    """Return the planes by wave number, (n_waves, n_epochs, n_scales, n_across)."""
-    waves, _ = _waves(flow)
+    """Return the planes by wave number along the flow, and the length they have."""
+    # Displacements must not lead around from one end to the other.
+    length = scipy.fft.next_fast_len(len(flow.along) + lags(flow)[-1], real=True)
     values = flow.values.transpose(2, 1, 0, 3)
-    turn = np.exp(-1j * np.outer(waves, np.arange(len(values))))
-    found = np.empty((len(waves), *values.shape[1:]), np.complex64)
-    flat = values.reshape(len(values), -1)
-    found.real = (turn.real.astype(np.float32) @ flat).reshape(found.shape)
-    found.imag = (turn.imag.astype(np.float32) @ flat).reshape(found.shape)
-    return found
+    return scipy.fft.rfft(values, length, axis=0), length
 
 
 def _sums_by_waves(flow, displacements, across):
     """Return the sums over the products at all places, by their Fourier transform."""
-    n, (waves, length) = len(flow.years), _waves(flow)
-    planes = _transformed(flow)
+    n, (planes, length) = len(flow.years), _transformed(flow)
     left, right = ends(across, len(flow.across))
-    first = planes[..., left].conj().reshape(len(waves), n, -1)
-    second = planes[..., right].reshape(len(waves), n, -1)
-    sums = _real_sums(
-        _back(waves, length, displacements), first @ second.swapaxes(1, 2)
-    )
-    return np.ascontiguousarray(sums.reshape(-1, n, n).transpose(1, 2, 0))
-
-
-def _back(waves, length, places):
-    """Return the matrix from waves to places, real and imaginary parts in turn."""
-    # All but the first wave, and the last one of an even number, stand for two.
-    share = np.where((waves == 0) | np.isclose(waves, np.pi), 1, 2) / length
-    turn = np.exp(1j * np.outer(places, waves)) * share
-    real = np.stack([turn.real, -turn.imag], axis=-1).reshape(len(places), -1)
-    return real.astype(np.float32)
-
-
-def _real_sums(back, of_waves):
-    """Return the values of something at places from its waves."""
-    parts = of_waves.reshape(len(of_waves), -1).view(np.float32)
-    parts = parts.reshape(len(of_waves), -1, 2).swapaxes(1, 2)
-    return back @ parts.reshape(back.shape[1], -1)
+    first = planes[..., left].conj().reshape(len(planes), n, -1)
+    second = planes[..., right].reshape(len(planes), n, -1)
+    sums = scipy.fft.irfft(first @ second.swapaxes(1, 2), length, axis=0)
+    return np.ascontiguousarray(sums[displacements % length].transpose(1, 2, 0))
 
 
 def correlate_aside(flow, lags_across, *, region=None):
@@ -250,18 +222,17 @@ def influences(flow, diagram, functions, *, region=None):
 
 def _influences_by_waves(flow, diagram, functions, norm):
     """Return the influences without weights, by their Fourier transform."""
-    n, (waves, length) = len(flow.years), _waves(flow)
-    displacements = np.rint(diagram.displacement / flow.step)
-    turn = (np.exp(1j * np.outer(waves, displacements)) * norm).astype(np.complex64)
-    planes = _transformed(flow).reshape(len(waves), n, -1)
-    back = _back(waves, length, np.arange(len(flow.along)))
+    n, (planes, length) = len(flow.years), _transformed(flow)
+    planes = planes.reshape(len(planes), n, -1)
+    at = np.rint(diagram.displacement / flow.step).astype(int) % length
     values = flow.values.transpose(2, 1, 0, 3)
     found = []
     for function in functions:
-        h = np.asarray(function, np.float32).reshape(n * n, -1).T
-        of_waves = (turn @ h).reshape(len(waves), n, n)
-        sums = _real_sums(back, of_waves @ planes).reshape(values.shape)
-        found.append(np.einsum("xasy,xasy->ax", values, sums))
+        h = np.zeros((length, n, n), np.float32)
+        h[at] = (function * norm).transpose(2, 0, 1)
+        sums = scipy.fft.rfft(h, axis=0).conj() @ planes
+        sums = scipy.fft.irfft(sums, length, axis=0)[: len(values)]
+        found.append(np.einsum("xasy,xasy->ax", values, sums.reshape(values.shape)))
     return found
 
 
