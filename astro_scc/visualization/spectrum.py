@@ -257,7 +257,7 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
     ax.set(xlim=(0, 1.02 * far * scale), ylim=(low - margin, high or 1.0))
     ax.set_xlabel(f"Core separation ({unit_name(lengths)})")
     ax.set_ylabel(f"Speed along the flow ({speeds.name})")
-    style.legend_above(ax)
+    style.legend_above(ax, columns=3)
     style.add_speed_axis(ax, speeds.unit, beta_per_pm, "right")
     return figure
 
