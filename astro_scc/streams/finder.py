@@ -32,7 +32,12 @@ from astro_scc.streams.members import (
     moving_features,
     turn_to_flow,
 )
-from astro_scc.streams.spread import chance_of_separation, mean_speed, separation
+from astro_scc.streams.spread import (
+    chance_of_separation,
+    mean_speed,
+    separation,
+    unknown_scatter,
+)
 from astro_scc.streams.transverse import transverse_speed
 
 #: With a secure feature that moves, this p_global is enough.
@@ -427,6 +432,9 @@ def _of_spectrum(search, equations, well_known):
     speed, error, spread = fit.mean * beam, errors.mean * beam, fit.sd * beam
     if len(speed) == 1 and not error[0] < well_known * abs(speed[0]):
         speed, error = np.reshape(_harmonic(search, equations), (2, 1))
+    elif len(speed) == 1:
+        # Few patterns are a small sample of the speeds of one stream.
+        error = np.hypot(error, unknown_scatter(speed, errors.number))
     spread_err = spread / np.sqrt(2 * np.maximum(errors.number, 1))
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 

@@ -82,6 +82,34 @@ def _separation(y):
     return np.divide(between, total, out=np.zeros(len(y)), where=total > 0)
 
 
+def unknown_scatter(mean, number):
+    """
+    Return the part of the error of a mean speed that few features cannot show.
+
+    Their scatter is drawn to three tenths of the mean as in `mean_speed`, of which this
+    is the part beyond what is seen,
+
+    .. math:: \\sigma^2 = \\frac{1}{n} \\frac{2}{n + 2} (0.3 \\bar v)^2.
+
+    Parameters
+    ----------
+    mean, number : array_like
+        Mean speed, and number of features.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+
+    Examples
+    --------
+    >>> from astro_scc.streams.spread import unknown_scatter
+    >>> unknown_scatter(1.0, [1, 4, 20]).round(3)
+    array([0.245, 0.087, 0.02 ])
+    """
+    number = np.maximum(number, 1.0)
+    return SCATTER * np.abs(mean) * np.sqrt(PRIOR / (number + PRIOR) / number)
+
+
 def mean_speed(speed, error, weight):
     """
     Return the mean speed of features, weighted by the number of their epochs.
