@@ -184,11 +184,12 @@ def cell(row, name, sign="±", form=None):
     value = _plain(value)
     if not np.isfinite(value):
         return "-"
-    if form is None and f"{name}_err" in names:
+    if f"{name}_err" in names:
         error = _plain(row[f"{name}_err"])
         if name.startswith("p_") and error >= value:
-            return f"< {value + error:.1g}"
-        return with_error(value, error, sign)
+            return f"<{value + error:.1g}"
+        if form is None:
+            return with_error(value, error, sign)
     return f"{value:{form or row.table[name].info.format or ''}}"
 
 

@@ -404,7 +404,7 @@ def angles_by_scale(profile, result):
     Parameters
     ----------
     profile : `Profile`
-        Without groups, its scales are divided into fine and coarse ones.
+        Without groups, the scales of its speeds are divided into fine and coarse ones.
     result : `~astro_scc.measurement.SCCResult`
         Of any bin.
 
@@ -418,7 +418,7 @@ def angles_by_scale(profile, result):
     inside = decomposed.select & (r >= profile.bins.min()) & (r < profile.bins.max())
     angle, scale = ssp_angles(decomposed, result.position_angle), decomposed.ssps.scale
     if profile.groups == (ALL,):
-        groups = halves(np.unique(scale[inside]))
+        groups = halves(np.intersect1d(scale[inside], profile.flow.planes[0].scales))
     else:
         groups = {
             name: next((fit.planes.scales for fit in fits if fit), ())

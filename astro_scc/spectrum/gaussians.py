@@ -161,7 +161,7 @@ def one_stream(equations, least, sign=1):
     return min((fit_streams(equations, [s]) for s in starts), key=lambda f: f.misfit)
 
 
-def two_streams(equations, one, least, tested=()):
+def two_streams(equations, one, least, tested=(), widest=0.3):
     """
     Return the best fit of two streams of one direction.
 
@@ -173,6 +173,8 @@ def two_streams(equations, one, least, tested=()):
         Slowest speed, in beams/yr.
     tested : sequence of float, optional
         Speeds of both by the permutation test, from which the fit starts too.
+    widest : float, optional
+        Largest dispersion relative to the mean, that of the features of one flow.
 
     Returns
     -------
@@ -188,7 +190,8 @@ def two_streams(equations, one, least, tested=()):
     if len(tested) == 2 and tested[0] * tested[1] > 0:
         starts.append(tuple(tested))
     starts = [[(v, 0.12 * abs(v)) for v in pair] for pair in starts]
-    return min((fit_streams(equations, s) for s in starts), key=lambda f: f.misfit)
+    fits = (fit_streams(equations, s, widest) for s in starts)
+    return min(fits, key=lambda f: f.misfit)
 
 
 def two_are_better(
