@@ -186,13 +186,23 @@ def source_free(plane, scale, *, mask=None, iterations=25):
             # A sky smaller than one disk is too small to measure noise.
             if candidate.sum() < np.pi * radius**2 or len(sky) == 0:
                 break
-            middle = np.median(sky, overwrite_input=True)
+            middle = _median_near(sky, sigma / MAD_TO_SIGMA)
             before, free, sigma = sigma, candidate, MAD_TO_SIGMA * middle
             if abs(sigma - before) < 1e-3 * before:
                 break
         if free is not valid:
             break
     return free, float(sigma)
+
+
+def _median_near(values, guess, within=0.1):
+    """Return the median, for which few values are sorted if the guess is good."""
+    low = np.count_nonzero(values < guess * (1 - within))
+    near = values[np.abs(values - guess) <= guess * within]
+    first, second = (len(values) - 1) // 2 - low, len(values) // 2 - low
+    if first < 0 or second >= len(near):
+        return np.median(values)
+    return np.partition(near, (first, second))[[first, second]].mean()
 
 
 def _away_from_source(values, radius, valid, sigma, snr=5.0):
