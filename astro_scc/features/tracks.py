@@ -564,6 +564,7 @@ class Assignment:
         An assignment is made whenever so many iterations are ``between``.
         """
         lowest, best_price, total, chosen = np.inf, price, -1.0, np.empty(0, dtype=int)
+        length = np.diff(self.uses.indptr)
         step, in_vain = 1.0, 0
         for k in range(iterations + 1):
             value = score - self.uses @ price
@@ -580,13 +581,17 @@ class Assignment:
                 if score[other].sum() > total:
                     chosen, total = other, score[other].sum()
             # Few tracks are taken: a product with the whole matrix takes longer.
-            taken = self.uses[np.flatnonzero(value > 0)].indices
-            slope = 1.0 - np.bincount(taken, minlength=len(price))
+            taken = np.flatnonzero(value > 0)
+            first, number = self.uses.indptr[taken], length[taken]
+            places = np.repeat(first - np.cumsum(number) + number, number)
+            places += np.arange(len(places))
+            used = self.uses.indices[places]
+            slope = 1.0 - np.bincount(used, minlength=len(price))
             slope[(price <= 0) & (slope > 0)] = 0
-            length = slope @ slope
-            if length == 0 or lowest - total <= 1e-6 * total:
+            square = slope @ slope
+            if square == 0 or lowest - total <= 1e-6 * total:
                 break
-            price = np.maximum(price - step * (lowest - total) / length * slope, 0)
+            price = np.maximum(price - step * (lowest - total) / square * slope, 0)
         return best_price, chosen, lowest
 
     def _greedy(self, value, score):
