@@ -238,7 +238,11 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     if start is None:
         # The peak to whole pixels is off by less than one and a half pixels.
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
-    slopes = np.gradient(fill_masked(reference, ~use))[::-1]
+    slopes = np.zeros((2, *reference.shape))
+    # The pixels in use know nothing of filled ones that are farther away than this.
+    for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
+        near = tuple(slice(max(k.start - 24, 0), k.stop + 24) for k in box)
+        slopes[:, *near] = np.gradient(fill_masked(reference[near], ~use[near]))[::-1]
     steep = np.hypot(*slopes)
     y, x = np.nonzero(use & (steep >= 0.01 * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the

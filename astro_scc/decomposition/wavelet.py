@@ -430,10 +430,11 @@ def measure_noise(
         return 0.0
     # Images may be large, so this median sorts in place.  astropy's SigmaClip gives the
     # same number in twice the time.
+    sigma = 0.0
     while True:
         middle = np.median(kept, overwrite_input=True)
         deviation = np.abs(kept - middle)
-        sigma = MAD_TO_SIGMA * float(np.median(deviation))
+        sigma = MAD_TO_SIGMA * float(_median_near(deviation, sigma / MAD_TO_SIGMA))
         inside = deviation <= clip * sigma
         if sigma == 0 or inside.all():
             return sigma or float(np.std(kept))
