@@ -162,7 +162,7 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     -------
     `Equations`
     """
-    years, x, n = diagram.years, diagram.displacement, len(diagram.years)
+    years, x = diagram.years, diagram.displacement
     bins, number, interval = interval_bins(years)
     used = within(interval, intervals)
     speed = spectrum_speeds(years, fastest, intervals)
@@ -176,44 +176,39 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     memory = np.exp(-tau / (np.ptp(years) * np.array(STANDING)[:, None]))
     shape = np.concatenate([shape, memory[..., None] * alike])
     shape *= diagram.overlap > LEAST_OVERLAP
-    # Pairs in the other order are numbered from m on; of one date they have 2 m.
-    index = np.where(bins < 0, np.where(bins.T < 0, 2 * m, m + bins.T), bins)
-    of_first, of_second = (_counts(epochs, index) for epochs in np.indices((n, n)))
-    centre = np.eye(m, 2 * m + 1) + of_first.sum(axis=1) / n**2
-    for of_epochs in (of_first, of_second):
-        centre -= of_epochs[:m] / number[:, None] @ of_epochs.T / n
     share = np.where(used, number, 0) / max(number[used].sum(), 1)
-    mean = share @ centre
-    centre -= (mean + np.concatenate([mean[m:-1], mean[:m], mean[-1:]])) / 2
-    centre *= (np.sqrt(number) * used)[:, None]
-    # What moves backward looks as what moves forward, with the other sign of d, as does
-    # what is seen in the other order.
+    centre = _centre(bins, number, share) * (np.sqrt(number) * used)[:, None]
+    # What is seen in the other order, and what moves backward, looks the same with the
+    # other sign of d.
     design = np.delete(centre, np.s_[m:-1], axis=1) @ shape
     design += centre[:, m:-1] @ shape[:, :-1, ::-1]
+    design = np.concatenate([design[forward:0:-1, :, ::-1], design])
     data = binned(diagram.means, bins, number, share)
     data[~used] = 0
     flat = design.reshape(len(design), -1)
-    back = design[:, :, ::-1].reshape(flat.shape)
-    alike, other = flat @ flat.T, flat @ back.T
-    behind = np.s_[forward:0:-1]
-    gram = np.block([
-        [alike[behind, behind], other[behind]], [other[:, behind], alike]
-    ])  # fmt: skip
-    right = np.concatenate([back[behind] @ data.ravel(), flat @ data.ravel()])
-    design = np.concatenate([design[behind, :, ::-1], design])
     return Equations(
-        speed, widths_of(speed), design, data, 2 * gram, 2 * right,
-        bins, number, interval, share, 2 * float((data**2).sum()),
+        speed, widths_of(speed), design, data, 2 * (flat @ flat.T),
+        2 * (flat @ data.ravel()), bins, number, interval, share,
+        2 * float((data**2).sum()),
     )  # fmt: skip
 
 
-def _counts(epochs, index):
-    """Return the number of pairs of each bin with each epoch, (n_bins + 1, n)."""
-    n = len(epochs)
-    shape = index.max() + 1, n
-    return np.bincount((index * n + epochs).ravel(), minlength=shape[0] * n).reshape(
-        shape
-    )
+def _centre(bins, number, share):
+    """
+    Return the matrix that takes values of bins to those of a centred model.
+
+    Its columns are the bins, the same in the other order, and pairs of one date.
+    """
+    n, m = len(bins), len(number)
+    index = np.where(bins < 0, np.where(bins.T < 0, 2 * m, m + bins.T), bins)
+    of_first, of_second = np.zeros((2, 2 * m + 1, n))
+    np.add.at(of_first, (index, np.arange(n)[:, None]), 1)
+    np.add.at(of_second, (index, np.arange(n)), 1)
+    centre = np.eye(m, 2 * m + 1) + of_first.sum(axis=1) / n**2
+    for of_epochs in (of_first, of_second):
+        centre -= of_epochs[:m] / number[:, None] @ of_epochs.T / n
+    mean = share @ centre
+    return centre - (mean + np.concatenate([mean[m:-1], mean[:m], mean[-1:]])) / 2
 
 
 def binned(values, bins, number, share):
