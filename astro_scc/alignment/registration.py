@@ -256,10 +256,8 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     target = reference[y, x] - reference[y, x].mean()
     design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
     solve = np.linalg.pinv(np.stack(design, axis=1))
-    spline, d = (
-        scipy.ndimage.spline_filter(filled, order=3),
-        np.array(start, dtype=float),
-    )
+    spline = scipy.ndimage.spline_filter(filled, order=3)
+    d = np.array(start, dtype=float)
     for _ in range(10):
         values = scipy.ndimage.map_coordinates(
             spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"

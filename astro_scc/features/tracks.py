@@ -435,10 +435,9 @@ def _one_way(d, o, way):
     # A track that then only misses epochs ends with its last detection.
     node = np.unique(np.concatenate([*ended, live]))
     node = node[tree.nodes["length"][node] >= o.least_epochs]
-    best, root, last = (
-        tree.nodes[name][node] for name in ("score", "root", "detection")
-    )
-    kept = [lowest(-best, group, n=o.kept) for group in (root, last)]
+    ended = tree.nodes[node]
+    best = ended["score"]
+    kept = [lowest(-best, ended[end], n=o.kept) for end in ("root", "detection")]
     keep = np.union1d(*kept)
     keep = keep[best[keep] > 0]
     if len(keep):

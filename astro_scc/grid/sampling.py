@@ -141,21 +141,15 @@ def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH
             planes[j, k] = scipy.ndimage.map_coordinates(
                 plane, where, order=order, mode="constant"
             )
-        valid[k] = (
-            inside
-            if masked is None
-            else inside
-            & (
-                scipy.ndimage.map_coordinates(
-                    missing.astype(float), where, order=1, cval=1.0
-                )
-                < 0.5
+        valid[k] = inside
+        if masked is not None:
+            weight = scipy.ndimage.map_coordinates(
+                missing.astype(float), where, order=1, cval=1.0
             )
-        )
+            valid[k] &= weight < 0.5
     mask = scipy.ndimage.map_coordinates(seen[box].astype(float), where, order=1) > 0.5
-    side = (
-        cube.pixel_scale.to_value(u.mas) / grid.beam / (grid.along[1] - grid.along[0])
-    )
+    side = cube.pixel_scale.to_value(u.mas) / grid.beam
+    side /= grid.along[1] - grid.along[0]
     return SampledPlanes(
         planes, valid, mask, np.sqrt((noise**2).mean(axis=0)), grid,
         cube.years.to_value(u.yr), tuple(scales),
