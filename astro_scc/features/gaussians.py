@@ -264,9 +264,9 @@ def _shapes(p, y, x, beam):
 
     All have the shape (n, number of positions).
     """
-    along_y, along_x, cross = (
-        value[:, None] for value in _covariances(p, beam) / _areas(p, beam)
-    )
+    parts = _covariances(p, beam)
+    area = parts[0] * parts[1] - parts[2] ** 2
+    along_y, along_x, cross = ((part / area)[:, None] for part in parts)
     dy, dx = y - p[:, _Y, None], x - p[:, _X, None]
     gy = along_x * dy
     gy -= cross * dx
