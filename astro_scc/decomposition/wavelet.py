@@ -208,13 +208,16 @@ def _median_near(values, guess, within=0.1):
 def _away_from_source(values, radius, valid, sigma, snr=5.0):
     """Return the pixels farther than a radius from all values beyond 5 sigma."""
     source = valid & (values > snr * sigma)
-    away = np.ones(values.shape, dtype=bool)
-    margin = int(np.ceil(radius))
-    # There is one box around the source, or none without a source.
-    for box in scipy.ndimage.find_objects(source.astype(np.uint8)):
-        near = tuple(slice(max(k.start - margin, 0), k.stop + margin) for k in box)
-        away[near] = scipy.ndimage.distance_transform_edt(~source[near]) > radius
-    return away
+    near, wide, reach = np.zeros_like(source), source.copy(), 0
+    # Rows of a disk around the source, from the narrowest to the widest.
+    for away in range(int(radius), -1, -1):
+        while (reach + 1) ** 2 + away**2 <= radius**2:
+            reach += 1
+            wide[:, reach:] |= source[:, :-reach]
+            wide[:, :-reach] |= source[:, reach:]
+        near[away:] |= wide[: -away or None]
+        near[: -away or None] |= wide[away:]
+    return ~near
 
 
 def plane_noise(
