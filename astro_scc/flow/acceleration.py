@@ -160,8 +160,8 @@ def accelerations(result, rows):
     places = [place_of(part) for part in known]
     found = []
     for row, moves in zip(rows, moving, strict=True):
-        each = (fits, places) if moves else ([], [])
-        speeds = speeds_in_parts(*each, stream=row)
+        of_row = slice(None if moves else 0)
+        speeds = speeds_in_parts(fits[of_row], places[of_row], stream=row)
         found.append(acceleration_of(speeds, flow.beam, result.cube.speed_unit))
     return found
 
