@@ -238,7 +238,11 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     if start is None:
         # The peak to whole pixels is off by less than one and a half pixels.
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
-    slopes = np.gradient(fill_masked(reference, ~use))[::-1]
+    slopes = np.zeros((2, *reference.shape))
+    # The pixels in use know nothing of filled ones that are farther away than this.
+    for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
+        near = tuple(slice(max(k.start - 24, 0), k.stop + 24) for k in box)
+        slopes[:, *near] = np.gradient(fill_masked(reference[near], ~use[near]))[::-1]
     steep = np.hypot(*slopes)
     y, x = np.nonzero(use & (steep >= 0.01 * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the
@@ -252,10 +256,8 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     target = reference[y, x] - reference[y, x].mean()
     design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
     solve = np.linalg.pinv(np.stack(design, axis=1))
-    spline, d = (
-        scipy.ndimage.spline_filter(filled, order=3),
-        np.array(start, dtype=float),
-    )
+    spline = scipy.ndimage.spline_filter(filled, order=3)
+    d = np.array(start, dtype=float)
     for _ in range(10):
         values = scipy.ndimage.map_coordinates(
             spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"

@@ -24,7 +24,6 @@ from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config
-from astro_scc.simulation import simulate_two_fluid, write_simulation
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style
 from astro_scc.writing import versions
@@ -215,6 +214,8 @@ def _profile(epochs, folder, reporter):
 def demo(args, reporter):
     """Simulate a jet, measure it, and print both results."""
     output = Path(args.output)
+    from astro_scc.simulation import simulate_two_fluid, write_simulation
+
     jet = simulate_two_fluid(rng=DEMO_SEED)
     jet.truth.meta["seed"] = DEMO_SEED
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:

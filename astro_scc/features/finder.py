@@ -160,9 +160,8 @@ def find_features(
     ``fit_gaussians``, or described by its SSPs.  Where one ellipse would do as well as
     several of them, they are one detection if they keep their distance from epoch to
     epoch, or if it is one in other epochs, of the same size and where the ellipse is.
-    Detections are assigned to tracks, each to one at most, see ``find_tracks``; of two
-    tracks of the same emission one is kept.  What stands at the reference pixel is the
-    core, and all offsets are from it.
+    Detections are assigned to tracks, each to one at most, see ``find_tracks``.  What
+    stands at the reference pixel is the core, and all offsets are from it.
 
     Parameters
     ----------
@@ -218,7 +217,6 @@ def find_features(
     jet = found.select(~is_core)
     if tracks is None:
         tracks = find_tracks(jet, settings, seed=seed)
-    tracks = distinct_tracks(jet, tracks)
     return Features(cube, jet, found.select(is_core), tuple(tracks))
 
 
@@ -227,39 +225,6 @@ def find_features(
 #: beyond their errors.  Where there are parts in fewer epochs, the whole has the size
 #: of the feature in the others to so many beams.
 ELONGATED_EPOCHS, STEADY = 3, 0.2
-
-
-def distinct_tracks(detections, tracks, apart=0.3):
-    """
-    Return tracks without those that are at the place of a longer or brighter one.
-
-    Parameters
-    ----------
-    detections : ``Detections``
-    tracks : list of ``Track``
-    apart : float, optional
-        Two are of the same emission if half of the epochs of one are common and they
-        are less than so many beams apart there.
-
-    Returns
-    -------
-    list of ``Track``
-    """
-    d, kept = detections, []
-    rank = [(-len(t), -np.median(d.flux[t.detection])) for t in tracks]
-    for k in sorted(range(len(tracks)), key=rank.__getitem__):
-        one = tracks[k].detection
-        for n in kept:
-            other = tracks[n].detection
-            _, i, j = np.intersect1d(
-                d.epoch[one], d.epoch[other], assume_unique=True, return_indices=True
-            )
-            off = d.in_beams[one[i]] - d.in_beams[other[j]]
-            if 2 * len(i) >= len(one) and np.median(np.hypot(*off.T)) < apart:
-                break
-        else:
-            kept.append(k)
-    return [tracks[k] for k in sorted(kept)]
 
 
 def without_alternatives(detections, settings, seed=0):

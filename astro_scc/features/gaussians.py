@@ -264,9 +264,9 @@ def _shapes(p, y, x, beam):
 
     All have the shape (n, number of positions).
     """
-    along_y, along_x, cross = (
-        value[:, None] for value in _covariances(p, beam) / _areas(p, beam)
-    )
+    parts = _covariances(p, beam)
+    area = parts[0] * parts[1] - parts[2] ** 2
+    along_y, along_x, cross = ((part / area)[:, None] for part in parts)
     dy, dx = y - p[:, _Y, None], x - p[:, _X, None]
     gy = along_x * dy
     gy -= cross * dx
@@ -385,16 +385,18 @@ def _allowed(p, is_round, data):
     """Return components with positive peaks, and with variances that are possible."""
     beam, widest, root = data.beam, data.widest, data.root
     p[:, _PEAK] = np.maximum(p[:, _PEAK], 0)
-    round_ones = np.maximum(p[is_round, _VARIANCE], 0)
-    p[is_round, _VARIANCE] = np.minimum(round_ones, widest)
-    if len(round_ones) < len(p):
+    p[is_round, _VARIANCE] = p[is_round, _VARIANCE].clip(0, widest)
+    if not is_round.all():
         along_y, along_x, cross = _covariances(p[~is_round], beam)
         covariance = np.stack([along_y, cross, cross, along_x], axis=-1)
         inverse = data.inverse_root
-        ratio, axes = np.linalg.eigh(inverse @ covariance.reshape(-1, 2, 2) @ inverse.T)
+        ratio = inverse @ covariance.reshape(-1, 2, 2) @ inverse.T
         limits = NARROWEST**2, 1 + widest / beam.trace()
-        if ratio.min() >= limits[0] and ratio.max() <= limits[1]:
+        middle = (ratio[:, 0, 0] + ratio[:, 1, 1]) / 2
+        half = np.hypot((ratio[:, 0, 0] - ratio[:, 1, 1]) / 2, ratio[:, 0, 1])
+        if (middle - half).min() >= limits[0] and (middle + half).max() <= limits[1]:
             return p
+        ratio, axes = np.linalg.eigh(ratio)
         axes = root @ axes * np.sqrt(ratio.clip(*limits))[:, None]
         extra = axes @ axes.swapaxes(1, 2) - beam
         p[~is_round, _VARIANCE] = (extra[:, 0, 0] + extra[:, 1, 1]) / 2

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 
 import numpy as np
 import scipy
@@ -188,24 +189,23 @@ def _agreed(d, settings, seed):
     assignment = Assignment(paths, len(d))
     chosen, proven = assignment.best(score)
     solutions = [chosen]
-    one = np.concatenate([path[:-1] for path in paths])
-    other = np.concatenate([path[1:] for path in paths])
-    owner = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
-    links, which = np.unique(one * len(d) + other, return_inverse=True)
+    detection, ends = assignment.uses.indices.astype(int), assignment.uses.indptr[1:]
+    before = np.delete(np.arange(len(detection)), ends - 1)
+    owner = np.searchsorted(ends, before, side="right")
+    links = detection[before] * len(d) + detection[before + 1]
+    links, which = np.unique(links, return_inverse=True)
     for trial in range(settings.solutions):
         normal = _normal(d, *np.divmod(links, len(d)), seed, trial)
         noise = settings.disturbance * normal[which]
         disturbed = score + np.bincount(owner, noise, len(paths))
         solutions.append(assignment.good(disturbed))
-    share = np.zeros(len(links))
-    for chosen in solutions:
-        used = np.bincount(which[np.isin(owner, chosen)], minlength=len(links))
-        share += used / len(solutions)
+    used = np.bincount(np.concatenate(solutions), minlength=len(paths))
+    share = np.bincount(which, used[owner]) / len(solutions)
     links = np.divmod(links[share > settings.agreed], len(d))
     return [
-        Track(chain, _same_speed(d, chain, paths, solutions), proven)
-        for chain in chains(*links, len(d))
-        if len(chain) >= settings.least_epochs
+        Track(detection, _same_speed(d, detection, paths, solutions), proven)
+        for detection in chains(*links, len(d))
+        if len(detection) >= settings.least_epochs
     ]
 
 
@@ -315,11 +315,10 @@ def steady_hypotheses(detections, settings):
     return paths, np.array([found[path] for path in paths])
 
 
-#: State of a track: its last detection as a node, its first one, position and velocity
-#: with their variances and covariance, and likelihood.
-STATE = [("node", int), ("root", int), ("x", float, 2), ("v", float, 2),
-         ("variance", float, 3), ("time", float), ("light", float), ("score", float),
-         ("best", float), ("length", int), ("missed", int)]  # fmt: skip
+#: A track that ends with a detection: a node, after the node of the detection before.
+NODE = [("detection", int), ("parent", int), ("root", int), ("x", float, 2),
+        ("v", float, 2), ("variance", float, 3), ("light", float), ("score", float),
+        ("length", int)]  # fmt: skip
 
 
 class _Filter:
@@ -335,107 +334,119 @@ class _Filter:
         self.light_density = -0.5 * ((self.light - self.light.mean()) / width) ** 2
         self.light_density -= np.log(width * np.sqrt(2 * np.pi))
         self.entry = np.log(o.detected / o.density)
-        # Each node is a detection after another node; hypotheses share them.
-        self.detection, self.parent, self.n_nodes = [], [], 0
+        # Longer than the nodes that there are, n_nodes.
+        self.nodes, self.n_nodes = np.empty(1024, dtype=NODE), 0
 
-    def _tracks(self, here, parent, **state):
-        """Return tracks that end with some detections after the ``parent`` nodes."""
-        self.detection.append(here)
-        self.parent.append(np.broadcast_to(parent, here.shape))
-        tracks = np.zeros(len(here), dtype=STATE)
-        tracks["node"] = self.n_nodes + np.arange(len(here))
+    def _added(self, here, **state):
+        """Return the nodes of new tracks, which end with some detections."""
+        new = np.arange(self.n_nodes, self.n_nodes + len(here))
         self.n_nodes += len(here)
+        while self.n_nodes > len(self.nodes):
+            self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)])
+        rows = self.nodes[self.n_nodes - len(here) : self.n_nodes]
+        rows["detection"] = here
         for name, values in state.items():
-            tracks[name] = values
-        tracks["time"], tracks["best"] = self.time[here], tracks["score"]
-        return tracks
+            rows[name] = values
+        return new
 
     def start(self, here):
         """Return a new track from each detection of an epoch."""
-        state = {"x": self.u[here], "light": self.light[here], "score": self.entry}
-        tracks = self._tracks(here, -1, root=here, length=1, **state)
-        tracks["variance"][:, 0] = self.scatter[here] ** 2
-        tracks["variance"][:, 2] = self.o.speed**2
-        return tracks
+        zero = np.zeros(len(here))
+        variance = np.stack([self.scatter[here] ** 2, zero, zero + self.o.speed**2], 1)
+        return self._added(
+            here, parent=-1, root=here, length=1, x=self.u[here], v=0.0,
+            variance=variance, light=self.light[here], score=self.entry,
+        )  # fmt: skip
 
-    def continued(self, h, here):
-        """Return tracks continued by the most likely detections of an epoch."""
-        o = self.o
-        dt = np.abs(self.time[here[0]] - h["time"])
+    def _predicted(self, h, here):
+        """Return the places of tracks at the dates of detections, and variances."""
+        dt = np.abs(self.time[here] - self.time[h["detection"]])
         p0, p1, p2 = h["variance"].T
-        p0 = p0 + 2 * dt * p1 + dt**2 * p2 + o.wander * dt**3 / 3
-        p1 = p1 + dt * p2 + o.wander * dt**2 / 2
-        p2 = p2 + o.wander * dt
-        x = h["x"] + dt[:, None] * h["v"]
-        off = self.u[here] - x[:, None]
-        square = (off**2).sum(axis=-1)
-        variance = p0[:, None] + self.scatter[here] ** 2
-        gain = self.entry + log_t(square, variance, o.freedom, 2)
-        change = (self.light[here] - h["light"][:, None]) ** 2
-        gain += log_t(change, o.flux_step**2, o.freedom, 1) - self.light_density[here]
-        gain[square > o.gate**2 * variance] = -np.inf
-        n = min(o.branches, len(here))
-        k = np.argsort(-gain, axis=1, kind="stable")[:, :n].ravel()
-        i = np.repeat(np.arange(len(x)), n)
-        use = gain[i, k] > LOWEST_GAIN
-        i, k = i[use], k[use]
+        p0 = p0 + 2 * dt * p1 + dt**2 * p2 + self.o.wander * dt**3 / 3
+        p1 = p1 + dt * p2 + self.o.wander * dt**2 / 2
+        return h["x"] + dt[:, None] * h["v"], p0, p1, p2 + self.o.wander * dt
+
+    def branches(self, node, here):
+        """Return the most likely detections of an epoch for each track, and gains."""
+        o, h = self.o, self.nodes[node]
+        if len(here) == 0:
+            return here, here, np.empty(0)
+        x, p0, *_ = self._predicted(h, here[0])
+        off = self.u[here].T[:, None] - x.T[..., None]
+        square, variance = (off**2).sum(axis=0), p0[:, None] + self.scatter[here] ** 2
+        i, k = np.nonzero(square <= o.gate**2 * variance)
+        gain = self.entry + log_t(square[i, k], variance[i, k], o.freedom, 2)
+        change = log_t(
+            (self.light[here][k] - h["light"][i]) ** 2, o.flux_step**2, o.freedom, 1
+        )
+        gain += change - self.light_density[here][k]
+        use = np.flatnonzero(gain > LOWEST_GAIN)
+        use = use[lowest(-gain[use], i[use], n=o.branches)]
+        return i[use], here[k[use]], gain[use]
+
+    def continued(self, node, here, score):
+        """Return tracks, each continued by a detection."""
+        h = self.nodes[node]
+        x, p0, p1, p2 = self._predicted(h, here)
+        off, s = self.u[here] - x, p0 + self.scatter[here] ** 2
         # An outlier affects the state less.
-        s = variance[i, k]
-        weight = 1 / np.maximum(1, square[i, k] / (o.freedom * s)) / s
-        by_place, by_speed = weight * p0[i], weight * p1[i]
-        parts = (1 - by_place) * p0[i], (1 - by_place) * p1[i], p2[i] - by_speed * p1[i]
-        return self._tracks(
-            here[k], h["node"][i], root=h["root"][i], length=h["length"][i] + 1,
-            x=x[i] + by_place[:, None] * off[i, k],
-            v=h["v"][i] + by_speed[:, None] * off[i, k],
-            variance=np.stack(parts, axis=1), score=h["score"][i] + gain[i, k],
-            light=0.5 * (h["light"][i] + self.light[here[k]]),
+        weight = 1 / np.maximum(1, (off**2).sum(axis=1) / (self.o.freedom * s)) / s
+        by_place, by_speed = weight * p0, weight * p1
+        variance = (1 - by_place) * p0, (1 - by_place) * p1, p2 - by_speed * p1
+        return self._added(
+            here, parent=node, root=h["root"], length=h["length"] + 1, score=score,
+            x=x + by_place[:, None] * off, v=h["v"] + by_speed[:, None] * off,
+            variance=np.stack(variance, axis=1),
+            light=0.5 * (h["light"] + self.light[here]),
         )  # fmt: skip
 
     def paths(self, node):
         """Return the detections of each track, -1 after its end, last one first."""
-        detection, parent = np.concatenate(self.detection), np.concatenate(self.parent)
         steps = []
         while (node >= 0).any():
-            steps.append(np.where(node >= 0, detection[node], -1))
-            node = np.where(node >= 0, parent[node], -1)
+            steps.append(np.where(node >= 0, self.nodes["detection"][node], -1))
+            node = np.where(node >= 0, self.nodes["parent"][node], -1)
         return np.stack(steps, axis=1)
 
 
 def _one_way(d, o, way):
     """Yield the best tracks of each first and each last detection, and scores."""
-    tracks_of = _Filter(d, o)
+    tree, lost_score = _Filter(d, o), np.log(1 - o.detected)
     epochs = np.arange(d.epoch[0], d.epoch[-1] + 1)[::way]
-    live, ended = None, []
+    live = missed = np.empty(0, dtype=int)
+    score, ended = np.empty(0), []
     for epoch in epochs.tolist():
         here = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
-        start = tracks_of.start(here)
-        if live is None:
-            live = start
-            continue
-        longer = tracks_of.continued(live, here) if len(here) else start
-        lost = live["missed"] >= o.most_missed
+        one, detection, gain = tree.branches(live, here)
+        lost = missed >= o.most_missed
         ended.append(live[lost])
-        live = live[~lost]
-        live["missed"] += 1
-        live["score"] += np.log(1 - o.detected)
-        live = np.concatenate([longer, live])
-        kept = lowest(-live["score"], live["root"], n=o.hypotheses)
-        live = np.concatenate([live[np.sort(kept)], start])
-    ended = np.concatenate([*ended, live])
-    ended = ended[ended["length"] >= o.least_epochs]
+        left = np.flatnonzero(~lost)
+        score = np.concatenate([score[one] + gain, score[left] + lost_score])
+        root = tree.nodes["root"][live[np.concatenate([one, left])]]
+        kept = np.sort(lowest(-score, root, n=o.hypotheses))
+        new, left = kept[kept < len(one)], left[kept[kept >= len(one)] - len(one)]
+        start = tree.start(here)
+        longer = tree.continued(live[one[new]], detection[new], score[new])
+        live, missed, score = (
+            np.concatenate([longer, live[left], start]),
+            np.concatenate([0 * longer, missed[left] + 1, 0 * start]),
+            np.concatenate([score[kept], tree.nodes["score"][start]]),
+        )
     # A track that then only misses epochs ends with its last detection.
-    node, first = np.unique(ended["node"], return_index=True)
-    best, root = ended["best"][first], ended["root"][first]
-    last = np.concatenate(tracks_of.detection)[node]
-    kept = [lowest(-best, group, n=o.kept) for group in (root, last)]
+    node = np.unique(np.concatenate([*ended, live]))
+    node = node[tree.nodes["length"][node] >= o.least_epochs]
+    ended = tree.nodes[node]
+    best = ended["score"]
+    kept = [lowest(-best, ended[end], n=o.kept) for end in ("root", "detection")]
     keep = np.union1d(*kept)
     keep = keep[best[keep] > 0]
     if len(keep):
-        paths = tracks_of.paths(node[keep])
-        for row, score in zip(paths.tolist(), best[keep].tolist(), strict=True):
-            path = [k for k in row if k >= 0]
-            yield tuple(path[::-way]), score
+        steps = tree.paths(node[keep])[:, ::-way]
+        ends = np.cumsum((steps >= 0).sum(axis=1)).tolist()
+        steps = steps[steps >= 0].tolist()
+        limits = pairwise([0, *ends])
+        for (low, high), total in zip(limits, best[keep].tolist(), strict=True):
+            yield tuple(steps[low:high]), total
 
 
 # -- groups and chains -------------------------------------------------------------
@@ -485,9 +496,10 @@ class Assignment:
     """
 
     def __init__(self, paths, n_detections):
-        self._paths, self._detections = paths, [np.array(path) for path in paths]
-        start = np.cumsum([0, *map(len, paths)])
-        entries = np.ones(start[-1]), np.concatenate(self._detections), start
+        self._paths = paths
+        start = np.cumsum([0, *map(len, paths)], dtype=np.int32)
+        detection = np.fromiter(chain.from_iterable(paths), np.int32, start[-1])
+        entries = np.ones(len(detection)), detection, start
         self.uses = scipy.sparse.csr_array(entries, shape=(len(paths), n_detections))
         self.price = np.zeros(n_detections)
 
@@ -551,6 +563,7 @@ class Assignment:
         An assignment is made whenever so many iterations are ``between``.
         """
         lowest, best_price, total, chosen = np.inf, price, -1.0, np.empty(0, dtype=int)
+        length = np.diff(self.uses.indptr)
         step, in_vain = 1.0, 0
         for k in range(iterations + 1):
             value = score - self.uses @ price
@@ -567,14 +580,17 @@ class Assignment:
                 if score[other].sum() > total:
                     chosen, total = other, score[other].sum()
             # Few tracks are taken: a product with the whole matrix takes longer.
-            taken = [self._detections[k] for k in np.flatnonzero(value > 0).tolist()]
-            taken = np.concatenate([np.empty(0, dtype=int), *taken])
-            slope = 1.0 - np.bincount(taken, minlength=len(price))
+            taken = np.flatnonzero(value > 0)
+            first, number = self.uses.indptr[taken], length[taken]
+            places = np.repeat(first - np.cumsum(number) + number, number)
+            places += np.arange(len(places))
+            used = self.uses.indices[places]
+            slope = 1.0 - np.bincount(used, minlength=len(price))
             slope[(price <= 0) & (slope > 0)] = 0
-            length = slope @ slope
-            if length == 0 or lowest - total <= 1e-6 * total:
+            square = slope @ slope
+            if square == 0 or lowest - total <= 1e-6 * total:
                 break
-            price = np.maximum(price - step * (lowest - total) / length * slope, 0)
+            price = np.maximum(price - step * (lowest - total) / square * slope, 0)
         return best_price, chosen, lowest
 
     def _greedy(self, value, score):

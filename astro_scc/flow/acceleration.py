@@ -137,23 +137,33 @@ def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
     >>> bool(found.acceleration > 0 * u.mas / u.yr**2), found.p_value < 0.05
     (True, True)
     """
+    n = len(result.search.streams)
+    if not 0 <= row < n:
+        raise ValueError(f"row must be from 0 to {n - 1}, got {row}")
+    return accelerations(result, [row])[0]
+
+
+def accelerations(result, rows):
+    """Return the acceleration of each of some rows; the parts are fitted once."""
     search = result.search
-    if not 0 <= row < len(search.streams):
-        raise ValueError(f"row must be from 0 to {len(search.streams) - 1}, got {row}")
-    flow, fit, parts = search.flow, search.fit, []
-    if search.streams[row].kind != "stationary" and fit is not None:
-        parts = [flow.between(low, high) for low, high in parts_along(flow)]
-    start = list(zip(fit.mean, fit.sd, strict=True)) if parts else ()
-    start, sign = (
-        start if len(start) > 1 else None,
-        np.sign(fit.mean[0]) if parts else 1,
-    )
+    flow, fit, known = search.flow, search.fit, []
+    moving = [search.streams[row].kind != "stationary" for row in rows]
+    if any(moving) and fit is not None:
+        known = [flow.between(low, high) for low, high in parts_along(flow)]
+    start, sign = None, 1 if fit is None else np.sign(fit.mean[0])
+    if fit is not None and len(fit.mean) > 1:
+        start = list(zip(fit.mean, fit.sd, strict=True))
     fits = [
         fit_part(part, sign=sign, start=start, intervals=search.intervals)
-        for part in parts
+        for part in known
     ]
-    speeds = speeds_in_parts(fits, [place_of(part) for part in parts], stream=row)
-    return acceleration_of(speeds, flow.beam, result.cube.speed_unit)
+    places = [place_of(part) for part in known]
+    found = []
+    for row, moves in zip(rows, moving, strict=True):
+        of_row = slice(None if moves else 0)
+        speeds = speeds_in_parts(fits[of_row], places[of_row], stream=row)
+        found.append(acceleration_of(speeds, flow.beam, result.cube.speed_unit))
+    return found
 
 
 def parts_along(flow):

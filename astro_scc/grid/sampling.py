@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Where the flow is seen, and the wavelet planes of all epochs along it."""
 
+from dataclasses import dataclass
+
 import astropy.units as u
 import numpy as np
 import scipy
@@ -11,7 +13,8 @@ from astro_scc.decomposition.wavelet import (
     scale_size,
     wavelet_planes,
 )
-from astro_scc.spectrum.planes import REACH, flow_planes
+from astro_scc.grid.lines import FlowGrid
+from astro_scc.spectrum.planes import REACH, FlowPlanes, flow_planes
 
 #: Margin around the grid, in sizes of the largest scale.
 MARGIN = 10
@@ -64,11 +67,34 @@ def has_core(cube, beam):
     return bool(np.hypot(*place) < beam)
 
 
-def sample_planes(
-    cube, grid, scales, seen, *, kernel="b1", normalise="local", order=3, reach=REACH
-):
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledPlanes:
+    """Wavelet planes of all epochs on a grid along the flow, see ``flow_planes``."""
+
+    planes: np.ndarray
+    valid: np.ndarray
+    mask: np.ndarray
+    noise: np.ndarray
+    grid: FlowGrid
+    years: np.ndarray
+    scales: tuple[float, ...]
+    sizes: list[float]
+    reach: float
+
+    def changes(self, normalise: str = "local") -> FlowPlanes:
+        """Return what changes in the planes, normalised."""
+        grid = self.grid
+        return flow_planes(
+            self.planes, self.valid, self.mask, self.noise, along=grid.along,
+            across=grid.across, years=self.years, scales=self.scales, sizes=self.sizes,
+            weight=None if np.ptp(grid.weight) == 0 else grid.weight,
+            normalise=normalise, reach=self.reach,
+        )  # fmt: skip
+
+
+def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH):
     """
-    Decompose all epochs and return what changes, on a grid along the flow.
+    Decompose all epochs on a grid along the flow.
 
     Parameters
     ----------
@@ -77,8 +103,8 @@ def sample_planes(
     scales : sequence of float
         Numbers of the wavelet scales.
     seen : `~numpy.ndarray` of bool, shape (ny, nx)
-    kernel, normalise
-        Of the wavelets, and see ``flow_planes``.
+    kernel
+        Of the wavelets.
     order : int, optional
         Of the splines between pixels.
     reach : float, optional
@@ -86,7 +112,7 @@ def sample_planes(
 
     Returns
     -------
-    ``FlowPlanes``
+    ``SampledPlanes``
     """
     ny, nx = cube.shape[1:]
     inside = (grid.x > -0.5) & (grid.y > -0.5)
@@ -115,35 +141,20 @@ def sample_planes(
             planes[j, k] = scipy.ndimage.map_coordinates(
                 plane, where, order=order, mode="constant"
             )
-        valid[k] = (
-            inside
-            if masked is None
-            else inside
-            & (
-                scipy.ndimage.map_coordinates(
-                    missing.astype(float), where, order=1, cval=1.0
-                )
-                < 0.5
+        valid[k] = inside
+        if masked is not None:
+            weight = scipy.ndimage.map_coordinates(
+                missing.astype(float), where, order=1, cval=1.0
             )
-        )
+            valid[k] &= weight < 0.5
     mask = scipy.ndimage.map_coordinates(seen[box].astype(float), where, order=1) > 0.5
-    side = (
-        cube.pixel_scale.to_value(u.mas) / grid.beam / (grid.along[1] - grid.along[0])
-    )
-    return flow_planes(
-        planes,
-        valid,
-        mask,
-        np.sqrt((noise**2).mean(axis=0)),
-        along=grid.along,
-        across=grid.across,
-        years=cube.years.to_value(u.yr),
-        scales=scales,
-        sizes=[side * scale_size(scale) for scale in scales],
-        weight=None if np.ptp(grid.weight) == 0 else grid.weight,
-        normalise=normalise,
-        reach=reach,
-    )
+    side = cube.pixel_scale.to_value(u.mas) / grid.beam
+    side /= grid.along[1] - grid.along[0]
+    return SampledPlanes(
+        planes, valid, mask, np.sqrt((noise**2).mean(axis=0)), grid,
+        cube.years.to_value(u.yr), tuple(scales),
+        [side * scale_size(scale) for scale in scales], reach,
+    )  # fmt: skip
 
 
 def sample_mask(mask, grid):

@@ -56,11 +56,14 @@ def fill_masked(image, mask, n_iterations=20):
     nearest = scipy.ndimage.distance_transform_edt(
         mask, return_distances=False, return_indices=True
     )
-    filled = np.asarray(image, dtype=float)[tuple(nearest)]
-    neighbours = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
+    filled = np.pad(np.asarray(image, dtype=float)[tuple(nearest)], 1, mode="edge")
     for _ in range(n_iterations):
-        filled[mask] = scipy.ndimage.convolve(filled, neighbours, mode="nearest")[mask]
-    return filled
+        mean = filled[:-2, 1:-1] + filled[2:, 1:-1]
+        mean += filled[1:-1, :-2] + filled[1:-1, 2:]
+        np.copyto(filled[1:-1, 1:-1], mean / 4, where=mask)
+        filled[[0, -1]] = filled[[1, -2]]
+        filled[:, [0, -1]] = filled[:, [1, -2]]
+    return filled[1:-1, 1:-1].copy()
 
 
 def whole_pixels(step, near=1e-4):

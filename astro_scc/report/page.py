@@ -14,7 +14,8 @@ from astropy.time import Time
 
 from astro_scc.columns import cell, headed, heading_of
 from astro_scc.components.names import common_names, plain
-from astro_scc.flow import feature_profile, measure_acceleration
+from astro_scc.flow import feature_profile
+from astro_scc.flow.acceleration import accelerations
 from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in_c_as
 from astro_scc.measurement import SCCResult
@@ -480,7 +481,8 @@ def flow_lines(result):
         Sentences without a full stop; empty if nothing moves.
     """
     moving = [k for k, s in enumerate(result.search.streams) if s.kind == "moving"]
-    lines = [f"Stream {k + 1}: {measure_acceleration(result, row=k)}" for k in moving]
+    each = zip(moving, accelerations(result, moving), strict=True)
+    lines = [f"Stream {k + 1}: {found}" for k, found in each]
     if moving and (of_scales := compare_scales(result)) is not None:
         in_speed_unit(of_scales, result.cube.speed_unit)
         # With two streams, scales whose speeds do not differ need not share one speed.

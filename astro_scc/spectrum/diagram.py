@@ -100,15 +100,17 @@ def correlate(flow, *, region=None, across=0):
     both = np.concatenate([-steps[:0:-1], steps])
     weight = mask if region is None else np.asarray(region, np.float32)
     total = max((mask * weight).sum(), 1.0)
-    weights = [_weight_of_pairs(mask, weight, lag, across) for lag in both]
+    # Without a displacement across, negative ones are the same products.
+    asked = both if across else steps
+    weights = [_weight_of_pairs(mask, weight, lag, across) for lag in asked]
     overlap = np.array([at.sum() for at in weights]) / total
+    if not across:
+        overlap = np.concatenate([overlap[:0:-1], overlap])
     if region is None:
         sums = _sums_by_waves(flow, both, across)
     else:
-        # Without a displacement across, negative ones are the same products.
-        half = 0 if across else len(steps) - 1
-        sums = _sums_by_points(flow, both[half:], weights[half:], across)
-        if half:
+        sums = _sums_by_points(flow, asked, weights, across)
+        if not across:
             back = sums[:, :, :0:-1].transpose(1, 0, 2)
             sums = np.concatenate([back, sums], axis=2)
     sums[:, :, overlap <= LEAST_OVERLAP / 2] = 0

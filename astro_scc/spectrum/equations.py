@@ -35,14 +35,16 @@ class Equations:
     data : `~numpy.ndarray`, shape (n_bins, n_d)
     gram : `~numpy.ndarray`, shape (n_columns, n_columns)
     right : `~numpy.ndarray`, shape (n_columns,)
+        Each is that of a later epoch less an earlier one; pairs in the other order
+        have the same with the other sign of d.
     bins : `~numpy.ndarray` of int, shape (n_epochs, n_epochs)
-        Bin of each pair; -1 for pairs that are not used.
+        Bin of each pair whose second epoch is later, -1 for others.
     number, interval : `~numpy.ndarray`, shape (n_bins,)
         Pairs of each bin, and their mean interval in years.
     share : `~numpy.ndarray`, shape (n_bins,)
         Share of each bin in the pairs that are used.
     square : float
-        Sum of the squares of the data.
+        Sum of the squares of the data, as all sums over the pairs in either order.
     """
 
     speed: np.ndarray
@@ -124,13 +126,12 @@ def interval_bins(years, ratio=1.04):
     Returns
     -------
     bins : `~numpy.ndarray` of int, shape (n_epochs, n_epochs)
-        Bins of both signs; -1 for pairs of one date.
+        Of pairs whose second epoch is later, -1 for others.
     number, interval : `~numpy.ndarray`, shape (n_bins,)
     """
     tau = years - years[:, None]
-    use = tau != 0
-    key = np.floor(np.log(np.abs(tau[use]) / np.abs(tau[use]).min()) / np.log(ratio))
-    key = 2 * key.astype(int) + (tau[use] > 0)
+    use = tau > 0
+    key = np.floor(np.log(tau[use] / tau[use].min()) / np.log(ratio))
     _, index = np.unique(key, return_inverse=True)
     bins = np.full(tau.shape, -1)
     bins[use] = index
@@ -161,58 +162,73 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     -------
     `Equations`
     """
-    years, x, n = diagram.years, diagram.displacement, len(diagram.years)
+    years, x = diagram.years, diagram.displacement
     bins, number, interval = interval_bins(years)
-    used = within(np.abs(interval), intervals)
+    used = within(interval, intervals)
     speed = spectrum_speeds(years, fastest, intervals)
     alike = autocorrelation(diagram)
     # The last row is the interval zero, of each epoch with itself.
-    tau = np.append(interval, 0.0)
+    tau, m = np.append(interval, 0.0), len(number)
     forward = len(speed) // 2
     moved = speed[forward:, None] * tau
     shape = np.interp(x - moved[..., None], x, alike, left=0, right=0)
     shape *= np.exp(-np.abs(moved) / LENGTH)[..., None]
-    span = np.ptp(years)
-    memory = np.exp(-np.abs(tau) / (span * np.array(STANDING)[:, None]))
+    memory = np.exp(-tau / (np.ptp(years) * np.array(STANDING)[:, None]))
     shape = np.concatenate([shape, memory[..., None] * alike])
-    index = np.where(bins < 0, len(number), bins)
-    of_first, of_second = (_counts(epochs, index) for epochs in np.indices((n, n)))
-    centre = np.eye(len(number), len(tau)) + of_first.sum(axis=1) / n**2
-    for of_epochs in (of_first, of_second):
-        centre -= of_epochs[:-1] / number[:, None] @ of_epochs.T / n
+    shape *= diagram.overlap > LEAST_OVERLAP
     share = np.where(used, number, 0) / max(number[used].sum(), 1)
-    centre -= share @ centre
-    centre *= (np.sqrt(number) * used)[:, None]
-    design = centre @ (shape * (diagram.overlap > LEAST_OVERLAP))
-    # What moves backward looks as what moves forward, with the other sign of d.
+    centre = _centre(bins, number, share) * (np.sqrt(number) * used)[:, None]
+    # What is seen in the other order, and what moves backward, looks the same with the
+    # other sign of d.
+    design = np.delete(centre, np.s_[m:-1], axis=1) @ shape
+    design += centre[:, m:-1] @ shape[:, :-1, ::-1]
     design = np.concatenate([design[forward:0:-1, :, ::-1], design])
     data = binned(diagram.means, bins, number, share)
     data[~used] = 0
     flat = design.reshape(len(design), -1)
     return Equations(
-        speed, widths_of(speed), design, data, flat @ flat.T, flat @ data.ravel(),
-        bins, number, interval, share, float((data**2).sum()),
+        speed, widths_of(speed), design, data, 2 * (flat @ flat.T),
+        2 * (flat @ data.ravel()), bins, number, interval, share,
+        2 * float((data**2).sum()),
     )  # fmt: skip
 
 
-def _counts(epochs, index):
-    """Return the number of pairs of each bin with each epoch, (n_bins + 1, n)."""
-    n = len(epochs)
-    shape = index.max() + 1, n
-    return np.bincount((index * n + epochs).ravel(), minlength=shape[0] * n).reshape(
-        shape
-    )
+def _centre(bins, number, share):
+    """
+    Return the matrix that takes values of bins to those of a centred model.
+
+    Its columns are the bins, the same in the other order, and pairs of one date.
+    """
+    n, m = len(bins), len(number)
+    index = np.where(bins < 0, np.where(bins.T < 0, 2 * m, m + bins.T), bins)
+    of_first, of_second = np.zeros((2, 2 * m + 1, n))
+    np.add.at(of_first, (index, np.arange(n)[:, None]), 1)
+    np.add.at(of_second, (index, np.arange(n)), 1)
+    centre = np.eye(m, 2 * m + 1) + of_first.sum(axis=1) / n**2
+    for of_epochs in (of_first, of_second):
+        centre -= of_epochs[:m] / number[:, None] @ of_epochs.T / n
+    mean = share @ centre
+    return centre - (mean + np.concatenate([mean[m:-1], mean[:m], mean[-1:]])) / 2
 
 
 def binned(values, bins, number, share):
     """Return values of pairs summed over bins, less the mean of pairs that are used."""
     pairs = np.argsort(bins, axis=None, kind="stable")[np.sum(bins < 0) :]
-    starts = np.append(0, np.cumsum(number))
-    shape = len(number), bins.size
-    sums = scipy.sparse.csr_array((np.ones(len(pairs)), pairs, starts), shape=shape)
+    first, second = np.divmod(pairs, len(bins))
+    both = np.concatenate([pairs, second * len(bins) + first])
+    starts, m = np.append(0, np.cumsum(np.tile(number, 2))), len(number)
+    shape = 2 * m, bins.size
+    sums = scipy.sparse.csr_array((np.ones(len(both)), both, starts), shape=shape)
     sums = sums @ values.reshape(bins.size, -1)
-    sums -= number[:, None] * (share / number @ sums)
+    sums = (sums[:m] + sums[m:, ::-1]) / 2
+    sums -= number[:, None] * mean_of_pairs(share / number, sums)
     return sums / np.sqrt(number)[:, None]
+
+
+def mean_of_pairs(share, values):
+    """Return the mean of values of bins over the pairs in either order."""
+    mean = share @ values
+    return (mean + mean[::-1]) / 2
 
 
 def deconvolve(equations, ridge=1e-4):

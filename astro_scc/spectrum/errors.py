@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 
 from astro_scc.spectrum.diagram import influences
+from astro_scc.spectrum.equations import mean_of_pairs
 from astro_scc.spectrum.gaussians import FLOOR, columns_of, standing_columns
 
 #: Length of a cluster: patterns that leave within so many beams are not independent.
@@ -103,7 +104,7 @@ def function_of(equations, weights):
     """Return the function of the pairs that moves a parameter, (n, n, n_d)."""
     values = np.tensordot(weights, equations.design, 1)
     values /= np.sqrt(equations.number)[:, None]
-    values -= equations.share @ values
+    values -= mean_of_pairs(equations.share, values)
     values[equations.share == 0] = 0
     return _spread(equations, values)
 
@@ -117,7 +118,7 @@ def _spread(equations, values):
     bins = equations.bins
     found = np.zeros((*bins.shape, values.shape[1]), np.float32)
     found[bins >= 0] = values[bins[bins >= 0]]
-    return found
+    return found + found.transpose(1, 0, 2)[:, :, ::-1]
 
 
 def clusters_of(flow, pieces, speed):

@@ -70,7 +70,6 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, n_trials=60, rng
     years, x = diagram.years, diagram.displacement
     n = len(years)
     bins, number, interval = interval_bins(years)
-    later = np.flatnonzero(interval > 0)
     values = np.stack([d.sums for d in sheet], axis=2)
     epochs = np.arange(n)
     values /= max(diagram.power, np.finfo(float).tiny)
@@ -79,17 +78,19 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, n_trials=60, rng
     v = fastest * np.arange(-30, 31) / 30
     along = np.cos(angle) * v + np.sin(angle) * v[:, None]
     across = -np.sin(angle) * v + np.cos(angle) * v[:, None]
-    shape = len(later), *values.shape[2:]
-    to_map = _rays(along, across, interval[later], number[later], aside, x, shape)
-    first, second = np.nonzero(np.isin(bins, later))
+    shape = len(number), *values.shape[2:]
+    to_map = _rays(along, across, interval, number, aside, x, shape)
+    first, second = np.nonzero(bins >= 0)
     by_bin = np.argsort(bins[first, second], kind="stable")
     first, second = first[by_bin], second[by_bin]
-    each = np.repeat(1 / number[later], number[later]).astype(np.float32)
-    starts = np.append(0, np.cumsum(number[later]))
+    each = np.repeat(1 / number, number).astype(np.float32)
+    starts = np.append(0, np.cumsum(number))
 
     def stacked(order):
         images = order[first] * n + order[second]
-        mean = scipy.sparse.csr_array((each, images, starts), shape=(len(later), n * n))
+        mean = scipy.sparse.csr_array(
+            (each, images, starts), shape=(len(number), n * n)
+        )
         return (to_map @ (mean @ flat).ravel()).reshape(along.shape)
 
     observed = stacked(epochs)

@@ -13,6 +13,7 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import NoFlowError
 from astro_scc.grid.lines import FlowGrid, flow_grids
 from astro_scc.grid.sampling import (
+    SampledPlanes,
     default_scales,
     has_core,
     sample_mask,
@@ -52,6 +53,8 @@ class DecomposedFlow:
         Pixels of the region.
     kernel : {"b1", "b3"}
         Of the wavelet.
+    sampled : ``SampledPlanes`` or None
+        What the planes of the whole are made of, along one direction.
     """
 
     cube: EpochCube
@@ -63,6 +66,7 @@ class DecomposedFlow:
     fastest: float | None = None
     inside: np.ndarray | None = None
     kernel: str = "b1"
+    sampled: SampledPlanes | None = None
 
     @property
     def years(self) -> np.ndarray:
@@ -114,11 +118,15 @@ class DecomposedFlow:
         `DecomposedFlow`
             With the same axes of velocities.
         """
+        scales = tuple(scales or self.planes[0].scales)
+        if angle is None and self.sampled and scales == self.sampled.scales:
+            planes = self.sampled.changes(normalise)
+            return replace(self, planes=(planes,))
         angle = self.grids[0].angle if angle is None else angle
         known = np.isfinite(angle)
         made = decompose_flow(
             self.cube, PositionAngleFrame(angle * u.rad) if known else self.frame,
-            scales=scales or self.planes[0].scales, beam=self.beam, region=self.inside,
+            scales=scales, beam=self.beam, region=self.inside,
             max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
         )  # fmt: skip
         return replace(made, frame=self.frame)
@@ -151,7 +159,7 @@ class DecomposedFlow:
         if places is not None:
             pairs = zip(regions, places, strict=True)
             regions = tuple(p if region is None else region * p for region, p in pairs)
-        return replace(self, planes=planes, regions=regions)
+        return replace(self, planes=planes, regions=regions, sampled=None)
 
     def between(self, low, high):
         """Return the part between two distances along the flow, in mas."""
@@ -212,18 +220,20 @@ def decompose_flow(
         scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
     grids = tuple(flow_grids(cube, frame, seen, beam, core=core))
     sampling = {
-        "kernel": kernel, "normalise": normalise, "order": 3 if len(grids) == 1 else 1,
+        "kernel": kernel, "order": 3 if len(grids) == 1 else 1,
         "reach": _reach(cube, max_speed, beam),
     }  # fmt: skip
     scales = tuple(scales)
-    planes = tuple(sample_planes(cube, g, scales, seen, **sampling) for g in grids)
+    sampled = [sample_planes(cube, g, scales, seen, **sampling) for g in grids]
+    planes = tuple(one.changes(normalise) for one in sampled)
     regions = (None,) * len(grids)
     if region is not None:
         regions = tuple(sample_mask(region, g).astype(np.float32) for g in grids)
     fastest = None if max_speed is None else max_speed.to_value(PM_UNIT) / beam
     return DecomposedFlow(
-        cube, frame, grids, planes, regions, beam, fastest, region, kernel
-    )
+        cube, frame, grids, planes, regions, beam, fastest, region, kernel,
+        sampled[0] if len(grids) == 1 else None,
+    )  # fmt: skip
 
 
 def _seen(cube, beam, region, core):

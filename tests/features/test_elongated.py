@@ -13,9 +13,8 @@ from scipy.ndimage import gaussian_filter
 from astro_scc.cli import main
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import TrackSettings, find_features
-from astro_scc.features.finder import distinct_tracks, without_alternatives
+from astro_scc.features.finder import without_alternatives
 from astro_scc.features.gaussians import fit_gaussians
-from astro_scc.features.tracks import Track
 
 FWHM = np.sqrt(8 * np.log(2))
 BEAM, STEP, CORE = 6.0, 2.0, (30.0, 40.0)
@@ -130,18 +129,6 @@ def test_what_is_one_in_most_epochs_is_one_in_all(series, off, size, is_whole):
     )
     assert np.sum(found.epoch == 3) == (1 if is_whole else 2)
     assert np.sum(found.group == (-1 if is_whole else 1)) == (1 if is_whole else 2)
-
-
-# -- two features are two --------------------------------------------------------------
-
-
-def test_no_two_tracks_are_of_the_same_emission(series):
-    d = series([(t, 0.3 * t + dx, 0.0, flux) for t in range(6)
-                for dx, flux in ((3, 1.0), (3.2, 2.0), (3.6, 1.0))])  # fmt: skip
-    tracks = [Track(np.flatnonzero(d.number == k), 1.0, True) for k in range(3)]
-    assert distinct_tracks(d, tracks) == tracks[1:]
-    longer = [tracks[0], Track(tracks[1].detection[1:], 1.0, True)]
-    assert distinct_tracks(d, longer) == tracks[:1]
 
 
 # -- units -----------------------------------------------------------------------------
