@@ -15,10 +15,10 @@ from astropy.table import QTable
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
 from astro_scc.paper.matching import MatchedEpochs, matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
+from astro_scc.plan import alignment_errors
 from astro_scc.quantities import check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
 

@@ -23,6 +23,13 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for_any
 from numbers import Integral
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: Number of processes, or a Dask scheduler, given by its address or a client.
+Workers: TypeAlias = "int | str | Client"
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.

@@ -23,11 +23,10 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
-from astro_scc.measurement.axes import velocity_frame
-from astro_scc.plan import flow_beam
+from astro_scc.plan import flow_beam, used_intervals, velocity_frame
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
-from astro_scc.scc import StackedCrossCorrelation, used_intervals
+from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import fastest_speed
 from astro_scc.units import PM_UNIT

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from astropy.table import Column, MaskedColumn, QTable, vstack
@@ -40,9 +40,6 @@ from astro_scc.progress import progress
 from astro_scc.report.answer import PROFILE_EXPLANATION
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["run_survey"]
 
@@ -108,7 +105,7 @@ def _summary(table):
 
 
 def run_survey(
-    survey: sources.Survey, output: Path | str, *, n_workers: int | str | Client = 1,
+    survey: sources.Survey, output: Path | str, *, n_workers: parallel.Workers = 1,
     report: bool = False, done: Callable[..., Any] | None = None,
     progress_bar: bool = False,
 ) -> QTable:  # fmt: skip

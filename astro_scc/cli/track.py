@@ -8,7 +8,6 @@ import astropy.units as u
 from astro_scc import StackedCrossCorrelation
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
-from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.explain import explain_feature
 from astro_scc.features import find_features
@@ -64,10 +63,10 @@ def _find(epochs, reporter, seed):
     n_workers, progress_bar = epochs.n_workers, reporter.progress
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        decomposed = decompose_epochs(
+        decomposed, _ = decompose_epochs(
             cube, decomposer, n_workers=n_workers, progress_bar=progress_bar
         )
-        ssps = SSPs.of_epochs(decomposed)
+        ssps = decomposed.ssps
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
         seed=seed, n_workers=n_workers, progress_bar=progress_bar,

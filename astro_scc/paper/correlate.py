@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -16,11 +16,8 @@ from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.zncc import Template, find_peaks
-from astro_scc.parallel import in_order
+from astro_scc.parallel import Workers, in_order
 from astro_scc.quantities import CORRELATION, named
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 #: Pixels of windows transformed at once; more would not fit into the processor's cache.
 BATCH_PIXELS = 150_000
@@ -215,7 +212,7 @@ class Correlator:
     def __call__(
         self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
         search_radius: int | tuple[int, int], *, select: ArrayLike | None = None,
-        n_workers: int | str | Client = 1, progress: Callable[..., Any] | None = None,
+        n_workers: Workers = 1, progress: Callable[..., Any] | None = None,
     ) -> Matches:  # fmt: skip
         """
         Find the matches of SSPs for ordered pairs of epochs.

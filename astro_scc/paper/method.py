@@ -11,13 +11,10 @@ import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
-from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.columns import build_table, round_to_errors
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
-from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import name_by_frame
-from astro_scc.measurement.axes import velocity_frame
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
 from astro_scc.paper.components import PaperStack, stack_patterns
 from astro_scc.paper.matching import (
@@ -27,8 +24,9 @@ from astro_scc.paper.matching import (
     matched_displacements,
 )
 from astro_scc.paper.stack import draw_orders, image_pairs
-from astro_scc.patterns import empty_region
-from astro_scc.plan import each_fwhm, flow_direction
+from astro_scc.parallel import Workers
+from astro_scc.patterns import check_cube, empty_region
+from astro_scc.plan import each_fwhm, flow_direction, velocity_frame
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
 from astro_scc.settings import MeasurementSettings, require
@@ -37,7 +35,6 @@ from astro_scc.units import in_speed_unit
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
-    from distributed import Client
     from matplotlib.figure import Figure
 
 __all__ = ["PaperMeasurement", "measure_as_in_paper"]
@@ -188,7 +185,7 @@ def component_row(component, frame, angle, alpha):
 def measure_as_in_paper(
     cube: EpochCube, settings: MeasurementSettings, *, region: Any = None,
     n_trials: int = 1000, rng: np.random.Generator | int | None = None,
-    n_workers: int | str | Client = 1, progress_bar: bool = False,
+    n_workers: Workers = 1, progress_bar: bool = False,
 ) -> PaperMeasurement:  # fmt: skip
     """
     Measure velocities by the method of Mertens & Lobanov (2016), as it stands there.
@@ -276,6 +273,4 @@ def _check(cube, settings):
             f"{name} is not used by the paper's method: leave it out, or use "
             "method='spectrum'"
         )
-    if settings.common_beam is not False:
-        require_common_beam(cube)
-    warn_of_misalignment(cube)
+    check_cube(cube, settings.common_beam)
