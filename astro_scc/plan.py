@@ -10,17 +10,11 @@ import astropy.units as u
 import numpy as np
 import scipy
 
+from astro_scc import kinematics
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
-from astro_scc.kinematics import (
-    PositionAngleFrame,
-    RadialFrame,
-    SkyFrame,
-    find_ridge_line,
-    fit_position_angle,
-)
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import EVERY, within
 from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
@@ -119,7 +113,7 @@ def flow_direction(decomposed, frame=None):
     `~astropy.units.Quantity`
         North through east, 0 to 360 deg.
     """
-    if isinstance(frame, PositionAngleFrame):
+    if isinstance(frame, kinematics.PositionAngleFrame):
         return frame.pa
     use = decomposed.select
     east, north = ssp_offsets(decomposed.ssps, decomposed.cube)
@@ -134,16 +128,16 @@ def velocity_frame(cube, position_angle):
     """Return the velocity axes for a setting."""
     match position_angle:
         case u.Quantity():
-            return PositionAngleFrame(position_angle)
+            return kinematics.PositionAngleFrame(position_angle)
         case "fit":
-            angle, _ = fit_position_angle(cube)
-            return PositionAngleFrame(angle)
+            angle, _ = kinematics.fit_position_angle(cube)
+            return kinematics.PositionAngleFrame(angle)
         case "ridge":
-            return find_ridge_line(cube)
+            return kinematics.find_ridge_line(cube)
         case "radial":
-            return RadialFrame()
+            return kinematics.RadialFrame()
         case None | "any":
-            return SkyFrame()
+            return kinematics.SkyFrame()
     return position_angle
 
 
@@ -459,7 +453,7 @@ def choose_direction(
     if cube.beams is None:
         return None, "images without a beam have no core"
     try:
-        angle, error = fit_position_angle(cube)
+        angle, error = kinematics.fit_position_angle(cube)
     except ValueError:
         return None, "nothing is seen beyond a beam from the core"
     image = np.asarray(cube.mean_image().data, dtype=float)

@@ -26,6 +26,7 @@ import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
+from astro_scc import patterns, plan
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
@@ -35,41 +36,15 @@ from astro_scc.measurement import SCCResult
 from astro_scc.measurement.parts import parts_of
 from astro_scc.paper.matching import SearchPlan, match
 from astro_scc.parallel import Workers
-from astro_scc.patterns import (
-    DecomposedEpochs,
-    allow_for_structure,
-    check_cube,
-    decompose_epochs,
-    empty_region,
-)
-from astro_scc.plan import (
-    choose_direction,
-    flow_beam,
-    flow_direction,
-    motion_of,
-    scale_numbers,
-    search_settings,
-    velocity_frame,
-    warn_of_limits,
-)
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator, seeded
-from astro_scc.settings import (
-    MeasurementSettings,
-    Settings,
-    check_setting,
-    in_unit,
-    require,
-)
+from astro_scc.quantities import Seed, random_generator, seeded
+from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import find_streams
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
-
-#: Names of the settings of a measurement.
-NAMES = tuple(field.name for field in fields(MeasurementSettings))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,9 +120,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     """
 
     def __post_init__(self):
-        for name in NAMES:
-            value = check_setting(name, getattr(self, name))
-            object.__setattr__(self, name, in_unit(name, value))
+        super().__post_init__()
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
     @classmethod
@@ -163,7 +136,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `StackedCrossCorrelation`
         """
-        return cls(**{name: getattr(settings, name) for name in NAMES})
+        names = (one.name for one in fields(MeasurementSettings))
+        return cls(**{name: getattr(settings, name) for name in names})
 
     def _decomposer(self, scales):
         return Decomposer(
@@ -201,13 +175,13 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `~astro_scc.decomposition.Decomposer`
         """
-        scales = scale_numbers(cube, self.scales)
-        return allow_for_structure(cube, self._decomposer(scales))
+        scales = plan.scale_numbers(cube, self.scales)
+        return patterns.allow_for_structure(cube, self._decomposer(scales))
 
     def decompose(
         self, cube: EpochCube, *, region: Any = None,
         n_workers: Workers = 1, progress_bar: bool = False,
-    ) -> DecomposedEpochs:  # fmt: skip
+    ) -> patterns.DecomposedEpochs:  # fmt: skip
         """
         Decompose the epochs into wavelets and significant structural patterns (SSPs).
 
@@ -239,18 +213,18 @@ class StackedCrossCorrelation(MeasurementSettings):
             If no SSP lies in the region, structure fills the images, or the alignment
             of the epochs scatters by 0.2 beams or more.
         """
-        check_cube(cube, self.common_beam)
-        found, _ = decompose_epochs(
+        patterns.check_cube(cube, self.common_beam)
+        found, _ = patterns.decompose_epochs(
             cube, self.decomposer(cube), region=region, n_workers=n_workers,
             progress_bar=progress_bar,
         )  # fmt: skip
-        if empty := empty_region(found, region):
+        if empty := patterns.empty_region(found, region):
             warn(empty, MeasurementWarning)
         return found
 
     match = match
 
-    def flow(self, decomposed: DecomposedEpochs) -> DecomposedFlow:
+    def flow(self, decomposed: patterns.DecomposedEpochs) -> DecomposedFlow:
         """
         Return what changes in the images, along the flow.
 
@@ -265,25 +239,25 @@ class StackedCrossCorrelation(MeasurementSettings):
         """
         cube, scales = decomposed.cube, None
         if self.scales is not None:
-            scales = scale_numbers(cube, self.scales)
+            scales = plan.scale_numbers(cube, self.scales)
         if self.max_speed is not None:
             gaps = np.diff(cube.years.to_value(u.yr))
             every = np.array([gaps[gaps > 0].min(), gaps.sum()])
-            motion_of(cube, self.max_speed.to_value(PM_UNIT), every)
-        frame = velocity_frame(cube, self.position_angle)
+            plan.motion_of(cube, self.max_speed.to_value(PM_UNIT), every)
+        frame = plan.velocity_frame(cube, self.position_angle)
         # A one-sided jet has a direction, also where the axes are east and north.
-        angle = None if self.position_angle is not None else choose_direction(cube)[0]
+        given = self.position_angle is not None
+        along = None if given else plan.choose_direction(cube)[0]
         flow = decompose_flow(
-            cube, frame if angle is None else PositionAngleFrame(angle), scales=scales,
-            beam=flow_beam(cube), region=decomposed.region, max_speed=self.max_speed,
-            kernel=self.wavelet,
+            cube, frame if along is None else PositionAngleFrame(along), scales=scales,
+            beam=plan.flow_beam(cube), region=decomposed.region,
+            max_speed=self.max_speed, kernel=self.wavelet,
         )  # fmt: skip
         return replace(flow, frame=frame)
 
     def measure(
-        self, decomposed: DecomposedEpochs, *, n_trials: int = 1000,
-        rng: np.random.Generator | int | None = None, n_workers: Workers = 1,
-        progress_bar: bool = False,
+        self, decomposed: patterns.DecomposedEpochs, *, n_trials: int = 1000,
+        rng: Seed | None = None, n_workers: Workers = 1, progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
         Measure the streams of decomposed epochs.
@@ -324,14 +298,14 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        settings = search_settings(self, cube, n_trials)
+        settings = plan.search_settings(self, cube, n_trials)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
             search = find_streams(flow, features, settings, rng=generator)
             choices = parts_of(search)
-        warn_of_limits(search.test.p_smallest, len(cube), settings)
-        angle = flow_direction(decomposed, flow.frame)
+        plan.warn_of_limits(search.test.p_smallest, len(cube), settings)
+        angle = plan.flow_direction(decomposed, flow.frame)
         meta = meta_of(self, n_trials, seed) | {
             "jet_position_angle": angle, "misalignment_beams": cube.misalignment,
         }  # fmt: skip
@@ -339,8 +313,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
-        rng: np.random.Generator | int | None = None, n_workers: Workers = 1,
-        progress_bar: bool = False,
+        rng: Seed | None = None, n_workers: Workers = 1, progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
         Measure the streams of a cube.
@@ -397,8 +370,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
 def measure_velocities(
     cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
-    rng: np.random.Generator | int | None = None, n_workers: Workers = 1,
-    **settings: Any,
+    rng: Seed | None = None, n_workers: Workers = 1, **settings: Any,
 ) -> QTable:  # fmt: skip
     """
     Measure the streams of a cube in one call.

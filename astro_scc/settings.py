@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from astro_scc import quantities as q
+from astro_scc.exceptions import naming
 
 if TYPE_CHECKING:
     import astropy.units as u
@@ -111,6 +112,14 @@ class MeasurementSettings:
     small_displacement_correction: bool = _setting(q.check_boolean, default=False)
     common_beam: bool | None = _setting(q.check_boolean)
 
+    def __post_init__(self):
+        vars(self).update(self._checked())
+
+    def _checked(self):
+        """Return the checked values of all settings, in their units."""
+        names = (one.name for one in fields(self))
+        return {name: require(name, getattr(self, name)) for name in names}
+
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
@@ -168,7 +177,7 @@ class Settings(MeasurementSettings):
     cosmology: str | None = _setting(_text_for, "kinematics.cosmology", "to_cosmology")
     distance: u.Quantity | str | None = _setting(_of_object, "distance")
 
-    def __post_init__(self):
+    def _checked(self):
         made = {name: check_setting(name, getattr(self, name)) for name in OPTIONS}
         redshift, cosmology = made["redshift"], made["cosmology"]
         by_redshift = redshift is not None or cosmology is not None
@@ -179,7 +188,7 @@ class Settings(MeasurementSettings):
             made["cosmology"] = PAPER_COSMOLOGY
         if cosmology is not None and redshift is None:
             raise ValueError("cosmology needs a redshift")
-        vars(self).update(made)
+        return made
 
     def changed(self, **values: Any) -> Settings:
         """
@@ -363,8 +372,6 @@ def read_config(path: Path | str) -> tuple[dict[str, Any], dict[str, str]]:
             raise ValueError(
                 f"{path}: unknown key {name!r}{hint}; see astro-scc measure --help"
             )
-        try:
+        with naming(path):
             check_setting(name, given[name])
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
     return given, versions

@@ -25,10 +25,9 @@ from astro_scc.epochs import (
 )
 from astro_scc.epochs.inspection import kind_of
 from astro_scc.exceptions import AstroSccWarning
+from astro_scc.images import fits, positions
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.dates import date_labels
-from astro_scc.images.fits import find_files
-from astro_scc.images.positions import readable_angle
 from astro_scc.paper.stack import baseline_pairs
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
@@ -114,17 +113,12 @@ def restore(args, reporter):
 
 def _sources(tables):
     """Return the sources of tables as lines."""
-    rows = [
-        {
-            "source": name,
-            "also": ", ".join(others) or "-",
-            "epochs": str(len(dates)),
-            "first": dates[0][:10],
-            "last": dates[-1][:10],
-        }
-        for path in find_files(tables)
-        for name, others, dates in source_list(path)
-    ]
+    heads, rows = ("source", "also", "epochs", "first", "last"), []
+    for path in fits.find_files(tables):
+        for name, others, dates in source_list(path):
+            days = dates[0][:10], dates[-1][:10]
+            row = name, ", ".join(others) or "-", str(len(dates)), *days
+            rows.append(dict(zip(heads, row, strict=True)))
     return table_lines(rows)
 
 
@@ -179,7 +173,7 @@ def inspect(args, reporter):
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")
     speed = _quantity(args, "speed", "an angle per time", "2 mas/yr")
-    files = find_files(args.epochs, missing_ok=True)
+    files = fits.find_files(args.epochs, missing_ok=True)
     kinds = {kind_of(file) for file in files}
     cube, refusal, remarks = _read(files, _beam(args))
     if kinds in ({"cube"}, {"components"}):
@@ -195,7 +189,7 @@ def inspect(args, reporter):
         known = "; ".join(problems)
         words = {text: " ".join(text.split(": ")[-1].split()[:3]) for text in remarks}
         problems += [text for text in remarks if words[text] not in known]
-    angle = readable_angle(np.nanmin(facts["pixel"])).split()[1]
+    angle = positions.readable_angle(np.nanmin(facts["pixel"])).split()[1]
     origin = facts.meta.get("origin") or "the reference pixel"
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube, angle)
     rows = [
@@ -265,9 +259,9 @@ def _cells(name, date, row, unit, offsets):
         return cells
     cells["date"] = date
     cells["pixels"] = f"{row['nx']} x {row['ny']}"
-    cells["pixel"] = readable_angle(row["pixel"])
+    cells["pixel"] = positions.readable_angle(row["pixel"])
     if "major" in row.colnames and np.isfinite(row["major"]):
-        angle = readable_angle(row["major"]).split()[1]
+        angle = positions.readable_angle(row["major"]).split()[1]
         axes = (f"{row[axis].to_value(angle):.3g}" for axis in ("major", "minor"))
         cells["beam"] = f"{' x '.join(axes)} {angle} at {row['pa'].value:.0f} deg"
     if np.isfinite(row["noise"]):
@@ -313,14 +307,9 @@ def _plan(cube, speed):
             limits = u.Quantity([first, last]).to_value(u.yr)
             pairs = len(baseline_pairs(cube.years.value, *limits).first)
             text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
-        rows.append(
-            {
-                f"speed ({unit})": f"{value.value:.2g}",
-                "beams in the median interval": f"{plan.motion(value):.2g}",
-                "--baseline for it alone": text,
-                "pairs": str(pairs),
-            }
-        )
+        row = {f"speed ({unit})": f"{value.value:.2g}"}
+        row["beams in the median interval"] = f"{plan.motion(value):.2g}"
+        rows.append(row | {"--baseline for it alone": text, "pairs": str(pairs)})
     return [*plan.lines(), "", *table_lines(rows)]
 
 
@@ -334,19 +323,12 @@ def _rounded(interval, how):
 def _alignment(cube, of_core):
     """Return what the choice of an alignment leaves to be said, as lines."""
     scatter = cube.misalignment
+    said = f"What is fitted as the core scatters by {of_core:.2f} beams"
     if scatter is None and of_core >= MISALIGNED:
-        return [
-            "",
-            f"What is fitted as the core scatters by {of_core:.2f} beams: align the "
-            "epochs on it if it is the core (--align core).",
-        ]
+        return ["", f"{said}: align the epochs on it if it is the core (--align core)."]
     if scatter is not None and scatter < MISALIGNED <= of_core:
-        return [
-            "",
-            f"What is fitted as the core scatters by {of_core:.2f} beams, but the rest "
-            f"of the images by {scatter:.2f}:",
-            "it varies, or is not the core, and the epochs are left as they are.",
-        ]
+        more = "it varies, or is not the core, and the epochs are left as they are."
+        return ["", f"{said}, but the rest of the images by {scatter:.2f}:", more]
     return []
 
 

@@ -15,11 +15,7 @@ from astro_scc.flow import compare_scales, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.products import write_epoch_regions, write_products
-from astro_scc.products.folder import (
-    product_folder,
-    write_files,
-    write_paper_products,
-)
+from astro_scc.products.folder import product_folder, write_files, write_paper_products
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
@@ -83,14 +79,10 @@ def measure(args, reporter):
 def _measured(epochs, reporter):
     """Return the measurement of epochs."""
     settings = epochs.settings
-    return StackedCrossCorrelation.from_settings(settings)(
-        epochs.cube,
-        region=settings.region,
-        n_trials=settings.n_trials,
-        rng=settings.seed,
-        n_workers=epochs.n_workers,
-        progress_bar=reporter.progress,
-    )
+    given = {"n_trials": settings.n_trials, "rng": settings.seed}
+    given |= {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
+    scc = StackedCrossCorrelation.from_settings(settings)
+    return scc(epochs.cube, region=settings.region, **given)
 
 
 def _as_in_paper(epochs, folder, args, reporter):
@@ -259,10 +251,9 @@ def _truth_lines(jet):
             rows_of_stream[f"pm_{axis}"].mean().to_value("mas / yr")
             for axis in ("east", "north")
         )
-        row = {"stream": str(name)}
-        row["proper motion (mas / yr)"] = f"{math.hypot(east, north):.2f}"
-        row["PA (deg)"] = f"{math.degrees(math.atan2(east, north)) % 360:.0f}"
-        rows.append(row)
+        speed, angle = math.hypot(east, north), math.degrees(math.atan2(east, north))
+        row = {"stream": str(name), "proper motion (mas / yr)": f"{speed:.2f}"}
+        rows.append(row | {"PA (deg)": f"{angle % 360:.0f}"})
     return ["Simulated:", *table_lines(rows)]
 
 

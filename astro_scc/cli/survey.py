@@ -19,14 +19,8 @@ import numpy as np
 from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc import parallel, writing
+from astro_scc.cli import inputs
 from astro_scc.cli import survey_sources as sources
-from astro_scc.cli.inputs import (
-    published_of,
-    read_epochs,
-    read_table,
-    refuse_paper,
-    workers_of,
-)
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE
@@ -60,7 +54,7 @@ HEAD = {
 
 def survey(args, reporter):
     """Measure the sources of a survey according to the arguments."""
-    n_workers, output = workers_of(args), Path(args.output)
+    n_workers, output = inputs.workers_of(args), Path(args.output)
     reporter.resumes = True
     plan, report = sources.survey_of(args, output, reporter)
 
@@ -267,10 +261,10 @@ def measure_part(part, output, report=False, partial=None):
 
 def _measured(part, folder, output, report, said):
     """Measure a part into a folder; return its outcome."""
-    epochs = read_epochs(part.settings, moving=True)
-    refuse_paper(epochs.settings)
+    epochs = inputs.read_epochs(part.settings, moving=True)
+    inputs.refuse_paper(epochs.settings)
     cube, settings = epochs.cube, epochs.settings
-    epochs = epochs._replace(published=published_of(part.compare, cube))
+    epochs = epochs._replace(published=inputs.published_of(part.compare, cube))
     first, last = cube.times.isot[[0, -1]].tolist()
     outcome = replace(
         part.outcome, status="empty", message=NO_PATTERN, n_epochs=len(cube),
@@ -368,7 +362,7 @@ def _stacked(outcomes, output, name, empty):
             every += lines[start:]
             numbers += [number] * len(lines[start:])
     for path, lines, numbers in parts.values():
-        table = read_table(lines, name=path)
+        table = inputs.read_table(lines, name=path)
         table.meta.clear()
         table["outcome"] = numbers
         tables.append(table)

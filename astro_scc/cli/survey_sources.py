@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 from astro_scc.cli import images, inputs
 from astro_scc.components.lists import read_sources
 from astro_scc.components.restoring import suited
+from astro_scc.exceptions import first_line, naming_all
 from astro_scc.images.beam import Beam
-from astro_scc.images.headers import first_line
 from astro_scc.parallel import in_order
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -368,28 +368,6 @@ def write_survey(args, output, reporter):
     source; settings may be added to it.  Of a table, they are restored into
     ``images/NAME``; those that an earlier run made from the same table in the same way
     are kept, and their sources stay in the survey.
-
-    Parameters
-    ----------
-    args : `~argparse.Namespace`
-        Its ``survey`` is a folder, or a table that `~astro_scc.epochs.read_components`
-        reads.
-    output : `~pathlib.Path`
-        Folder of the survey.
-    reporter : `~astro_scc.cli.program.Reporter`
-
-    Returns
-    -------
-    `~pathlib.Path`
-        The file.
-
-    Raises
-    ------
-    OSError
-        If the folder is of something else, or another run writes into it.
-    ValueError
-        If there are no images, if the table lacks the source that is asked for, or if
-        the images of no source can be restored.
     """
     given, path = Path(args.survey), output / PLAN
     found, how, defaults, made_of = {}, {}, "", str(given.absolute())
@@ -537,12 +515,8 @@ def read_redshifts(path):
             f"{path}: needs the columns source and redshift; it has "
             f"{', '.join(table.colnames)}"
         )
-    try:
+    wanted = f"its column {values.name} must be numbers without a unit, as 0.158"
+    with naming_all(f"{path}: {wanted}"):
         numbers = np.ma.filled(values.astype(float), np.nan)
-    except ValueError as error:
-        raise ValueError(
-            f"{path}: its column {values.name} must be numbers without a unit, as "
-            f"0.158: {first_line(error)}"
-        ) from None
     rows = zip(names, numbers, strict=True)
     return {str(name): float(z) for name, z in rows if np.isfinite(z)}

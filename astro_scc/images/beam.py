@@ -72,10 +72,8 @@ class Beam:
         vars(self).update(major=major, minor=minor, pa=pa)
 
     def __str__(self):
-        return (
-            f"{self.major.value:.3g} x {self.minor.value:.3g} mas "
-            f"at {self.pa.value:.1f} deg"
-        )
+        size = f"{self.major.value:.3g} x {self.minor.value:.3g} mas"
+        return f"{size} at {self.pa.value:.1f} deg"
 
     @property
     def area(self) -> u.Quantity:

@@ -87,10 +87,8 @@ def observing_time(header, *, start=False):
     if (begin or first).day_only:
         half = TimeDelta(exposure / 2, format="sec")
         middles += [replace(one, time=one.time - half, middle=True) for one in ends]
-    middle = min(
-        (one for one in middles if _follows(one, begin or first, exposure)),
-        default=None,
-    )
+    middles = [one for one in middles if _follows(one, begin or first, exposure)]
+    middle = min(middles, default=None)
     if middle is not None and (begin is None or _better(middle, begin)):
         return _in_utc(middle.time), remark
     half = TimeDelta(_lasted(begin, ends, exposure) / 2, format="sec")

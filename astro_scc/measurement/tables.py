@@ -361,20 +361,11 @@ def velocity_columns(velocity, covariance, frame, position_angle):
 
 def ssp_table(decomposed):
     """
-    Return the catalogue of SSPs with sky positions and errors.
+    Return the catalogue of the SSPs of `~astro_scc.patterns.DecomposedEpochs`.
 
-    Parameters
-    ----------
-    decomposed : `~astro_scc.patterns.DecomposedEpochs`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        One row per SSP; ``date`` is a `~astropy.time.Time`, and ``in_region`` says
-        which were used.  ``east`` and ``north`` are offsets of the maximum from the
-        reference pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
-        without right ascension, `~astro_scc.epochs.name_by_frame` gives the column
-        names.
+    ``in_region`` says which were used.  ``east`` and ``north`` are offsets of the
+    maximum from the reference pixel, with thermal errors ``beam / (sqrt(2) SNR)``; in
+    frames without right ascension they have other names.
     """
     ssps, cube = decomposed.ssps, decomposed.cube
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))

@@ -23,16 +23,9 @@ from astro_scc.quantities import CORRELATION, named
 BATCH_PIXELS = 150_000
 #: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
-#: Columns of matches.
-COLUMNS = {
-    "ssp": np.int32,
-    "target": np.int16,
-    "dy": np.float32,
-    "dx": np.float32,
-    "coefficient": np.float32,
-    "overlap": np.float32,
-    "target_snr": np.float32,
-}
+#: Columns of matches, and their types.
+COLUMNS = {"ssp": np.int32, "target": np.int16}
+COLUMNS |= dict.fromkeys(("dy", "dx", "coefficient", "overlap", "target_snr"), "f4")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -288,9 +281,8 @@ class Correlator:
             parts += found
             if progress is not None:
                 progress(1)
-        columns = map(np.concatenate, zip(*parts, strict=True))
-        kinds = COLUMNS.values()
-        found = Matches(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
+        columns = zip(zip(*parts, strict=True), COLUMNS.values(), strict=True)
+        found = Matches(*(np.concatenate(part).astype(kind) for part, kind in columns))
         return found.select(np.lexsort((found.target, found.ssp)))
 
 

@@ -9,23 +9,13 @@ from typing import Any
 import astropy.units as u
 import numpy as np
 
+from astro_scc import patterns
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.paper import stack
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs, target_ssps
-from astro_scc.paper.stack import (
-    DatePairs,
-    Displacements,
-    baseline_pairs,
-    consecutive_pairs,
-)
 from astro_scc.parallel import Workers, workers_of
-from astro_scc.patterns import (
-    DecomposedEpochs,
-    check_cube,
-    decompose_epochs,
-    empty_region,
-)
 from astro_scc.plan import each_fwhm, motion_of, require_pairs, scale_numbers
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings
@@ -63,7 +53,7 @@ class SearchPlan:
     """
 
     scales: tuple[float, ...]
-    pairs: DatePairs
+    pairs: stack.DatePairs
     fwhm: float
     max_speed: float
     reach: tuple[int, int]
@@ -113,7 +103,7 @@ class SearchPlan:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class MatchedEpochs(DecomposedEpochs):
+class MatchedEpochs(patterns.DecomposedEpochs):
     """
     Decomposed and correlated epochs: their SSPs and matches.
 
@@ -162,9 +152,9 @@ def pairs_of_dates(cube, baseline):
     """
     years = cube.years.to_value(u.yr)
     if baseline is None:
-        pairs = consecutive_pairs(years)
+        pairs = stack.consecutive_pairs(years)
     else:
-        pairs = baseline_pairs(years, *baseline.to_value(u.yr))
+        pairs = stack.baseline_pairs(years, *baseline.to_value(u.yr))
     require_pairs(cube, baseline, len(pairs))
     return pairs
 
@@ -209,12 +199,12 @@ def match(
         of the epochs scatters by 0.2 beams or more, or ``max_speed`` moves by more
         than half the image.
     """
-    check_cube(cube, settings.common_beam)
+    patterns.check_cube(cube, settings.common_beam)
     found = match_epochs(
         cube, settings, settings.plan(cube), region=region, n_workers=n_workers,
         progress_bar=progress_bar,
     )  # fmt: skip
-    if empty := empty_region(found, region):
+    if empty := patterns.empty_region(found, region):
         warn(empty, MeasurementWarning)
     return found
 
@@ -243,7 +233,7 @@ def match_epochs(
     correlator = Correlator(settings.kappa, settings.target, settings.min_overlap)
     pairs = all_pairs(len(cube)) if pairs is None else pairs
     with workers_of(n_workers) as workers:
-        found, decompositions = decompose_epochs(
+        found, decompositions = patterns.decompose_epochs(
             cube, settings.decomposer(cube), region=region, n_workers=workers,
             progress_bar=progress_bar,
         )  # fmt: skip
@@ -290,7 +280,7 @@ def matched_displacements(matched, frame, *, min_error_beams):
     first = position_errors(ssps.snr[owner], here, min_error_beams)
     second = position_errors(matches.target_snr, there, min_error_beams)
     s = np.sqrt(first**2 + second**2)
-    return Displacements(
+    return stack.Displacements(
         *d.T, *s.T, weight=(matches.coefficient * matches.overlap).astype(float),
         reference=ssps.epoch[owner].astype(np.int32),
         target=matches.target.astype(np.int32), ssp=owner.astype(np.int32),

@@ -26,27 +26,10 @@ class View:
     """
     The part of a cube's images that is shown, with its unit and colours.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.EpochCube`
-    points : dict or None
-        See `ssp_points`.
-    image : `numpy.ma.MaskedArray`
-        One or more images, which decide on the colours.
-    norm : `matplotlib.colors.Normalize`
-        See `plotting_norm`.
-    edge : float, optional
-        Share of the SSPs' weight that may lie beyond each side; the whole image is
-        shown if it is None.
-    unit : `~astropy.units.Unit`, optional
-        Unit of the offsets.
-
-    Attributes
-    ----------
-    limits : `~numpy.ndarray`, shape (2, 2)
-        Offsets that are shown, in the unit: east, then north.
-    factor : float
-        Converts mas to the unit.
+    ``points`` are those of `ssp_points`, of whose weight the share ``edge`` may lie
+    beyond each side; without an edge the whole image is shown.  ``limits`` are the
+    offsets (east, then north) in the unit, to which ``factor`` converts mas, and
+    ``image`` has one or more images, which decide on the colours of the ``norm``.
     """
 
     def __init__(self, cube, points, image, norm, edge=0.015, unit=None):
@@ -279,22 +262,9 @@ def image_planes(cube, limits, most):
     """
     Return all epochs as grey levels on one grid with axes east and north.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.EpochCube`
-    limits : `~numpy.ndarray`, shape (2, 2)
-        Offsets in mas: east, then north.
-    most : int
-        Largest number of pixels of all epochs; images are binned for it.
-
-    Returns
-    -------
-    planes : `~numpy.ndarray` of uint8, shape (n_epochs, ny, nx)
-        From 1 (faint) to 255; 0 where an image is masked.
-    sides : `~numpy.ndarray`, shape (2, 2)
-        The limits of the planes.
-    n_bins : int
-        Side of a pixel of the planes, in pixels of the images.
+    The planes (n_epochs, ny, nx) of uint8 go from 1 (faint) to 255, and are 0 where an
+    image is masked; with them go their limits in mas, and the side of their pixels in
+    pixels of the images, which are binned to ``most`` pixels of all epochs.
     """
     from scipy.ndimage import map_coordinates, uniform_filter
 
@@ -479,24 +449,17 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+    ssps, **look
         As in `plot_epoch`.
     figure : `matplotlib.figure.Figure`, optional
         Figure to draw on instead of a new one.
     max_panels : int, optional
         If there are more epochs, the first, the last and others evenly between
         them are drawn.
-    **look
-        ``unit``, ``norm``, ``zoom`` and keywords of the images, see `plot_epoch`.
 
     Returns
     -------
     `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If ``max_panels`` is below 1, or the unit is not an angle.
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")

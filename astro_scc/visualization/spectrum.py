@@ -125,9 +125,8 @@ def _draw_limits(upper, lower, search, speeds):
 def _draw_streams(ax, result, speeds, top, ends):
     """Draw the streams that move above the spectrum, with their speeds inside of it."""
     row, (low, high) = 0, ends
-    for k, (stream, line) in enumerate(
-        zip(result.search.streams, result.streams, strict=True)
-    ):
+    pairs = zip(result.search.streams, result.streams, strict=True)
+    for k, (stream, line) in enumerate(pairs):
         if stream.kind == "stationary":
             continue
         speed, (color, filling) = abs(speeds.stream[k]), _look(stream, k + 1)
