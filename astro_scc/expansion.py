@@ -438,10 +438,8 @@ def measure_expansion(
         raise ValueError("no SSP lies in any sector: there is nothing to measure")
     rows = []
     for limits, table in false_discovery_rate(tables).items():
-        columns = {
-            name: np.full(len(table), limit) * u.deg
-            for name, limit in zip(("pa_min", "pa_max"), limits, strict=True)
-        }
+        pairs = zip(("pa_min", "pa_max"), limits, strict=True)
+        columns = {name: np.full(len(table), limit) * u.deg for name, limit in pairs}
         for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
             for end in ("", "_err"):
                 columns[name + end] = frame.rate(table[of + end])

@@ -196,10 +196,8 @@ def radial_grid(cube, frame, east, north, step, beam):
         along = _covering(0.0, _most(r / beam), step)
         radius = along * beam
         weight = radius / radius.max()
-    east, north = (
-        origin[k] + radius[:, None] * turn(theta)
-        for k, turn in enumerate((np.sin, np.cos))
-    )
+    east = origin[0] + radius[:, None] * np.sin(theta)
+    north = origin[1] + radius[:, None] * np.cos(theta)
     x, y = cube.offset_to_pixel(*_mas(east, north))
     counter = np.zeros(len(across), dtype=bool)
     return FlowGrid(x, y, along, across, counter, weight[:, None], beam, outward=True)

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from astro_scc import quantities as q
-from astro_scc.exceptions import naming
 
 if TYPE_CHECKING:
     import astropy.units as u
@@ -372,6 +371,8 @@ def read_config(path: Path | str) -> tuple[dict[str, Any], dict[str, str]]:
             raise ValueError(
                 f"{path}: unknown key {name!r}{hint}; see astro-scc measure --help"
             )
-        with naming(path):
+        try:
             check_setting(name, given[name])
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
     return given, versions

@@ -62,18 +62,12 @@ def measure(args, reporter):
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
-    features = with_published(
-        result.features, result.tracked_features, epochs.published
-    )
-    reporter.say(
-        *answer.stream_lines(streams, features),
-        *answer.published_lines(features),
-        *flow,
-        *epochs.found,
-        f"\nTables and maps: {output}"
-        if args.no_report
-        else f"\nReport: {output / 'report.html'}",
-    )
+    found = result.features, result.tracked_features
+    features = with_published(*found, epochs.published)
+    lines = *answer.stream_lines(streams, features), *answer.published_lines(features)
+    where = f"Report: {output / 'report.html'}"
+    where = f"Tables and maps: {output}" if args.no_report else where
+    reporter.say(*lines, *flow, *epochs.found, f"\n{where}")
 
 
 def _measured(epochs, reporter):
@@ -246,11 +240,9 @@ def _truth_lines(jet):
     """Return the simulated velocities as lines."""
     rows = []
     for name in dict.fromkeys(jet.truth["group"]):
-        rows_of_stream = jet.truth[jet.truth["group"] == name]
-        east, north = (
-            rows_of_stream[f"pm_{axis}"].mean().to_value("mas / yr")
-            for axis in ("east", "north")
-        )
+        stream = jet.truth[jet.truth["group"] == name]
+        motions = (stream[f"pm_{axis}"].mean() for axis in ("east", "north"))
+        east, north = (motion.to_value("mas / yr") for motion in motions)
         speed, angle = math.hypot(east, north), math.degrees(math.atan2(east, north))
         row = {"stream": str(name), "proper motion (mas / yr)": f"{speed:.2f}"}
         rows.append(row | {"PA (deg)": f"{angle % 360:.0f}"})

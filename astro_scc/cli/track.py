@@ -47,13 +47,10 @@ def track(args, reporter):
 
             files = style.figure_files(("separation", "tracks"), draw, pdf=args.pdf)
             write_files(files, folder)
-    reporter.say(
-        *feature_lines(table, most=len(table)),
-        *published_lines(table),
-        *speed_lines(epochs.settings.in_c),
-        *epochs.found,
-        f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
-    )
+    lines = *feature_lines(table, most=len(table)), *published_lines(table)
+    lines = *lines, *speed_lines(epochs.settings.in_c), *epochs.found
+    what = "Tables" if args.no_figures else "Tables and figures"
+    reporter.say(*lines, f"\n{what}: {output}")
 
 
 def _find(epochs, reporter, seed):

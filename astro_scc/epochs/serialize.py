@@ -321,10 +321,8 @@ def write_epochs(
         prefix = str(facts.get("object") or cube.meta.get("object") or "epoch")
     prefix = re.sub(r"[^\w+.-]+", "_", prefix.strip()).strip("_") or "epoch"
     digits = max(2, len(str(len(cube) - 1)))
-    paths = [
-        directory / f"{prefix}_{i:0{digits}d}_{day}.fits"
-        for i, day in enumerate(cube.times.strftime("%Y-%m-%d"))
-    ]
+    days = enumerate(cube.times.strftime("%Y-%m-%d"))
+    paths = [directory / f"{prefix}_{i:0{digits}d}_{day}.fits" for i, day in days]
     existing = [path for path in paths if path.exists()]
     if existing and not overwrite:
         raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")

@@ -91,10 +91,8 @@ class Beam:
         """
         along = np.array([np.sin(self.pa), np.cos(self.pa)])
         across = np.array([np.cos(self.pa), -np.sin(self.pa)])
-        return FWHM_TO_SIGMA**2 * (
-            self.major**2 * np.outer(along, along)
-            + self.minor**2 * np.outer(across, across)
-        )
+        major = self.major**2 * np.outer(along, along)
+        return FWHM_TO_SIGMA**2 * (major + self.minor**2 * np.outer(across, across))
 
     def fwhm_along(self, position_angle: u.Quantity) -> u.Quantity:
         """
@@ -204,10 +202,8 @@ def as_beam(beam):
 
 def is_per(unit, *names):
     """Return whether a unit is per one of the given units, "beam" or "pix"."""
-    return any(
-        base.name.lower() in names and power < 0
-        for base, power in zip(unit.bases, unit.powers, strict=True)
-    )
+    powers = zip(unit.bases, unit.powers, strict=True)
+    return any(base.name.lower() in names and power < 0 for base, power in powers)
 
 
 def beam_of(covariance, unit):

@@ -434,12 +434,9 @@ def _from_reference(header, name, seconds, scale):
         form = "jd" if days[0] > FIRST_JD else "mjd"
         found = Time(days, format=form, scale=known)
         # wcslib writes a reference of 0 to every header.
-        absolute = name.startswith(tuple(WORDS["julian"])) or (
-            get(header, "MJDREF", kind=float) == 0
-            if reference is None
-            else abs(found[0].mjd - reference.mjd) < 2
-        )
-        if absolute:
+        zero = get(header, "MJDREF", kind=float) == 0
+        near = zero if reference is None else abs(found[0].mjd - reference.mjd) < 2
+        if near or name.startswith(tuple(WORDS["julian"])):
             return found
     if reference is None:
         raise ValueError(

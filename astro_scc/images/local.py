@@ -203,8 +203,6 @@ def flat_wcs(wcs, image, *, moved=False):
         By how much north turns over the structure, in radians.
     """
     usual = wcs.pixel_scale_matrix
-    if not moved and is_flat(wcs, image.shape):
-        return wcs, 0.0
     box, peak = structure(image)
     middle = (box[0] + box[1]) / 2, (box[2] + box[3]) / 2
     here = differences(wcs, (middle[0], middle[0], middle[1], middle[1]), usual)

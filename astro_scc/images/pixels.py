@@ -9,10 +9,8 @@ from astropy.nddata import InverseVariance, StdDevUncertainty, VarianceUncertain
 from astro_scc.images import cards, extensions, headers
 
 #: Uncertainties by the names that astropy writes.
-UNCERTAINTIES = {
-    kind.__name__: kind
-    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
-}
+UNCERTAINTIES = StdDevUncertainty, VarianceUncertainty, InverseVariance
+UNCERTAINTIES = {kind.__name__: kind for kind in UNCERTAINTIES}
 
 
 def missing(image, mask=False):

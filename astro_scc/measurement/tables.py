@@ -212,12 +212,9 @@ def stream_row(result, k):
     """Return the columns of stream k, counted from 0, as plain numbers."""
     search, stream = result.search, result.search.streams[k]
     test, alpha = search.test, result.meta["settings"]["alpha"]
-    row, by_alignment = (
-        velocity_columns(
-            stream.velocity, covariance, result.frame, result.position_angle
-        )
-        for covariance in (stream.covariance, stream.alignment)
-    )
+    axes = result.frame, result.position_angle
+    row = velocity_columns(stream.velocity, stream.covariance, *axes)
+    by_alignment = velocity_columns(stream.velocity, stream.alignment, *axes)
     p, n = stream.p_global, result.meta["n_trials"]
     # All orders of a few epochs leave nothing to chance.
     p_err = np.sqrt(p * (1 - p) / n) if test.p_smallest <= 1 / n else 0.0

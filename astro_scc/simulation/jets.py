@@ -319,10 +319,8 @@ class JetSimulation:
         angle = self.position_angle
         outward = pm[0] * np.sin(angle).value + pm[1] * np.cos(angle).value
         outward = np.where(visible, outward, np.nan)
-        meta["streams"] = [
-            _stream_facts(stream, outward[features.group == stream.name])
-            for stream in self.streams
-        ]
+        speeds = [outward[features.group == stream.name] for stream in self.streams]
+        meta["streams"] = [*map(_stream_facts, self.streams, speeds)]
         exists = np.isfinite(east)
         return QTable({k: v[exists] for k, v in columns.items()}, meta=meta)
 

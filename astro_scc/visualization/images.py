@@ -208,10 +208,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     """
     aspect = np.divide(*np.ptp(view.limits, axis=1))
     page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
-    widths = [
-        min(page[0] / columns, page[1] / -(-n // columns) * aspect)
-        for columns in range(1, n + 1)
-    ]
+    widths = [min(page[0] / k, page[1] / -(-n // k) * aspect) for k in range(1, n + 1)]
     # Of grids with equal panels, but for rounding, take the one with fewest columns.
     columns = 1 + int(np.argmax(np.round(widths, 3)))
     rows = -(-n // columns)

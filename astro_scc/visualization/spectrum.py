@@ -30,6 +30,7 @@ class Speeds:
 
     def __init__(self, result, unit=None):
         self.unit = style.speed_unit_of(result, unit)
+        self.name = unit_name(self.unit)
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
         features = result.tracked_features
@@ -45,11 +46,6 @@ class Speeds:
         self.stream, self.stream_err, self.dispersion = np.nan_to_num(
             self.factor * np.reshape(rows, (-1, 3)).T
         )
-
-    @property
-    def name(self):
-        """The unit as it is written."""
-        return unit_name(self.unit)
 
 
 def _look(stream, number):
