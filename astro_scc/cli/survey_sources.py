@@ -181,11 +181,10 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     ----------
     path : path
         A TOML file with a table ``[sources.NAME]`` for each source, with its
-        ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a
-        table of scales), ``published_pm`` and ``compare``, a speed and a table of
-        published features to compare with, and any setting of a
-        measurement; and a table ``[defaults]`` for what a source does not set.
-        Paths are relative to the file.
+        ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a table of
+        scales), ``published_pm`` and ``compare``, a speed and a table of published
+        features to compare with, and any setting of a measurement; and a table
+        ``[defaults]`` for what a source does not set.  Paths are relative to the file.
     redshifts : dict of float, optional
         Redshifts of sources, in place of those in the file.
 

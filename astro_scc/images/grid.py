@@ -382,13 +382,11 @@ def gaussian_smooth(image, covariance, mask=False):
     """
     Return an image convolved with an elliptical Gaussian of unit sum.
 
-    The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with
-    the ``covariance`` C over (x, y) in square pixels, which may be singular.
-    This is exact for well-sampled images however narrow the Gaussian is.  A
-    normalised convolution (Knutsson & Westin 1993) leaves out bad pixels and
-    everything beyond the edges: ``(g * (m I)) / (g * m)``, where m is 1 for good
-    pixels and 0 for others.  Pixels that are masked or not finite are bad, and
-    stay NaN.
+    The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with the
+    ``covariance`` C over (x, y) in square pixels, which may be singular.  A normalised
+    convolution (Knutsson & Westin 1993) leaves out bad pixels and everything beyond the
+    edges: ``(g * (m I)) / (g * m)``, where m is 1 for good pixels and 0 for others.
+    Pixels that are masked or not finite are bad, and stay NaN.
     """
     variances = np.linalg.eigvalsh(covariance)
     bad = ~np.isfinite(image) | mask

@@ -451,8 +451,7 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     figure : `matplotlib.figure.Figure`, optional
         Figure to draw on instead of a new one.
     max_panels : int, optional
-        If there are more epochs, the first, the last and others evenly between
-        them are drawn.
+        Of more epochs, the first, the last and others between them are drawn.
 
     Returns
     -------
