@@ -172,6 +172,11 @@ class Survey:
     parts: tuple[Part, ...]
     text: str = ""
 
+    @property
+    def names(self):
+        """Names of the sources."""
+        return list(dict.fromkeys(part.source for part in self.parts))
+
 
 def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> Survey:
     """
@@ -348,7 +353,7 @@ def survey_of(args, output, reporter):
         redshifts = read_redshifts(args.redshifts)
     path = given if of_file else write_survey(args, output, reporter)
     survey = read_survey(path, redshifts)
-    if unknown := redshifts.keys() - {part.source for part in survey.parts}:
+    if unknown := redshifts.keys() - {*survey.names}:
         some = "source is" if len(unknown) == 1 else "sources are"
         reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
     return survey, of_file if args.report is None else args.report
