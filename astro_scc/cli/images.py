@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
@@ -15,7 +16,8 @@ from astro_scc.alignment.registration import MISALIGNED, core_positions
 from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
-from astro_scc.components.restoring import NO_BEAM
+from astro_scc.components.lists import read_sources
+from astro_scc.components.restoring import NO_BEAM, suited, typical_beam
 from astro_scc.components.tables import source_list
 from astro_scc.epochs import (
     inspect_epochs,
@@ -163,6 +165,43 @@ def write_images(components, folder, how, *, overwrite=False):
             cube = cube.with_step(f"noise of {noise} with the seed {seed}")
         write_epochs(cube, part)
     return cube
+
+
+def restored(task):
+    """Restore the images of a source, and return why that is not possible, or None."""
+    components, target, how = task
+    try:
+        if how["pixel_scale"] is None or how["noise"] is None:
+            given = {k: v for k, v in how.items() if v is not None}
+            how = how | suited(components) | given
+        write_images(components, target, how)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def components_of(args, reporter):
+    """Return the components of each source with a beam, and how to restore images."""
+    how = images_of(args, [args.survey])
+    options, found = {"origin": args.origin, "beams": how["beam"]}, {}
+    for name in args.source.split(",") if args.source else (None,):
+        found |= read_sources(args.survey, source=name, **options)
+    if not all(components.beams for components in found.values()):
+        # That of the whole table, so that no source depends on which others are chosen.
+        every = read_sources(args.survey, **options) if args.source else found
+        how["beam"] = beam = typical_beam(every.values())
+        found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
+        reporter.note(
+            f"{args.survey} has no beam: images are restored with one of "
+            f"{beam.major:.2g}, the median distance of neighbours in an epoch (--beam)"
+        )
+    kinds = {"pixels": how["pixel_scale"], "noise": how["noise"]}
+    if left := [kind for kind, value in kinds.items() if value is None]:
+        reporter.note(
+            f"images get {' and '.join(left)} that suit their components: a fifth of "
+            "the beam, and a tenth of the faintest peak (--pixel, --noise)"
+        )
+    return found, how
 
 
 # -- what images hold, what is wrong and what can be measured ------------------------

@@ -9,20 +9,16 @@ import re
 import shutil
 from collections import Counter
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.io import ascii
-from scipy.spatial import cKDTree
 
 from astro_scc.cli import images, inputs
-from astro_scc.components.lists import read_sources
-from astro_scc.components.restoring import suited
 from astro_scc.exceptions import first_line, naming_all
-from astro_scc.images.beam import Beam
 from astro_scc.parallel import in_order
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -373,7 +369,7 @@ def write_survey(args, output, reporter):
     if given.is_dir():
         epochs = _images_in(given)
     else:
-        found, how = _components(args, reporter)
+        found, how = images.components_of(args, reporter)
         folders = folder_names(list(found))
         epochs = {name: f"{IMAGES}/{folders[name]}/*.fits" for name in found}
         if any((components.feature > 0).any() for components in found.values()):
@@ -387,7 +383,7 @@ def write_survey(args, output, reporter):
         targets = {name: output / IMAGES / folders[name] for name in found}
         left = [name for name in found if not targets[name].is_dir()]
         work = ((found[name], targets[name], how) for name in left)
-        problems = in_order(_restore, work, args.workers or 1)
+        problems = in_order(images.restored, work, args.workers or 1)
         for name, problem in zip(left, problems, strict=True):
             if problem:
                 reporter.warn(f"{name}: no images: {problem}")
@@ -418,60 +414,6 @@ def _update_plan(path, head, defaults, epochs):
             text = f"{text.rstrip()}\n\n{table}"
     with replace_when_complete(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
-
-
-def _restore(task):
-    """Restore the images of a source, and return why that is not possible, or None."""
-    components, target, how = task
-    try:
-        if how["pixel_scale"] is None or how["noise"] is None:
-            given = {k: v for k, v in how.items() if v is not None}
-            how = how | suited(components) | given
-        images.write_images(components, target, how)
-    except ValueError as error:
-        return str(error)
-    return None
-
-
-def _components(args, reporter):
-    """Return the components of each source with a beam, and how to restore images."""
-    how = images.images_of(args, [args.survey])
-    options, found = {"origin": args.origin, "beams": how["beam"]}, {}
-    for name in args.source.split(",") if args.source else (None,):
-        found |= read_sources(args.survey, source=name, **options)
-    if not all(components.beams for components in found.values()):
-        # That of the whole table, so that no source depends on which others are chosen.
-        every = read_sources(args.survey, **options) if args.source else found
-        how["beam"] = beam = _typical_beam(every.values())
-        found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
-        reporter.note(
-            f"{args.survey} has no beam: images are restored with one of "
-            f"{beam.major:.2g}, the median distance of neighbours in an epoch (--beam)"
-        )
-    kinds = {"pixels": how["pixel_scale"], "noise": how["noise"]}
-    if left := [kind for kind, value in kinds.items() if value is None]:
-        reporter.note(
-            f"images get {' and '.join(left)} that suit their components: a fifth of "
-            "the beam, and a tenth of the faintest peak (--pixel, --noise)"
-        )
-    return found, how
-
-
-def _typical_beam(lists):
-    """Return a circular beam that separates half of the components of an epoch."""
-    nearest = []
-    for components in lists:
-        places = np.stack([components.east, components.north], axis=1).to_value(u.mas)
-        for epoch in range(components.n_epochs):
-            here = places[components.epoch == epoch]
-            if len(here) > 1:
-                # The nearest of all is the component itself.
-                nearest += cKDTree(here).query(here, k=2)[0][:, 1].tolist()
-    size = np.median(nearest) if nearest else 0.0
-    if not size > 0:
-        raise ValueError("no epoch of the table has two components apart; give --beam")
-    size = float(f"{size:.2g}") * u.mas
-    return Beam(size, size, 0 * u.deg)
 
 
 def _images_in(folder):

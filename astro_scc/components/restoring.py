@@ -210,6 +210,25 @@ def suited(components, pixels=5, snr=10):
     return options | {"noise": np.median(faintest) / snr * cube.unit}
 
 
+def typical_beam(lists):
+    """Return a circular beam that separates half of the components of an epoch."""
+    nearest = []
+    for components in lists:
+        places = np.stack([components.east, components.north], axis=1).to_value(u.mas)
+        for epoch in range(components.n_epochs):
+            here = places[components.epoch == epoch]
+            if len(here) > 1:
+                # The nearest of all is the component itself.
+                nearest += (
+                    scipy.spatial.cKDTree(here).query(here, k=2)[0][:, 1].tolist()
+                )
+    size = np.median(nearest) if nearest else 0.0
+    if not size > 0:
+        raise ValueError("no epoch of the table has two components apart; give --beam")
+    size = float(f"{size:.2g}") * u.mas
+    return Beam(size, size, 0 * u.deg)
+
+
 def in_pixels(beam, pixel_scale):
     """Return the covariance of a beam over (x, y) in square pixels."""
     scale = positions.pixel_side(pixel_scale).to_value(u.mas)
