@@ -312,10 +312,8 @@ def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, **options):
         masked = missing if missing.any() else None
         image = np.where(missing, 0.0, cube.data[k][box])
         found = wavelet.wavelet_planes(image, scales, kernel=kernel, mask=masked)
-        noise[k] = [
-            _noise(plane, scale, sky & ~missing, masked)
-            for plane, scale in zip(found, scales, strict=True)
-        ]
+        empty, pairs = sky & ~missing, zip(found, scales, strict=True)
+        noise[k] = [_noise(plane, scale, empty, masked) for plane, scale in pairs]
         for j, plane in enumerate(found):
             planes[j, k] = sampled(plane, where, order=order)
         valid[k] = inside

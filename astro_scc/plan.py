@@ -18,6 +18,7 @@ from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import EVERY, within
 from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
+from astro_scc.units import PM_UNIT
 
 
 def motion_of(cube, max_speed, interval, *, least_motion=0.01, most_motion=10):
@@ -52,6 +53,14 @@ def motion_of(cube, max_speed, interval, *, least_motion=0.01, most_motion=10):
         other = "smaller" if too_fast else "larger"
         raise ValueError(f"{moved}, in {sizes}: give a {other} one")
     return moved, most
+
+
+def require_speed(cube, max_speed):
+    """Refuse a largest speed that does not fit the dates and pixels of a cube."""
+    if max_speed is not None:
+        gaps = np.diff(cube.years.to_value(u.yr))
+        every = np.array([gaps[gaps > 0].min(), gaps.sum()])
+        motion_of(cube, max_speed.to_value(PM_UNIT), every)
 
 
 def scale_numbers(cube, scales, *, tolerance=0.2, largest=12):

@@ -355,8 +355,8 @@ def completeness(
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
-    own = dict(enumerate(bare))
-    there = [_nearest(own, v * axis, tolerance) is not None for v, _ in cells]
+    claimed = dict(enumerate(bare))
+    there = [_nearest(claimed, v * axis, tolerance) is not None for v, _ in cells]
     table = _table_of_cells(cells, outcomes, there, noise, cube.unit)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,

@@ -21,8 +21,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-import astropy.units as u
-import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
@@ -41,7 +39,6 @@ from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import find_streams
-from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
@@ -237,13 +234,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         ``DecomposedFlow``
             On the scales of the settings, or the three up to 0.55 beams.
         """
-        cube, scales = decomposed.cube, None
-        if self.scales is not None:
-            scales = plan.scale_numbers(cube, self.scales)
-        if self.max_speed is not None:
-            gaps = np.diff(cube.years.to_value(u.yr))
-            every = np.array([gaps[gaps > 0].min(), gaps.sum()])
-            plan.motion_of(cube, self.max_speed.to_value(PM_UNIT), every)
+        cube = decomposed.cube
+        scales = None if self.scales is None else plan.scale_numbers(cube, self.scales)
+        plan.require_speed(cube, self.max_speed)
         frame = plan.velocity_frame(cube, self.position_angle)
         # A one-sided jet has a direction, also where the axes are east and north.
         given = self.position_angle is not None

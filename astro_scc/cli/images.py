@@ -236,12 +236,9 @@ def inspect(args, reporter):
         | {"core": cores.get(name, "-")}
         for name, date, row in zip(names, _dates(facts), facts, strict=True)
     ]
-    reporter.say(
-        *table_lines(rows),
-        f"peak and core: (east, north) from {origin} in {angle}",
-        "\n" + ("Problems:" if problems else "No problems."),
-        *(f"  {problem}" for problem in problems),
-    )
+    offsets = f"peak and core: (east, north) from {origin} in {angle}"
+    head = "\nProblems:" if problems else "\nNo problems."
+    reporter.say(*table_lines(rows), offsets, head, *(f"  {k}" for k in problems))
     if cube is not None:
         lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
         reporter.say("", *lines)

@@ -210,15 +210,9 @@ def demo(args, reporter):
         x, y, width = (FIRST + LAST) / 2 + 1, (height + 1) / 2, LAST - FIRST + 1
         box = f"box({x},{y},{width},{height},0)"
         region.write_text(f"image\n{box}\n", encoding="ascii")
-        settings = Settings(
-            epochs=[str(path) for path in files],
-            region=str(region),
-            scales="1,2,3",
-            max_speed="36 mas/yr",
-            position_angle="270 deg",
-            n_trials=N_TRIALS,
-            seed=DEMO_SEED,
-        )
+        given = {"epochs": [*map(str, files)], "region": str(region), "scales": "1,2,3"}
+        given |= {"max_speed": "36 mas/yr", "position_angle": "270 deg"}
+        settings = Settings(n_trials=N_TRIALS, seed=DEMO_SEED, **given)
         epochs = inputs.read_epochs(settings, note=reporter.note)
         result = _measured(epochs, reporter)
         # Where they will be when the folder is complete.
@@ -228,12 +222,9 @@ def demo(args, reporter):
             result, epochs._replace(settings=settings), folder, output=output,
             warnings=reporter.warnings,
         )  # fmt: skip
-    reporter.say(
-        *_truth_lines(jet),
-        "\nMeasured:",
-        *answer.stream_lines(streams, result.features),
-        f"\nReport: {output / 'report.html'}",
-    )
+    found = answer.stream_lines(streams, result.features)
+    report = f"\nReport: {output / 'report.html'}"
+    reporter.say(*_truth_lines(jet), "\nMeasured:", *found, report)
 
 
 def _truth_lines(jet):

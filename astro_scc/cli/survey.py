@@ -74,12 +74,10 @@ def survey(args, reporter):
     reporter.say(*_summary(table))
     if set(table["status"]) == {"failed"}:
         raise ValueError(f"no source could be measured; {output / TABLE} says why")
-    reporter.say(
-        f"\nCatalogues: {output / TABLE}, {output / FEATURES}, "
-        f"{output / publication.FOLDER}",
-        f"Overview: {output / 'overview.html'}",
-        *([f"Reports: {output / SOURCES}"] if report else []),
-    )
+    tables = f"{output / TABLE}, {output / FEATURES}, {output / publication.FOLDER}"
+    reporter.say(f"\nCatalogues: {tables}", f"Overview: {output / 'overview.html'}")
+    if report:
+        reporter.say(f"Reports: {output / SOURCES}")
 
 
 def _summary(table):

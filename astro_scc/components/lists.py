@@ -174,14 +174,10 @@ class ComponentList:
             what = f"{len(self)} between {days[0]} and {days[-1]}; widen the selection"
             raise ValueError(f"no component is left of {what}")
         epochs, epoch = np.unique(self.epoch[keep], return_inverse=True)
-        return replace(
-            self,
-            times=self.times[epochs],
-            epoch=epoch,
-            labels=tuple(self.labels[i] for i in epochs),
-            beams=tuple(self.beams[i] for i in epochs if self.beams),
-            **{name: getattr(self, name)[keep] for name in COLUMNS},
-        )
+        chosen = {name: getattr(self, name)[keep] for name in COLUMNS}
+        chosen["labels"] = tuple(self.labels[i] for i in epochs)
+        chosen["beams"] = tuple(self.beams[i] for i in epochs if self.beams)
+        return replace(self, times=self.times[epochs], epoch=epoch, **chosen)
 
     def to_table(self) -> QTable:
         """

@@ -135,13 +135,9 @@ def read_fields(path, source, origin, date=None):
         _refer(values, epoch, days, relative, origin, path)
     values |= _sizes(values, path)
     fields = {name: values[name] * unit for name, unit in UNITS.items()}
-    return fields | {
-        "times": as_times(list(days), len(days)),
-        "epoch": epoch,
-        "feature": values.get("feature"),
-        "labels": () if len(days) > 1 else (path.name,),
-        "meta": _meta(table, columns, path),
-    }
+    fields |= {"times": as_times(list(days), len(days)), "epoch": epoch}
+    fields |= {"feature": values.get("feature"), "meta": _meta(table, columns, path)}
+    return fields | {"labels": () if len(days) > 1 else (path.name,)}
 
 
 def _refer(values, epoch, days, relative, origin, path):

@@ -268,13 +268,12 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
         c, s = np.cos(angle), np.sin(angle)
         return np.cosh(r) * np.eye(2) + np.sinh(r) * np.array([[c, s], [s, -c]])
 
-    best = scipy.optimize.minimize(
-        lambda p: np.log(beam_excess(shape(p), covariances).max()),
-        [0.1, 0.1],
-        method="Nelder-Mead",
-        options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000},
-    )
-    least = np.exp(best.fun) * shape(best.x)
+    def size(p):
+        return np.log(beam_excess(shape(p), covariances).max())
+
+    end = {"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000}
+    fit = scipy.optimize.minimize(size, [0.1, 0.1], method="Nelder-Mead", options=end)
+    least = np.exp(fit.fun) * shape(fit.x)
     # Rounding errors must not leave a beam that does not fit.
     least = least * max(1.0, beam_excess(least, covariances).max() * (1 + 1e-9))
     return beam_of(least, u.mas)

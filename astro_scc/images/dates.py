@@ -146,9 +146,8 @@ def _unit_of(header, keyword, default):
     comment = ""
     with suppress(AttributeError, KeyError):
         comment = str(header.comments[keyword])
-    return next(
-        (s for word, s in WORDS["seconds"].items() if re.search(word, comment)), default
-    )
+    units = WORDS["seconds"].items()
+    return next((s for word, s in units if re.search(word, comment)), default)
 
 
 def _better(middle, begin):

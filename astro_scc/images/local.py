@@ -343,10 +343,8 @@ def in_frame(wcs, frame, north=0.0):
     """
     if frame == "absolute":
         return wcs
-    placed = with_frame(
-        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
-    )
-    return turned(placed, north)
+    place = {"crval": (0, 0), "radesys": "ICRS", "equinox": np.nan}
+    return turned(with_frame(wcs, ("RA---", "DEC--"), **place), north)
 
 
 def on_one_sky(every, first, frame):

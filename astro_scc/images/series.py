@@ -430,9 +430,8 @@ def as_mask(data, mask):
     if mask is not None and np.shape(mask) != data.shape:
         raise ValueError(f"mask has shape {np.shape(mask)}, data has {data.shape}")
     mask = np.zeros(data.shape) if mask is None else mask
-    every, remarks = zip(
-        *map(pixels.missing, data, np.asarray(mask).astype(bool)), strict=True
-    )
+    given = np.asarray(mask).astype(bool)
+    every, remarks = zip(*map(pixels.missing, data, given), strict=True)
     for remark in filter(None, dict.fromkeys(remarks)):
         warn(remark)
     return np.stack(every)

@@ -37,9 +37,7 @@ class StraightAxes:
 
 def axes_along(sin, cos):
     """Return the matrices of axes along and across directions (sin, cos)."""
-    return np.stack(
-        [np.stack([sin, cos], axis=-1), np.stack([cos, -sin], axis=-1)], axis=-2
-    )
+    return np.stack([np.stack([sin, cos], -1), np.stack([cos, -sin], -1)], -2)
 
 
 @dataclass(frozen=True)

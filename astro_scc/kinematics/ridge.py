@@ -77,9 +77,8 @@ class RidgeLine:
     uniform = False
 
     def __post_init__(self):
-        east, north = (
-            np.atleast_1d(u.Quantity(v)).to(u.mas) for v in (self.east, self.north)
-        )
+        given = self.east, self.north
+        east, north = (np.atleast_1d(u.Quantity(v)).to(u.mas) for v in given)
         if east.shape != north.shape or east.ndim != 1 or len(east) < 2:
             raise ValueError(
                 "a ridge line needs two points or more, east and north of each, got "
@@ -310,9 +309,8 @@ def fit_position_angle(
     """
     image, noise, sky = _mean(cube)
     x, y = (offset.value for offset in cube.offsets())
-    use = (image > threshold * noise) & (
-        np.hypot(x, y) > cube.resolution.to_value(u.mas)
-    )
+    beyond = np.hypot(x, y) > cube.resolution.to_value(u.mas)
+    use = (image > threshold * noise) & beyond
     if not use.any():
         raise ValueError(
             f"no pixel of the mean image is above {threshold:g} times its noise, a "

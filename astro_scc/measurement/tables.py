@@ -368,20 +368,12 @@ def ssp_table(decomposed):
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
-    columns = {
-        "ssp": np.arange(len(ssps)),
-        "epoch": ssps.epoch,
-        "date": Time(cube.times[ssps.epoch], format="isot"),
-        "scale": ssps.scale,
-        "scale_size": size * cube.pixel_scale,
-        "x": ssps.x * u.pix,
-        "y": ssps.y * u.pix,
-        "peak": ssps.peak * cube.unit,
-        "coefficient_sum": ssps.flux * cube.unit,
-        "snr": ssps.snr,
-        "n_pixels": ssps.n_pixels,
-        "in_region": decomposed.select,
-    }
+    names, date = ("epoch", "scale", "snr", "n_pixels"), cube.times[ssps.epoch]
+    columns = {"ssp": np.arange(len(ssps)), "date": Time(date, format="isot")}
+    columns |= {name: getattr(ssps, name) for name in names}
+    columns |= {"scale_size": size * cube.pixel_scale, "in_region": decomposed.select}
+    columns |= {"x": ssps.x * u.pix, "y": ssps.y * u.pix}
+    columns |= {"peak": ssps.peak * cube.unit, "coefficient_sum": ssps.flux * cube.unit}
     for end, centroid in (("", False), ("_centroid", True)):
         offsets = positions.ssp_offsets(ssps, cube, centroid=centroid)
         columns |= {f"{n}{end}": o * u.mas for n, o in zip(SKY, offsets, strict=True)}

@@ -97,13 +97,11 @@ class Layer:
     def __post_init__(self):
         whose, life = f"layer {self.name!r}: ", u.Quantity(self.life).to_value(u.yr)
         size = u.Quantity(self.size).to_value(u.mas)
-        columns = {
+        units = {
             "distance": u.mas, "speed": u.mas / u.yr, "half_width": u.mas,
             "brightness": u.Jy / u.beam,
         }  # fmt: skip
-        columns = {
-            k: u.Quantity(getattr(self, k)).to_value(columns[k]) for k in columns
-        }
+        columns = {k: u.Quantity(getattr(self, k)).to_value(units[k]) for k in units}
         numbers = "scatter n_clumps flux_scatter size"
         streams.check_not_negative(self, f"{numbers} {' '.join(columns)}", whose)
         distance, speed = columns["distance"], columns["speed"]

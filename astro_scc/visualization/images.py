@@ -141,10 +141,8 @@ def draw_image(ax, view, image, epoch=None, corner=None, look=None):
         # A norm takes its limits from itself.
         setattr(view.norm, name, look.pop(name, getattr(view.norm, name)))
     look["cmap"] = matplotlib.colormaps.get_cmap(look["cmap"]).with_extremes(bad=MASKED)
-    transform = view.to_offsets + ax.transData
-    drawn = ax.imshow(
-        image, origin="lower", norm=view.norm, transform=transform, **look
-    )
+    place = view.to_offsets + ax.transData
+    drawn = ax.imshow(image, origin="lower", norm=view.norm, transform=place, **look)
     ax.set(xlim=view.limits[0, :: -1 if view.to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
     draw_beam(ax, view, epoch, corner or empty_corners(view, image)[0])
