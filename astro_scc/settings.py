@@ -233,11 +233,9 @@ class Settings(MeasurementSettings):
             Without the settings that are None.  `Settings` makes the same values
             from it, to the last bit.
         """
-        return {
-            name: _plain(getattr(self, name))
-            for name, facts in OPTIONS.items()
-            if command in facts["commands"] and getattr(self, name) is not None
-        }
+        names = [k for k, facts in OPTIONS.items() if command in facts["commands"]]
+        given = {name: getattr(self, name) for name in names}
+        return {name: _plain(v) for name, v in given.items() if v is not None}
 
     def to_toml(self, command: str = "measure", *, versions: dict | None = None) -> str:
         """

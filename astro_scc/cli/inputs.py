@@ -108,11 +108,8 @@ def settings_of(args, reporter, **defaults):
     """
     given, written_by = read_config(args.config) if args.config else ({}, {})
     now = versions()
-    other = ", ".join(
-        f"{name} {version} (here {now.get(name, 'none')})"
-        for name, version in written_by.items()
-        if now.get(name) != version
-    )
+    other = {k: v for k, v in written_by.items() if now.get(k) != v}.items()
+    other = ", ".join(f"{k} {v} (here {now.get(k, 'none')})" for k, v in other)
     if other:
         reporter.note(f"{args.config} was written with {other}: numbers may differ")
     every = vars(args).items()

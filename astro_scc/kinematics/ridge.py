@@ -92,11 +92,10 @@ class RidgeLine:
         self.east, self.north = east, north
 
     def __repr__(self):
-        return (
-            f"<RidgeLine: {len(self.east)} points, {self.length:.3g} long, "
-            f"PA {self.position_angle(0 * u.mas):.0f} to "
-            f"{self.position_angle(self.length):.0f}>"
-        )
+        ends = (self.position_angle(s) for s in (0 * u.mas, self.length))
+        angles = " to ".join(f"{angle:.0f}" for angle in ends)
+        size = f"{len(self.east)} points, {self.length:.3g} long"
+        return f"<RidgeLine: {size}, PA {angles}>"
 
     @cached_property
     def _curve(self):

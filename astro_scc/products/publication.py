@@ -178,11 +178,8 @@ def latex_texts_of(table, name):
     units = [_latex_unit(column, paper[column].unit) for column in paper.colnames]
     cells = zip(*(map(_latex_cell, paper[k]) for k in paper.colnames), strict=True)
     rows = [" & ".join(row) for row in cells]
-    about = [
-        f"{column_of(k).latex}: {escaped(table[k].info.description)}."
-        for k in paper.colnames
-        if table[k].info.description
-    ]
+    about = {k: table[k].info.description for k in paper.colnames}
+    about = [f"{column_of(k).latex}: {escaped(v)}." for k, v in about.items() if v]
     what = {
         "align": "l" * len(heads),
         "caption": f"{escaped(_caption(table, name))}.",

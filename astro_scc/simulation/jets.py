@@ -50,10 +50,9 @@ class SimulatedJet:
     simulation: JetSimulation
 
     def __repr__(self):
-        return (
-            f"<SimulatedJet {self.simulation.name!r}: {len(self.cube)} epochs, "
-            f"{len(set(self.truth['feature']))} features>"
-        )
+        n, n_features = len(self.cube), len(set(self.truth["feature"]))
+        what = f"{n} epochs, {n_features} features"
+        return f"<SimulatedJet {self.simulation.name!r}: {what}>"
 
 
 @dataclass(eq=False)
