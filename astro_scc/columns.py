@@ -202,11 +202,8 @@ def cells(table, names, *, sign="±", forms=None):
     # Rows of plain columns are read many times faster than those of quantities.
     table = Table(round_to_errors(table.copy(copy_data=False)), copy=False)
     forms = forms or {}
-    return {
-        name: [cell(row, name, sign, forms.get(name)) for row in table]
-        for name in names
-        if name in table.colnames and _says_something(table, name)
-    }
+    shown = [k for k in names if k in table.colnames and _says_something(table, k)]
+    return {k: [cell(row, k, sign, forms.get(k)) for row in table] for k in shown}
 
 
 def _says_something(table, name):

@@ -1,9 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Warnings of the package; errors are ValueError, TypeError and OSError."""
+"""Warnings and errors of the package; most are ValueError, TypeError and OSError."""
 
 import os
 import sys
 import warnings
+from contextlib import contextmanager
 
 from astropy.utils.exceptions import AstropyUserWarning
 
@@ -67,3 +68,26 @@ def warn(message, category=EpochWarning):
     while frame and frame.f_code.co_filename.startswith(here):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
+
+
+def first_line(error):
+    """Return the first line of an error's message."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+@contextmanager
+def naming(name):
+    """Begin the messages of the errors that are raised inside with a name."""
+    try:
+        yield
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+@contextmanager
+def naming_all(name, kind=ValueError):
+    """Make every error inside, of whatever parser, one line that begins with a name."""
+    try:
+        yield
+    except Exception as error:
+        raise kind(f"{name}: {first_line(error)}") from None

@@ -15,11 +15,11 @@ from astropy.table import QTable
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.axes import alignment_errors
 from astro_scc.measurement.tables import stack_tables
 from astro_scc.paper.matching import MatchedEpochs, matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
-from astro_scc.quantities import check_integer, named, random_generator
+from astro_scc.plan import alignment_errors
+from astro_scc.quantities import Seed, check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
 
 __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
@@ -169,10 +169,9 @@ def _samples_of(scc, parts, limit):
         use &= paired[s.reference, s.target]
         n = np.count_nonzero(use)
         of_each = (
-            position + 0.5 * motion, motion / interval[:, None],
-            np.abs(interval), np.sqrt(s.s1 * s.s2), np.full(len(s), k),
-            part.ssps.scale[s.ssp], part.ssps.snr[s.ssp],
-            np.minimum(s.reference, s.target), s.weight,
+            position + 0.5 * motion, motion / interval[:, None], np.abs(interval),
+            np.sqrt(s.s1 * s.s2), np.full(len(s), k), part.ssps.scale[s.ssp],
+            part.ssps.snr[s.ssp], np.minimum(s.reference, s.target), s.weight,
         )  # fmt: skip
         columns.append([values[use] for values in of_each])
         if n < 10:
@@ -362,7 +361,7 @@ def expansion_speed(
 def measure_expansion(
     scc: StackedCrossCorrelation, decomposed: DecomposedEpochs, centre: u.Quantity,
     radius: u.Quantity, *, sectors: int = 1, n_trials: int = 1000,
-    rng: np.random.Generator | int | None = None,
+    rng: Seed | None = None,
 ) -> QTable:  # fmt: skip
     """
     Measure rates of expansion from, and rotation about, a centre.
@@ -439,10 +438,8 @@ def measure_expansion(
         raise ValueError("no SSP lies in any sector: there is nothing to measure")
     rows = []
     for limits, table in false_discovery_rate(tables).items():
-        columns = {
-            name: np.full(len(table), limit) * u.deg
-            for name, limit in zip(("pa_min", "pa_max"), limits, strict=True)
-        }
+        pairs = zip(("pa_min", "pa_max"), limits, strict=True)
+        columns = {name: np.full(len(table), limit) * u.deg for name, limit in pairs}
         for name, of in (("rate", "pm_parallel"), ("rotation", "pm_transverse")):
             for end in ("", "_err"):
                 columns[name + end] = frame.rate(table[of + end])

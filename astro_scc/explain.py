@@ -10,16 +10,9 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.features import Features, TrackSettings
+from astro_scc.features import Features, TrackSettings, trust
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
-from astro_scc.features.trust import (
-    LEAST_EPOCHS,
-    LEAST_MOTION,
-    MOST_FALSE,
-    SAME_SPEED,
-    properties,
-)
 
 __all__ = ["explain_feature"]
 
@@ -41,9 +34,8 @@ PROPERTIES = (
 
 
 def explain_feature(
-    features: Features, *, feature: int | None = None,
-    offset: u.Quantity | None = None, date: Time | None = None,
-    published: QTable | None = None,
+    features: Features, *, feature: int | None = None, offset: u.Quantity | None = None,
+    date: Time | None = None, published: QTable | None = None,
 ) -> list[str]:  # fmt: skip
     """
     Explain why an emission is a secure feature, or which step lost it.
@@ -238,18 +230,19 @@ def _linked(features, k):
 def _trusted(features, k):
     """Return what makes a feature secure or not, as lines."""
     track, motion = features.tracks[k], features.motions[k]
-    known = properties(features.detections, track, motion)
+    known = trust.properties(features.detections, track, motion)
     # The distance has an offset, see `properties`.
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
     false, moved, same = features.p_false[k], features.moved[k], track.same_speed
+    most, least = trust.MOST_FALSE, trust.LEAST_EPOCHS
     checks = {
-        f"p_false {false:.2g} (at most {MOST_FALSE:g})": false <= MOST_FALSE,
-        f"{_count(len(track))} (at least {LEAST_EPOCHS})": len(track) >= LEAST_EPOCHS,
+        f"p_false {false:.2g} (at most {most:g})": false <= most,
+        f"{_count(len(track))} (at least {least})": len(track) >= least,
         f"the same speed in {same:.0%} of the disturbed assignments (at least "
-        f"{SAME_SPEED:.0%})": same >= SAME_SPEED,
-        f"motion of {moved:.2g} beams (at least {LEAST_MOTION:g})":
-            moved >= LEAST_MOTION,
+        f"{trust.SAME_SPEED:.0%})": same >= trust.SAME_SPEED,
+        f"motion of {moved:.2g} beams (at least {trust.LEAST_MOTION:g})":
+            moved >= trust.LEAST_MOTION,
         f"a speed of {sigma:.2g} standard errors (at least {SIGNIFICANT:g})":
             sigma >= SIGNIFICANT,
     }  # fmt: skip

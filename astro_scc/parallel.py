@@ -9,20 +9,20 @@ import signal
 import threading
 import warnings
 from collections import deque
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from concurrent import futures
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for_any
 from numbers import Integral
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: Number of processes, or a Dask scheduler, given by its address or a client.
+Workers: TypeAlias = "int | str | Client"
 
 #: Pieces that wait for each process or thread; this limits memory, and the time that
 #: an interrupted run takes to end.
@@ -147,7 +147,7 @@ def as_done(function, pieces, n_workers, *, context=None):
                     for future in _wait(waiting, workers):
                         item = waiting.pop(future)
                         died = not future.cancelled() and future.exception()
-                        if isinstance(died, BrokenExecutor):
+                        if isinstance(died, futures.BrokenExecutor):
                             lost.append(item)
                         else:
                             yield item[0], _outcome(_result, future, workers)
@@ -182,8 +182,8 @@ def _submit(pool, function, piece):
             # would be lost with the worker that holds them.
             warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
             return pool.submit(_call, function, piece)
-    except BrokenExecutor as error:
-        future = Future()
+    except futures.BrokenExecutor as error:
+        future = futures.Future()
         future.set_exception(error)
         return future
 
@@ -208,9 +208,9 @@ def _call(function, piece):
     raise found
 
 
-def _wait(futures, workers):
+def _wait(waiting, workers):
     """Return the futures that are done, at least one, as long as there are workers."""
-    while not (done := wait(futures, LOOK, FIRST_COMPLETED).done):
+    while not (done := futures.wait(waiting, LOOK, futures.FIRST_COMPLETED).done):
         if not isinstance(workers, int):
             _require_workers(workers)
     return done
@@ -234,9 +234,9 @@ def _result(future, workers):
     _wait([future], workers)
     try:
         return future.result()
-    except BrokenExecutor:
+    except futures.BrokenExecutor:
         raise ChildProcessError(DIED) from None
-    except CancelledError:
+    except futures.CancelledError:
         raise OSError(LOST) from None
     except Exception as error:
         # Dask's KilledWorker has this attribute.
@@ -263,7 +263,7 @@ def _processes(number, context):
     When one has died, the others are killed, too: it may have left a lock or half a
     message, for the rest of which the executor would wait for ever.
     """
-    pool = ProcessPoolExecutor(number, get_context(context), initializer=_begin)
+    pool = futures.ProcessPoolExecutor(number, get_context(context), initializer=_begin)
     processes, results = pool._processes, pool._result_queue._writer
 
     def end():

@@ -6,21 +6,19 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
+from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import ssp_offsets
-from astro_scc.parallel import in_order
+from astro_scc.parallel import Workers, in_order
 from astro_scc.progress import progress
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["DecomposedEpochs"]
 
@@ -82,9 +80,7 @@ class DecomposedEpochs:
         """
         return self.follow()
 
-    def follow(
-        self, *, n_workers: int | str | Client = 1, progress_bar: bool = False
-    ) -> Features:
+    def follow(self, *, n_workers: Workers = 1, progress_bar: bool = False) -> Features:
         """
         Return the `features`, which are found only once.
 
@@ -105,29 +101,16 @@ class DecomposedEpochs:
         return self._followed[0]
 
 
-def gather_patterns(cube, decomposer, decompositions, *, region=None):
-    """
-    Return the SSPs of decompositions, and which of them are in a region.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    decomposer : `~astro_scc.decomposition.Decomposer`
-    decompositions : sequence of ``Decomposition``
-        Of the epochs of the cube, see `decompose_epochs`.
-    region : optional
-        Anything that ``cube.region_mask`` takes, or None for everything.
-
-    Returns
-    -------
-    `DecomposedEpochs`
-    """
-    ssps = SSPs.of_epochs(decompositions)
-    inside = None if region is None else cube.region_mask(region)
-    return DecomposedEpochs(
-        cube=cube, decomposer=decomposer, ssps=ssps, region=inside,
-        select=centroids_inside(ssps, cube, inside),
-    )  # fmt: skip
+def check_cube(cube, common_beam):
+    """Refuse what is no cube and beams that differ, warn of misalignment."""
+    if not hasattr(cube, "beams"):
+        raise TypeError(
+            f"cube must be an EpochCube, got {type(cube).__name__}: read files by "
+            "EpochCube.read"
+        )
+    if common_beam is not False:
+        require_common_beam(cube)
+    warn_of_misalignment(cube)
 
 
 def empty_region(decomposed, region):
@@ -206,21 +189,24 @@ def allow_for_structure(
     return replace(decomposer, noise_factors=tuple(np.sqrt(1 - share).tolist()))
 
 
-def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
+def decompose_epochs(cube, decomposer, *, region=None, n_workers=1, progress_bar=False):
     """
-    Decompose every epoch of a cube.
+    Decompose every epoch of a cube, and choose the SSPs of a region.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     decomposer : `~astro_scc.decomposition.Decomposer`
+    region : optional
+        Anything that ``cube.region_mask`` takes, or None for everything.
     n_workers : int, str or `dask.distributed.Client`, optional
         See `~astro_scc.paper.Correlator`; the unit of work is an epoch.
     progress_bar : bool, optional
 
     Returns
     -------
-    tuple of ``Decomposition``
+    `DecomposedEpochs`
+    list of ``Decomposition``
     """
     # A propagated noise needs the rms of each image and its beam in pixels.
     rms = beams = [None] * len(cube)
@@ -235,7 +221,12 @@ def decompose_epochs(cube, decomposer, *, n_workers=1, progress_bar=False):
         for decomposition in in_order(_decompose, work, n_workers):
             found.append(decomposition)
             done(1)
-    return tuple(found)
+    ssps = SSPs.of_epochs(found)
+    inside = None if region is None else cube.region_mask(region)
+    select = centroids_inside(ssps, cube, inside)
+    return DecomposedEpochs(
+        cube=cube, decomposer=decomposer, ssps=ssps, select=select, region=inside
+    ), found
 
 
 def _decompose(work):

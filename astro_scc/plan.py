@@ -10,12 +10,15 @@ import astropy.units as u
 import numpy as np
 import scipy
 
+from astro_scc import kinematics
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.exceptions import AstroSccWarning
+from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
 from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
-from astro_scc.kinematics import PositionAngleFrame, fit_position_angle
 from astro_scc.settings import require
+from astro_scc.spectrum.permutations import EVERY, within
+from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
+from astro_scc.units import PM_UNIT
 
 
 def motion_of(cube, max_speed, interval, *, least_motion=0.01, most_motion=10):
@@ -50,6 +53,14 @@ def motion_of(cube, max_speed, interval, *, least_motion=0.01, most_motion=10):
         other = "smaller" if too_fast else "larger"
         raise ValueError(f"{moved}, in {sizes}: give a {other} one")
     return moved, most
+
+
+def require_speed(cube, max_speed):
+    """Refuse a largest speed that does not fit the dates and pixels of a cube."""
+    if max_speed is not None:
+        gaps = np.diff(cube.years.to_value(u.yr))
+        every = np.array([gaps[gaps > 0].min(), gaps.sum()])
+        motion_of(cube, max_speed.to_value(PM_UNIT), every)
 
 
 def scale_numbers(cube, scales, *, tolerance=0.2, largest=12):
@@ -111,7 +122,7 @@ def flow_direction(decomposed, frame=None):
     `~astropy.units.Quantity`
         North through east, 0 to 360 deg.
     """
-    if isinstance(frame, PositionAngleFrame):
+    if isinstance(frame, kinematics.PositionAngleFrame):
         return frame.pa
     use = decomposed.select
     east, north = ssp_offsets(decomposed.ssps, decomposed.cube)
@@ -120,6 +131,121 @@ def flow_direction(decomposed, frame=None):
         return 0.0 * u.deg
     mean = [np.average(offset[use], weights=weight) for offset in (east, north)]
     return np.degrees(np.arctan2(*mean)) % 360 * u.deg
+
+
+def velocity_frame(cube, position_angle):
+    """Return the velocity axes for a setting."""
+    match position_angle:
+        case u.Quantity():
+            return kinematics.PositionAngleFrame(position_angle)
+        case "fit":
+            angle, _ = kinematics.fit_position_angle(cube)
+            return kinematics.PositionAngleFrame(angle)
+        case "ridge":
+            return kinematics.find_ridge_line(cube)
+        case "radial":
+            return kinematics.RadialFrame()
+        case None | "any":
+            return kinematics.SkyFrame()
+    return position_angle
+
+
+def alignment_errors(cube, error=None):
+    """
+    Return the standard error of the alignment of each epoch on both axes.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    error : `~astropy.units.Quantity`, optional
+        One error for all epochs, or one per epoch.  The default is the error
+        of each epoch's last alignment, or zero without it.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs, 2)
+        In mas.
+
+    Raises
+    ------
+    ValueError
+        If ``error`` has neither one element nor one per epoch.
+    """
+    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
+    if error is None:
+        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
+        records = [last.get(label, {}) for label in cube.labels]
+        left = [[record.get(name) or 0.0 for name in names] for record in records]
+        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
+    else:
+        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
+        if each.shape not in ((1,), (n,)):
+            raise ValueError(
+                f"alignment_error must be 1 or {n} angles, got {each.size}"
+            )
+    return np.broadcast_to(each[:, None], (n, 2))
+
+
+def used_intervals(cube, baseline):
+    """Return the shortest and the longest interval that is used, in years."""
+    years = cube.years.to_value(u.yr)
+    if len(years) < 3:
+        raise ValueError(
+            f"velocities need three epochs or more, {FEWEST_EPOCHS} to show that "
+            f"anything moves; the cube has {len(years)}: give images of other dates (a "
+            "file that is given twice counts once)"
+        )
+    limits = EVERY if baseline is None else tuple(baseline.to_value(u.yr).tolist())
+    apart = years - years[:, None]
+    require_pairs(cube, baseline, within(apart[apart > 0], limits).sum())
+    return limits
+
+
+def require_pairs(cube, baseline, number):
+    """Refuse a cube of which no two epochs are as far apart as the settings want."""
+    years = cube.years.to_value(u.yr)
+    if number > 0:
+        return
+    if len(years) < 2:
+        raise ValueError(
+            "velocities need at least two epochs, the cube has one: give images of "
+            "other dates (a file that is given twice counts once)"
+        )
+    if baseline is None:
+        raise ValueError(
+            f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
+            "velocities need different dates"
+        )
+    (shortest, longest), gaps = baseline.to_value(u.yr), np.diff(years)
+    raise ValueError(
+        f"no two epochs are {shortest:g} to {longest:g} yr apart: their separations go "
+        f"from {gaps.min():.3g} to {gaps.sum():.3g} yr; choose another baseline"
+    )
+
+
+def search_settings(scc, cube, n_trials):
+    """Return what a search for streams needs to know of the settings."""
+    return SearchSettings(
+        misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
+        n_trials=n_trials, outward=scc.outward,
+        intervals=used_intervals(cube, scc.baseline),
+    )  # fmt: skip
+
+
+def warn_of_limits(smallest, n_epochs, settings):
+    """Warn if no p-value can be as small as the level."""
+    if smallest <= settings.alpha:
+        return
+    what = f"{settings.n_trials} trials"
+    more = f"give n_trials of {int(np.ceil(1 / settings.alpha))} or more"
+    if n_epochs < FEWEST_EPOCHS:
+        what = f"{n_epochs} epochs"
+        more = f"measure {FEWEST_EPOCHS} epochs or more"
+    warn(
+        f"{what} allow no p_global below {smallest:.2g}, so nothing that moves can "
+        f"reach level {settings.alpha:g}: {more}",
+        MeasurementWarning,
+    )
 
 
 # -- what the images tell ----------------------------------------------------------
@@ -336,7 +462,7 @@ def choose_direction(
     if cube.beams is None:
         return None, "images without a beam have no core"
     try:
-        angle, error = fit_position_angle(cube)
+        angle, error = kinematics.fit_position_angle(cube)
     except ValueError:
         return None, "nothing is seen beyond a beam from the core"
     image = np.asarray(cube.mean_image().data, dtype=float)

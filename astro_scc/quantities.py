@@ -6,6 +6,13 @@ import operator
 import re
 import warnings
 from datetime import datetime
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    import numpy as np
+
+#: What `random_generator` makes a generator of.
+Seed: TypeAlias = "np.random.Generator | int"
 
 #: Number of the largest scale, far above that of any image.
 LARGEST_SCALE = 20
@@ -131,25 +138,10 @@ def finite_quantities(value, unit, wanted):
 
 def one_quantity(value, kind, example, positive=True):
     """
-    Return one finite quantity, see `to_quantity`.
+    Return one finite quantity, above 0 if ``positive``, see `to_quantity`.
 
-    Parameters
-    ----------
-    value : str or `~astropy.units.Quantity`
-    kind, example : str
-        For the error message, such as "an angle" and "2 mas".  The unit of
-        the example is of the required kind.
-    positive : bool, optional
-        Whether the value must be above 0.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`
-
-    Raises
-    ------
-    ValueError
-        If the value is not such a quantity.
+    ``kind`` and ``example`` are for the error message, such as "an angle" and "2 mas";
+    the unit of the example is of the required kind.
     """
     wanted = f"must be {kind} with a unit, such as {example!r}"
     found = to_quantity(value, example.split()[-1], wanted)
@@ -162,27 +154,9 @@ def one_quantity(value, kind, example, positive=True):
 
 def named(name, parse, value, *more):
     """
-    Parse an argument; errors name the argument.
+    Parse an argument by a function of its value and ``more``; errors name the argument.
 
-    Parameters
-    ----------
-    name : str
-    parse : callable
-        Takes the value and ``more``.  The message of its ValueError is put
-        after the name and the value.
-    value : object
-    *more
-        Further arguments of ``parse``.
-
-    Returns
-    -------
-    object
-        What ``parse`` returns.
-
-    Raises
-    ------
-    ValueError
-        Or the subclass of it that ``parse`` raised.
+    The message of the ValueError of ``parse`` is put after the name and the value.
     """
     try:
         return parse(value, *more)

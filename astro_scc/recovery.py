@@ -23,11 +23,10 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
-from astro_scc.measurement.axes import velocity_frame
-from astro_scc.plan import flow_beam
+from astro_scc.plan import flow_beam, used_intervals, velocity_frame
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator, seeded
-from astro_scc.scc import StackedCrossCorrelation, used_intervals
+from astro_scc.quantities import Seed, random_generator, seeded
+from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import fastest_speed
 from astro_scc.units import PM_UNIT
@@ -50,7 +49,7 @@ class FeaturePaths(NamedTuple):
 def draw_paths(
     cube: EpochCube, area: ArrayLike, *, speed: u.Quantity,
     position_angle: u.Quantity | str, n_features: float = 10,
-    scatter: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+    scatter: u.Quantity | None = None, rng: Seed | None = None,
 ) -> FeaturePaths:  # fmt: skip
     """
     Draw features that flow through an area at one speed.
@@ -217,7 +216,7 @@ def completeness(
     fluxes: u.Quantity | float, position_angle: u.Quantity | str | None = None,
     region: Any = None, n_features: float = 10, n_injections: int = 30,
     n_trials: int = 200, scatter: float = 0.1, tolerance: u.Quantity | None = None,
-    fwhm: u.Quantity | None = None, rng: np.random.Generator | int | None = None,
+    fwhm: u.Quantity | None = None, rng: Seed | None = None,
     n_workers: int = 1, progress_bar: bool = False,
 ) -> QTable:  # fmt: skip
     """
@@ -356,10 +355,8 @@ def completeness(
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
-    there = [
-        _nearest(dict(enumerate(bare)), speed * axis, tolerance) is not None
-        for speed, _ in cells
-    ]
+    claimed = dict(enumerate(bare))
+    there = [_nearest(claimed, v * axis, tolerance) is not None for v, _ in cells]
     table = _table_of_cells(cells, outcomes, there, noise, cube.unit)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,

@@ -19,68 +19,29 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import astropy.units as u
-import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
-from astro_scc.alignment.registration import warn_of_misalignment
+from astro_scc import patterns, plan
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
-from astro_scc.images.beam import require_common_beam
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.axes import (
-    alignment_errors,
-    velocity_frame,
-)
 from astro_scc.measurement.parts import parts_of
-from astro_scc.paper.matching import (
-    MatchedEpochs,
-    SearchPlan,
-    match_epochs,
-    pairs_of_dates,
-)
-from astro_scc.patterns import (
-    DecomposedEpochs,
-    allow_for_structure,
-    decompose_epochs,
-    empty_region,
-    gather_patterns,
-)
-from astro_scc.plan import (
-    choose_direction,
-    flow_beam,
-    flow_direction,
-    motion_of,
-    scale_numbers,
-)
+from astro_scc.paper.matching import SearchPlan, match
+from astro_scc.parallel import Workers
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator, seeded
-from astro_scc.settings import (
-    MeasurementSettings,
-    Settings,
-    check_setting,
-    in_unit,
-    require,
-)
-from astro_scc.spectrum.permutations import EVERY
+from astro_scc.quantities import Seed, random_generator, seeded
+from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
-from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings, find_streams
-from astro_scc.units import PM_UNIT
+from astro_scc.streams.finder import find_streams
 from astro_scc.writing import versions
 
-if TYPE_CHECKING:
-    from distributed import Client
-
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
-
-#: Names of the settings of a measurement.
-NAMES = tuple(field.name for field in fields(MeasurementSettings))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,9 +117,7 @@ class StackedCrossCorrelation(MeasurementSettings):
     """
 
     def __post_init__(self):
-        for name in NAMES:
-            value = check_setting(name, getattr(self, name))
-            object.__setattr__(self, name, in_unit(name, value))
+        super().__post_init__()
         self._decomposer(self.scales if isinstance(self.scales, tuple) else (1,))
 
     @classmethod
@@ -174,7 +133,8 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `StackedCrossCorrelation`
         """
-        return cls(**{name: getattr(settings, name) for name in NAMES})
+        names = (one.name for one in fields(MeasurementSettings))
+        return cls(**{name: getattr(settings, name) for name in names})
 
     def _decomposer(self, scales):
         return Decomposer(
@@ -212,13 +172,13 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         `~astro_scc.decomposition.Decomposer`
         """
-        scales = scale_numbers(cube, self.scales)
-        return allow_for_structure(cube, self._decomposer(scales))
+        scales = plan.scale_numbers(cube, self.scales)
+        return patterns.allow_for_structure(cube, self._decomposer(scales))
 
     def decompose(
         self, cube: EpochCube, *, region: Any = None,
-        n_workers: int | str | Client = 1, progress_bar: bool = False,
-    ) -> DecomposedEpochs:  # fmt: skip
+        n_workers: Workers = 1, progress_bar: bool = False,
+    ) -> patterns.DecomposedEpochs:  # fmt: skip
         """
         Decompose the epochs into wavelets and significant structural patterns (SSPs).
 
@@ -250,78 +210,18 @@ class StackedCrossCorrelation(MeasurementSettings):
             If no SSP lies in the region, structure fills the images, or the alignment
             of the epochs scatters by 0.2 beams or more.
         """
-        self._check(cube)
-        decomposer = self.decomposer(cube)
-        decompositions = decompose_epochs(
-            cube, decomposer, n_workers=n_workers, progress_bar=progress_bar
-        )
-        found = gather_patterns(cube, decomposer, decompositions, region=region)
-        if empty := empty_region(found, region):
-            warn(empty, MeasurementWarning)
-        return found
-
-    def _check(self, cube):
-        """Refuse what is no cube and beams that differ, warn of misalignment."""
-        if not hasattr(cube, "beams"):
-            raise TypeError(
-                f"cube must be an EpochCube, got {type(cube).__name__}: read files by "
-                "EpochCube.read"
-            )
-        if self.common_beam is not False:
-            require_common_beam(cube)
-        warn_of_misalignment(cube)
-
-    def match(
-        self, cube: EpochCube, *, region: Any = None, n_workers: int | str | Client = 1,
-        progress_bar: bool = False,
-    ) -> MatchedEpochs:  # fmt: skip
-        """
-        Decompose the epochs and correlate each SSP with all other epochs.
-
-        Expansions of shells are measured from these matches; other flows need none.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-        region : optional
-            Anything that ``cube.region_mask`` takes.  Only SSPs whose centroid
-            lies inside are correlated.
-        n_workers : int, str or `dask.distributed.Client`, optional
-            Number of processes, or a Dask scheduler, given by its address or a
-            client.  The results do not depend on it.
-        progress_bar : bool, optional
-            Show the progress on standard error.
-
-        Returns
-        -------
-        `~astro_scc.paper.matching.MatchedEpochs`
-
-        Raises
-        ------
-        TypeError
-            If ``cube`` is no cube.
-        ValueError
-            If the beams of the epochs differ, unless ``common_beam`` is False.
-
-        Warns
-        -----
-        `~astro_scc.exceptions.MeasurementWarning`
-            If no SSP lies in the region, structure fills the images, the alignment
-            of the epochs scatters by 0.2 beams or more, or ``max_speed`` moves by more
-            than half the image.
-        """
-        self._check(cube)
-        found = match_epochs(
-            cube, self, self.plan(cube), region=region, n_workers=n_workers,
+        patterns.check_cube(cube, self.common_beam)
+        found, _ = patterns.decompose_epochs(
+            cube, self.decomposer(cube), region=region, n_workers=n_workers,
             progress_bar=progress_bar,
         )  # fmt: skip
-        if empty := empty_region(found, region):
+        if empty := patterns.empty_region(found, region):
             warn(empty, MeasurementWarning)
         return found
 
-    def flow(
-        self, decomposed: DecomposedEpochs
-    ) -> DecomposedFlow:  # fmt: skip
+    match = match
+
+    def flow(self, decomposed: patterns.DecomposedEpochs) -> DecomposedFlow:
         """
         Return what changes in the images, along the flow.
 
@@ -334,27 +234,23 @@ class StackedCrossCorrelation(MeasurementSettings):
         ``DecomposedFlow``
             On the scales of the settings, or the three up to 0.55 beams.
         """
-        cube, scales = decomposed.cube, None
-        if self.scales is not None:
-            scales = scale_numbers(cube, self.scales)
-        if self.max_speed is not None:
-            gaps = np.diff(cube.years.to_value(u.yr))
-            every = np.array([gaps[gaps > 0].min(), gaps.sum()])
-            motion_of(cube, self.max_speed.to_value(PM_UNIT), every)
-        frame = velocity_frame(cube, self.position_angle)
+        cube = decomposed.cube
+        scales = None if self.scales is None else plan.scale_numbers(cube, self.scales)
+        plan.require_speed(cube, self.max_speed)
+        frame = plan.velocity_frame(cube, self.position_angle)
         # A one-sided jet has a direction, also where the axes are east and north.
-        angle = None if self.position_angle is not None else choose_direction(cube)[0]
+        given = self.position_angle is not None
+        along = None if given else plan.choose_direction(cube)[0]
         flow = decompose_flow(
-            cube, frame if angle is None else PositionAngleFrame(angle), scales=scales,
-            beam=flow_beam(cube), region=decomposed.region, max_speed=self.max_speed,
-            kernel=self.wavelet,
+            cube, frame if along is None else PositionAngleFrame(along), scales=scales,
+            beam=plan.flow_beam(cube), region=decomposed.region,
+            max_speed=self.max_speed, kernel=self.wavelet,
         )  # fmt: skip
         return replace(flow, frame=frame)
 
     def measure(
-        self, decomposed: DecomposedEpochs, *, n_trials: int = 1000,
-        rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
-        progress_bar: bool = False,
+        self, decomposed: patterns.DecomposedEpochs, *, n_trials: int = 1000,
+        rng: Seed | None = None, n_workers: Workers = 1, progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
         Measure the streams of decomposed epochs.
@@ -395,14 +291,14 @@ class StackedCrossCorrelation(MeasurementSettings):
         rng, seed = seeded(rng)
         generator, cube = random_generator(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        settings = search_settings(self, cube, n_trials)
+        settings = plan.search_settings(self, cube, n_trials)
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
             search = find_streams(flow, features, settings, rng=generator)
             choices = parts_of(search)
-        _warn_of_limits(search.test.p_smallest, len(cube), n_trials, self.alpha)
-        angle = flow_direction(decomposed, flow.frame)
+        plan.warn_of_limits(search.test.p_smallest, len(cube), settings)
+        angle = plan.flow_direction(decomposed, flow.frame)
         meta = meta_of(self, n_trials, seed) | {
             "jet_position_angle": angle, "misalignment_beams": cube.misalignment,
         }  # fmt: skip
@@ -410,8 +306,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def __call__(
         self, cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
-        rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
-        progress_bar: bool = False,
+        rng: Seed | None = None, n_workers: Workers = 1, progress_bar: bool = False,
     ) -> SCCResult:  # fmt: skip
         """
         Measure the streams of a cube.
@@ -468,8 +363,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
 def measure_velocities(
     cube: EpochCube, *, region: Any = None, n_trials: int = 1000,
-    rng: np.random.Generator | int | None = None, n_workers: int | str | Client = 1,
-    **settings: Any,
+    rng: Seed | None = None, n_workers: Workers = 1, **settings: Any,
 ) -> QTable:  # fmt: skip
     """
     Measure the streams of a cube in one call.
@@ -502,48 +396,7 @@ def measure_velocities(
     ).components
 
 
-def search_settings(scc, cube, n_trials):
-    """Return what a search for streams needs to know of the settings."""
-    return SearchSettings(
-        misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
-        n_trials=n_trials, outward=scc.outward,
-        intervals=used_intervals(cube, scc.baseline),
-    )  # fmt: skip
-
-
 def meta_of(scc, n_trials, seed):
     """Return what the meta of a table says on how it was made."""
     made = {"settings": scc.to_dict(), "n_trials": int(n_trials), "seed": seed}
     return made | {"versions": versions()}
-
-
-def used_intervals(cube, baseline):
-    """Return the shortest and the longest interval that is used, in years."""
-    years = cube.years.to_value(u.yr)
-    if len(years) < 3:
-        raise ValueError(
-            f"velocities need three epochs or more, {FEWEST_EPOCHS} to show that "
-            f"anything moves; the cube has {len(years)}: give images of other dates (a "
-            "file that is given twice counts once)"
-        )
-    pairs_of_dates(cube, baseline)
-    if baseline is None:
-        return EVERY
-    low, high = baseline.to_value(u.yr)
-    return float(low), float(high)
-
-
-def _warn_of_limits(smallest, n_epochs, n_trials, level):
-    """Warn if no p-value can be as small as the level."""
-    if smallest <= level:
-        return
-    what = f"{n_trials} trials"
-    more = f"give n_trials of {int(np.ceil(1 / level))} or more"
-    if n_epochs < FEWEST_EPOCHS:
-        what = f"{n_epochs} epochs"
-        more = f"measure {FEWEST_EPOCHS} epochs or more"
-    warn(
-        f"{what} allow no p_global below {smallest:.2g}, so nothing that moves can "
-        f"reach level {level:g}: {more}",
-        MeasurementWarning,
-    )

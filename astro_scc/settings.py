@@ -111,6 +111,14 @@ class MeasurementSettings:
     small_displacement_correction: bool = _setting(q.check_boolean, default=False)
     common_beam: bool | None = _setting(q.check_boolean)
 
+    def __post_init__(self):
+        vars(self).update(self._checked())
+
+    def _checked(self):
+        """Return the checked values of all settings, in their units."""
+        names = (one.name for one in fields(self))
+        return {name: require(name, getattr(self, name)) for name in names}
+
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
@@ -168,7 +176,7 @@ class Settings(MeasurementSettings):
     cosmology: str | None = _setting(_text_for, "kinematics.cosmology", "to_cosmology")
     distance: u.Quantity | str | None = _setting(_of_object, "distance")
 
-    def __post_init__(self):
+    def _checked(self):
         made = {name: check_setting(name, getattr(self, name)) for name in OPTIONS}
         redshift, cosmology = made["redshift"], made["cosmology"]
         by_redshift = redshift is not None or cosmology is not None
@@ -179,7 +187,7 @@ class Settings(MeasurementSettings):
             made["cosmology"] = PAPER_COSMOLOGY
         if cosmology is not None and redshift is None:
             raise ValueError("cosmology needs a redshift")
-        vars(self).update(made)
+        return made
 
     def changed(self, **values: Any) -> Settings:
         """
@@ -225,11 +233,9 @@ class Settings(MeasurementSettings):
             Without the settings that are None.  `Settings` makes the same values
             from it, to the last bit.
         """
-        return {
-            name: _plain(getattr(self, name))
-            for name, facts in OPTIONS.items()
-            if command in facts["commands"] and getattr(self, name) is not None
-        }
+        names = [k for k, facts in OPTIONS.items() if command in facts["commands"]]
+        given = {name: getattr(self, name) for name in names}
+        return {name: _plain(v) for name, v in given.items() if v is not None}
 
     def to_toml(self, command: str = "measure", *, versions: dict | None = None) -> str:
         """

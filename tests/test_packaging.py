@@ -71,7 +71,7 @@ def test_public_names_and_folders_are_attributes_and_nothing_else():
     folders = Path(astro_scc.__file__).parent.glob("*/__init__.py")
     # The command line is a program, not for use from Python.
     rooms = {path.parent.name for path in folders} - {"cli"}
-    modules = {"expansion", "patterns", "recovery"}
+    modules = {"expansion", "grid", "patterns", "recovery"}
     assert rooms | modules == set(astro_scc._FOLDERS)
     for name in astro_scc._FOLDERS:
         assert getattr(astro_scc, name).__name__ == f"astro_scc.{name}"

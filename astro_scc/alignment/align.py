@@ -15,12 +15,10 @@ from astropy.table import Table
 from astropy.time import Time
 
 from astro_scc.alignment.registration import core_positions, displacement
-from astro_scc.exceptions import MeasurementWarning, warn
-from astro_scc.images import grid
+from astro_scc.exceptions import MeasurementWarning, first_line, naming, warn
+from astro_scc.images import grid, regions
 from astro_scc.images.dates import as_times
-from astro_scc.images.headers import first_line
-from astro_scc.images.regions import region_mask
-from astro_scc.images.series import Series, naming, numbers
+from astro_scc.images.series import Series, numbers
 
 #: Methods, and the option that each has.
 METHODS = {
@@ -29,11 +27,8 @@ METHODS = {
 AXES = "east", "north"
 DATES = ("epoch", "date", "date_obs", "date-obs", "time", "mjd", "jd", "year")
 # Units by the words in the names of columns.
-UNITS = {
-    **{word: u.Unit(word) for word in ("deg", "arcsec", "mas", "uas")},
-    "marcsec": u.mas,
-    "uarcsec": u.uas,
-}
+UNITS = {word: u.Unit(word) for word in ("deg", "arcsec", "mas", "uas")}
+UNITS |= {"marcsec": u.mas, "uarcsec": u.uas}
 
 
 def align(
@@ -170,13 +165,11 @@ def _move(cube, method, pixels, covariance, what):
     errors = np.sqrt(np.einsum("ij,njk,ik->ni", matrix, covariance, matrix))
     values = np.concatenate([sky, np.where(np.isfinite(errors), errors, None)], axis=1)
     names = [f"shift_{axis}{err}_mas" for err in ("", "_err") for axis in AXES]
-    records = [
-        {"epoch": label, "date": date[:10], "method": method}
-        | dict(zip(names, row, strict=True))
-        for label, date, row in zip(
-            cube.labels, cube.times.isot, values.tolist(), strict=True
-        )
-    ]
+    records = []
+    each = zip(cube.labels, cube.times.isot, values.tolist(), strict=True)
+    for label, date, row in each:
+        record = {"epoch": label, "date": date[:10], "method": method}
+        records.append(record | dict(zip(names, row, strict=True)))
     east, north = np.sqrt(np.mean(sky**2, axis=0))
     largest = int(np.argmax(np.hypot(*sky.T)))
     most_east, most_north = sky[largest]
@@ -246,7 +239,7 @@ def _by_wcs(cube):
 
 
 def _by_correlation(cube, region):
-    inside, reach = region_mask(cube, region), min(cube.shape[1:]) / 4
+    inside, reach = regions.region_mask(cube, region), min(cube.shape[1:]) / 4
     pixels, covariance = np.zeros((len(cube), 2)), np.zeros((len(cube), 2, 2))
     for k in range(5):
         moved = map(grid.shift_image, cube.data, cube.mask, -pixels)

@@ -9,10 +9,9 @@ import scipy
 from astropy.table import QTable
 
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.images import grid, zncc
 from astro_scc.images.beam import FWHM_TO_SIGMA
-from astro_scc.images.grid import BAD_WEIGHT, fill_masked
 from astro_scc.images.series import ImageSeries
-from astro_scc.images.zncc import correlate_windows
 
 #: Scatter in beams at which there is a warning.  Of 200 static jets with 0.2 and 0.3,
 #: none seems to move; more is not calibrated (``static_table.csv``).
@@ -109,7 +108,7 @@ def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QT
         direction = direction / np.hypot(*direction)
     rows = []
     for i, label in enumerate(cube.labels):
-        image, good = fill_masked(cube.data[i], cube.mask[i]), ~cube.mask[i]
+        image, good = grid.fill_masked(cube.data[i], cube.mask[i]), ~cube.mask[i]
         options = shapes[i], direction, noise[i]
         start = _candidate(image, good, *options)
         if start is None:
@@ -234,7 +233,7 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     Raises a ValueError if fewer than ten pixels are good, if d is not within ``reach``
     of the start, or if the correlation there is not above ``alike``.
     """
-    filled = fill_masked(image, mask)
+    filled = grid.fill_masked(image, mask)
     if start is None:
         # The peak to whole pixels is off by less than one and a half pixels.
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
@@ -242,14 +241,16 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     # The pixels in use know nothing of filled ones that are farther away than this.
     for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
         near = tuple(slice(max(k.start - 24, 0), k.stop + 24) for k in box)
-        slopes[:, *near] = np.gradient(fill_masked(reference[near], ~use[near]))[::-1]
+        filled_near = grid.fill_masked(reference[near], ~use[near])
+        slopes[:, *near] = np.gradient(filled_near)[::-1]
     steep = np.hypot(*slopes)
     y, x = np.nonzero(use & (steep >= 0.01 * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the
     # fit moves by up to one and a half.
     around = scipy.ndimage.binary_dilation(mask, iterations=3).astype(float)
     at = [y + start[1], x + start[0]]
-    keep = scipy.ndimage.map_coordinates(around, at, order=1, cval=1.0) <= BAD_WEIGHT
+    weight = scipy.ndimage.map_coordinates(around, at, order=1, cval=1.0)
+    keep = weight <= grid.BAD_WEIGHT
     if keep.sum() < 10:
         raise ValueError("too few good pixels to compare; leave it out")
     y, x = y[keep], x[keep]
@@ -289,13 +290,10 @@ def _whole_pixels(filled, mask, reference, use, reach, min_overlap=0.5):
     (box,) = scipy.ndimage.find_objects(use.astype(int))
     # Windows reach past the box on all sides, and past the image.
     window = tuple(slice(s.start, s.stop + 2 * steps) for s in box)
-    coefficient, _ = correlate_windows(
-        np.where(use, reference, 0)[box],
-        use[box],
-        np.pad(filled, steps)[window],
-        (steps, steps),
-        valid=np.pad(~mask, steps)[window],
-        min_overlap=min_overlap,
+    pattern = np.where(use, reference, 0)[box], use[box]
+    around, valid = (np.pad(k, steps)[window] for k in (filled, ~mask))
+    coefficient, _ = zncc.correlate_windows(
+        *pattern, around, (steps, steps), valid=valid, min_overlap=min_overlap
     )
     dy, dx = np.mgrid[-steps : steps + 1, -steps : steps + 1]
     coefficient = np.where(np.hypot(dx, dy) <= max(reach, 0.5), coefficient, -1)
@@ -406,7 +404,7 @@ def _shift(cube, k, weights, noise, width, positions, alike=0.9):
     """
     matrix = cube.pixel_matrix.to_value(u.mas)
     three = slice(k - 1, k + 2)
-    images = list(map(fill_masked, cube.data[three], cube.mask[three]))
+    images = list(map(grid.fill_masked, cube.data[three], cube.mask[three]))
     if positions is not None:
         for i, image in enumerate(images):
             x, y = np.linalg.solve(matrix, positions[k - 1 + i])

@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
@@ -15,7 +16,8 @@ from astro_scc.alignment.registration import MISALIGNED, core_positions
 from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
-from astro_scc.components.restoring import NO_BEAM
+from astro_scc.components.lists import read_sources
+from astro_scc.components.restoring import NO_BEAM, suited, typical_beam
 from astro_scc.components.tables import source_list
 from astro_scc.epochs import (
     inspect_epochs,
@@ -25,10 +27,9 @@ from astro_scc.epochs import (
 )
 from astro_scc.epochs.inspection import kind_of
 from astro_scc.exceptions import AstroSccWarning
+from astro_scc.images import fits, positions
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.dates import date_labels
-from astro_scc.images.fits import find_files
-from astro_scc.images.positions import readable_angle
 from astro_scc.paper.stack import baseline_pairs
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
@@ -114,17 +115,12 @@ def restore(args, reporter):
 
 def _sources(tables):
     """Return the sources of tables as lines."""
-    rows = [
-        {
-            "source": name,
-            "also": ", ".join(others) or "-",
-            "epochs": str(len(dates)),
-            "first": dates[0][:10],
-            "last": dates[-1][:10],
-        }
-        for path in find_files(tables)
-        for name, others, dates in source_list(path)
-    ]
+    heads, rows = ("source", "also", "epochs", "first", "last"), []
+    for path in fits.find_files(tables):
+        for name, others, dates in source_list(path):
+            days = dates[0][:10], dates[-1][:10]
+            row = name, ", ".join(others) or "-", str(len(dates)), *days
+            rows.append(dict(zip(heads, row, strict=True)))
     return table_lines(rows)
 
 
@@ -171,6 +167,43 @@ def write_images(components, folder, how, *, overwrite=False):
     return cube
 
 
+def restored(task):
+    """Restore the images of a source, and return why that is not possible, or None."""
+    components, target, how = task
+    try:
+        if how["pixel_scale"] is None or how["noise"] is None:
+            given = {k: v for k, v in how.items() if v is not None}
+            how = how | suited(components) | given
+        write_images(components, target, how)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def components_of(args, reporter):
+    """Return the components of each source with a beam, and how to restore images."""
+    how = images_of(args, [args.survey])
+    options, found = {"origin": args.origin, "beams": how["beam"]}, {}
+    for name in args.source.split(",") if args.source else (None,):
+        found |= read_sources(args.survey, source=name, **options)
+    if not all(components.beams for components in found.values()):
+        # That of the whole table, so that no source depends on which others are chosen.
+        every = read_sources(args.survey, **options) if args.source else found
+        how["beam"] = beam = typical_beam(every.values())
+        found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
+        reporter.note(
+            f"{args.survey} has no beam: images are restored with one of "
+            f"{beam.major:.2g}, the median distance of neighbours in an epoch (--beam)"
+        )
+    kinds = {"pixels": how["pixel_scale"], "noise": how["noise"]}
+    if left := [kind for kind, value in kinds.items() if value is None]:
+        reporter.note(
+            f"images get {' and '.join(left)} that suit their components: a fifth of "
+            "the beam, and a tenth of the faintest peak (--pixel, --noise)"
+        )
+    return found, how
+
+
 # -- what images hold, what is wrong and what can be measured ------------------------
 
 
@@ -179,7 +212,7 @@ def inspect(args, reporter):
     if not args.epochs:
         raise ValueError("no epochs were given; name the FITS files")
     speed = _quantity(args, "speed", "an angle per time", "2 mas/yr")
-    files = find_files(args.epochs, missing_ok=True)
+    files = fits.find_files(args.epochs, missing_ok=True)
     kinds = {kind_of(file) for file in files}
     cube, refusal, remarks = _read(files, _beam(args))
     if kinds in ({"cube"}, {"components"}):
@@ -195,7 +228,7 @@ def inspect(args, reporter):
         known = "; ".join(problems)
         words = {text: " ".join(text.split(": ")[-1].split()[:3]) for text in remarks}
         problems += [text for text in remarks if words[text] not in known]
-    angle = readable_angle(np.nanmin(facts["pixel"])).split()[1]
+    angle = positions.readable_angle(np.nanmin(facts["pixel"])).split()[1]
     origin = facts.meta.get("origin") or "the reference pixel"
     cores, of_core = ({}, 0.0) if cube is None else _cores(cube, angle)
     rows = [
@@ -203,12 +236,9 @@ def inspect(args, reporter):
         | {"core": cores.get(name, "-")}
         for name, date, row in zip(names, _dates(facts), facts, strict=True)
     ]
-    reporter.say(
-        *table_lines(rows),
-        f"peak and core: (east, north) from {origin} in {angle}",
-        "\n" + ("Problems:" if problems else "No problems."),
-        *(f"  {problem}" for problem in problems),
-    )
+    offsets = f"peak and core: (east, north) from {origin} in {angle}"
+    head = "\nProblems:" if problems else "\nNo problems."
+    reporter.say(*table_lines(rows), offsets, head, *(f"  {k}" for k in problems))
     if cube is not None:
         lines = *_plan(cube, speed), *_alignment(cube, of_core), *_choices(cube)
         reporter.say("", *lines)
@@ -265,9 +295,9 @@ def _cells(name, date, row, unit, offsets):
         return cells
     cells["date"] = date
     cells["pixels"] = f"{row['nx']} x {row['ny']}"
-    cells["pixel"] = readable_angle(row["pixel"])
+    cells["pixel"] = positions.readable_angle(row["pixel"])
     if "major" in row.colnames and np.isfinite(row["major"]):
-        angle = readable_angle(row["major"]).split()[1]
+        angle = positions.readable_angle(row["major"]).split()[1]
         axes = (f"{row[axis].to_value(angle):.3g}" for axis in ("major", "minor"))
         cells["beam"] = f"{' x '.join(axes)} {angle} at {row['pa'].value:.0f} deg"
     if np.isfinite(row["noise"]):
@@ -313,14 +343,9 @@ def _plan(cube, speed):
             limits = u.Quantity([first, last]).to_value(u.yr)
             pairs = len(baseline_pairs(cube.years.value, *limits).first)
             text = f'"{_rounded(first, math.floor)} {_rounded(last, math.ceil)}"'
-        rows.append(
-            {
-                f"speed ({unit})": f"{value.value:.2g}",
-                "beams in the median interval": f"{plan.motion(value):.2g}",
-                "--baseline for it alone": text,
-                "pairs": str(pairs),
-            }
-        )
+        row = {f"speed ({unit})": f"{value.value:.2g}"}
+        row["beams in the median interval"] = f"{plan.motion(value):.2g}"
+        rows.append(row | {"--baseline for it alone": text, "pairs": str(pairs)})
     return [*plan.lines(), "", *table_lines(rows)]
 
 
@@ -334,19 +359,12 @@ def _rounded(interval, how):
 def _alignment(cube, of_core):
     """Return what the choice of an alignment leaves to be said, as lines."""
     scatter = cube.misalignment
+    said = f"What is fitted as the core scatters by {of_core:.2f} beams"
     if scatter is None and of_core >= MISALIGNED:
-        return [
-            "",
-            f"What is fitted as the core scatters by {of_core:.2f} beams: align the "
-            "epochs on it if it is the core (--align core).",
-        ]
+        return ["", f"{said}: align the epochs on it if it is the core (--align core)."]
     if scatter is not None and scatter < MISALIGNED <= of_core:
-        return [
-            "",
-            f"What is fitted as the core scatters by {of_core:.2f} beams, but the rest "
-            f"of the images by {scatter:.2f}:",
-            "it varies, or is not the core, and the epochs are left as they are.",
-        ]
+        more = "it varies, or is not the core, and the epochs are left as they are."
+        return ["", f"{said}, but the rest of the images by {scatter:.2f}:", more]
     return []
 
 

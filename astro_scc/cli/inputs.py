@@ -14,11 +14,9 @@ from astropy.table import QTable
 from astro_scc import plan
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.inspection import repeated
-from astro_scc.exceptions import warn
+from astro_scc.exceptions import naming_all, warn
+from astro_scc.images import fits, regions
 from astro_scc.images.beam import different_beam, parse_beam
-from astro_scc.images.fits import find_files, read_plane
-from astro_scc.images.headers import first_line
-from astro_scc.images.regions import refuse_pixels
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.products.publication import published_positions
 from astro_scc.quantities import to_time
@@ -110,16 +108,12 @@ def settings_of(args, reporter, **defaults):
     """
     given, written_by = read_config(args.config) if args.config else ({}, {})
     now = versions()
-    other = ", ".join(
-        f"{name} {version} (here {now.get(name, 'none')})"
-        for name, version in written_by.items()
-        if now.get(name) != version
-    )
+    other = {k: v for k, v in written_by.items() if now.get(k) != v}.items()
+    other = ", ".join(f"{k} {v} (here {now.get(k, 'none')})" for k, v in other)
     if other:
         reporter.note(f"{args.config} was written with {other}: numbers may differ")
-    typed = {
-        k: v for k, v in vars(args).items() if k in OPTIONS and v not in (None, [])
-    }
+    every = vars(args).items()
+    typed = {k: v for k, v in every if k in OPTIONS and v not in (None, [])}
     settings = Settings(**defaults | override(given, typed))
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
@@ -155,14 +149,14 @@ def read_epochs(settings, args=None, *, note=None, features=False, moving=False)
     OSError, ValueError
         If the files cannot be read, or do not make one cube.
     """
-    files = find_files(settings.epochs)
+    files = fits.find_files(settings.epochs)
     frame = "absolute" if settings.align == "wcs" else "offset"
     if settings.region is not None:
-        refuse_pixels(settings.region, settings.crop is not None)
+        regions.refuse_pixels(settings.region, settings.crop is not None)
     beam = settings.beam and parse_beam(settings.beam)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     if settings.region is not None:
-        refuse_pixels(settings.region, False, cube)
+        regions.refuse_pixels(settings.region, False, cube)
     if said := repeated(cube):
         warn(said)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
@@ -287,20 +281,17 @@ def output_of(args, settings):
     if args.output is not None:
         return Path(args.output)
 
-    first, name = find_files(settings.epochs)[0], ""
+    first, name = fits.find_files(settings.epochs)[0], ""
     # What cannot be read is refused where the epochs are.
     with suppress(Exception):
-        name = read_plane(first, pixels=False).facts.get("object", "").strip()
+        name = fits.read_plane(first, pixels=False).facts.get("object", "").strip()
     name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
     return Path(f"{name}-{args.command}")
 
 
 def read_table(path, advice="", name=None):
     """Return an ECSV table, from a file or lines; what is wrong with it is one line."""
-    try:
+    if name is None and not path.exists():
+        raise OSError(f"{path}: does not exist{advice}")
+    with naming_all(f"{name or path}: is no ECSV table"):
         return QTable.read(path, format="ascii.ecsv")
-    except FileNotFoundError:
-        raise OSError(f"{path}: does not exist{advice}") from None
-    except Exception as error:
-        what = f"{name or path}: is no ECSV table: {first_line(error)}"
-        raise ValueError(what) from None

@@ -15,11 +15,7 @@ from astro_scc.flow import compare_scales, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.products import write_epoch_regions, write_products
-from astro_scc.products.folder import (
-    product_folder,
-    write_files,
-    write_paper_products,
-)
+from astro_scc.products.folder import product_folder, write_files, write_paper_products
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
@@ -65,31 +61,21 @@ def measure(args, reporter):
         )  # fmt: skip
         if args.ds9_regions:
             write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
-    features = with_published(
-        result.features, result.tracked_features, epochs.published
-    )
-    reporter.say(
-        *answer.stream_lines(streams, features),
-        *answer.published_lines(features),
-        *flow,
-        *epochs.found,
-        f"\nTables and maps: {output}"
-        if args.no_report
-        else f"\nReport: {output / 'report.html'}",
-    )
+    found = result.features, result.tracked_features
+    features = with_published(*found, epochs.published)
+    lines = *answer.stream_lines(streams, features), *answer.published_lines(features)
+    where = f"Report: {output / 'report.html'}"
+    where = f"Tables and maps: {output}" if args.no_report else where
+    reporter.say(*lines, *flow, *epochs.found, f"\n{where}")
 
 
 def _measured(epochs, reporter):
     """Return the measurement of epochs."""
     settings = epochs.settings
-    return StackedCrossCorrelation.from_settings(settings)(
-        epochs.cube,
-        region=settings.region,
-        n_trials=settings.n_trials,
-        rng=settings.seed,
-        n_workers=epochs.n_workers,
-        progress_bar=reporter.progress,
-    )
+    given = {"n_trials": settings.n_trials, "rng": settings.seed}
+    given |= {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
+    scc = StackedCrossCorrelation.from_settings(settings)
+    return scc(epochs.cube, region=settings.region, **given)
 
 
 def _as_in_paper(epochs, folder, args, reporter):
@@ -225,15 +211,9 @@ def demo(args, reporter):
         x, y, width = (FIRST + LAST) / 2 + 1, (height + 1) / 2, LAST - FIRST + 1
         box = f"box({x},{y},{width},{height},0)"
         region.write_text(f"image\n{box}\n", encoding="ascii")
-        settings = Settings(
-            epochs=[str(path) for path in files],
-            region=str(region),
-            scales="1,2,3",
-            max_speed="36 mas/yr",
-            position_angle="270 deg",
-            n_trials=N_TRIALS,
-            seed=DEMO_SEED,
-        )
+        given = {"epochs": [*map(str, files)], "region": str(region), "scales": "1,2,3"}
+        given |= {"max_speed": "36 mas/yr", "position_angle": "270 deg"}
+        settings = Settings(n_trials=N_TRIALS, seed=DEMO_SEED, **given)
         epochs = inputs.read_epochs(settings, note=reporter.note)
         result = _measured(epochs, reporter)
         # Where they will be when the folder is complete.
@@ -243,27 +223,21 @@ def demo(args, reporter):
             result, epochs._replace(settings=settings), folder, output=output,
             warnings=reporter.warnings,
         )  # fmt: skip
-    reporter.say(
-        *_truth_lines(jet),
-        "\nMeasured:",
-        *answer.stream_lines(streams, result.features),
-        f"\nReport: {output / 'report.html'}",
-    )
+    found = answer.stream_lines(streams, result.features)
+    report = f"\nReport: {output / 'report.html'}"
+    reporter.say(*_truth_lines(jet), "\nMeasured:", *found, report)
 
 
 def _truth_lines(jet):
     """Return the simulated velocities as lines."""
     rows = []
     for name in dict.fromkeys(jet.truth["group"]):
-        rows_of_stream = jet.truth[jet.truth["group"] == name]
-        east, north = (
-            rows_of_stream[f"pm_{axis}"].mean().to_value("mas / yr")
-            for axis in ("east", "north")
-        )
-        row = {"stream": str(name)}
-        row["proper motion (mas / yr)"] = f"{math.hypot(east, north):.2f}"
-        row["PA (deg)"] = f"{math.degrees(math.atan2(east, north)) % 360:.0f}"
-        rows.append(row)
+        stream = jet.truth[jet.truth["group"] == name]
+        motions = (stream[f"pm_{axis}"].mean() for axis in ("east", "north"))
+        east, north = (motion.to_value("mas / yr") for motion in motions)
+        speed, angle = math.hypot(east, north), math.degrees(math.atan2(east, north))
+        row = {"stream": str(name), "proper motion (mas / yr)": f"{speed:.2f}"}
+        rows.append(row | {"PA (deg)": f"{angle % 360:.0f}"})
     return ["Simulated:", *table_lines(rows)]
 
 

@@ -230,10 +230,8 @@ def _add(parser, arguments):
         options = argument.copy()
         flags, kind = options.pop("flags").split(), options.pop("type", None)
         if options.get("metavar") == "true|false":
-            options = {
-                "help": options["help"],
-                "action": argparse.BooleanOptionalAction,
-            }
+            del options["metavar"]
+            options["action"] = argparse.BooleanOptionalAction
         elif "metavar" in options or "choices" in options:
             options["type"] = TYPES.get(kind, str)
         else:

@@ -13,20 +13,14 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from astropy.table import Column, MaskedColumn, QTable, vstack
 
 from astro_scc import parallel, writing
+from astro_scc.cli import inputs
 from astro_scc.cli import survey_sources as sources
-from astro_scc.cli.inputs import (
-    published_of,
-    read_epochs,
-    read_table,
-    refuse_paper,
-    workers_of,
-)
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
 from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE
@@ -40,9 +34,6 @@ from astro_scc.progress import progress
 from astro_scc.report.answer import PROFILE_EXPLANATION
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 __all__ = ["run_survey"]
 
@@ -63,7 +54,7 @@ HEAD = {
 
 def survey(args, reporter):
     """Measure the sources of a survey according to the arguments."""
-    n_workers, output = workers_of(args), Path(args.output)
+    n_workers, output = inputs.workers_of(args), Path(args.output)
     reporter.resumes = True
     plan, report = sources.survey_of(args, output, reporter)
 
@@ -83,12 +74,10 @@ def survey(args, reporter):
     reporter.say(*_summary(table))
     if set(table["status"]) == {"failed"}:
         raise ValueError(f"no source could be measured; {output / TABLE} says why")
-    reporter.say(
-        f"\nCatalogues: {output / TABLE}, {output / FEATURES}, "
-        f"{output / publication.FOLDER}",
-        f"Overview: {output / 'overview.html'}",
-        *([f"Reports: {output / SOURCES}"] if report else []),
-    )
+    tables = f"{output / TABLE}, {output / FEATURES}, {output / publication.FOLDER}"
+    reporter.say(f"\nCatalogues: {tables}", f"Overview: {output / 'overview.html'}")
+    if report:
+        reporter.say(f"Reports: {output / SOURCES}")
 
 
 def _summary(table):
@@ -108,7 +97,7 @@ def _summary(table):
 
 
 def run_survey(
-    survey: sources.Survey, output: Path | str, *, n_workers: int | str | Client = 1,
+    survey: sources.Survey, output: Path | str, *, n_workers: parallel.Workers = 1,
     report: bool = False, done: Callable[..., Any] | None = None,
     progress_bar: bool = False,
 ) -> QTable:  # fmt: skip
@@ -270,10 +259,10 @@ def measure_part(part, output, report=False, partial=None):
 
 def _measured(part, folder, output, report, said):
     """Measure a part into a folder; return its outcome."""
-    epochs = read_epochs(part.settings, moving=True)
-    refuse_paper(epochs.settings)
+    epochs = inputs.read_epochs(part.settings, moving=True)
+    inputs.refuse_paper(epochs.settings)
     cube, settings = epochs.cube, epochs.settings
-    epochs = epochs._replace(published=published_of(part.compare, cube))
+    epochs = epochs._replace(published=inputs.published_of(part.compare, cube))
     first, last = cube.times.isot[[0, -1]].tolist()
     outcome = replace(
         part.outcome, status="empty", message=NO_PATTERN, n_epochs=len(cube),
@@ -371,7 +360,7 @@ def _stacked(outcomes, output, name, empty):
             every += lines[start:]
             numbers += [number] * len(lines[start:])
     for path, lines, numbers in parts.values():
-        table = read_table(lines, name=path)
+        table = inputs.read_table(lines, name=path)
         table.meta.clear()
         table["outcome"] = numbers
         tables.append(table)

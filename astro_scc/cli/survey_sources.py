@@ -9,20 +9,16 @@ import re
 import shutil
 from collections import Counter
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.io import ascii
-from scipy.spatial import cKDTree
 
 from astro_scc.cli import images, inputs
-from astro_scc.components.lists import read_sources
-from astro_scc.components.restoring import suited
-from astro_scc.images.beam import Beam
-from astro_scc.images.headers import first_line
+from astro_scc.exceptions import first_line, naming_all
 from astro_scc.parallel import in_order
 from astro_scc.quantities import check_scales, finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -186,11 +182,10 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     ----------
     path : path
         A TOML file with a table ``[sources.NAME]`` for each source, with its
-        ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a
-        table of scales), ``published_pm`` and ``compare``, a speed and a table of
-        published features to compare with, and any setting of a
-        measurement; and a table ``[defaults]`` for what a source does not set.
-        Paths are relative to the file.
+        ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a table of
+        scales), ``published_pm`` and ``compare``, a speed and a table of published
+        features to compare with, and any setting of a measurement; and a table
+        ``[defaults]`` for what a source does not set.  Paths are relative to the file.
     redshifts : dict of float, optional
         Redshifts of sources, in place of those in the file.
 
@@ -368,35 +363,13 @@ def write_survey(args, output, reporter):
     source; settings may be added to it.  Of a table, they are restored into
     ``images/NAME``; those that an earlier run made from the same table in the same way
     are kept, and their sources stay in the survey.
-
-    Parameters
-    ----------
-    args : `~argparse.Namespace`
-        Its ``survey`` is a folder, or a table that `~astro_scc.epochs.read_components`
-        reads.
-    output : `~pathlib.Path`
-        Folder of the survey.
-    reporter : `~astro_scc.cli.program.Reporter`
-
-    Returns
-    -------
-    `~pathlib.Path`
-        The file.
-
-    Raises
-    ------
-    OSError
-        If the folder is of something else, or another run writes into it.
-    ValueError
-        If there are no images, if the table lacks the source that is asked for, or if
-        the images of no source can be restored.
     """
     given, path = Path(args.survey), output / PLAN
     found, how, defaults, made_of = {}, {}, "", str(given.absolute())
     if given.is_dir():
         epochs = _images_in(given)
     else:
-        found, how = _components(args, reporter)
+        found, how = images.components_of(args, reporter)
         folders = folder_names(list(found))
         epochs = {name: f"{IMAGES}/{folders[name]}/*.fits" for name in found}
         if any((components.feature > 0).any() for components in found.values()):
@@ -410,7 +383,7 @@ def write_survey(args, output, reporter):
         targets = {name: output / IMAGES / folders[name] for name in found}
         left = [name for name in found if not targets[name].is_dir()]
         work = ((found[name], targets[name], how) for name in left)
-        problems = in_order(_restore, work, args.workers or 1)
+        problems = in_order(images.restored, work, args.workers or 1)
         for name, problem in zip(left, problems, strict=True):
             if problem:
                 reporter.warn(f"{name}: no images: {problem}")
@@ -441,60 +414,6 @@ def _update_plan(path, head, defaults, epochs):
             text = f"{text.rstrip()}\n\n{table}"
     with replace_when_complete(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
-
-
-def _restore(task):
-    """Restore the images of a source, and return why that is not possible, or None."""
-    components, target, how = task
-    try:
-        if how["pixel_scale"] is None or how["noise"] is None:
-            given = {k: v for k, v in how.items() if v is not None}
-            how = how | suited(components) | given
-        images.write_images(components, target, how)
-    except ValueError as error:
-        return str(error)
-    return None
-
-
-def _components(args, reporter):
-    """Return the components of each source with a beam, and how to restore images."""
-    how = images.images_of(args, [args.survey])
-    options, found = {"origin": args.origin, "beams": how["beam"]}, {}
-    for name in args.source.split(",") if args.source else (None,):
-        found |= read_sources(args.survey, source=name, **options)
-    if not all(components.beams for components in found.values()):
-        # That of the whole table, so that no source depends on which others are chosen.
-        every = read_sources(args.survey, **options) if args.source else found
-        how["beam"] = beam = _typical_beam(every.values())
-        found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
-        reporter.note(
-            f"{args.survey} has no beam: images are restored with one of "
-            f"{beam.major:.2g}, the median distance of neighbours in an epoch (--beam)"
-        )
-    kinds = {"pixels": how["pixel_scale"], "noise": how["noise"]}
-    if left := [kind for kind, value in kinds.items() if value is None]:
-        reporter.note(
-            f"images get {' and '.join(left)} that suit their components: a fifth of "
-            "the beam, and a tenth of the faintest peak (--pixel, --noise)"
-        )
-    return found, how
-
-
-def _typical_beam(lists):
-    """Return a circular beam that separates half of the components of an epoch."""
-    nearest = []
-    for components in lists:
-        places = np.stack([components.east, components.north], axis=1).to_value(u.mas)
-        for epoch in range(components.n_epochs):
-            here = places[components.epoch == epoch]
-            if len(here) > 1:
-                # The nearest of all is the component itself.
-                nearest += cKDTree(here).query(here, k=2)[0][:, 1].tolist()
-    size = np.median(nearest) if nearest else 0.0
-    if not size > 0:
-        raise ValueError("no epoch of the table has two components apart; give --beam")
-    size = float(f"{size:.2g}") * u.mas
-    return Beam(size, size, 0 * u.deg)
 
 
 def _images_in(folder):
@@ -537,12 +456,8 @@ def read_redshifts(path):
             f"{path}: needs the columns source and redshift; it has "
             f"{', '.join(table.colnames)}"
         )
-    try:
+    wanted = f"its column {values.name} must be numbers without a unit, as 0.158"
+    with naming_all(f"{path}: {wanted}"):
         numbers = np.ma.filled(values.astype(float), np.nan)
-    except ValueError as error:
-        raise ValueError(
-            f"{path}: its column {values.name} must be numbers without a unit, as "
-            f"0.158: {first_line(error)}"
-        ) from None
     rows = zip(names, numbers, strict=True)
     return {str(name): float(z) for name, z in rows if np.isfinite(z)}

@@ -8,7 +8,6 @@ import astropy.units as u
 from astro_scc import StackedCrossCorrelation
 from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
-from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.explain import explain_feature
 from astro_scc.features import find_features
@@ -48,13 +47,10 @@ def track(args, reporter):
 
             files = style.figure_files(("separation", "tracks"), draw, pdf=args.pdf)
             write_files(files, folder)
-    reporter.say(
-        *feature_lines(table, most=len(table)),
-        *published_lines(table),
-        *speed_lines(epochs.settings.in_c),
-        *epochs.found,
-        f"\nTables{'' if args.no_figures else ' and figures'}: {output}",
-    )
+    lines = *feature_lines(table, most=len(table)), *published_lines(table)
+    lines = *lines, *speed_lines(epochs.settings.in_c), *epochs.found
+    what = "Tables" if args.no_figures else "Tables and figures"
+    reporter.say(*lines, f"\n{what}: {output}")
 
 
 def _find(epochs, reporter, seed):
@@ -64,10 +60,10 @@ def _find(epochs, reporter, seed):
     n_workers, progress_bar = epochs.n_workers, reporter.progress
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        decomposed = decompose_epochs(
+        decomposed, _ = decompose_epochs(
             cube, decomposer, n_workers=n_workers, progress_bar=progress_bar
         )
-        ssps = SSPs.of_epochs(decomposed)
+        ssps = decomposed.ssps
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
         seed=seed, n_workers=n_workers, progress_bar=progress_bar,
@@ -84,13 +80,9 @@ def _write(features, epochs, folder):
     cube = features.cube
     table = with_published(features.table, features, epochs.published)
     table = inputs.with_speeds_in_c(table, epochs.settings)
-    meta = {
-        "configuration": epochs.settings.to_dict("track"),
-        **table.meta,
-        "epochs": list(cube.labels),
-        "history": list(cube.meta.get("history", ())),
-        "versions": versions(),
-    }
+    meta = {"configuration": epochs.settings.to_dict("track"), **table.meta}
+    meta |= {"epochs": list(cube.labels), "versions": versions()}
+    meta["history"] = list(cube.meta.get("history", ()))
     if epochs.published is not None:
         meta["history"].append(f"compared with {epochs.published.meta['survey']}")
     tables = {"features": table, "positions": features.positions}

@@ -14,11 +14,10 @@ from astropy.time import Time
 
 from astro_scc.components.names import plain
 from astro_scc.components.tables import UNITS, open_table, read_fields, source_names
-from astro_scc.exceptions import warn
+from astro_scc.exceptions import naming, warn
+from astro_scc.images import fits, series
 from astro_scc.images.beam import Beam
 from astro_scc.images.dates import given_times
-from astro_scc.images.fits import find_files
-from astro_scc.images.series import as_beams, as_epoch_tuple, naming
 from astro_scc.quantities import check_choice, named
 
 COLUMNS = (*UNITS, "feature")
@@ -97,9 +96,9 @@ class ComponentList:
         n = epoch.size
         if times.isscalar or (n and not 0 <= epoch.min() <= epoch.max() < len(times)):
             raise ValueError("components: epoch must be indices into an array of times")
-        labels = as_epoch_tuple(self.labels, len(times), "labels", str)
+        labels = series.as_epoch_tuple(self.labels, len(times), "labels", str)
         labels = labels or times.strftime("%Y-%m-%d").tolist()
-        beams = as_beams(self.beams, len(times)) or ()
+        beams = series.as_beams(self.beams, len(times)) or ()
         order = np.argsort(times.mjd, kind="stable")
         # Components without a size are points, those with one axis are round.
         default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
@@ -175,14 +174,10 @@ class ComponentList:
             what = f"{len(self)} between {days[0]} and {days[-1]}; widen the selection"
             raise ValueError(f"no component is left of {what}")
         epochs, epoch = np.unique(self.epoch[keep], return_inverse=True)
-        return replace(
-            self,
-            times=self.times[epochs],
-            epoch=epoch,
-            labels=tuple(self.labels[i] for i in epochs),
-            beams=tuple(self.beams[i] for i in epochs if self.beams),
-            **{name: getattr(self, name)[keep] for name in COLUMNS},
-        )
+        chosen = {name: getattr(self, name)[keep] for name in COLUMNS}
+        chosen["labels"] = tuple(self.labels[i] for i in epochs)
+        chosen["beams"] = tuple(self.beams[i] for i in epochs if self.beams)
+        return replace(self, times=self.times[epochs], epoch=epoch, **chosen)
 
     def to_table(self) -> QTable:
         """
@@ -292,11 +287,11 @@ def read_components(
     """
     if origin is not None:
         named("origin", check_choice, origin, "core", "map")
-    paths = find_files(paths)
+    paths = fits.find_files(paths)
     with naming("dates"):
         dates = given_times(dates, len(paths))
     dates = [date and date.utc.isot for date in dates]
-    beams = as_beams(beams, len(paths)) or [None] * len(paths)
+    beams = series.as_beams(beams, len(paths)) or [None] * len(paths)
     lists = []
     for path, date, beam in zip(paths, dates, beams, strict=True):
         fields = read_fields(path, source, origin, date)
@@ -342,7 +337,7 @@ def read_sources(
     OSError, ValueError
         See `read_components`.
     """
-    (path,), options = find_files(path), {"origin": origin, "beams": beams}
+    (path,), options = fits.find_files(path), {"origin": origin, "beams": beams}
     if source is not None:
         components = read_components(path, source=source, **options)
         same = plain(components.meta.get("object", source)) == plain(source)

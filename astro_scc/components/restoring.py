@@ -11,12 +11,10 @@ import scipy
 
 from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
+from astro_scc.images import cards, positions, series
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
-from astro_scc.images.cards import KEYWORDS
 from astro_scc.images.grid import gaussian_transfer
-from astro_scc.images.positions import pixel_side
-from astro_scc.images.series import ImageSeries, Series, as_beams, as_noise, as_shape
-from astro_scc.quantities import random_generator
+from astro_scc.quantities import Seed, random_generator
 
 # East is left and north is up: (x, y) = FLIP (east, north) / pixel.
 FLIP = np.diag([-1.0, 1.0])
@@ -28,11 +26,11 @@ NO_BEAM = (
 
 
 def restore(
-    cls: type[Series], components: ComponentList, *, beam: Beam | Sequence[Beam],
+    cls: type[series.Series], components: ComponentList, *, beam: Beam | Sequence[Beam],
     pixel_scale: u.Quantity, shape: tuple[int, int] | None = None,
     reference_pixel: tuple[float, float] | None = None, noise: u.Quantity | None = None,
-    rng: np.random.Generator | int | None = None,
-) -> Series:  # fmt: skip
+    rng: Seed | None = None,
+) -> series.Series:  # fmt: skip
     """
     Return images of model components, restored with a beam.
 
@@ -97,7 +95,8 @@ def restore(
     ((2, 83, 85), 1.0)
     """
     n_epochs, unit = components.n_epochs, u.Jy / u.beam
-    beams, noise = as_beams(beam, n_epochs), as_noise(noise, n_epochs, unit)
+    beams = series.as_beams(beam, n_epochs)
+    noise = series.as_noise(noise, n_epochs, unit)
     if not beams:
         raise ValueError("restore needs a beam; give one, or one for each epoch")
     scale = _side(pixel_scale, beams)
@@ -107,7 +106,7 @@ def restore(
             raise ValueError("reference_pixel needs a shape; give both, or neither")
         border = 4 * max(beam.major.value for beam in beams) / scale
         shape, reference_pixel = _grid(x, y, components.major.value / scale + border)
-    shape = as_shape(shape)
+    shape = series.as_shape(shape)
     if reference_pixel is None:
         reference_pixel = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     x, y = x + reference_pixel[0], y + reference_pixel[1]
@@ -123,7 +122,7 @@ def restore(
             rms, grid = noise[i].value, {"pixel_scale": pixel_scale, "rng": noise_rng}
             data[i] += correlated_noise(shape, rms=rms, beam=beams[i], **grid)
     meta = components.meta
-    facts = {name: meta[name] for name in KEYWORDS["facts"] if name in meta}
+    facts = {name: meta[name] for name in cards.KEYWORDS["facts"] if name in meta}
     return cls.from_arrays(
         data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
         reference_pixel=reference_pixel, position=meta.get("position"), unit=unit,
@@ -134,7 +133,7 @@ def restore(
 
 def _side(pixel_scale, beams):
     """Return the side of a pixel in mas, which the beams must be wider than."""
-    scale = pixel_side(pixel_scale).to_value(u.mas)
+    scale = positions.pixel_side(pixel_scale).to_value(u.mas)
     narrow = min(beam.minor.value for beam in beams)
     if scale > narrow:
         raise ValueError(
@@ -199,7 +198,7 @@ def suited(components, pixels=5, snr=10):
     """
     pixel = min(beam.minor for beam in components.beams) / pixels
     options = {"beam": components.beams, "pixel_scale": pixel}
-    cube = restore(ImageSeries, components, **options)
+    cube = restore(series.ImageSeries, components, **options)
     x0, y0 = cube.reference_pixel
     x = np.rint(x0 - (components.east / pixel).to_value(u.one)).astype(int)
     y = np.rint(y0 + (components.north / pixel).to_value(u.one)).astype(int)
@@ -211,9 +210,28 @@ def suited(components, pixels=5, snr=10):
     return options | {"noise": np.median(faintest) / snr * cube.unit}
 
 
+def typical_beam(lists):
+    """Return a circular beam that separates half of the components of an epoch."""
+    nearest = []
+    for components in lists:
+        places = np.stack([components.east, components.north], axis=1).to_value(u.mas)
+        for epoch in range(components.n_epochs):
+            here = places[components.epoch == epoch]
+            if len(here) > 1:
+                # The nearest of all is the component itself.
+                nearest += (
+                    scipy.spatial.cKDTree(here).query(here, k=2)[0][:, 1].tolist()
+                )
+    size = np.median(nearest) if nearest else 0.0
+    if not size > 0:
+        raise ValueError("no epoch of the table has two components apart; give --beam")
+    size = float(f"{size:.2g}") * u.mas
+    return Beam(size, size, 0 * u.deg)
+
+
 def in_pixels(beam, pixel_scale):
     """Return the covariance of a beam over (x, y) in square pixels."""
-    scale = pixel_side(pixel_scale).to_value(u.mas)
+    scale = positions.pixel_side(pixel_scale).to_value(u.mas)
     return FLIP @ beam.covariance.value @ FLIP / scale**2
 
 
@@ -275,7 +293,7 @@ def _pixels(centre, reach, n):
 
 def correlated_noise(
     shape: tuple[int, int], *, rms: float | u.Quantity, beam: Beam,
-    pixel_scale: u.Quantity, rng: np.random.Generator | int | None = None,
+    pixel_scale: u.Quantity, rng: Seed | None = None,
 ) -> np.ndarray:  # fmt: skip
     """
     Return Gaussian noise that is correlated by a beam.

@@ -18,12 +18,12 @@ from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.components.names import also_named, place_of, same_source, table_position
+from astro_scc.exceptions import naming, naming_all
+from astro_scc.images import cards, headers, series
 from astro_scc.images.beam import parse_beam
-from astro_scc.images.cards import get
 from astro_scc.images.dates import as_times
 from astro_scc.images.fits import AS_TABLE, open_fits
-from astro_scc.images.headers import celestial_wcs, first_line, read_header, some
-from astro_scc.images.series import naming, numbers
+from astro_scc.images.headers import some
 from astro_scc.quantities import parse_date
 
 
@@ -35,17 +35,13 @@ def _read_columns():
     pattern for what machine-readable tables explain of it, which tells what labels such
     as ID mean.
     """
+    found, units = {}, {"-": None, "1": u.one}
     with resources.files(__package__).joinpath("columns.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    units = {"-": None, "1": u.one}
-    return {
-        row["content"]: (
-            units[row["unit"]] if row["unit"] in units else u.Unit(row["unit"]),
-            row["labels"].split(),
-            row["explained"],
-        )
-        for row in rows
-    }
+        for row in csv.DictReader(file):
+            unit = row["unit"]
+            unit = units[unit] if unit in units else u.Unit(unit)
+            found[row["content"]] = unit, row["labels"].split(), row["explained"]
+    return found
 
 
 COLUMNS = _read_columns()
@@ -126,7 +122,7 @@ def read_fields(path, source, origin, date=None):
         lacks, has = (", ".join(map(repr, n)) for n in (missing, table.colnames))
         raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
     values = {
-        what: numbers(table[columns[what]], unit, path)
+        what: series.numbers(table[columns[what]], unit, path)
         for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
@@ -139,13 +135,9 @@ def read_fields(path, source, origin, date=None):
         _refer(values, epoch, days, relative, origin, path)
     values |= _sizes(values, path)
     fields = {name: values[name] * unit for name, unit in UNITS.items()}
-    return fields | {
-        "times": as_times(list(days), len(days)),
-        "epoch": epoch,
-        "feature": values.get("feature"),
-        "labels": () if len(days) > 1 else (path.name,),
-        "meta": _meta(table, columns, path),
-    }
+    fields |= {"times": as_times(list(days), len(days)), "epoch": epoch}
+    fields |= {"feature": values.get("feature"), "meta": _meta(table, columns, path)}
+    return fields | {"labels": () if len(days) > 1 else (path.name,)}
 
 
 def _refer(values, epoch, days, relative, origin, path):
@@ -320,13 +312,12 @@ def _open_ascii(path, kind, **options):
 
 @lru_cache(maxsize=1)
 def _opened(path, kind, state, **options):
-    try:
+    with (
+        naming_all(f"{path}: not a readable {kind} table", OSError),
         # The units of the columns that are needed are checked later.
-        with warnings.catch_warnings(action="ignore", category=u.UnitsWarning):
-            return Table.read(path, format=kind, **options)
-    except Exception as error:  # astropy's parsers raise errors of many kinds
-        what = f"not a readable {kind} table: {first_line(error)}"
-        raise OSError(f"{path}: {what}") from None
+        warnings.catch_warnings(action="ignore", category=u.UnitsWarning),
+    ):
+        return Table.read(path, format=kind, **options)
 
 
 def _open_mrt(path):
@@ -386,28 +377,28 @@ def _difmap_row(text, where):
 
 def _open_aips(path):
     """Return the newest AIPS CC table of a FITS file, and its date."""
-    # AIPS files break minor rules of the standard throughout.
-    with warnings.catch_warnings(action="ignore"):
-        try:
-            # astropy.io.fits does not close files that it fails to open.
-            with path.open("rb") as file, open_fits(file) as hdus:
-                header = hdus[0].header
-                found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
-                table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
-                tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
-                record = read_header(header, tables)
-        except Exception as error:  # a damaged file can fail anywhere
-            what = f"not a readable FITS file: {first_line(error)}"
-            raise OSError(f"{path}: {what}") from None
+    with (
+        naming_all(f"{path}: not a readable FITS file", OSError),
+        # AIPS files break minor rules of the standard throughout.
+        warnings.catch_warnings(action="ignore"),
+        # astropy.io.fits does not close files that it fails to open.
+        path.open("rb") as file,
+        open_fits(file) as hdus,
+    ):
+        header = hdus[0].header
+        found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
+        table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
+        tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
+        record = headers.read_header(header, tables)
     if table is None:
         raise ValueError(f"{path}: no AIPS CC table in the file; leave it out")
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
     with suppress(ValueError):
-        wcs = celestial_wcs(header)
+        wcs = headers.celestial_wcs(header)
         frame = wcs_to_celestial_frame(wcs)
         table.meta["position"] = SkyCoord(*wcs.wcs.crval, unit="deg", frame=frame).icrs
-    return table, get(header, "DATE-OBS", kind=str) or ""
+    return table, cards.get(header, "DATE-OBS", kind=str) or ""
 
 
 def _aips_table(hdu):

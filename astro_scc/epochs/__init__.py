@@ -12,14 +12,6 @@ from astro_scc.images.regions import distance_mask
 restore = EpochCube.from_components
 
 __all__ = [
-    "Beam",
-    "ComponentList",
-    "EpochCube",
-    "core_positions",
-    "distance_mask",
-    "inspect_epochs",
-    "plan_intervals",
-    "read_components",
-    "restore",
-    "write_epochs",
-]
+    "Beam", "ComponentList", "EpochCube", "core_positions", "distance_mask",
+    "inspect_epochs", "plan_intervals", "read_components", "restore", "write_epochs",
+]  # fmt: skip

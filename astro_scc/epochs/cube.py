@@ -21,20 +21,17 @@ from astro_scc.alignment.registration import misalignment
 from astro_scc.components.restoring import restore, restore_files
 from astro_scc.epochs import reading, serialize
 from astro_scc.epochs.inspection import kind_of
+from astro_scc.images import fits, grid, regions, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.dates import date_labels
-from astro_scc.images.fits import CUBE_CREATOR, find_files
-from astro_scc.images.grid import common_beam, reproject_cube
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.regions import crop, region_mask
-from astro_scc.images.series import ImageSeries
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from ndcube import NDCube, NDCubeSequence
 
 
-class EpochCube(ImageSeries):
+class EpochCube(series.ImageSeries):
     """
     Images of one object at many dates on one pixel grid.
 
@@ -157,13 +154,13 @@ class EpochCube(ImageSeries):
         >>> len(cube), cube.labels[0]
         (10, '0003+380.u.2006_03_09.fits')
         """
-        files = find_files(paths)
+        files = fits.find_files(paths)
         first, kind = files[0], kind_of(files[0])
         if kind == "cube" and len(files) == 1:
             if times is not None or beams is not None:
                 raise ValueError(f"{first}: an EpochCube; it has its dates and beams")
             lazy = region is not None
-            cube = serialize.read_object(first, creator=CUBE_CREATOR, lazy=lazy)
+            cube = serialize.read_object(first, creator=fits.CUBE_CREATOR, lazy=lazy)
         elif kind == "components":
             cube = restore_files(cls, files, times=times, beams=beams)
         else:
@@ -248,12 +245,12 @@ class EpochCube(ImageSeries):
     from_components = classmethod(restore)
     to_ndcube = serialize.to_ndcube
     write = serialize.write_cube
-    to_common_beam = common_beam
+    to_common_beam = grid.common_beam
     align = align
     misalignment = cached_property(misalignment)
-    reproject_to = reproject_cube
-    crop = crop
-    region_mask = region_mask
+    reproject_to = grid.reproject_cube
+    crop = regions.crop
+    region_mask = regions.region_mask
 
     @property
     def epochs(self) -> QTable:

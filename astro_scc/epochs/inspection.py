@@ -20,14 +20,9 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.images import fits, local
-from astro_scc.images.cards import KEYWORDS
+from astro_scc.images import cards, extensions, fits, grid, local, series
 from astro_scc.images.dates import as_times, date_labels, order_of
-from astro_scc.images.extensions import is_visibilities
-from astro_scc.images.grid import finest, whole_step
-from astro_scc.images.local import on_one_sky, separation
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries
 
 POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
 #: What to do with an image that is slightly different.
@@ -41,13 +36,9 @@ NO_BEAM = (
 )
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
-COLUMNS = {
-    **dict.fromkeys(("pixel", "major", "minor"), u.mas),
-    "pa": u.deg,
-    **dict.fromkeys(("peak", "noise")),
-    **dict.fromkeys(("peak_east", "peak_north"), u.mas),
-    "frequency": u.GHz,
-}
+COLUMNS = "pixel major minor pa peak noise peak_east peak_north frequency".split()
+COLUMNS = dict.fromkeys(COLUMNS, u.mas)
+COLUMNS |= {"pa": u.deg, "peak": None, "noise": None, "frequency": u.GHz}
 # Displacements in beams with which pairs of epochs work best.
 GOOD_SHIFTS = (0.3, 1.5)
 
@@ -123,7 +114,7 @@ def kind_of(path):
                 return "cube"
             image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
             listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
-            if listed and not image and not is_visibilities(hdus):
+            if listed and not image and not extensions.is_visibilities(hdus):
                 return "components"
     return "images"
 
@@ -262,7 +253,7 @@ class IntervalPlan:
         return "\n".join(self.lines())
 
 
-def plan_intervals(cube: ImageSeries) -> IntervalPlan:
+def plan_intervals(cube: series.ImageSeries) -> IntervalPlan:
     """
     Return the speeds that the dates of a series allow to be measured.
 
@@ -334,11 +325,10 @@ def problems(planes, peaks, scale=100, first=1880):
     """
     Return the `Problem` of each image that does not belong to the others.
 
-    It is of another unit, object, band or polarisation, or of the date of another one,
-    or has no beam where others have one.  Another name for the same place, a mirror
-    image, an impossible date, and a brightness out of scale need only a warning:
-    before the ``first`` photograph of a nebula, or a factor ``scale`` that is hardly
-    variability, but another unit.  ``peaks`` are the largest values.
+    It is of another unit, object, band or polarisation, of the date of another one, or
+    has no beam where others have one.  Another name for the same place, a mirror image,
+    a date before the ``first`` photograph of a nebula, and a peak (in ``peaks``) that
+    differs by a factor ``scale``, which is hardly variability, need only a warning.
     """
     # What is of another object may be of the same date.
     found = [*_strangers(planes), *_same_dates(planes)]
@@ -382,7 +372,7 @@ def far_away(planes, part=0.05):
     A larger ``part`` of the image exceeds the scatter of VLBI positions.
     """
     first = planes[0]
-    distance = [separation(plane.wcs, first.wcs) for plane in planes]
+    distance = [local.separation(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if distance[k] > part * max(first.extent, planes[k].extent):
         what = (
@@ -400,11 +390,11 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = on_one_sky([plane.wcs for plane in planes], planes[0].wcs, "offset")
-    k = finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
+    frames = local.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, "offset")
+    k = grid.finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
-        if whole_step(frame, frames[k], plane.shape) is None:
+        if grid.whole_step(frame, frames[k], plane.shape) is None:
             yield Problem(i, f"on another grid than {name}, the finest, and resampled")
         if some_have_noise and plane.noise is None:
             yield Problem(i, "no noise where other epochs have one")
@@ -465,7 +455,8 @@ def _strangers(planes):
     names = [None if name.upper() in UNNAMED else name for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
-        same = bool(separation(one.wcs, other.wcs) < max(one.extent, other.extent))
+        apart = local.separation(one.wcs, other.wcs)
+        same = bool(apart < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
         what = f"shows {mine}, {where}, where others show {others}"
         advice = "leave it out if it is another object" if same else UNCHECKED
@@ -473,7 +464,7 @@ def _strangers(planes):
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
     hands = [None if s in POLARISED else s for s in stokes]
     kinds = [("Stokes", intensity, UNCHECKED)]
-    for fact, row in KEYWORDS["facts"].items():
+    for fact, row in cards.KEYWORDS["facts"].items():
         if "named" in row:
             advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
             values = [plane.facts.get(fact) for plane in planes]

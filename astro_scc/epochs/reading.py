@@ -14,12 +14,11 @@ from astropy.wcs.utils import pixel_to_pixel
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
-from astro_scc.exceptions import warn
+from astro_scc.exceptions import naming, warn
 from astro_scc.images import dates, fits, grid, local, regions, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.cards import get, logarithm
 from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
-from astro_scc.images.local import north_in, on_one_sky, placed_as, turned
 from astro_scc.images.pixels import missing
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
@@ -87,7 +86,7 @@ def read_images(images, times, beams, frame, *, check):
 def _plane_of(i, image):
     """Return an image in memory as `Plane`."""
     name = f"image {i}"
-    with series.naming(name):
+    with naming(name):
         if isinstance(image, NDData):
             plane = _plane_of_nddata(image, name)
         elif getattr(getattr(image, "hdu", None), "is_image", False):
@@ -235,7 +234,7 @@ def _completed(planes, times, beams):
                 plane.remarks.append(line)
         if plane.beam_choice:
             raise ValueError(f"{plane.name}: {plane.beam_choice}")
-        with series.naming(plane.name):
+        with naming(plane.name):
             plane.take_uncertainty()
         for note in plane.notes:
             remarks.setdefault(note, []).append(plane.label or plane.name)
@@ -302,7 +301,7 @@ def _in_one_unit(planes):
     """Convert images to the unit of the first one, which is returned."""
     unit = planes[0].unit
     for plane in planes:
-        with series.naming(plane.name):
+        with naming(plane.name):
             factor = plane.unit.to(unit)
         if factor != 1:
             plane.data = plane.data * factor
@@ -339,7 +338,7 @@ def windows_of(planes, first, frame, region, pad=0, margin=4):
     pixels apart.  An image without a pixel in the region raises a ValueError.
     """
     every = [plane.wcs for plane in (first, *planes)]
-    here, *frames = on_one_sky(every, first.wcs, frame)
+    here, *frames = local.on_one_sky(every, first.wcs, frame)
     copied = (grid.whole_step(here, wcs, first.shape) is not None for wcs in frames)
     if not all(copied):
         # Interpolation is worst at the edges.
@@ -389,19 +388,19 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    norths, resampled = [north_in(p.wcs, planes[0].wcs) for p in planes], []
-    frames = on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
+    norths, resampled = [local.north_in(p.wcs, planes[0].wcs) for p in planes], []
+    frames = local.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     _refuse_misfits(planes, grids)
     new, shape = grid.shared_grid(grids)
     every = [new] * len(planes)
     if frame == "offset":
         every = [
-            placed_as(turned(new, -north), plane.wcs)
+            local.placed_as(local.turned(new, -north), plane.wcs)
             for plane, north in zip(planes, norths, strict=True)
         ]
     else:
-        norths = [north_in(plane.wcs, new) for plane in planes]
+        norths = [local.north_in(plane.wcs, new) for plane in planes]
     for plane, north in zip(planes, norths, strict=True):
         if plane.beam is not None and north != 0:
             pa = plane.beam.pa + north * u.rad

@@ -18,8 +18,9 @@ from astropy.io.misc import yaml
 from astropy.nddata import StdDevUncertainty
 from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
+from astro_scc.exceptions import naming_all
+from astro_scc.images import headers
 from astro_scc.images.fits import CUBE_CREATOR, open_fits
-from astro_scc.images.headers import epoch_header, first_line
 from astro_scc.images.series import ImageSeries
 from astro_scc.writing import replace_when_complete
 
@@ -170,22 +171,19 @@ def read_object(path, *, creator, lazy=False):
         If the file cannot be read, is incomplete or something else, or was written
         by a version whose classes are others.
     """
-    with open(path, "rb") as file:
-        try:
-            # astropy only warns of a wrong checksum.
-            with (
-                warnings.catch_warnings(action="error"),
-                open_fits(file, memmap=True, checksum=not lazy) as hdus,
-            ):
-                if hdus[0].header.get("CREATOR") != creator:
-                    raise ValueError("it was not written as one")
-                if (layout := hdus[0].header["SCCVERS"]) != LAYOUT:
-                    raise ValueError(f"it is of layout {layout}; {OTHER_VERSION}")
-                text = hdus["META"].data.tobytes().decode()
-                return _Loader(text, hdus, lazy).get_single_data()
-        except Exception as error:
-            what = f"cannot be read as {creator}: {first_line(error)}"
-            raise OSError(f"{path}: {what}") from None
+    with (
+        open(path, "rb") as file,
+        naming_all(f"{path}: cannot be read as {creator}", OSError),
+        # astropy only warns of a wrong checksum.
+        warnings.catch_warnings(action="error"),
+        open_fits(file, memmap=True, checksum=not lazy) as hdus,
+    ):
+        if hdus[0].header.get("CREATOR") != creator:
+            raise ValueError("it was not written as one")
+        if (layout := hdus[0].header["SCCVERS"]) != LAYOUT:
+            raise ValueError(f"it is of layout {layout}; {OTHER_VERSION}")
+        text = hdus["META"].data.tobytes().decode()
+        return _Loader(text, hdus, lazy).get_single_data()
 
 
 def _pack(value, name, arrays, memo, *, in_meta=False):
@@ -323,10 +321,8 @@ def write_epochs(
         prefix = str(facts.get("object") or cube.meta.get("object") or "epoch")
     prefix = re.sub(r"[^\w+.-]+", "_", prefix.strip()).strip("_") or "epoch"
     digits = max(2, len(str(len(cube) - 1)))
-    paths = [
-        directory / f"{prefix}_{i:0{digits}d}_{day}.fits"
-        for i, day in enumerate(cube.times.strftime("%Y-%m-%d"))
-    ]
+    days = enumerate(cube.times.strftime("%Y-%m-%d"))
+    paths = [directory / f"{prefix}_{i:0{digits}d}_{day}.fits" for i, day in days]
     existing = [path for path in paths if path.exists()]
     if existing and not overwrite:
         raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")
@@ -338,7 +334,7 @@ def write_epochs(
         shared.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
         image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
-        header = fits.Header([*epoch_header(cube, i).cards, *shared.cards])
+        header = fits.Header([*headers.epoch_header(cube, i).cards, *shared.cards])
         with replace_when_complete(path, overwrite=True) as part:
             # The header is in order, and verifying it takes a third of the time.
             fits.PrimaryHDU(image, header).writeto(part, output_verify="ignore")

@@ -26,11 +26,11 @@ from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.patterns import DecomposedEpochs, ssp_distances
-from astro_scc.plan import flow_direction, scale_numbers
+from astro_scc.plan import flow_direction, scale_numbers, search_settings
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
 from astro_scc.quantities import random_generator, seeded
-from astro_scc.scc import StackedCrossCorrelation, meta_of, search_settings
+from astro_scc.scc import StackedCrossCorrelation, meta_of
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.finder import find_streams

@@ -72,10 +72,8 @@ class Beam:
         vars(self).update(major=major, minor=minor, pa=pa)
 
     def __str__(self):
-        return (
-            f"{self.major.value:.3g} x {self.minor.value:.3g} mas "
-            f"at {self.pa.value:.1f} deg"
-        )
+        size = f"{self.major.value:.3g} x {self.minor.value:.3g} mas"
+        return f"{size} at {self.pa.value:.1f} deg"
 
     @property
     def area(self) -> u.Quantity:
@@ -93,10 +91,8 @@ class Beam:
         """
         along = np.array([np.sin(self.pa), np.cos(self.pa)])
         across = np.array([np.cos(self.pa), -np.sin(self.pa)])
-        return FWHM_TO_SIGMA**2 * (
-            self.major**2 * np.outer(along, along)
-            + self.minor**2 * np.outer(across, across)
-        )
+        major = self.major**2 * np.outer(along, along)
+        return FWHM_TO_SIGMA**2 * (major + self.minor**2 * np.outer(across, across))
 
     def fwhm_along(self, position_angle: u.Quantity) -> u.Quantity:
         """
@@ -206,10 +202,8 @@ def as_beam(beam):
 
 def is_per(unit, *names):
     """Return whether a unit is per one of the given units, "beam" or "pix"."""
-    return any(
-        base.name.lower() in names and power < 0
-        for base, power in zip(unit.bases, unit.powers, strict=True)
-    )
+    powers = zip(unit.bases, unit.powers, strict=True)
+    return any(base.name.lower() in names and power < 0 for base, power in powers)
 
 
 def beam_of(covariance, unit):
@@ -274,13 +268,12 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
         c, s = np.cos(angle), np.sin(angle)
         return np.cosh(r) * np.eye(2) + np.sinh(r) * np.array([[c, s], [s, -c]])
 
-    best = scipy.optimize.minimize(
-        lambda p: np.log(beam_excess(shape(p), covariances).max()),
-        [0.1, 0.1],
-        method="Nelder-Mead",
-        options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000},
-    )
-    least = np.exp(best.fun) * shape(best.x)
+    def size(p):
+        return np.log(beam_excess(shape(p), covariances).max())
+
+    end = {"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000}
+    fit = scipy.optimize.minimize(size, [0.1, 0.1], method="Nelder-Mead", options=end)
+    least = np.exp(fit.fun) * shape(fit.x)
     # Rounding errors must not leave a beam that does not fit.
     least = least * max(1.0, beam_excess(least, covariances).max() * (1 + 1e-9))
     return beam_of(least, u.mas)

@@ -47,11 +47,8 @@ def get(header, *keywords, kind=None):
 def axis_numbers(header, axis):
     """Return CRVAL (or None), CRPIX and CDELT (or their defaults) of an axis."""
     pixel = get(header, f"CRPIX{axis}", kind=float)
-    return (
-        get(header, f"CRVAL{axis}", kind=float),
-        1.0 if pixel is None else pixel,
-        get(header, f"CDELT{axis}", kind=float) or 0.0,
-    )
+    value, step = (get(header, f"{k}{axis}", kind=float) for k in ("CRVAL", "CDELT"))
+    return value, 1.0 if pixel is None else pixel, step or 0.0
 
 
 def axis_of(header, name):

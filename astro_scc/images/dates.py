@@ -87,10 +87,8 @@ def observing_time(header, *, start=False):
     if (begin or first).day_only:
         half = TimeDelta(exposure / 2, format="sec")
         middles += [replace(one, time=one.time - half, middle=True) for one in ends]
-    middle = min(
-        (one for one in middles if _follows(one, begin or first, exposure)),
-        default=None,
-    )
+    middles = [one for one in middles if _follows(one, begin or first, exposure)]
+    middle = min(middles, default=None)
     if middle is not None and (begin is None or _better(middle, begin)):
         return _in_utc(middle.time), remark
     half = TimeDelta(_lasted(begin, ends, exposure) / 2, format="sec")
@@ -148,9 +146,8 @@ def _unit_of(header, keyword, default):
     comment = ""
     with suppress(AttributeError, KeyError):
         comment = str(header.comments[keyword])
-    return next(
-        (s for word, s in WORDS["seconds"].items() if re.search(word, comment)), default
-    )
+    units = WORDS["seconds"].items()
+    return next((s for word, s in units if re.search(word, comment)), default)
 
 
 def _better(middle, begin):
@@ -436,12 +433,9 @@ def _from_reference(header, name, seconds, scale):
         form = "jd" if days[0] > FIRST_JD else "mjd"
         found = Time(days, format=form, scale=known)
         # wcslib writes a reference of 0 to every header.
-        absolute = name.startswith(tuple(WORDS["julian"])) or (
-            get(header, "MJDREF", kind=float) == 0
-            if reference is None
-            else abs(found[0].mjd - reference.mjd) < 2
-        )
-        if absolute:
+        zero = get(header, "MJDREF", kind=float) == 0
+        near = zero if reference is None else abs(found[0].mjd - reference.mjd) < 2
+        if near or name.startswith(tuple(WORDS["julian"])):
             return found
     if reference is None:
         raise ValueError(

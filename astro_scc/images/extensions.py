@@ -123,13 +123,9 @@ def _marks(hdu):
     beside = any(is_of(name, other) for other in KINDS for name in names)
     unit = parse_unit(get(header, "BUNIT", kind=str))
     bright = unit is not None and unit != u.one and not unit.is_equivalent(u.s)
-    return (
-        not (beside or re.search(NAMES["types"], kind)),
-        headers.celestial_axes(header) is not None,
-        _is_one_plane(hdu),
-        bright,
-        hdu.name in NAMES["science"],
-    )
+    science = not (beside or re.search(NAMES["types"], kind))
+    placed = headers.celestial_axes(header) is not None
+    return science, placed, _is_one_plane(hdu), bright, hdu.name in NAMES["science"]
 
 
 def _is_one_plane(hdu):

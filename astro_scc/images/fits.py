@@ -18,12 +18,11 @@ from astropy.nddata import NDUncertainty
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.images import headers
+from astro_scc.exceptions import first_line
+from astro_scc.images import extensions, grid, headers
 from astro_scc.images.beam import Beam
 from astro_scc.images.cards import axis_numbers, bandwidth, get, logarithm, parse_unit
 from astro_scc.images.dates import axis_times, time_axis
-from astro_scc.images.extensions import NoImageError, beside, find_image, split_choice
-from astro_scc.images.grid import cut_wcs
 from astro_scc.images.pixels import flagged, missing, uncertainty_noise, uncertainty_of
 
 # Value of CREATOR that marks the files of EpochCube.write.
@@ -141,7 +140,7 @@ def find_files(paths, *, missing_ok=False):
 
 def _chosen(name):
     """Return the images that are chosen in the files of a name or pattern."""
-    file, choice = split_choice(name)
+    file, choice = extensions.split_choice(name)
     if choice is None:
         return []
     files = [file] if os.path.exists(file) else sorted(glob.glob(file, recursive=True))
@@ -150,7 +149,7 @@ def _chosen(name):
 
 def file_of(path):
     """Return the file of a path, and the image that is chosen behind it, or None."""
-    file, choice = (path, None) if path.exists() else split_choice(path)
+    file, choice = (path, None) if path.exists() else extensions.split_choice(path)
     return Path(file), choice
 
 
@@ -172,7 +171,7 @@ def read_plane(path, *, window=None, pixels=True, frame=None):
 def frames_of(path):
     """Return the numbers of the images on an axis of time of a file, else [None]."""
     with opened(path) as hdus:
-        header = find_image(hdus, path, file_of(Path(path))[1]).header
+        header = extensions.find_image(hdus, path, file_of(Path(path))[1]).header
         axis = time_axis(header)
         n = header[f"NAXIS{axis}"] if axis else 1
         return [None] if n == 1 else range(n)
@@ -190,19 +189,19 @@ def opened(path, *, known=False):
             "exportfits"
         )
     if path.suffix.lower() in TEXT:
-        raise NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
+        raise extensions.NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=known) as hdus:
                 yield hdus
-        except (headers.ContentError, NoImageError) as error:
+        except (headers.ContentError, extensions.NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
             # sentence gives the reason; the rest is advice for callers of astropy.
-            reason = re.split(r"[.,;:] ", headers.first_line(error))[0]
+            reason = re.split(r"[.,;:] ", first_line(error))[0]
             raise OSError(
                 f"{path}: cannot be read as FITS, it is broken or no FITS: {reason}"
             ) from None
@@ -223,7 +222,9 @@ def open_fits(file, *, known=False, **options):
         else:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if found := _AXES.search(content):
-            raise NoImageError(f"is broken, it claims {found[1].decode()} axes")
+            raise extensions.NoImageError(
+                f"is broken, it claims {found[1].decode()} axes"
+            )
         file.seek(0)
     return fits.open(file, **options)
 
@@ -232,7 +233,7 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     """Return the `Plane` of an open file, see `read_plane`."""
     _refuse_whole(hdus[0].header)
     file, choice = file_of(Path(path))
-    hdu = find_image(hdus, path, choice)
+    hdu = extensions.find_image(hdus, path, choice)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
         header.extend(_inherited(hdus[0], hdu), unique=True, bottom=True)
@@ -316,9 +317,9 @@ def _load(plane, hdus, hdu, index, window):
         data = other.data if other.data.ndim == 2 else np.squeeze(other.data)
         return (data if data.ndim == 2 else data[index[-dates]])[window]
 
-    weights = beside(hdus, hdu, "weights", shape)
+    weights = extensions.beside(hdus, hdu, "weights", shape)
     remarks = []
-    for other in (*weights, *beside(hdus, hdu, "flags", shape)):
+    for other in (*weights, *extensions.beside(hdus, hdu, "flags", shape)):
         if plane.mask.all():
             break
         bad, remark = ~(pixels(other) > 0), ""
@@ -332,10 +333,10 @@ def _load(plane, hdus, hdu, index, window):
     plane.remarks += filter(None, (*remarks, remark))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in beside(hdus, hdu, "uncertain", shape)[:1]:
+    for other in extensions.beside(hdus, hdu, "uncertain", shape)[:1]:
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
-        plane.wcs = cut_wcs(plane.wcs, window)
+        plane.wcs = grid.cut_wcs(plane.wcs, window)
 
 
 def _check_complete(hdu, path):
@@ -350,7 +351,7 @@ def _check_complete(hdu, path):
     missing = info["datLoc"] + size - path.stat().st_size
     if missing > 0:
         least = "at least " if packed else ""
-        raise NoImageError(
+        raise extensions.NoImageError(
             f"is truncated, {least}{missing} bytes of its image are missing; "
             "copy the file again"
         )

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import astropy.units as u
 import numpy as np
 import scipy
@@ -12,24 +10,10 @@ from astropy.io.fits import Header
 from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 
-from astro_scc.exceptions import warn
-from astro_scc.images import local
-from astro_scc.images.beam import (
-    Beam,
-    as_beam,
-    contains,
-    is_per,
-    smallest_common_beam,
-)
-from astro_scc.images.headers import as_celestial, celestial_wcs
-from astro_scc.images.series import (
-    ImageSeries,
-    Series,
-    as_shape,
-    flat_wcs,
-    mean_of,
-    naming,
-)
+from astro_scc.exceptions import naming, warn
+from astro_scc.images import headers, local, series
+from astro_scc.images.beam import Beam, as_beam, contains, is_per, smallest_common_beam
+from astro_scc.images.series import ImageSeries, Series
 
 # Steps that differ by less, in pixels, count as one shift of the whole image.
 ONE_SHIFT = 0.01
@@ -80,13 +64,10 @@ def shift_image(image, mask, shift):
     """
     Return an image whose sources are moved by ``shift`` (dx, dy) pixels, and its mask.
 
-    Shifts by whole pixels copy the pixels; others interpolate with cubic
-    splines.  Pixels that come from outside the image, or to which bad pixels
-    contribute, are masked and NaN.
-
-    Cubic splines damp the smallest structures: a shift by half a pixel lowers
-    the rms of white noise by up to 30%, but that of noise correlated over a
-    beam of five pixels or more by nothing that can be measured.
+    Shifts by whole pixels copy the pixels; others interpolate with cubic splines, which
+    damp the smallest structures, but not those of beams of five pixels or more.  Pixels
+    that come from outside the image, or to which bad pixels contribute, are masked and
+    NaN.
     """
     step = np.asarray(shift, dtype=float)[::-1]
     if (whole := whole_pixels(step)) is not None:
@@ -179,14 +160,13 @@ def regrid(data, bad, wcs, grid, *, unit, averaged=False, near=1e-4):
     from reproject import reproject_exact, reproject_interp
 
     filled = np.stack([fill_masked(d, b) for d, b in zip(data, bad, strict=True)])
-    lay = linear = reproject_exact
+    lay = reproject_exact if averaged else reproject_interp
+    options, weighed = {"shape_out": shape, "return_footprint": False}, {}
     if not averaged:
-        lay = partial(reproject_interp, order="bicubic")
-        linear = partial(reproject_interp, order="bilinear")
-    options = {"shape_out": shape, "return_footprint": False}
+        options, weighed = options | {"order": "bicubic"}, {"order": "bilinear"}
     # reproject maps the pixels once for all images.
     moved = lay((filled, wcs), grid, **options)
-    weight = linear((bad.astype(float), wcs), grid, **options)
+    weight = lay((bad.astype(float), wcs), grid, **options | weighed)
     mask = ~(weight <= BAD_WEIGHT) | ~np.isfinite(moved)
     if is_per(unit, "pix", "pixel"):
         moved *= area_ratio(wcs, grid, shape)
@@ -268,12 +248,12 @@ def reproject_cube(
         wcs, shape = wcs.wcs, wcs.shape[1:] if shape is None else shape
     elif isinstance(wcs, Header):
         with naming("the header of the new grid"):
-            wcs = celestial_wcs(wcs)
-    wcs = as_celestial(wcs)
+            wcs = headers.celestial_wcs(wcs)
+    wcs = headers.as_celestial(wcs)
     shape = wcs.array_shape if shape is None else shape
     if shape is None:
         raise ValueError("the grid has no shape of its own; give shape=(ny, nx)")
-    shape = as_shape(shape)
+    shape = series.as_shape(shape)
     frames = [wcs_to_celestial_frame(grid) for grid in (wcs, cube.wcs)]
     if cube.beams is not None and not frames[0].is_equivalent_frame(frames[1]):
         raise ValueError(
@@ -291,7 +271,7 @@ def reproject_cube(
         cube.data, cube.mask, cube.wcs, wcs, unit=cube.unit, averaged=coarse
     )
     if not local.is_flat(wcs, shape):
-        wcs = flat_wcs(wcs, data, mask)
+        wcs = series.flat_wcs(wcs, data, mask)
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
@@ -310,23 +290,17 @@ def finest(grids):
 
 def shared_grid(grids):
     """
-    Return the smallest grid that holds several grids at the finest of their pixels.
+    Return the smallest grid, and its shape, that holds grids at the finest of their
+    pixels.
 
-    Its projection, orientation and reference point are those of the grid with
-    the smallest pixels (the first one if there are several), so that epochs on
-    that grid need no interpolation.
+    Its projection, orientation and reference point are those of the grid with the
+    smallest pixels (the first one if there are several), so that epochs on that grid
+    need no interpolation.  If offsets from the reference pixel can be trusted and
+    absolute coordinates cannot, as in VLBI, give all of them the same ``crval`` first.
 
     Parameters
     ----------
     grids : sequence of (shape, wcs)
-        Shapes are (ny, nx), and each WCS is celestial.  If offsets from the
-        reference pixel can be trusted and absolute coordinates cannot, as in
-        VLBI, give all of them the same ``crval`` first.
-
-    Returns
-    -------
-    wcs : `~astropy.wcs.WCS`
-    shape : (int, int)
 
     Raises
     ------
@@ -377,7 +351,7 @@ def flatten(fields, name, whole, unit):
     far = local.is_far(wcs, whole)
     if not far and local.is_flat(wcs, data.shape[1:]):
         return ""
-    mean = mean_of(data, mask)
+    mean = series.mean_of(data, mask)
     flat, turn = local.flat_wcs(wcs, mean, moved=far)
     if flat is wcs:
         return ""
@@ -411,13 +385,11 @@ def gaussian_smooth(image, covariance, mask=False):
     """
     Return an image convolved with an elliptical Gaussian of unit sum.
 
-    The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with
-    the ``covariance`` C over (x, y) in square pixels, which may be singular.
-    This is exact for well-sampled images however narrow the Gaussian is.  A
-    normalised convolution (Knutsson & Westin 1993) leaves out bad pixels and
-    everything beyond the edges: ``(g * (m I)) / (g * m)``, where m is 1 for good
-    pixels and 0 for others.  Pixels that are masked or not finite are bad, and
-    stay NaN.
+    The image is multiplied in Fourier space by ``exp(-2 pi^2 k^T C k)``, with the
+    ``covariance`` C over (x, y) in square pixels, which may be singular.  A normalised
+    convolution (Knutsson & Westin 1993) leaves out bad pixels and everything beyond the
+    edges: ``(g * (m I)) / (g * m)``, where m is 1 for good pixels and 0 for others.
+    Pixels that are masked or not finite are bad, and stay NaN.
     """
     variances = np.linalg.eigvalsh(covariance)
     bad = ~np.isfinite(image) | mask

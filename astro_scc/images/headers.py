@@ -54,11 +54,6 @@ def read_header(header, tables=()):
     return found
 
 
-def first_line(error):
-    """Return the first line of an error's message."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
-
-
 def some(names, most=3):
     """Return the first of many names as text, with the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""

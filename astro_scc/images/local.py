@@ -68,15 +68,10 @@ def local_matrix(wcs, x, y, step=1e-6):
 def _axes(lon, lat):
     """Return unit vectors to the east, to the north and to places, shape (3, ...)."""
     lon, lat = np.radians(lon), np.radians(lat)
-    zero = np.zeros_like(lon)
-    east = np.array([-np.sin(lon), np.cos(lon), zero])
-    north = np.array(
-        [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
-    )
-    place = np.array(
-        [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
-    )
-    return east, north, place
+    x, y, across, up = np.cos(lon), np.sin(lon), np.cos(lat), np.sin(lat)
+    east = np.array([-y, x, np.zeros_like(lon)])
+    north = np.array([-up * x, -up * y, across])
+    return east, north, np.array([across * x, across * y, up])
 
 
 def local_area(wcs, x, y):
@@ -208,8 +203,6 @@ def flat_wcs(wcs, image, *, moved=False):
         By how much north turns over the structure, in radians.
     """
     usual = wcs.pixel_scale_matrix
-    if not moved and is_flat(wcs, image.shape):
-        return wcs, 0.0
     box, peak = structure(image)
     middle = (box[0] + box[1]) / 2, (box[2] + box[3]) / 2
     here = differences(wcs, (middle[0], middle[0], middle[1], middle[1]), usual)
@@ -350,10 +343,8 @@ def in_frame(wcs, frame, north=0.0):
     """
     if frame == "absolute":
         return wcs
-    placed = with_frame(
-        wcs, ("RA---", "DEC--"), crval=(0, 0), radesys="ICRS", equinox=np.nan
-    )
-    return turned(placed, north)
+    place = {"crval": (0, 0), "radesys": "ICRS", "equinox": np.nan}
+    return turned(with_frame(wcs, ("RA---", "DEC--"), **place), north)
 
 
 def on_one_sky(every, first, frame):
@@ -390,9 +381,8 @@ def frame_of(wcs):
 def place_of(wcs, frame=None):
     """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
     known = frame_of(wcs)
-    place = SkyCoord(
-        *wcs.wcs.crval, unit=u.deg, frame="icrs" if known is None else known
-    )
+    known = "icrs" if known is None else known
+    place = SkyCoord(*wcs.wcs.crval, unit=u.deg, frame=known)
     return place if frame is None else place.transform_to(frame)
 
 
@@ -404,9 +394,8 @@ def separation(one, other):
     do not say whether the elliptic terms of aberration, up to 0.5 arcsec, are in them.
     """
     if is_one_frame(one, other):
-        return np.degrees(
-            angular_separation(*np.radians([*one.wcs.crval, *other.wcs.crval]))
-        )
+        places = np.radians([*one.wcs.crval, *other.wcs.crval])
+        return np.degrees(angular_separation(*places))
     found = place_of(other, frame_of(one)).separation(place_of(one))
     return found.deg if found > 0.5 * u.arcsec else 0.0
 
@@ -432,11 +421,8 @@ def north_of(place, frame):
     """Return the position angle in a frame of the north of a SkyCoord, in radians."""
     # A small distance, and far above rounding.
     ahead = place.directional_offset_by(0 * u.deg, 1 * u.arcsec)
-    return (
-        place.transform_to(frame)
-        .position_angle(ahead.transform_to(frame))
-        .to_value(u.rad)
-    )
+    here, there = (one.transform_to(frame) for one in (place, ahead))
+    return here.position_angle(there).to_value(u.rad)
 
 
 def placed_as(wcs, other):

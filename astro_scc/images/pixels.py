@@ -6,15 +6,11 @@ import numpy as np
 import scipy
 from astropy.nddata import InverseVariance, StdDevUncertainty, VarianceUncertainty
 
-from astro_scc.images.cards import parse_unit
-from astro_scc.images.extensions import NAMES
-from astro_scc.images.headers import ContentError
+from astro_scc.images import cards, extensions, headers
 
 #: Uncertainties by the names that astropy writes.
-UNCERTAINTIES = {
-    kind.__name__: kind
-    for kind in (StdDevUncertainty, VarianceUncertainty, InverseVariance)
-}
+UNCERTAINTIES = StdDevUncertainty, VarianceUncertainty, InverseVariance
+UNCERTAINTIES = {kind.__name__: kind for kind in UNCERTAINTIES}
 
 
 def missing(image, mask=False):
@@ -116,7 +112,7 @@ def flagged(flags, image, name, telescope=""):
             )
     elif empty[bad].mean() > 0.5:
         return bad, ""
-    raise ContentError(
+    raise headers.ContentError(
         f"its extension {name} marks {100 * share:.0f}% of the pixels, which are bad "
         "in masks of astropy and good in others; write NaN to the bad pixels instead, "
         f"and remove {name}"
@@ -132,9 +128,9 @@ def uncertainty_of(hdu, values, unit, mask):
     """
     name, text = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
     kind = UNCERTAINTIES[
-        name if name in UNCERTAINTIES else NAMES["uncertain"][hdu.name]
+        name if name in UNCERTAINTIES else extensions.NAMES["uncertain"][hdu.name]
     ]
-    given = None if text is None else parse_unit(text)
+    given = None if text is None else cards.parse_unit(text)
     values = np.array(values, dtype=float)
     if hdu.name != "UNCERT":
         # Telescopes write 0 where there is no error, and units that do not fit.

@@ -141,11 +141,8 @@ def name_by_frame(table, cube):
     first, second, _ = axis_words(cube)
     if first == "east":
         return table
-    words = {
-        "to the east": f"to {first}",
-        "to the north": f"to {second}",
-        "through east": f"through {first}",
-    }
+    words = {"to the east": f"to {first}", "to the north": f"to {second}"}
+    words["through east"] = f"through {first}"
     for name in table.colnames:
         new, about = name, table[name].info.description or ""
         for pattern, replacement in LONGITUDE.items():

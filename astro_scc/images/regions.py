@@ -12,15 +12,12 @@ from typing import Any
 import astropy.units as u
 import numpy as np
 
-from astro_scc.exceptions import warn
-from astro_scc.images.grid import RESAMPLED, cut_wcs
-from astro_scc.images.headers import first_line
-from astro_scc.images.local import region_in_frame
+from astro_scc.exceptions import first_line, warn
+from astro_scc.images import grid, local, series
 from astro_scc.images.positions import readable_angle
-from astro_scc.images.series import ImageSeries, Series
 
 
-def region_mask(cube: ImageSeries, region: Any = None) -> np.ndarray:
+def region_mask(cube: series.ImageSeries, region: Any = None) -> np.ndarray:
     """
     Return the pixels whose centres lie inside a region.
 
@@ -112,7 +109,7 @@ def _combine(cube, items, name, places):
             # Images are small enough for spherical regions to be flat in them.
             pixel = item
             if not isinstance(item, PixelRegion):
-                pixel = region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
+                pixel = local.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
             target = pixel.bounding_box.get_overlap_slices(shape)[0]
             if target is None:
                 continue
@@ -222,7 +219,7 @@ def box(cube, region, pad=0):
     return tuple(map(slice, start.tolist(), stop.tolist()))
 
 
-def crop(cube: Series, region: Any, pad: int = 0) -> Series:
+def crop(cube: series.Series, region: Any, pad: int = 0) -> series.Series:
     """
     Return all epochs cut down to the bounding box of a region.
 
@@ -264,8 +261,8 @@ def crop(cube: Series, region: Any, pad: int = 0) -> Series:
     """
     window = box(cube, region, pad)
     cut = {name: getattr(cube, name)[:, *window].copy() for name in ("data", "mask")}
-    every = cube.epoch_wcs and [cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
-    wcs = cut_wcs(cube.wcs, window)
+    every = cube.epoch_wcs and [grid.cut_wcs(wcs, window) for wcs in cube.epoch_wcs]
+    wcs = grid.cut_wcs(cube.wcs, window)
     return cube.with_step(crop_line(window), wcs=wcs, epoch_wcs=every, **cut)
 
 
@@ -288,7 +285,7 @@ def refuse_pixels(path, cropped, cube=None):
     why = (
         "in a part of the images (crop)" if cropped else "in images that are resampled"
     )
-    if not (cropped or any(line.startswith(RESAMPLED) for line in lines)):
+    if not (cropped or any(line.startswith(grid.RESAMPLED) for line in lines)):
         return
     if any(isinstance(item, PixelRegion) for item in _read(path)[0]):
         raise ValueError(
@@ -298,7 +295,7 @@ def refuse_pixels(path, cropped, cube=None):
 
 
 def distance_mask(
-    cube: ImageSeries, r_min: u.Quantity, r_max: u.Quantity
+    cube: series.ImageSeries, r_min: u.Quantity, r_max: u.Quantity
 ) -> np.ndarray:
     """
     Return the pixels whose centres lie in a ring around the reference pixel.

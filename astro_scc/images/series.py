@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -23,11 +23,8 @@ from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
-from astro_scc.images import dates, local, positions
+from astro_scc.images import cards, dates, headers, local, pixels, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
-from astro_scc.images.cards import logarithm
-from astro_scc.images.headers import as_celestial, epoch_header
-from astro_scc.images.pixels import missing
 from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
@@ -71,18 +68,16 @@ class ImageSeries:
         labels = labels or dates.date_labels(times)
         facts = as_epoch_tuple(self.epoch_meta, n, "epoch_meta", dict)
         facts = facts or tuple({} for _ in range(n))
-        each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", as_celestial)
+        each_wcs = as_epoch_tuple(self.epoch_wcs, n, "epoch_wcs", headers.as_celestial)
         beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
-        mask, wcs = as_mask(data, mask), as_celestial(self.wcs)
+        mask, wcs = as_mask(data, mask), headers.as_celestial(self.wcs)
         refuse_empty(mask, labels)
         if not local.is_flat(wcs, data.shape[1:]):
             wcs = flat_wcs(wcs, data, mask)
         order = dates.order_of(times)
         dates.warn_of_equal_dates(times[order])
-        each = {
-            "data": data, "mask": mask, "times": times, "labels": labels,
-            "beams": beams, "noise": noise, "epoch_wcs": each_wcs, "epoch_meta": facts,
-        }  # fmt: skip
+        values = data, mask, times, labels, beams, noise, each_wcs, facts
+        each = dict(zip(EACH, values, strict=True))
         if np.any(np.diff(order) < 0):
             each = picked(each, order)
         vars(self).update(each, unit=unit, wcs=wcs, meta=dict(self.meta))
@@ -156,8 +151,8 @@ class ImageSeries:
         line : str
             What was done, for ``meta["history"]``.
         **changes
-            Fields of the new cube, which are taken as they are: of the types and shapes
-            of those of this cube, with all pixels masked that are not finite.
+            Fields of the new cube, as they are: like those of this cube, with all
+            pixels masked that are not finite.
 
         Returns
         -------
@@ -204,7 +199,7 @@ class ImageSeries:
             noise = StdDevUncertainty(every, unit=self.unit, copy=False)
         return CCDData(
             self.data[index], mask=self.mask[index], unit=self.unit, uncertainty=noise,
-            wcs=self.wcs.deepcopy(), meta=epoch_header(self, index),
+            wcs=self.wcs.deepcopy(), meta=headers.epoch_header(self, index),
         )  # fmt: skip
 
     def mean_image(self) -> CCDData:
@@ -387,15 +382,6 @@ def mean_of(data, mask):
     return np.divide(total, count, out=mean, where=count > 0)
 
 
-@contextmanager
-def naming(name):
-    """Put the name of an image before the message of an error, a ValueError then."""
-    try:
-        yield
-    except (OSError, TypeError, ValueError) as error:
-        raise ValueError(f"{name}: {error}") from None
-
-
 def as_stack(data, mask, unit):
     """Return data as float64 (epoch, y, x), the mask and the unit."""
     images = data if isinstance(data, list | tuple) else [data]
@@ -408,7 +394,7 @@ def as_stack(data, mask, unit):
         unit = u.Unit("" if unit is None else unit)
     except (TypeError, ValueError):
         raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
-    if problem := logarithm(unit):
+    if problem := cards.logarithm(unit):
         raise ValueError(f"data: {problem}")
     try:
         if images is data and data:
@@ -444,9 +430,8 @@ def as_mask(data, mask):
     if mask is not None and np.shape(mask) != data.shape:
         raise ValueError(f"mask has shape {np.shape(mask)}, data has {data.shape}")
     mask = np.zeros(data.shape) if mask is None else mask
-    every, remarks = zip(
-        *map(missing, data, np.asarray(mask).astype(bool)), strict=True
-    )
+    given = np.asarray(mask).astype(bool)
+    every, remarks = zip(*map(pixels.missing, data, given), strict=True)
     for remark in filter(None, dict.fromkeys(remarks)):
         warn(remark)
     return np.stack(every)

@@ -81,14 +81,10 @@ class Template:
         squares_fft = np.conj(scipy.fft.rfft2(self.values**2, self.fft_shape))
         variance = self._correlate(valid_fft, squares_fft) - own_mean**2 / some
         flat = variance <= VARIANCE_FLOOR
-        share = number / self.n_pixels
-        return Overlap(
-            share=share,
-            unjudged=share < min_overlap,
-            ratio=self.n_pixels / some,
-            own_mean=own_mean * self.n_pixels**0.5 / some,
-            scale=np.where(flat, 0.0, np.where(flat, 1.0, variance) ** -0.5),
-        )
+        share, ratio = number / self.n_pixels, self.n_pixels / some
+        own_mean = own_mean * self.n_pixels**0.5 / some
+        scale = np.where(flat, 0.0, np.where(flat, 1.0, variance) ** -0.5)
+        return Overlap(share, share < min_overlap, ratio, own_mean, scale)
 
     def of_windows(self, windows, overlap=None):
         """
@@ -211,12 +207,8 @@ def find_peaks(coefficient, threshold):
     at = (index * ny + y + 1) * nx + x + 1
     value = flat[at]
     # Four neighbours first: they rule out most candidates at half the cost.
-    at = at[
-        (value >= flat[at - nx])
-        & (value >= flat[at - 1])
-        & (value > flat[at + 1])
-        & (value > flat[at + nx])
-    ]
+    before = (value >= flat[at - nx]) & (value >= flat[at - 1])
+    at = at[before & (value > flat[at + 1]) & (value > flat[at + nx])]
     value, step = flat[at], np.arange(-1, 2)
     around = flat[at[:, None, None] + (step[:, None] * nx + step)]
     keep = (value >= around[:, 0, 0]) & (value >= around[:, 0, 2])

@@ -277,10 +277,8 @@ def _source(redshift, cosmology, distance):
             "give either a redshift, of which the cosmology may be given, or a distance"
         )
     if distance is None:
-        return {
-            "redshift": named("redshift", to_redshift, redshift),
-            "cosmology": named("cosmology", to_cosmology, cosmology),
-        }
+        given = {"redshift": named("redshift", to_redshift, redshift)}
+        return given | {"cosmology": named("cosmology", to_cosmology, cosmology)}
     if cosmology is not None:
         raise ValueError("a distance needs no cosmology; leave it out")
     return {"distance": named("distance", to_distance, distance)}

@@ -36,9 +36,8 @@ def citations_of(history, meta):
     @article{lister2021,; @misc{cosmology,
     """
     text = resources.files("astro_scc.measurement").joinpath("citations.bib")
-    entries = text.read_text(encoding="utf-8").replace(
-        "VERSION", versions()["astro_scc"]
-    )
+    version = versions()["astro_scc"]
+    entries = text.read_text(encoding="utf-8").replace("VERSION", version)
     *parts, survey = entries.strip().split("\n\n")
     if any(MOJAVE.search(line) for line in history):
         parts.append(survey)

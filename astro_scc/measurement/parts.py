@@ -9,9 +9,7 @@ import scipy
 
 from astro_scc.columns import with_errors
 from astro_scc.spectrum.permutations import within
-from astro_scc.streams.decomposed import distances
-from astro_scc.streams.finder import FEWEST_EPOCHS
-from astro_scc.streams.parts import fit_part, weight_of
+from astro_scc.streams import decomposed, finder, parts
 from astro_scc.units import offset_unit
 
 #: Speeds of two parts differ if their difference is larger than so many errors.
@@ -42,7 +40,7 @@ def parts_of(search):
     def speed_of(part, intervals):
         """Return the speed with its error; what has no error is not known."""
         diagram = search.diagram if part is flow else None
-        found = fit_part(part, start=start, intervals=intervals, diagram=diagram)
+        found = parts.fit_part(part, start=start, intervals=intervals, diagram=diagram)
         known = found is not None and found.knows(main)
         error = found.errors().mean[main] if known else np.nan
         if not np.isfinite(error):
@@ -99,13 +97,14 @@ def _pairs_of_parts(search):
         (f"intervals from {shown}", flow, (limit, every[1])),
     )
     middle = len(flow.years) // 2
-    if middle >= FEWEST_EPOCHS:
+    if middle >= finder.FEWEST_EPOCHS:
         date = flow.cube.times[middle].strftime("%Y-%m-%d")
         yield (
             (f"epochs before {date}", flow.part(epochs=slice(middle)), every),
             (f"epochs from {date} on", flow.part(epochs=slice(middle, None)), every),
         )
-    r, seen = distances(flow.grids[0]), flow.planes[0].mask & (weight_of(flow) > 0.5)
+    r = decomposed.distances(flow.grids[0])
+    seen = flow.planes[0].mask & (parts.weight_of(flow) > 0.5)
     if seen.any():
         border = float(np.median(r[seen]))
         unit = offset_unit(border * flow.beam)

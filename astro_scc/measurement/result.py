@@ -25,9 +25,8 @@ from astro_scc.images.positions import name_by_frame
 from astro_scc.measurement import tables
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
+from astro_scc.streams import finder, members
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.finder import StreamSearch
-from astro_scc.streams.members import frame_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 
@@ -79,7 +78,7 @@ class SCCResult(tables.VelocityMaps):
     """
 
     decomposed: DecomposedEpochs
-    search: StreamSearch
+    search: finder.StreamSearch
     position_angle: u.Quantity
     choices: list = field(default_factory=list)
     meta: dict = field(default_factory=dict)
@@ -405,8 +404,9 @@ def velocity_hdus(result, *, text=None):
         on the axes of the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as
         text.
     """
-    maps = map_hdus(result, text=text)
-    return fits.HDUList([*maps, *_diagram_hdus(result), _features_hdu(result)])
+    hdus = map_hdus(result, text=text)
+    hdus.extend([*_diagram_hdus(result), _features_hdu(result)])
+    return hdus
 
 
 def map_hdus(result, *, text=None):
@@ -422,7 +422,7 @@ def map_hdus(result, *, text=None):
     -------
     list of FITS extensions
     """
-    hdus = []
+    hdus = fits.HDUList()
     for which, kind in (("coefficient", fits.PrimaryHDU), ("z_score", fits.ImageHDU)):
         image = result.velocity_map(which)
         header = _header(image, ("direction of the proper motion",) * 2)
@@ -463,7 +463,7 @@ def _features_hdu(result):
     features.remove_column("flux")
     # Readers of FITS know dates as text.
     features["date"] = np.asarray(features["date"].isot, dtype="U23")
-    velocity, _ = frame_velocities(result.frame, result.tracked_features)
+    velocity, _ = members.frame_velocities(result.frame, result.tracked_features)
     row = np.searchsorted(result.tracked_features.number, features["feature"])
     features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
     return fits.table_to_hdu(features, name="FEATURES")

@@ -212,12 +212,9 @@ def stream_row(result, k):
     """Return the columns of stream k, counted from 0, as plain numbers."""
     search, stream = result.search, result.search.streams[k]
     test, alpha = search.test, result.meta["settings"]["alpha"]
-    row, by_alignment = (
-        velocity_columns(
-            stream.velocity, covariance, result.frame, result.position_angle
-        )
-        for covariance in (stream.covariance, stream.alignment)
-    )
+    axes = result.frame, result.position_angle
+    row = velocity_columns(stream.velocity, stream.covariance, *axes)
+    by_alignment = velocity_columns(stream.velocity, stream.alignment, *axes)
     p, n = stream.p_global, result.meta["n_trials"]
     # All orders of a few epochs leave nothing to chance.
     p_err = np.sqrt(p * (1 - p) / n) if test.p_smallest <= 1 / n else 0.0
@@ -361,39 +358,22 @@ def velocity_columns(velocity, covariance, frame, position_angle):
 
 def ssp_table(decomposed):
     """
-    Return the catalogue of SSPs with sky positions and errors.
+    Return the catalogue of the SSPs of `~astro_scc.patterns.DecomposedEpochs`.
 
-    Parameters
-    ----------
-    decomposed : `~astro_scc.patterns.DecomposedEpochs`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        One row per SSP; ``date`` is a `~astropy.time.Time`, and ``in_region`` says
-        which were used.  ``east`` and ``north`` are offsets of the maximum from the
-        reference pixel, with thermal errors ``beam / (sqrt(2) SNR)``.  In frames
-        without right ascension, `~astro_scc.epochs.name_by_frame` gives the column
-        names.
+    ``in_region`` says which were used.  ``east`` and ``north`` are offsets of the
+    maximum from the reference pixel, with thermal errors ``beam / (sqrt(2) SNR)``; in
+    frames without right ascension they have other names.
     """
     ssps, cube = decomposed.ssps, decomposed.cube
     fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
     error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
-    columns = {
-        "ssp": np.arange(len(ssps)),
-        "epoch": ssps.epoch,
-        "date": Time(cube.times[ssps.epoch], format="isot"),
-        "scale": ssps.scale,
-        "scale_size": size * cube.pixel_scale,
-        "x": ssps.x * u.pix,
-        "y": ssps.y * u.pix,
-        "peak": ssps.peak * cube.unit,
-        "coefficient_sum": ssps.flux * cube.unit,
-        "snr": ssps.snr,
-        "n_pixels": ssps.n_pixels,
-        "in_region": decomposed.select,
-    }
+    names, date = ("epoch", "scale", "snr", "n_pixels"), cube.times[ssps.epoch]
+    columns = {"ssp": np.arange(len(ssps)), "date": Time(date, format="isot")}
+    columns |= {name: getattr(ssps, name) for name in names}
+    columns |= {"scale_size": size * cube.pixel_scale, "in_region": decomposed.select}
+    columns |= {"x": ssps.x * u.pix, "y": ssps.y * u.pix}
+    columns |= {"peak": ssps.peak * cube.unit, "coefficient_sum": ssps.flux * cube.unit}
     for end, centroid in (("", False), ("_centroid", True)):
         offsets = positions.ssp_offsets(ssps, cube, centroid=centroid)
         columns |= {f"{n}{end}": o * u.mas for n, o in zip(SKY, offsets, strict=True)}

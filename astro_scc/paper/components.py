@@ -12,15 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.images.zncc import find_peaks
-from astro_scc.paper.stack import (
-    REACH_SIGMA,
-    DatePairs,
-    Displacements,
-    gaussian_sum,
-    match_velocities,
-    stack_matches,
-    velocity_axes,
-)
+from astro_scc.paper import stack
 from astro_scc.spectrum.maps import VelocityMap
 
 
@@ -98,10 +90,9 @@ class PaperStack:
 
 
 def stack_patterns(
-    displacements: Displacements, pairs: DatePairs, orders: ArrayLike, *,
+    displacements: stack.Displacements, pairs: stack.DatePairs, orders: ArrayLike, *,
     fwhm: ArrayLike, max_speed: ArrayLike, rng: np.random.Generator,
-    shift_beams: float = 0.0,
-    progress: Callable[[int], Any] | None = None,
+    shift_beams: float = 0.0, progress: Callable[[int], Any] | None = None,
 ) -> PaperStack:  # fmt: skip
     """
     Measure velocity components by stacked cross-correlation, as in the paper.
@@ -173,9 +164,9 @@ def stack_patterns(
     shifts = shift_beams * fwhm * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     # Single precision halves the time; ties of equal orders stay ties.
     stacks = np.empty((len(orders) + 1, *map(len, axes[::-1])), dtype=np.float32)
-    stacks[0] = stack_matches(displacements, pairs, axes, kind=np.float32)
+    stacks[0] = stack.stack_matches(displacements, pairs, axes, kind=np.float32)
     for k, order in enumerate(orders):
-        stacks[k + 1] = stack_matches(
+        stacks[k + 1] = stack.stack_matches(
             displacements, pairs, axes, order=order, shift=shifts[k % 4],
             kind=np.float32,
         )  # fmt: skip
@@ -183,13 +174,13 @@ def stack_patterns(
             progress(1)
     z_score, trial_z = _significance(stacks)
     box = tuple(fwhm / np.average(pairs.interval, weights=pairs.weight))
-    coefficient = stack_matches(displacements, pairs, axes)
+    coefficient = stack.stack_matches(displacements, pairs, axes)
     velocities, points = find_velocity_peaks(coefficient, axes, box)
     heights = z_score[tuple(points.T)]
     order = np.argsort(-heights, kind="stable")
     # But for the first, those that more than half of the trials exceed are left out.
     strong = [k for k in order[1:] if heights[k] > np.median(trial_z)]
-    matches = match_velocities(displacements, pairs)
+    matches = stack.match_velocities(displacements, pairs)
     components = []
     for k in [*order[:1], *strong]:
         both = coefficient[tuple(points[k])], heights[k]
@@ -206,7 +197,7 @@ def _axes(displacements, pairs, max_speed):
     if len(displacements):
         narrowest = np.array([displacements.s1.min(), displacements.s2.min()])
         step = np.minimum(step, 0.5 * narrowest / pairs.interval.max())
-    return velocity_axes(max_speed, step)
+    return stack.velocity_axes(max_speed, step)
 
 
 def _significance(stacks, least_std=0.3):
@@ -225,11 +216,11 @@ def _significance(stacks, least_std=0.3):
     floor = least_std * np.sqrt(variance.max() * n / (n - 1))
     highest = np.zeros(n)
     for k in range(n - 1, -1, -1):
-        stack = stacks[k].astype(float)
-        mean = (total - stack) / (n - 1)
-        variance = (squares - stack**2 - (n - 1) * mean**2) / (n - 2)
+        one = stacks[k].astype(float)
+        mean = (total - one) / (n - 1)
+        variance = (squares - one**2 - (n - 1) * mean**2) / (n - 2)
         std = np.sqrt(np.maximum(variance, floor**2))
-        z_score = np.divide(stack - mean, std, out=np.zeros_like(std), where=std > 0)
+        z_score = np.divide(one - mean, std, out=np.zeros_like(std), where=std > 0)
         highest[k] = z_score.max()
     return z_score, highest[1:]
 
@@ -402,9 +393,10 @@ def jitter_positions(
     """
     box = np.asarray(box, dtype=float)
     # Two boxes wide, so that what the fit takes from a box is inside.
-    axes = velocity_axes(box, box / (n_points - 1))
+    axes = stack.velocity_axes(box, box / (n_points - 1))
     place = columns[:2] - np.reshape(velocity, (2, 1))
-    near = np.all(np.abs(place) < box[:, None] + REACH_SIGMA * columns[2:4], axis=0)
+    reach = box[:, None] + stack.REACH_SIGMA * columns[2:4]
+    near = np.all(np.abs(place) < reach, axis=0)
     (ssp, target), place, width = ends[:, near], place[:, near], columns[2:4, near]
     # An SSP is one position in all its matches, at either end of a displacement; an end
     # without an SSP is a position of its own.
@@ -415,7 +407,7 @@ def jitter_positions(
         # Each end of a displacement has half of its variance.
         unit = rng.standard_normal((2, len(positions))) / np.sqrt(2)
         moved = place + width * (unit[:, end] - unit[:, start])
-        local = gaussian_sum(np.vstack([moved, width, columns[4, near]]), axes)
+        local = stack.gaussian_sum(np.vstack([moved, width, columns[4, near]]), axes)
         maxima, _ = find_velocity_peaks(local, axes, box)
         if len(maxima):
             away = np.abs(maxima / box)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -16,26 +16,16 @@ from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.zncc import Template, find_peaks
-from astro_scc.parallel import in_order
+from astro_scc.parallel import Workers, in_order
 from astro_scc.quantities import CORRELATION, named
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 #: Pixels of windows transformed at once; more would not fit into the processor's cache.
 BATCH_PIXELS = 150_000
 #: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
-#: Columns of matches.
-COLUMNS = {
-    "ssp": np.int32,
-    "target": np.int16,
-    "dy": np.float32,
-    "dx": np.float32,
-    "coefficient": np.float32,
-    "overlap": np.float32,
-    "target_snr": np.float32,
-}
+#: Columns of matches, and their types.
+COLUMNS = {"ssp": np.int32, "target": np.int16}
+COLUMNS |= dict.fromkeys(("dy", "dx", "coefficient", "overlap", "target_snr"), "f4")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,7 +205,7 @@ class Correlator:
     def __call__(
         self, decompositions: Sequence[Decomposition], pairs: ArrayLike,
         search_radius: int | tuple[int, int], *, select: ArrayLike | None = None,
-        n_workers: int | str | Client = 1, progress: Callable[..., Any] | None = None,
+        n_workers: Workers = 1, progress: Callable[..., Any] | None = None,
     ) -> Matches:  # fmt: skip
         """
         Find the matches of SSPs for ordered pairs of epochs.
@@ -291,9 +281,8 @@ class Correlator:
             parts += found
             if progress is not None:
                 progress(1)
-        columns = map(np.concatenate, zip(*parts, strict=True))
-        kinds = COLUMNS.values()
-        found = Matches(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
+        columns = zip(zip(*parts, strict=True), COLUMNS.values(), strict=True)
+        found = Matches(*(np.concatenate(part).astype(kind) for part, kind in columns))
         return found.select(np.lexsort((found.target, found.ssp)))
 
 

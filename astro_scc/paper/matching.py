@@ -4,27 +4,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc import patterns
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
+from astro_scc.paper import stack
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs, target_ssps
-from astro_scc.paper.stack import (
-    DatePairs,
-    Displacements,
-    baseline_pairs,
-    consecutive_pairs,
-)
-from astro_scc.parallel import workers_of
-from astro_scc.patterns import (
-    DecomposedEpochs,
-    decompose_epochs,
-    gather_patterns,
-)
-from astro_scc.plan import each_fwhm, motion_of, scale_numbers
+from astro_scc.parallel import Workers, workers_of
+from astro_scc.plan import each_fwhm, motion_of, require_pairs, scale_numbers
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings
 from astro_scc.units import PM_UNIT
@@ -61,7 +53,7 @@ class SearchPlan:
     """
 
     scales: tuple[float, ...]
-    pairs: DatePairs
+    pairs: stack.DatePairs
     fwhm: float
     max_speed: float
     reach: tuple[int, int]
@@ -111,7 +103,7 @@ class SearchPlan:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class MatchedEpochs(DecomposedEpochs):
+class MatchedEpochs(patterns.DecomposedEpochs):
     """
     Decomposed and correlated epochs: their SSPs and matches.
 
@@ -159,25 +151,62 @@ def pairs_of_dates(cube, baseline):
         If no two epochs make a pair.
     """
     years = cube.years.to_value(u.yr)
-    if len(years) < 2:
-        raise ValueError(
-            "velocities need at least two epochs, the cube has one: give images of "
-            "other dates (a file that is given twice counts once)"
-        )
     if baseline is None:
-        pairs = consecutive_pairs(years)
-        why = f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
-        why += "velocities need different dates"
+        pairs = stack.consecutive_pairs(years)
     else:
-        shortest, longest = baseline.to_value(u.yr)
-        pairs = baseline_pairs(years, shortest, longest)
-        least, most = np.diff(years).min(), np.ptp(years)
-        why = f"no two epochs are {shortest:g} to {longest:g} yr apart: their "
-        why += f"separations go from {least:.3g} to {most:.3g} yr; choose another "
-        why += "baseline"
-    if len(pairs) == 0:
-        raise ValueError(why)
+        pairs = stack.baseline_pairs(years, *baseline.to_value(u.yr))
+    require_pairs(cube, baseline, len(pairs))
     return pairs
+
+
+def match(
+    settings: Any, cube: EpochCube, *, region: Any = None, n_workers: Workers = 1,
+    progress_bar: bool = False,
+) -> MatchedEpochs:  # fmt: skip
+    """
+    Decompose the epochs and correlate each SSP with all other epochs.
+
+    Expansions of shells are measured from these matches; other flows need none.
+
+    Parameters
+    ----------
+    settings : `~astro_scc.StackedCrossCorrelation`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes.  Only SSPs whose centroid
+        lies inside are correlated.
+    n_workers : int, str or `dask.distributed.Client`, optional
+        Number of processes, or a Dask scheduler, given by its address or a
+        client.  The results do not depend on it.
+    progress_bar : bool, optional
+        Show the progress on standard error.
+
+    Returns
+    -------
+    `~astro_scc.paper.matching.MatchedEpochs`
+
+    Raises
+    ------
+    TypeError
+        If ``cube`` is no cube.
+    ValueError
+        If the beams of the epochs differ, unless ``common_beam`` is False.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If no SSP lies in the region, structure fills the images, the alignment
+        of the epochs scatters by 0.2 beams or more, or ``max_speed`` moves by more
+        than half the image.
+    """
+    patterns.check_cube(cube, settings.common_beam)
+    found = match_epochs(
+        cube, settings, settings.plan(cube), region=region, n_workers=n_workers,
+        progress_bar=progress_bar,
+    )  # fmt: skip
+    if empty := patterns.empty_region(found, region):
+        warn(empty, MeasurementWarning)
+    return found
 
 
 def match_epochs(
@@ -201,23 +230,19 @@ def match_epochs(
     -------
     `MatchedEpochs`
     """
-    decomposer = settings.decomposer(cube)
     correlator = Correlator(settings.kappa, settings.target, settings.min_overlap)
     pairs = all_pairs(len(cube)) if pairs is None else pairs
     with workers_of(n_workers) as workers:
-        decompositions = decompose_epochs(
-            cube, decomposer, n_workers=workers, progress_bar=progress_bar
-        )
-        found = gather_patterns(cube, decomposer, decompositions, region=region)
+        found, decompositions = patterns.decompose_epochs(
+            cube, settings.decomposer(cube), region=region, n_workers=workers,
+            progress_bar=progress_bar,
+        )  # fmt: skip
         with progress(len(cube), "Correlating", show=progress_bar) as done:
             matches = correlator(
                 decompositions, pairs, plan.reach, select=found.select,
                 n_workers=workers, progress=done,
             )  # fmt: skip
-    return MatchedEpochs(
-        cube=cube, decomposer=decomposer, ssps=found.ssps, select=found.select,
-        region=found.region, matches=matches,
-    )  # fmt: skip
+    return MatchedEpochs(**vars(found), matches=matches)
 
 
 def matched_displacements(matched, frame, *, min_error_beams):
@@ -255,7 +280,7 @@ def matched_displacements(matched, frame, *, min_error_beams):
     first = position_errors(ssps.snr[owner], here, min_error_beams)
     second = position_errors(matches.target_snr, there, min_error_beams)
     s = np.sqrt(first**2 + second**2)
-    return Displacements(
+    return stack.Displacements(
         *d.T, *s.T, weight=(matches.coefficient * matches.overlap).astype(float),
         reference=ssps.epoch[owner].astype(np.int32),
         target=matches.target.astype(np.int32), ssp=owner.astype(np.int32),

@@ -11,33 +11,25 @@ import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
-from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.columns import build_table, round_to_errors
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
-from astro_scc.images.beam import require_common_beam
 from astro_scc.images.positions import name_by_frame
-from astro_scc.measurement.axes import velocity_frame
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
+from astro_scc.paper import matching
 from astro_scc.paper.components import PaperStack, stack_patterns
-from astro_scc.paper.matching import (
-    MatchedEpochs,
-    SearchPlan,
-    match_epochs,
-    matched_displacements,
-)
 from astro_scc.paper.stack import draw_orders, image_pairs
-from astro_scc.patterns import empty_region
-from astro_scc.plan import each_fwhm, flow_direction
+from astro_scc.parallel import Workers
+from astro_scc.patterns import check_cube, empty_region
+from astro_scc.plan import each_fwhm, flow_direction, velocity_frame
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator, seeded
+from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.units import in_speed_unit
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
-    from distributed import Client
     from matplotlib.figure import Figure
 
 __all__ = ["PaperMeasurement", "measure_as_in_paper"]
@@ -74,7 +66,7 @@ class PaperMeasurement(VelocityMaps):
     True
     """
 
-    matched: MatchedEpochs
+    matched: matching.MatchedEpochs
     frame: Any
     position_angle: u.Quantity
     stack: PaperStack
@@ -114,12 +106,8 @@ class PaperMeasurement(VelocityMaps):
         Its columns are those of ``PaperComponent``, with velocities on
         the sky and along the jet.
         """
-        rows = [
-            component_row(
-                component, self.frame, self.position_angle, self.meta["alpha"]
-            )
-            for component in self.stack.components
-        ]
+        given = self.frame, self.position_angle, self.meta["alpha"]
+        rows = [component_row(one, *given) for one in self.stack.components]
         rows.sort(key=lambda row: (KINDS.index(row["kind"]), row["pm"]))
         for number, row in enumerate(rows, start=1):
             row["stream"] = number
@@ -176,19 +164,15 @@ def component_row(component, frame, angle, alpha):
     velocity = np.array([component.v1, component.v2])
     still = np.hypot(*(velocity / errors)) <= 3
     kind = "stationary" if still else "moving"
-    columns = velocity_columns(velocity, covariance, frame, angle)
-    return {
-        "kind": kind if component.p_global <= alpha else "not significant",
-        **columns,
-        "pm_err_jitter": columns["pm_err"],
-        **asdict(component),
-    }
+    kind = kind if component.p_global <= alpha else "not significant"
+    row = velocity_columns(velocity, covariance, frame, angle) | asdict(component)
+    return row | {"kind": kind, "pm_err_jitter": row["pm_err"]}
 
 
 def measure_as_in_paper(
     cube: EpochCube, settings: MeasurementSettings, *, region: Any = None,
-    n_trials: int = 1000, rng: np.random.Generator | int | None = None,
-    n_workers: int | str | Client = 1, progress_bar: bool = False,
+    n_trials: int = 1000, rng: Seed | None = None,
+    n_workers: Workers = 1, progress_bar: bool = False,
 ) -> PaperMeasurement:  # fmt: skip
     """
     Measure velocities by the method of Mertens & Lobanov (2016), as it stands there.
@@ -236,9 +220,9 @@ def measure_as_in_paper(
     _check(cube, settings)
     rng, seed = seeded(rng)
     generator = random_generator(rng)
-    plan = SearchPlan.of(cube, settings)
+    plan = matching.SearchPlan.of(cube, settings)
     orders = draw_orders(plan.pairs, n_trials, generator)
-    matched = match_epochs(
+    matched = matching.match_epochs(
         cube, settings, plan, pairs=image_pairs(plan.pairs, orders), region=region,
         n_workers=n_workers, progress_bar=progress_bar,
     )  # fmt: skip
@@ -246,24 +230,24 @@ def measure_as_in_paper(
     if empty := empty_region(matched, region):
         raise ValueError(empty)
     frame = velocity_frame(cube, settings.position_angle)
-    displacements = matched_displacements(
+    displacements = matching.matched_displacements(
         matched, frame, min_error_beams=settings.min_error_beams
     )
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
     fwhm = each_fwhm(cube, plan.scales, axes).mean(axis=0)
-    with progress(n_trials, "Permuting", show=progress_bar) as done:
+    with (
+        progress(n_trials, "Permuting", show=progress_bar) as done,
         # The matrix products are small: threads would wait for one another.
-        with threadpool_limits(1, "blas"):
-            stack = stack_patterns(
-                displacements, plan.pairs, orders,
-                fwhm=fwhm, max_speed=plan.max_speed, rng=generator,
-                progress=done,
-                shift_beams=0.2 * settings.small_displacement_correction,
-            )  # fmt: skip
+        threadpool_limits(1, "blas"),
+    ):
+        stack = stack_patterns(
+            displacements, plan.pairs, orders, fwhm=fwhm, max_speed=plan.max_speed,
+            rng=generator, shift_beams=0.2 * settings.small_displacement_correction,
+            progress=done,
+        )  # fmt: skip
     meta = {
         "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),
-        "n_ssp": stack.n_ssp, "n_pairs": len(plan.pairs),
-        "alpha": settings.alpha,
+        "n_ssp": stack.n_ssp, "n_pairs": len(plan.pairs), "alpha": settings.alpha,
     }  # fmt: skip
     return PaperMeasurement(matched, frame, flow_direction(matched, frame), stack, meta)
 
@@ -276,6 +260,4 @@ def _check(cube, settings):
             f"{name} is not used by the paper's method: leave it out, or use "
             "method='spectrum'"
         )
-    if settings.common_beam is not False:
-        require_common_beam(cube)
-    warn_of_misalignment(cube)
+    check_cube(cube, settings.common_beam)

@@ -11,10 +11,6 @@ from astro_scc.products.regions import (
 )
 
 __all__ = [
-    "ssp_regions",
-    "ssp_segmentation",
-    "write_epoch_regions",
-    "write_products",
-    "write_ssp_regions",
-    "write_votable",
-]
+    "ssp_regions", "ssp_segmentation", "write_epoch_regions", "write_products",
+    "write_ssp_regions", "write_votable",
+]  # fmt: skip

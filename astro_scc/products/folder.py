@@ -14,7 +14,6 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import writing
@@ -202,7 +201,6 @@ def write_products(
     >>> [path.name for path in paths if path.parent.name == "out"][:3]
     ['streams.ecsv', 'components.ecsv', 'spectrum.ecsv']
     """
-    directory = Path(directory)
     features = table_in_c_as(result.features, streams)
     features = with_published(features, result.tracked_features, published)
     meta = {**result.meta, **streams.meta}
@@ -218,14 +216,8 @@ def write_products(
         "epochs": describe(epochs, "epochs"), "ssps": result.ssps,
     }  # fmt: skip
     settings = {"configuration": configuration, "text": text}
-    tables, paths = write_tables(tables, directory, meta, **settings)
-    paths.append(directory / "scc.fits")
-    hdus = velocity_hdus(result, text=text)
-    hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
-    if archives:
-        printed = {name: tables[name] for name in PRINTED}
-        paths += write_publication(printed, directory, {"ssps": result.ssps})
-    return paths
+    hdus, printed = velocity_hdus(result, text=text), PRINTED if archives else ()
+    return _write_all(tables, hdus, directory, meta, printed, **settings)
 
 
 def write_paper_products(result, streams, directory, *, configuration=None, text=None):
@@ -247,15 +239,21 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
         ``citations.bib``, with ``text`` ``config.toml``, ``scc.fits`` and the folder
         ``publication``.
     """
-    directory, meta = Path(directory), {**result.meta, **streams.meta}
     tables = {"streams": streams, "components": streams, "ssps": result.ssps}
+    meta, hdus = {**result.meta, **streams.meta}, map_hdus(result, text=text)
     settings = {"configuration": configuration, "text": text}
-    tables, paths = write_tables(tables, directory, meta, **settings)
-    paths.append(directory / "scc.fits")
-    hdus = fits.HDUList(map_hdus(result, text=text))
+    return _write_all(tables, hdus, directory, meta, ("streams",), **settings)
+
+
+def _write_all(tables, hdus, directory, meta, printed, **settings):
+    """Write tables, maps, and some of the tables in forms of journals and archives."""
+    written, paths = write_tables(tables, directory, meta, **settings)
+    paths.append(Path(directory, "scc.fits"))
     hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
-    printed = {"streams": tables["streams"]}
-    return paths + write_publication(printed, directory, {"ssps": result.ssps})
+    if printed:
+        journals = {name: written[name] for name in printed}
+        paths += write_publication(journals, directory, {"ssps": tables["ssps"]})
+    return paths
 
 
 def write_tables(tables, folder, meta, *, configuration=None, text=None):

@@ -169,30 +169,17 @@ def escaped(text):
 
 def latex_texts_of(table, name):
     """
-    Return the main columns of a table in LaTeX, for AASTeX and A&A.
+    Return the main columns of a table in LaTeX, by ``aastex`` and ``aa``.
 
-    Parameters
-    ----------
-    table : `~astropy.table.QTable`
-    name : str
-        Its name, for the caption and the label.
-
-    Returns
-    -------
-    dict of str
-        By ``aastex`` and ``aa``; values and errors are rounded to two digits of the
-        error.
+    Values and errors are rounded to two digits of the error.
     """
     paper = paper_table(table, sign=r"\pm")
     heads = [column_of(column).latex for column in paper.colnames]
     units = [_latex_unit(column, paper[column].unit) for column in paper.colnames]
     cells = zip(*(map(_latex_cell, paper[k]) for k in paper.colnames), strict=True)
     rows = [" & ".join(row) for row in cells]
-    about = [
-        f"{column_of(k).latex}: {escaped(table[k].info.description)}."
-        for k in paper.colnames
-        if table[k].info.description
-    ]
+    about = {k: table[k].info.description for k in paper.colnames}
+    about = [f"{column_of(k).latex}: {escaped(v)}." for k, v in about.items() if v]
     what = {
         "align": "l" * len(heads),
         "caption": f"{escaped(_caption(table, name))}.",
@@ -406,25 +393,11 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     """
     Read the published features of the source of a cube.
 
-    Parameters
-    ----------
-    path : path
-        A table of the positions of features by epoch, see
-        `~astro_scc.epochs.read_components`.  Of several sources, it is the one with the
-        name of the cube's object.
-    cube : `~astro_scc.EpochCube`
-
-    Returns
-    -------
-    `~astropy.table.QTable`
-        A row for each feature and epoch: ``published``, its number,
-        ``date``, ``separation``, ``ra_offset`` and ``dec_offset``.  The core and
-        what was not identified are left out.
-
-    Raises
-    ------
-    OSError, ValueError
-        If the table cannot be read, or numbers no features of the source.
+    The table has the positions of features by epoch, see
+    `~astro_scc.epochs.read_components`; of several sources, it is the one with the name
+    of the cube's object.  A row for each feature and epoch has its number,
+    ``published``, ``date``, ``separation``, ``ra_offset`` and ``dec_offset``.  The core
+    and what was not identified are left out.
     """
     name = cube.meta.get("object")
     try:

@@ -1,8 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulation: images of jets and shells with known velocities."""
 
-from astro_scc.simulation.jets import (
-    JetSimulation,
+from astro_scc.simulation.jets import JetSimulation, write_simulation
+from astro_scc.simulation.resolved import Layer, m87_layers, simulate_resolved_jet
+from astro_scc.simulation.simulators import (
     simulate_ballistic,
     simulate_jet,
     simulate_random_velocity,
@@ -10,9 +11,7 @@ from astro_scc.simulation.jets import (
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
-    write_simulation,
 )
-from astro_scc.simulation.resolved import Layer, m87_layers, simulate_resolved_jet
 from astro_scc.simulation.streams import Flow, Stream
 
 __all__ = [

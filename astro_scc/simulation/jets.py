@@ -1,13 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Simulate images of jets and shells whose features move at known velocities."""
+"""Simulations of jets: images of features that move at known velocities."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -19,12 +17,12 @@ from astro_scc.epochs.cube import EpochCube
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.series import as_beams, as_epoch_tuple
-from astro_scc.quantities import random_generator
+from astro_scc.quantities import Seed, random_generator
 from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
-# The paper's beam, and about that of the VLBA at 15 GHz.
-PAPER_BEAM, BEAM = (Beam(size * u.mas, size * u.mas) for size in (1, 0.8))
+# The paper's beam.
+PAPER_BEAM = Beam(1 * u.mas, 1 * u.mas)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,10 +50,9 @@ class SimulatedJet:
     simulation: JetSimulation
 
     def __repr__(self):
-        return (
-            f"<SimulatedJet {self.simulation.name!r}: {len(self.cube)} epochs, "
-            f"{len(set(self.truth['feature']))} features>"
-        )
+        n, n_features = len(self.cube), len(set(self.truth["feature"]))
+        what = f"{n} epochs, {n_features} features"
+        return f"<SimulatedJet {self.simulation.name!r}: {what}>"
 
 
 @dataclass(eq=False)
@@ -153,21 +150,20 @@ class JetSimulation:
     noise: float | Sequence[float] = 0.002
     extent: tuple[float, float] = (20.0, 220.0)
     axis: float = 64.0
-    core: float = 0.0
+    core: float | None = None
     position_angle: u.Quantity = 270 * u.deg
-    flux_variation: float = 0.0
-    memory: float = 0.0
-    alignment_error: float = 0.0
-    ripple: float = 0.0
-    bowl: float = 0.0
+    flux_variation: float | None = None
+    memory: float | None = None
+    alignment_error: float | None = None
+    ripple: float | None = None
+    bowl: float | None = None
 
     def __post_init__(self):
         if isinstance(self.streams, Stream | Flow) or len(self.streams) == 0:
             raise ValueError("streams: give a sequence of Stream, at least one Stream")
         dates = self.dates
         if dates is None:
-            if self.n_epochs < 1:
-                raise ValueError(f"n_epochs must be at least 1, got {self.n_epochs}")
+            require_epochs(self.n_epochs)
             dates = Time("2000-01-01") + np.arange(self.n_epochs) * self.interval
         if dates.isscalar or not np.all(np.diff(dates.mjd) > 0):
             raise ValueError("dates must be an array of increasing times")
@@ -199,7 +195,7 @@ class JetSimulation:
         """Return the dates in intervals from the first."""
         return ((self.dates - self.dates[0]).to(u.day) / self.interval).to_value(u.one)
 
-    def run(self, *, rng: np.random.Generator | int | None = None) -> SimulatedJet:
+    def run(self, *, rng: Seed | None = None) -> SimulatedJet:
         """
         Draw one jet and make its images.
 
@@ -219,7 +215,7 @@ class JetSimulation:
         *stream_rngs, noise_rng = rng.spawn(len(self.streams) + 1)
         flux_rng, shift_rng, ripple_rng = rng.spawn(3)
         features = self._features(stream_rngs, flux_rng)
-        shift = self.beam_length * self.alignment_error
+        shift = self.beam_length * (self.alignment_error or 0.0)
         dx, dy = shift * shift_rng.standard_normal((2, self.n_epochs))
         seen = features._replace(x=features.x + dx, y=features.y + dy)
         unit = u.Jy / u.beam
@@ -279,7 +275,7 @@ class JetSimulation:
             if self.bowl:
                 add_gaussians(image, x, y, -self.bowl * peak, 6**2 * total)
             if self.ripple:
-                image += self._ripple(image.max(), ripple_rng)
+                image += self._ripple(self.ripple * image.max(), ripple_rng)
             if noise:
                 image += correlated_noise(
                     self.shape, rms=noise, beam=beam, pixel_scale=self.pixel_scale,
@@ -296,7 +292,7 @@ class JetSimulation:
         x, y = x - self.extent[0], y - self.axis
         along = x * np.cos(angle) + y * np.sin(angle)
         falling = 1 / (1 + np.hypot(x, y) / (5 * beam))
-        return self.ripple * peak * falling * np.cos(wave * along + phase)
+        return peak * falling * np.cos(wave * along + phase)
 
     def _truth(self, features, seen):
         scale = self.pixel_scale.to_value(u.mas)
@@ -311,22 +307,19 @@ class JetSimulation:
         feature, epoch = np.indices(east.shape)
         columns = {
             "feature": feature, "group": features.group[feature].astype(str),
-            "epoch": epoch, "date": self.dates[epoch],
-            "x": seen.x * u.pix, "y": seen.y * u.pix,
-            "east": east * u.mas, "north": north * u.mas,
+            "epoch": epoch, "date": self.dates[epoch], "x": seen.x * u.pix,
+            "y": seen.y * u.pix, "east": east * u.mas, "north": north * u.mas,
             "flux": features.flux * u.Jy, "fwhm": features.fwhm * scale * u.mas,
-            "visible": visible,
-            "pm_east": pm[0] * u.mas / u.yr, "pm_north": pm[1] * u.mas / u.yr,
+            "visible": visible, "pm_east": pm[0] * u.mas / u.yr,
+            "pm_north": pm[1] * u.mas / u.yr,
         }  # fmt: skip
         facts = "name pixel_scale interval velocity_unit extent axis position_angle"
         meta = {k: _plain(getattr(self, k)) for k in (*facts.split(), "noise")}
         angle = self.position_angle
         outward = pm[0] * np.sin(angle).value + pm[1] * np.cos(angle).value
         outward = np.where(visible, outward, np.nan)
-        meta["streams"] = [
-            _stream_facts(stream, outward[features.group == stream.name])
-            for stream in self.streams
-        ]
+        speeds = [outward[features.group == stream.name] for stream in self.streams]
+        meta["streams"] = [*map(_stream_facts, self.streams, speeds)]
         exists = np.isfinite(east)
         return QTable({k: v[exists] for k, v in columns.items()}, meta=meta)
 
@@ -349,298 +342,10 @@ def _plain(value):
     return list(value) if isinstance(value, tuple) else value
 
 
-# -- the paper's jets, realistic ones and shells -----------------------------------
-
-
-def simulate_two_fluid(
-    *, slow: float | u.Quantity = 5.0, fast: float | u.Quantity = 20.0,
-    densities: tuple[float, float] | None = None, dense: bool = False,
-    jitter: float = 2.0, rng: np.random.Generator | int | None = None, **options: Any,
-) -> SimulatedJet:  # fmt: skip
-    """
-    Simulate the paper's two-fluid jet, a slow sheath around a fast spine.
-
-    Parameters
-    ----------
-    slow, fast : float or `~astropy.units.Quantity`, optional
-        Speeds of the two streams, in pixels per interval or as proper
-        motions.
-    densities : (float, float), optional
-        Features per beam length of the slow and of the fast stream: (1.0,
-        0.8) by default, (1.0, 1.2) in a dense jet.
-    dense : bool, optional
-        Make the sheath wider (25 instead of 15 pixels on each side of the axis)
-        and give the spine more and brighter features.
-    jitter : float, optional
-        Random walk per epoch and axis, in pixels.
-    rng : `numpy.random.Generator`, seed or None, optional
-        Passed to `numpy.random.default_rng`.
-    **options
-        Further parameters of `JetSimulation`: epochs, dates, noise, beams...
-
-    Returns
-    -------
-    ``SimulatedJet``
-        Its ``cube``, and ``truth`` with a row for each feature and epoch.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_two_fluid
-    >>> jet = simulate_two_fluid(rng=1)
-    >>> jet.cube.shape
-    (10, 128, 256)
-    """
-    half_width, peak, usual = (15.0, (0.3, 1.5), (1.0, 0.8))
-    if dense:
-        half_width, peak, usual = (25.0, (0.8, 1.5), (1.0, 1.2))
-    of_slow, of_fast = densities or usual
-    slow = Stream("slow", slow, density=of_slow, half_width=half_width, jitter=jitter)
-    fast = Stream("fast", fast, density=of_fast, sigma=4.0, peak=peak, jitter=jitter)
-    return _run("two-fluid", rng, options, slow, fast)
-
-
-def simulate_random_velocity(
-    *, dx: tuple[float, float] = (0.0, 40.0), dy: tuple[float, float] = (-5.0, 5.0),
-    density: float = 1.8, rng: np.random.Generator | int | None = None, **options: Any,
-) -> SimulatedJet:  # fmt: skip
-    """
-    Simulate features that take a new random velocity at every epoch.
-
-    This is the paper's second test: nothing moves at a common speed.
-
-    Parameters
-    ----------
-    dx, dy : (float, float), optional
-        Limits of the uniform distributions of the motion along and across
-        the jet, in pixels per interval.
-    density : float, optional
-        Features per beam length.
-    rng : `numpy.random.Generator`, seed or None, optional
-        Passed to `numpy.random.default_rng`.
-    **options
-        Further parameters of `JetSimulation`: epochs, dates, noise, beams...
-
-    Returns
-    -------
-    ``SimulatedJet``
-        Its ``cube``, and ``truth`` with a row for each feature and epoch.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_random_velocity
-    >>> simulate_random_velocity(n_epochs=3, rng=1).cube.shape
-    (3, 128, 256)
-    """
-    stream = Stream("random", dx, dy, "random", density, half_width=12.0)
-    return _run("random velocity", rng, options, stream)
-
-
-def simulate_ballistic(
-    *, dx: tuple[float, float] = (0.0, 40.0), dy: tuple[float, float] = (-5.0, 5.0),
-    density: float = 1.8, rng: np.random.Generator | int | None = None, **options: Any,
-) -> SimulatedJet:  # fmt: skip
-    """
-    Simulate features that each keep a random velocity of their own.
-
-    All of them move, but they have no common velocity.
-
-    Parameters
-    ----------
-    dx, dy : (float, float), optional
-        Limits of the uniform distributions of the motion along and across
-        the jet, in pixels per interval.
-    density : float, optional
-        Features per beam length.
-    rng : `numpy.random.Generator`, seed or None, optional
-        Passed to `numpy.random.default_rng`.
-    **options
-        Further parameters of `JetSimulation`: epochs, dates, noise, beams...
-
-    Returns
-    -------
-    ``SimulatedJet``
-        Its ``cube``, and ``truth`` with a row for each feature and epoch.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_ballistic
-    >>> simulate_ballistic(n_epochs=3, rng=1).cube.shape
-    (3, 128, 256)
-    """
-    stream = Stream("ballistic", dx, dy, density=density, half_width=12.0)
-    return _run("ballistic", rng, options, stream)
-
-
-def simulate_static(
-    *, density: float = 1.8, rng: np.random.Generator | int | None = None,
-    **options: Any,
-) -> SimulatedJet:  # fmt: skip
-    """
-    Simulate features that stand still, with noise that differs at every epoch.
-
-    Parameters
-    ----------
-    density : float, optional
-        Features per beam length.
-    rng : `numpy.random.Generator`, seed or None, optional
-        Passed to `numpy.random.default_rng`.
-    **options
-        Further parameters of `JetSimulation`: epochs, dates, noise, beams...
-
-    Returns
-    -------
-    ``SimulatedJet``
-        Its ``cube``, and ``truth`` with a row for each feature and epoch.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_static
-    >>> simulate_static(n_epochs=3, rng=1).cube.shape
-    (3, 128, 256)
-    """
-    stream = Stream("static", density=density, half_width=12.0)
-    return _run("static", rng, options, stream)
-
-
-def simulate_unrelated(
-    *, density: float = 1.8, rng: np.random.Generator | int | None = None,
-    **options: Any,
-) -> SimulatedJet:  # fmt: skip
-    """
-    Simulate unrelated epochs.
-
-    Every epoch has features of its own, drawn from the same distributions.
-
-    Parameters
-    ----------
-    density : float, optional
-        Features per beam length.
-    rng : `numpy.random.Generator`, seed or None, optional
-        Passed to `numpy.random.default_rng`.
-    **options
-        Further parameters of `JetSimulation`: epochs, dates, noise, beams...
-
-    Returns
-    -------
-    ``SimulatedJet``
-        Its ``cube``, and ``truth`` with a row for each feature and epoch.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_unrelated
-    >>> simulate_unrelated(n_epochs=3, rng=1).cube.shape
-    (3, 128, 256)
-    """
-    stream = Stream("unrelated", motion="unrelated", density=density, half_width=12.0)
-    return _run("unrelated", rng, options, stream)
-
-
-def simulate_jet(
-    *, n_epochs: int = 15, interval: u.Quantity = 0.2 * u.yr,
-    interval_scatter: float = 0.8, dates: Time | None = None,
-    streams: Sequence[Flow] | None = None, standing: int | Sequence[float] = 0,
-    core_flux: float = 1.0, flux_variation: float = 0.35, memory: float = 3.0,
-    alignment_error: float = 0.0, ripple: float = 0.0, bowl: float = 0.0,
-    noise: float = 0.0003, noise_scatter: float = 0.3, length: float = 16.0,
-    position_angle: u.Quantity = 270 * u.deg, beam: Beam | Sequence[Beam] = BEAM,
-    pixel_scale: u.Quantity = 0.1 * u.mas, shape: tuple[int, int] | None = None,
-    rng: np.random.Generator | int | None = None, **flow: Any,
-) -> SimulatedJet:  # fmt: skip
-    """
-    Simulate a jet as surveys of blazars see it.
-
-    Features are ejected from a variable core and move, each at a speed of its
-    own that scatters about the speed of the flow; they fade and widen.  Epochs
-    are uneven.  Lengths are in beams (``sqrt(major minor)``), times in median
-    intervals.  Without moving features (``n_features=0``), the jet is static and
-    consists of ``standing`` features, whose fluxes may vary.
-
-    Parameters
-    ----------
-    n_epochs : int, optional
-    interval : `~astropy.units.Quantity`, optional
-        Median interval between epochs.
-    interval_scatter : float, optional
-        Standard deviation of the logarithm of the intervals, which are
-        log-normal.
-    dates : `~astropy.time.Time`, optional
-        Dates of the epochs, instead of random ones.
-    streams : sequence of `Flow`, optional
-        Flows that replace the one flow.
-    standing : int or sequence of float, optional
-        Number of standing features at random distances from the core, or
-        their distances.
-    core_flux : float, optional
-        Median flux density of the core in Jy; 0 for none.
-    flux_variation : float, optional
-        Standard deviation in time of the logarithms of all flux densities.
-    memory : float, optional
-        Correlation time of the variations; 0 for white ones.
-    alignment_error : float, optional
-        Standard deviation, per axis, of a shift of each image.
-    ripple, bowl : float, optional
-        Artefacts of imaging; see `JetSimulation`.
-    noise : float, optional
-        Median root mean square of the noise in Jy per beam.
-    noise_scatter : float, optional
-        Standard deviation of its logarithm between epochs.
-    length : float, optional
-        Length of the jet.
-    position_angle : `~astropy.units.Quantity`, optional
-    beam : `~astro_scc.epochs.Beam` or sequence of them, optional
-    pixel_scale : `~astropy.units.Quantity`, optional
-    shape : tuple of int, optional
-        Shape (ny, nx) of the images; by default they reach 8 beams beyond the
-        jet on all sides.
-    rng : `numpy.random.Generator`, seed or None, optional
-        Passed to `numpy.random.default_rng`.
-    **flow
-        Parameters of the one flow: ``speed``, ``dispersion``, ``distribution``,
-        ``n_features``, ``acceleration`` and the others of `Flow`.
-
-    Returns
-    -------
-    ``SimulatedJet``
-        Its ``cube``, and ``truth`` with a row for each feature and epoch.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is outside its range, or if parameters of the one flow
-        are given with ``streams``.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_jet
-    >>> jet = simulate_jet(rng=1)
-    >>> jet.cube.shape
-    (15, 128, 256)
-    """
-    given = {"length": length, "interval_scatter": interval_scatter}
-    given = SimpleNamespace(**given, noise_scatter=noise_scatter)
-    check_not_negative(given, "length interval_scatter noise_scatter")
-    rng = random_generator(rng)
-    date_rng, noise_rng = rng.spawn(2)
-    if dates is None:
-        if n_epochs < 1:
-            raise ValueError(f"n_epochs must be at least 1, got {n_epochs}")
-        steps = np.exp(interval_scatter * date_rng.standard_normal(n_epochs - 1))
-        dates = Time("2000-01-01") + np.cumsum([0, *steps]) * interval
-    if streams is None:
-        streams = [Flow(**flow)]
-    elif flow:
-        raise ValueError(f"{', '.join(flow)}: give them to each of the streams")
-    kind = "n_features" if np.ndim(standing) == 0 else "positions"
-    streams = [*streams, Flow("standing", speed=0.0, **{kind: standing})]
-    noises = noise * np.exp(noise_scatter * noise_rng.standard_normal(len(dates)))
-    jet = JetSimulation(
-        streams, "jet", interval=interval, dates=dates, pixel_scale=pixel_scale,
-        beams=beam, noise=noises, core=core_flux, position_angle=position_angle,
-        flux_variation=flux_variation, memory=memory, alignment_error=alignment_error,
-        ripple=ripple, bowl=bowl,
-    )  # fmt: skip
-    ahead = length * jet.beam_length
-    return centred(jet, ahead, margin=8 * jet.beam_length, shape=shape).run(rng=rng)
+def require_epochs(n_epochs, least=1):
+    """Refuse too few epochs."""
+    if n_epochs < least:
+        raise ValueError(f"n_epochs must be at least {least}, got {n_epochs}")
 
 
 def centred(jet, ahead, *, margin, shape=None):
@@ -657,120 +362,6 @@ def centred(jet, ahead, *, margin, shape=None):
         shape = np.round(np.abs(tip) + 2 * margin).astype(int).tolist()[::-1]
     x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)
     return replace(jet, shape=tuple(shape), extent=(x0, x0 + ahead), axis=y0)
-
-
-def _run(name, rng, options, *streams):
-    return JetSimulation(streams, **{"name": name, **options}).run(rng=rng)
-
-
-class SimulatedShell(NamedTuple):
-    """
-    A simulated shell: its images and the features in them.
-
-    Attributes
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-        Images in counts, without a beam.
-    truth : `~astropy.table.QTable`
-        One row per feature: ``group`` ("knots" or "ring"), ``east`` and
-        ``north`` from the centre at the first epoch, ``fwhm``, ``rate``.
-    centre : `~astropy.units.Quantity`, shape (2,)
-        (east, north) from the reference pixel.
-    radius : `~astropy.units.Quantity`
-    """
-
-    cube: EpochCube
-    truth: QTable
-    centre: u.Quantity
-    radius: u.Quantity
-
-
-def simulate_shell(
-    *, knot_rate: u.Quantity = 0.11 * u.percent / u.yr,
-    ring_rate: u.Quantity = 0.07 * u.percent / u.yr, n_epochs: int = 6,
-    interval: u.Quantity = 5 * u.yr, n_knots: int = 50, n_clumps: int = 24,
-    radius: u.Quantity = 100 * u.arcsec, pixel_scale: u.Quantity = 1 * u.arcsec,
-    centre: u.Quantity = (6.0, -4.0) * u.arcsec, size: int = 288, counts: float = 400.0,
-    background: float = 20.0, rng: np.random.Generator | int | None = None,
-) -> SimulatedShell:  # fmt: skip
-    """
-    Simulate a shell of small knots and large clumps that expand at two rates.
-
-    Cassiopeia A is an example: its radio ring expands at 0.07 per cent per
-    year, small structure in it at 0.11.  The clumps form a ring.  Features keep
-    their size, the noise is that of Poisson counts, and there is no beam.
-
-    Parameters
-    ----------
-    knot_rate, ring_rate : `~astropy.units.Quantity`, optional
-        Expansion rates at the first epoch: motion per time as a fraction of the
-        distance from the centre.  As the motion is uniform, the rate e becomes
-        ``e / (1 + e t)`` at the time t after the first epoch.
-    n_epochs : int, optional
-    interval : `~astropy.units.Quantity`, optional
-    n_knots, n_clumps : int, optional
-    radius : `~astropy.units.Quantity`, optional
-        Radius of the ring; knots are at 0.6 to 1.05 of it.
-    pixel_scale : `~astropy.units.Quantity`, optional
-    centre : `~astropy.units.Quantity`, shape (2,), optional
-        (east, north) from the reference pixel, the middle of the image.
-    size : int, optional
-        Pixels on a side of the image.
-    counts, background : float, optional
-        Counts per pixel: the maxima of knots have 0.4 to 1 of ``counts``, those
-        of clumps 0.6 to 1; ``background`` is added everywhere.
-    rng : None, int or `~numpy.random.Generator`, optional
-
-    Returns
-    -------
-    SimulatedShell
-        With ``cube``, ``truth``, ``centre`` and ``radius``.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two epochs, or the shell is larger than the
-        image.
-
-    Examples
-    --------
-    >>> from astro_scc.simulation import simulate_shell
-    >>> simulate_shell(n_epochs=2, rng=1).cube.shape
-    (2, 288, 288)
-    """
-    if n_epochs < 2:
-        raise ValueError(f"n_epochs must be at least 2, got {n_epochs}")
-    step, r = (u.Quantity(v).to_value(u.mas) for v in (pixel_scale, radius))
-    middle = u.Quantity(centre).to(u.mas)
-    if 1.2 * r + np.abs(middle.value).max() > 0.5 * size * step:
-        raise ValueError(f"a shell of {radius} is larger than {size} pixels can show")
-    rng, n = random_generator(rng), n_knots + n_clumps
-    knot, angle = np.arange(n) < n_knots, rng.uniform(0, 2 * np.pi, n)
-    angle[~knot] = 2 * np.pi * (np.arange(n_clumps) + rng.uniform(0, 0.7, n_clumps))
-    angle[~knot] /= n_clumps
-    # Knots are distributed evenly over an area.
-    of_knots = r * np.sqrt(rng.uniform(0.6**2, 1.05**2, n))
-    distance = np.where(knot, of_knots, r * rng.normal(1, 0.03, n))
-    east, north = distance * np.sin(angle), distance * np.cos(angle)
-    fwhm = np.where(knot, rng.uniform(3, 5, n), rng.uniform(16, 24, n))
-    peak = counts * np.where(knot, rng.uniform(0.4, 1.0, n), rng.uniform(0.6, 1.0, n))
-    rate = np.where(knot, knot_rate, ring_rate).to_value(1 / u.yr)
-    times = Time("1980-01-01") + np.arange(n_epochs) * interval
-    images = np.full((n_epochs, size, size), float(background))
-    covariance = (FWHM_TO_SIGMA * fwhm)[:, None, None] ** 2 * np.eye(2)
-    origin = (size - 1) / 2
-    for image, year in zip(images, (times - times[0]).to_value(u.yr), strict=True):
-        grown = 1 + rate * year
-        x = origin - (middle[0].value + grown * east) / step
-        y = origin + (middle[1].value + grown * north) / step
-        image[:] = rng.poisson(add_gaussians(image, x, y, peak, covariance))
-    cube = EpochCube.from_arrays(images, times, pixel_scale=pixel_scale)
-    truth = QTable({
-        "group": np.where(knot, "knots", "ring"), "east": east * u.mas,
-        "north": north * u.mas, "fwhm": fwhm * step * u.mas,
-        "rate": (rate / u.yr).to(u.percent / u.yr),
-    })  # fmt: skip
-    return SimulatedShell(cube, truth, middle, r * u.mas)
 
 
 def write_simulation(

@@ -5,24 +5,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import astropy.units as u
 import numpy as np
-from astropy.time import Time
 
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
-from astro_scc.quantities import one_quantity
+from astro_scc.quantities import Seed, one_quantity
+from astro_scc.simulation import streams
 from astro_scc.simulation.jets import JetSimulation, SimulatedJet, centred
-from astro_scc.simulation.streams import (
-    RAMP,
-    Features,
-    check_not_negative,
-    in_view,
-    raised_cosine,
-)
+from astro_scc.simulation.streams import Features
 
 # The beam of the VLBA at 43 GHz in M 87.
 BEAM = Beam(0.43 * u.mas, 0.21 * u.mas, -16 * u.deg)
+#: Epochs, images and fluxes of it.
+M87 = {
+    "n_epochs": 11, "interval": 21 * u.day, "beam": BEAM, "pixel_scale": 0.06 * u.mas,
+    "core": 0.5, "noise": 0.0003, "flux_variation": 0.4, "position_angle": 288 * u.deg,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +97,13 @@ class Layer:
     def __post_init__(self):
         whose, life = f"layer {self.name!r}: ", u.Quantity(self.life).to_value(u.yr)
         size = u.Quantity(self.size).to_value(u.mas)
-        columns = {
+        units = {
             "distance": u.mas, "speed": u.mas / u.yr, "half_width": u.mas,
             "brightness": u.Jy / u.beam,
         }  # fmt: skip
-        columns = {
-            k: u.Quantity(getattr(self, k)).to_value(columns[k]) for k in columns
-        }
+        columns = {k: u.Quantity(getattr(self, k)).to_value(units[k]) for k in units}
         numbers = "scatter n_clumps flux_scatter size"
-        check_not_negative(self, f"{numbers} {' '.join(columns)}", whose)
+        streams.check_not_negative(self, f"{numbers} {' '.join(columns)}", whose)
         distance, speed = columns["distance"], columns["speed"]
         if any(column.shape != (distance.size,) for column in columns.values()):
             raise ValueError(f"{whose}{', '.join(columns)} must have one length")
@@ -149,10 +147,12 @@ class Layer:
             r = np.where((age > 0) & (age < life), r, np.nan)
         place = rng.choice(self.across, (n, 1)) + self.scatter * rng.normal(size=(n, 1))
         fwhm = rng.uniform(*self.size.to_value(u.mas), (n, 1))
-        there = raised_cosine((table[-1] - r) / (RAMP * jet.beam_length * scale))
+        fading = streams.RAMP * jet.beam_length * scale
+        there = streams.raised_cosine((table[-1] - r) / fading)
         if np.isfinite(life):
             # It appears in the first quarter of its life, and fades in the last.
-            there = there * raised_cosine(np.minimum(age, life - age) / (0.25 * life))
+            part = np.minimum(age, life - age) / (0.25 * life)
+            there = there * streams.raised_cosine(part)
         peak = np.interp(r, table, self.brightness.to_value(u.Jy / u.beam)) * there
         peak = peak * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
         beams = np.mean([b.covariance.to_value(u.mas**2) for b in jet.beams], axis=0)
@@ -162,7 +162,7 @@ class Layer:
         flux = np.nan_to_num(flux)
         seen = (flux > 0).any(axis=1)
         x, y = jet.extent[0] + r / scale, jet.axis + y / scale
-        return in_view(self.name, seen, x, y, flux, fwhm / scale)
+        return streams.in_view(self.name, seen, x, y, flux, fwhm / scale)
 
     def _moved(self, start, age):
         """Return distances at ages in years of clumps that were born at ``start``."""
@@ -226,12 +226,8 @@ def m87_layers(*, length: u.Quantity = 10 * u.mas) -> tuple[Layer, Layer]:
 
 
 def simulate_resolved_jet(
-    *, layers: Sequence[Layer] | None = None, n_epochs: int = 11,
-    interval: u.Quantity = 21 * u.day, dates: Time | None = None,
-    memory: u.Quantity = 0.3 * u.yr, flux_variation: float = 0.4, core: float = 0.5,
-    beam: Beam | Sequence[Beam] = BEAM, pixel_scale: u.Quantity = 0.06 * u.mas,
-    noise: float | Sequence[float] = 0.0003, position_angle: u.Quantity = 288 * u.deg,
-    rng: np.random.Generator | int | None = None,
+    *, layers: Sequence[Layer] | None = None, memory: u.Quantity = 0.3 * u.yr,
+    rng: Seed | None = None, **options: Any,
 ) -> SimulatedJet:  # fmt: skip
     """
     Simulate a jet that is resolved across, of layers that move at different speeds.
@@ -244,24 +240,15 @@ def simulate_resolved_jet(
     ----------
     layers : sequence of `Layer`, optional
         By default those of `m87_layers`.
-    n_epochs : int, optional
-    interval : `~astropy.units.Quantity`, optional
-        Time between epochs.
-    dates : `~astropy.time.Time`, optional
-        Dates of the epochs, instead of ``n_epochs`` regular ones.
     memory : `~astropy.units.Quantity`, optional
         Correlation time of the variations of flux densities; at 0, they are white.
-    flux_variation : float, optional
-        Standard deviation in time of the logarithms of all flux densities.
-    core : float, optional
-        Flux density in Jy of an unresolved core; 0 for none.
-    beam : `~astro_scc.epochs.Beam` or sequence of them, optional
-    pixel_scale : `~astropy.units.Quantity`, optional
-    noise : float or sequence of float, optional
-        Root mean square of the noise in Jy per beam.
-    position_angle : `~astropy.units.Quantity`, optional
     rng : `numpy.random.Generator`, seed or None, optional
         Passed to `numpy.random.default_rng`.
+    **options
+        Of `JetSimulation`, with other defaults: ``n_epochs`` 11, ``interval`` 21 d, or
+        ``dates``, ``beam`` that of the VLBA at 43 GHz, ``pixel_scale`` 0.06 mas,
+        ``core`` 0.5 Jy, ``noise`` 0.0003 Jy per beam, ``flux_variation`` 0.4, and
+        ``position_angle`` 288 deg.
 
     Returns
     -------
@@ -291,13 +278,9 @@ def simulate_resolved_jet(
     layers = m87_layers() if layers is None else layers
     if isinstance(layers, Layer) or len(layers) == 0:
         raise ValueError("layers: give a sequence of Layer, at least one Layer")
-    jet = JetSimulation(
-        layers, "resolved jet", n_epochs=n_epochs, interval=interval, dates=dates,
-        beams=beam, pixel_scale=pixel_scale, noise=noise, core=core,
-        flux_variation=flux_variation, memory=(memory / interval).to_value(u.one),
-        position_angle=position_angle,
-    )  # fmt: skip
-    end = max((a.distance[-1] / pixel_scale).to_value(u.one) for a in layers)
-    width = max((a.half_width.max() / pixel_scale).to_value(u.one) for a in layers)
-    margin = width + 4 * jet.beam_length
-    return centred(jet, end, margin=margin).run(rng=rng)
+    given = M87 | options
+    given["memory"] = (memory / given["interval"]).to_value(u.one)
+    jet = JetSimulation(layers, "resolved jet", beams=given.pop("beam"), **given)
+    ends = [u.Quantity([a.distance[-1], a.half_width.max()]) for a in layers]
+    end, width = (u.Quantity(ends) / jet.pixel_scale).to_value(u.one).max(axis=0)
+    return centred(jet, end, margin=width + 4 * jet.beam_length).run(rng=rng)

@@ -11,10 +11,11 @@ import numpy as np
 
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import NoFlowError
-from astro_scc.grid.lines import FlowGrid, flow_grids
-from astro_scc.grid.sampling import (
+from astro_scc.grid import (
+    FlowGrid,
     SampledPlanes,
     default_scales,
+    flow_grids,
     has_core,
     sample_mask,
     sample_planes,

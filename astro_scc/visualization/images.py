@@ -26,27 +26,10 @@ class View:
     """
     The part of a cube's images that is shown, with its unit and colours.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.EpochCube`
-    points : dict or None
-        See `ssp_points`.
-    image : `numpy.ma.MaskedArray`
-        One or more images, which decide on the colours.
-    norm : `matplotlib.colors.Normalize`
-        See `plotting_norm`.
-    edge : float, optional
-        Share of the SSPs' weight that may lie beyond each side; the whole image is
-        shown if it is None.
-    unit : `~astropy.units.Unit`, optional
-        Unit of the offsets.
-
-    Attributes
-    ----------
-    limits : `~numpy.ndarray`, shape (2, 2)
-        Offsets that are shown, in the unit: east, then north.
-    factor : float
-        Converts mas to the unit.
+    ``points`` are those of `ssp_points`, of whose weight the share ``edge`` may lie
+    beyond each side; without an edge the whole image is shown.  ``limits`` are the
+    offsets (east, then north) in the unit, to which ``factor`` converts mas, and
+    ``image`` has one or more images, which decide on the colours of the ``norm``.
     """
 
     def __init__(self, cube, points, image, norm, edge=0.015, unit=None):
@@ -158,10 +141,8 @@ def draw_image(ax, view, image, epoch=None, corner=None, look=None):
         # A norm takes its limits from itself.
         setattr(view.norm, name, look.pop(name, getattr(view.norm, name)))
     look["cmap"] = matplotlib.colormaps.get_cmap(look["cmap"]).with_extremes(bad=MASKED)
-    transform = view.to_offsets + ax.transData
-    drawn = ax.imshow(
-        image, origin="lower", norm=view.norm, transform=transform, **look
-    )
+    place = view.to_offsets + ax.transData
+    drawn = ax.imshow(image, origin="lower", norm=view.norm, transform=place, **look)
     ax.set(xlim=view.limits[0, :: -1 if view.to_the_left else 1], ylim=view.limits[1])
     ax.set_aspect("equal")
     draw_beam(ax, view, epoch, corner or empty_corners(view, image)[0])
@@ -225,10 +206,7 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     """
     aspect = np.divide(*np.ptp(view.limits, axis=1))
     page = (5.0, 8.0) if figure is None else figure.get_size_inches() - [1.2, 1.0]
-    widths = [
-        min(page[0] / columns, page[1] / -(-n // columns) * aspect)
-        for columns in range(1, n + 1)
-    ]
+    widths = [min(page[0] / k, page[1] / -(-n // k) * aspect) for k in range(1, n + 1)]
     # Of grids with equal panels, but for rounding, take the one with fewest columns.
     columns = 1 + int(np.argmax(np.round(widths, 3)))
     rows = -(-n // columns)
@@ -279,22 +257,9 @@ def image_planes(cube, limits, most):
     """
     Return all epochs as grey levels on one grid with axes east and north.
 
-    Parameters
-    ----------
-    cube : `~astro_scc.EpochCube`
-    limits : `~numpy.ndarray`, shape (2, 2)
-        Offsets in mas: east, then north.
-    most : int
-        Largest number of pixels of all epochs; images are binned for it.
-
-    Returns
-    -------
-    planes : `~numpy.ndarray` of uint8, shape (n_epochs, ny, nx)
-        From 1 (faint) to 255; 0 where an image is masked.
-    sides : `~numpy.ndarray`, shape (2, 2)
-        The limits of the planes.
-    n_bins : int
-        Side of a pixel of the planes, in pixels of the images.
+    The planes (n_epochs, ny, nx) of uint8 go from 1 (faint) to 255, and are 0 where an
+    image is masked; with them go their limits in mas, and the side of their pixels in
+    pixels of the images, which are binned to ``most`` pixels of all epochs.
     """
     from scipy.ndimage import map_coordinates, uniform_filter
 
@@ -479,24 +444,16 @@ def plot_epochs(cube, ssps=None, *, figure=None, max_panels=12, **look):
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    ssps : `~astropy.table.QTable` or `~astro_scc.decomposition.SSPs`, optional
+    ssps, **look
         As in `plot_epoch`.
     figure : `matplotlib.figure.Figure`, optional
         Figure to draw on instead of a new one.
     max_panels : int, optional
-        If there are more epochs, the first, the last and others evenly between
-        them are drawn.
-    **look
-        ``unit``, ``norm``, ``zoom`` and keywords of the images, see `plot_epoch`.
+        Of more epochs, the first, the last and others between them are drawn.
 
     Returns
     -------
     `matplotlib.figure.Figure`
-
-    Raises
-    ------
-    ValueError
-        If ``max_panels`` is below 1, or the unit is not an angle.
     """
     if max_panels < 1:
         raise ValueError(f"max_panels must be at least 1, got {max_panels}")

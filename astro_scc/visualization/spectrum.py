@@ -30,6 +30,7 @@ class Speeds:
 
     def __init__(self, result, unit=None):
         self.unit = style.speed_unit_of(result, unit)
+        self.name = unit_name(self.unit)
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
         features = result.tracked_features
@@ -45,11 +46,6 @@ class Speeds:
         self.stream, self.stream_err, self.dispersion = np.nan_to_num(
             self.factor * np.reshape(rows, (-1, 3)).T
         )
-
-    @property
-    def name(self):
-        """The unit as it is written."""
-        return unit_name(self.unit)
 
 
 def _look(stream, number):
@@ -125,9 +121,8 @@ def _draw_limits(upper, lower, search, speeds):
 def _draw_streams(ax, result, speeds, top, ends):
     """Draw the streams that move above the spectrum, with their speeds inside of it."""
     row, (low, high) = 0, ends
-    for k, (stream, line) in enumerate(
-        zip(result.search.streams, result.streams, strict=True)
-    ):
+    pairs = zip(result.search.streams, result.streams, strict=True)
+    for k, (stream, line) in enumerate(pairs):
         if stream.kind == "stationary":
             continue
         speed, (color, filling) = abs(speeds.stream[k]), _look(stream, k + 1)
@@ -217,9 +212,8 @@ def spectra_of_bins(search):
     found = []
     for ends in zip(edges[:-1], edges[1:], strict=True):
         part = flow.between(*ends)
-        equations = set_up(
-            part.diagram(0), fastest=flow.fastest, intervals=search.intervals
-        )
+        limits = {"fastest": flow.fastest, "intervals": search.intervals}
+        equations = set_up(part.diagram(0), **limits)
         share, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
         share[(size < search.slowest) | (size > search.fastest)] = 0.0
         found.append(share / (share.sum() or 1.0))

@@ -252,10 +252,9 @@ def _draw_z_scores(scene):
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
         scene.ax.annotate(
-            f"{row['stream']}", (along, z), xytext=(0, 6),
-            textcoords="offset points", ha="center", color=color,
-            fontweight="bold" if strong else "normal", path_effects=style.outline(),
-            clip_on=True,
+            f"{row['stream']}", (along, z), xytext=(0, 6), textcoords="offset points",
+            ha="center", color=color, fontweight="bold" if strong else "normal",
+            path_effects=style.outline(), clip_on=True,
         )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.kinematics.frames import (
+from astro_scc.kinematics.ridge import (
     STEP,
     _smoothed,
 )

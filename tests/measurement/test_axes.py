@@ -8,7 +8,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc import EpochCube
-from astro_scc.measurement.axes import alignment_errors
+from astro_scc.plan import alignment_errors
 
 
 def cube_of():

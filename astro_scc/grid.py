@@ -1,25 +1,29 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Grids along and across a flow: straight, along a ridge line, radial, in ln r."""
+"""
+Coordinates along and across the flow: the one home of its direction.
+
+Grids are straight, along a ridge line, radial or in ln r; where the flow is seen, the
+wavelet planes of all epochs are sampled on them.
+"""
 
 from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
+import scipy
 
-from astro_scc.kinematics import (
-    ExpansionFrame,
-    PositionAngleFrame,
-    RadialFrame,
-    RidgeLine,
-    SkyFrame,
-)
+from astro_scc import kinematics
+from astro_scc.decomposition import wavelet
 from astro_scc.kinematics.frames import axes_along
+from astro_scc.spectrum.planes import REACH, FlowPlanes, flow_planes
 
 #: Part of the flow on the other side of the core that makes a counter-jet, and the gap
 #: between both halves of the grid, in beams.
 COUNTER, GAP = 0.02, 2.0
 #: Margin around what is seen, in beams.
 MARGIN = 0.5
+#: Margin around the grid, in sizes of the largest scale.
+BORDER = 10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,15 +93,15 @@ def flow_grids(cube, frame, seen, beam, *, core, points=8.0):
     y, x = np.nonzero(seen)
     east, north = (offset.to_value(u.mas) for offset in cube.pixel_to_offset(x, y))
     step = max(cube.pixel_scale.to_value(u.mas) / beam, 1 / points)
-    if isinstance(frame, SkyFrame):
+    if isinstance(frame, kinematics.SkyFrame):
         turns = np.arange(12) * np.pi / 12
         return [straight_grid(cube, t, east, north, step, beam) for t in turns]
-    if isinstance(frame, PositionAngleFrame):
+    if isinstance(frame, kinematics.PositionAngleFrame):
         angle = frame.pa.to_value(u.rad)
         return [straight_grid(cube, angle, east, north, step, beam, core=core)]
-    if isinstance(frame, RidgeLine):
+    if isinstance(frame, kinematics.RidgeLine):
         return [ridge_grid(cube, frame, east, north, step, beam)]
-    if isinstance(frame, RadialFrame | ExpansionFrame):
+    if isinstance(frame, kinematics.RadialFrame | kinematics.ExpansionFrame):
         return [radial_grid(cube, frame, east, north, step, beam)]
     raise TypeError(f"no grid is known for the frame {type(frame).__name__}")
 
@@ -168,7 +172,7 @@ def ridge_grid(cube, line, east, north, step, beam):
 
 def radial_grid(cube, frame, east, north, step, beam):
     """Return the grid in distance, or its logarithm, and angle; see `straight_grid`."""
-    shell = isinstance(frame, ExpansionFrame)
+    shell = isinstance(frame, kinematics.ExpansionFrame)
     origin = (frame.centre if shell else frame.origin).to_value(u.mas)
     dx, dy = east - origin[0], north - origin[1]
     r = np.maximum(np.hypot(dx, dy), 1e-3 * beam)
@@ -192,10 +196,8 @@ def radial_grid(cube, frame, east, north, step, beam):
         along = _covering(0.0, _most(r / beam), step)
         radius = along * beam
         weight = radius / radius.max()
-    east, north = (
-        origin[k] + radius[:, None] * turn(theta)
-        for k, turn in enumerate((np.sin, np.cos))
-    )
+    east = origin[0] + radius[:, None] * np.sin(theta)
+    north = origin[1] + radius[:, None] * np.cos(theta)
     x, y = cube.offset_to_pixel(*_mas(east, north))
     counter = np.zeros(len(across), dtype=bool)
     return FlowGrid(x, y, along, across, counter, weight[:, None], beam, outward=True)
@@ -216,3 +218,149 @@ def _most(values):
 def _covering(low, high, step):
     """Return evenly spaced points, one of them zero if it lies between the limits."""
     return np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step
+
+
+# -- wavelet planes on a grid --------------------------------------------------------
+
+
+def default_scales(beam_px, largest=0.55, number=3):
+    """Return a number of scales up to a part of the beam, whose size is in pixels."""
+    last = max(0, int(np.floor(np.log2(largest * beam_px) + 1e-9)))
+    return tuple(range(max(0, last - number + 1), last + 1))
+
+
+def seen_flow(cube, beam, *, core, threshold=5.0, least=1.2):
+    """
+    Return the pixels in which the flow is seen.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    beam : float
+        In mas.
+    core : bool
+        Whether the core at the reference pixel is left out.
+    threshold : float, optional
+        Faintest mean of the brightest quarter of epochs, in noises of an epoch.
+    least : float, optional
+        Distance from the core from which the flow is looked at, in beams.
+
+    Returns
+    -------
+    `~numpy.ndarray` of bool, shape (ny, nx)
+    """
+    n, rms = len(cube), float(np.median(cube.noise_rms().value))
+    few = max(2, n // 4)
+    images = np.where(cube.mask, -np.inf, cube.data)
+    top = np.partition(images, n - few, axis=0)[n - few :].mean(axis=0)
+    seen = top > threshold * rms
+    if core:
+        east, north = (offset.to_value(u.mas) for offset in cube.offsets())
+        seen &= np.hypot(east, north) > least * beam
+    return seen
+
+
+def has_core(cube, beam):
+    """Return whether the brightest point of the mean image is the reference pixel."""
+    if cube.beams is None:
+        return False
+    image = np.nan_to_num(np.asarray(cube.mean_image().data, dtype=float), nan=-np.inf)
+    y, x = np.unravel_index(image.argmax(), image.shape)
+    place = [v.to_value(u.mas) for v in cube.pixel_to_offset(x, y)]
+    return bool(np.hypot(*place) < beam)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledPlanes:
+    """Wavelet planes of all epochs on a grid along the flow, see ``flow_planes``."""
+
+    planes: np.ndarray
+    valid: np.ndarray
+    mask: np.ndarray
+    noise: np.ndarray
+    grid: FlowGrid
+    years: np.ndarray
+    scales: tuple[float, ...]
+    sizes: list[float]
+    reach: float
+
+    def changes(self, normalise: str = "local") -> FlowPlanes:
+        """Return what changes in the planes, normalised."""
+        grid = self.grid
+        return flow_planes(
+            self.planes, self.valid, self.mask, self.noise, along=grid.along,
+            across=grid.across, years=self.years, scales=self.scales, sizes=self.sizes,
+            weight=None if np.ptp(grid.weight) == 0 else grid.weight,
+            normalise=normalise, reach=self.reach,
+        )  # fmt: skip
+
+
+def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH):
+    """
+    Decompose all epochs on a grid along the flow.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    grid : ``FlowGrid``
+    scales : sequence of float
+        Numbers of the wavelet scales.
+    seen : `~numpy.ndarray` of bool, shape (ny, nx)
+    kernel : str, optional
+        Of the wavelets.
+    order : int, optional
+        Of the splines between pixels.
+    reach : float, optional
+        Largest displacement of the diagrams, in beams.
+
+    Returns
+    -------
+    ``SampledPlanes``
+    """
+    ny, nx = cube.shape[1:]
+    inside = (grid.x > -0.5) & (grid.y > -0.5)
+    inside &= (grid.x < nx - 0.5) & (grid.y < ny - 0.5)
+    margin = int(BORDER * max(wavelet.scale_size(scale) for scale in scales)) + 2
+    box = tuple(
+        slice(max(0, int(v[inside].min()) - margin), int(v[inside].max()) + margin + 1)
+        for v in (grid.y, grid.x)
+    )
+    sampled = scipy.ndimage.map_coordinates
+    where = np.array([grid.y - box[0].start, grid.x - box[1].start])
+    where = np.where(inside, where, -1e6)
+    n = len(cube)
+    planes = np.empty((len(scales), n, *grid.x.shape), np.float32)
+    valid = np.empty((n, *grid.x.shape), dtype=bool)
+    sky, noise = ~seen[box], np.empty((n, len(scales)))
+    for k in range(n):
+        missing = cube.mask[k][box]
+        masked = missing if missing.any() else None
+        image = np.where(missing, 0.0, cube.data[k][box])
+        found = wavelet.wavelet_planes(image, scales, kernel=kernel, mask=masked)
+        empty, pairs = sky & ~missing, zip(found, scales, strict=True)
+        noise[k] = [_noise(plane, scale, empty, masked) for plane, scale in pairs]
+        for j, plane in enumerate(found):
+            planes[j, k] = sampled(plane, where, order=order)
+        valid[k] = inside
+        if masked is not None:
+            valid[k] &= sampled(missing.astype(float), where, order=1, cval=1.0) < 0.5
+    mask = sampled(seen[box].astype(float), where, order=1) > 0.5
+    side = cube.pixel_scale.to_value(u.mas) / (grid.along[1] - grid.along[0])
+    return SampledPlanes(
+        planes, valid, mask, np.sqrt((noise**2).mean(axis=0)), grid,
+        cube.years.to_value(u.yr), tuple(scales),
+        [side / grid.beam * wavelet.scale_size(scale) for scale in scales], reach,
+    )  # fmt: skip
+
+
+def sample_mask(mask, grid):
+    """Return the weight of the points of a grid inside a region."""
+    where = np.array([grid.y, grid.x])
+    return scipy.ndimage.map_coordinates(np.asarray(mask, float), where, order=1)
+
+
+def _noise(plane, scale, sky, mask):
+    """Return the noise of a plane where no flow is seen, or as it is found in it."""
+    if sky.mean() < 0.1:
+        return wavelet.plane_noise(plane, scale, mask=mask)
+    return wavelet.MAD_TO_SIGMA * float(np.median(np.abs(plane[sky])))
