@@ -283,7 +283,7 @@ def measure_profile(
     rng, seed = seeded(rng)
     generator, root = random_generator(rng), groups is None
     # Bins have the speeds of Gaussians, whose covariance is known.
-    settings = replace(search_settings(scc, cube, n_trials), well_known=1.0)
+    settings = replace(search_settings(scc, cube, n_trials), whole=False)
     limits = bins.to_value(u.mas)
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):

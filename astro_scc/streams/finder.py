@@ -42,8 +42,9 @@ from astro_scc.streams.transverse import transverse_speed
 
 #: With a secure feature that moves, this p_global is enough.
 WITH_FEATURES = 0.1
-#: Error of the speed of a spectrum beyond that of its patterns, relative to it.
-MODEL_ERROR = 0.25
+#: Error of the speed of a spectrum beyond that of its patterns, relative to it, where
+#: its Gaussian has at least the other one.
+MODEL_ERROR, WELL_KNOWN = 0.25, 0.1
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
 #: Smallest speed of a stream in errors, and of what the test may take for motion:
@@ -140,9 +141,10 @@ class SearchSettings:
         Search only speeds away from the core.
     intervals : (float, float)
         Shortest and longest interval that is used, in years.
-    well_known : float
-        A single stream with a smaller relative error has the speed of its Gaussian,
-        others the harmonic mean of the spectrum.
+    whole : bool
+        Whether a single stream whose Gaussian is not well known has the harmonic mean
+        of the spectrum, and others the error of few patterns; parts of a flow have the
+        speeds of Gaussians, whose covariance is known.
     """
 
     n_trials: int
@@ -150,7 +152,7 @@ class SearchSettings:
     alpha: float = 0.01
     outward: bool = False
     intervals: tuple[float, float] = EVERY
-    well_known: float = 0.1
+    whole: bool = True
 
     def inward(self, flow: DecomposedFlow) -> float:
         """Return the weight of speeds towards the core in the test of a flow."""
@@ -278,7 +280,7 @@ def find_streams(
         search = replace(search, fit=fit, errors=errors)
     shift = _alignment(flow.years, settings.misaligned)
     streams = _streams(
-        search, _of_spectrum(search, equations, settings.well_known), moving,
+        search, _of_spectrum(search, equations, settings.whole), moving,
         (sheet, aside), shift, covered=covered, p_distinct=p,
     )  # fmt: skip
     if passes:
@@ -424,17 +426,18 @@ def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
     return found
 
 
-def _of_spectrum(search, equations, well_known):
+def _of_spectrum(search, equations, whole):
     """Return speed and dispersion with errors, in mas/yr, and share of each stream."""
     fit, errors, beam, test = search.fit, search.errors, search.beam, search.test
     if fit is None:
         return [(test.speed[test.best[1]] * beam, *[np.nan] * 4)]
     speed, error, spread = fit.mean * beam, errors.mean * beam, fit.sd * beam
-    if len(speed) == 1 and not error[0] < well_known * abs(speed[0]):
-        speed, error = np.reshape(_harmonic(search, equations), (2, 1))
-    elif len(speed) == 1:
+    if len(speed) == 1 and whole:
         # Few patterns are a small sample of the speeds of one stream.
-        error = np.hypot(error, unknown_scatter(speed, errors.number))
+        found = speed, np.hypot(error, unknown_scatter(speed, errors.number))
+        if not error[0] < WELL_KNOWN * abs(speed[0]):
+            found = np.reshape(_harmonic(search, equations), (2, 1))
+        speed, error = found
     spread_err = spread / np.sqrt(2 * np.maximum(errors.number, 1))
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 
