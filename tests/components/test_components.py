@@ -71,9 +71,6 @@ def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_pa
     assert components.major.value.tolist() == [0.3, 0.0, 0.8]
     assert components.pa.value.tolist() == [0, 0, 60]
     assert "3 components at 2 epochs" in repr(components)
-    names = ("times", "epoch", "flux", "east", "north")
-    points = ComponentList(**{k: columns()[k] for k in names})
-    assert (points.major.value.any(), *points.feature) == (False, -1, -1, -1)
     assert components.select(before="2006-07-01").feature.tolist() == [0, 1]
     last = components.select(after=Time("2006-07-01"))
     assert (last.labels, last.beams, *last.epoch) == (("2006-07-01",), (BEAM,), 0)
@@ -109,10 +106,6 @@ CARTESIAN = {
     "separation": None, "position_angle": None,
     "east": [1.0, 2.0, 3.0, 4.0] * u.mas, "north": [1.0, 2.0, 3.0, 4.0] * u.mas,
 }  # fmt: skip
-BLANK = {
-    "separation": [np.nan, 4, 1, 2] * u.mas,
-    "position_angle": [np.nan, 90, 0, 180] * u.deg,
-}
 
 
 @pytest.mark.parametrize(
@@ -122,12 +115,9 @@ BLANK = {
          {"east": [0, 4, 0, 0], "north": [0, 0, 0, -2], "major": [0.2, 0, 0.4, 0.3],
           "minor": [0.1, 0, 0.4, 0.3], "pa": [292, 0, 0, 0]}),
         ({}, "map", {"east": [-0.5, 3.5, 0, 0], "north": [0, 0, 1, -1]}),
-        # A core without an offset is at the map's centre.
-        (BLANK, "map", {"east": [0, 4, 0, 0]}),
         # Without features, separations are from the map's centre.
         ({"feature": None}, None, {"east": [-0.5, 4, 0, 0]}),
         ({"axial_ratio": None}, None, {"minor": [0.2, 0, 0.4, 0.3]}),
-        (CARTESIAN, None, {"east": [1, 2, 3, 4]}),
         (CARTESIAN, "core", {"east": [0, 1, 0, 1], "north": [0, 1, 0, 1]}),
     ],
 )  # fmt: skip
@@ -145,19 +135,12 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     ("changes", "options", "message"),
     [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
-        (
-            {"epoch": None, "flux": None},
-            {},
-            "no column for 'epoch', 'flux'; the",
-        ),
+        ({"epoch": None, "flux": None}, {}, "no column for 'epoch', 'flux'; the"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
-        ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
         ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: separation or posi"),
-        ({"feature": [0, np.nan, 0, 1.0]}, {}, "component 2 of 4: feature is blank"),
         ({"feature": [0, 0, 0, 1]}, {}, "2 core components .* on 2006-03-09"),
         ({"feature": [0, 1, 3, 2]}, {"origin": "map"}, "no core component .* 2006-12"),
-        ({"source": ["a", "a", "b", "b"]}, {}, r"2 sources in the table \(a, b\)"),
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
         ({}, {"origin": "jet"}, "origin = .jet. must be"),
         ({}, {"dates": ["then"]}, "dates: 'then' is no date"),
@@ -174,9 +157,6 @@ def test_bad_tables(tmp_path, changes, options, message):
 def test_sources_of_a_table(tmp_path):
     path = write(mojave(source=["a", "a", "b", "b"]), tmp_path / "t.ecsv")
     assert read_components(path, source="b").meta["object"] == "b"
-    own = write(mojave(epoch=None, feature=None), tmp_path / "own.ecsv")
-    given = read_components(own, dates="2010-01-01", beams=BEAM)
-    assert (given.labels, given.beams) == (("own.ecsv",), (BEAM,))
     table = vstack([mojave(source=[f"S{k}"] * 4) for k in range(30)])
     path = write(table, tmp_path / "many.ecsv")
     assert len(read_components(path, source="S29")) == 4
@@ -238,10 +218,6 @@ def test_machine_readable_tables_with_their_description_or_beside_it(tmp_path):
     parts = read_components(tmp_path / "table4.dat", source="0000+000")
     for name in COLUMNS:
         assert_array_equal(getattr(parts, name), getattr(components, name))
-    with_names = JOURNAL.replace("I2     month", "A2     ---  ").replace(" 12 ", " De ")
-    (tmp_path / "bad.txt").write_text(with_names)
-    with pytest.raises(ValueError, match="bad.txt, row 3: '2006-De-01' is no date;"):
-        read_components(tmp_path / "bad.txt", source="0000+000")
 
 
 def test_mojave_xviii(shared_data):
@@ -287,10 +263,6 @@ def test_difmap_model(tmp_path):
     for name, values in expected.items():
         assert_allclose(getattr(components, name).value, values, atol=1e-12)
     assert components.meta["position"].ra.deg == pytest.approx(187.27791542)
-    text = MODEL.replace("Radius (mas)", "Radius (arcsec)")
-    components = read_components(model(tmp_path, text))
-    assert components.east[0].value == pytest.approx(100)
-    assert components.major[0].value == pytest.approx(200)
     # A size without a type is that of a Gaussian.
     path = model(tmp_path, "1 0 0 0.5 1 0\n", "2006-03-09.mod")
     assert read_components(path).major[0] == 0.5 * u.mas
@@ -298,28 +270,19 @@ def test_difmap_model(tmp_path):
     paths = [model(tmp_path, name=name) for name in names]
     days = read_components(paths).times.strftime("%Y-%m-%d").tolist()
     assert days == ["2006-01-01", "2006-06-05", "2007-01-01"]
-    given = read_components(paths, dates=["2001-01-01", None, None], beams=[BEAM] * 3)
-    assert (given.labels[0], given.beams) == (names[0], (BEAM,) * 3)
-    assert "position" in given.meta
 
 
 NAME = "1226+023.u.2006_03_09.mod"
 BAD = [
     (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
-    (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
     (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
-    (NAME, b"1 2 3 4 1.5 0 1\n", {}, "component 1 of 1: axes must be"),
     (NAME, b"! nothing\n", {}, "no components in the file"),
-    (NAME, b"1 2 3\n", {"origin": "core"}, "no core component .* expected one"),
     (NAME, b"\xff\xfe\x00", {}, "it is not text"),
     ("jet.mod", b"1 2 3\n", {}, "no date in a name like .*.mod; write"),
     ("jet.model", b"1 2 3\n", {}, "its suffix is none of .ecsv, .*; rename it"),
     ("t.ecsv", b"<html>not found</html>\n", {}, "not a readable ascii.ecsv"),
-    ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
     # Options of a FITS file with an AIPS CC table.
     ("a.fits", {"tables": 0}, {}, "no AIPS CC table"),
-    ("a.fits", {"drop": ("DELTAX",)}, {}, "no column for 'position_angle', 'sep"),
-    ("a.fits", {"FLUX": [1, np.nan]}, {}, "component 2 of 2: flux is blank"),
     ("a.fits", {"header": {"DATE-OBS": "never"}}, {}, "'never' is no date"),
     ("a.fits", {"header": {"DATE-OBS": None}}, {}, "no DATE-OBS in the header"),
 ]
@@ -374,12 +337,9 @@ def test_aips_table(tmp_path):
     for name, values in expected.items():
         assert_allclose(getattr(components, name).value, values)
     assert components.meta["position"].ra.deg == 77
-    galactic = {"CTYPE1": "GLON-SIN", "CTYPE2": "GLAT-SIN"}
-    other = read_components(aips(tmp_path / "g.fits", header=galactic))
-    assert other.meta["position"].galactic.l.deg == pytest.approx(77)
     # Where there is no image, components are restored.
-    with fits.open(tmp_path / "g.fits") as hdus:
-        assert kind_of(tmp_path / "g.fits") == "images"
+    with fits.open(tmp_path / "a.fits") as hdus:
+        assert kind_of(tmp_path / "a.fits") == "images"
         hdus[0].data = None
         hdus.writeto(tmp_path / "list.fits")
     assert kind_of(tmp_path / "list.fits") == "components"
@@ -429,9 +389,6 @@ def test_difmap_models_are_restored(models):
     # The faintest component, of 0.15 to 0.3 Jy a beam, is ten times the noise.
     assert np.all((cube.noise > 0.015 * cube.unit) & (cube.noise < 0.03 * cube.unit))
     assert np.all(abs(cube.measured_noise / cube.noise - 1) < 0.2)
-    with pytest.warns(EpochWarning, match=RESTORED):
-        again = EpochCube.read(models[::-1], beams=[BEAM, BEAM])
-    assert_array_equal(again.data, cube.data)
 
 
 def test_lists_that_cannot_be_images(models, tmp_path, make_fits):

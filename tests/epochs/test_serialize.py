@@ -93,7 +93,7 @@ def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:two images are of")
-@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=3, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=arrays(float, (2, 1, 2), elements=st.floats(width=64)),
     days=st.lists(st.floats(-3e4, 2e4), min_size=2, max_size=2),
@@ -131,7 +131,7 @@ def test_damaged_files_and_those_of_later_versions(tmp_path, monkeypatch):
         EpochCube.read(path)
     make_cube().write(path, overwrite=True)
     content = path.read_bytes()
-    for keep in (3000, 9000, len(content) // 2, len(content) - 3000):
+    for keep in (3000, len(content) - 3000):
         path.write_bytes(content[:keep])
         with pytest.raises(
             OSError, match=r"cube.fits: cannot be read as .*EpochC"
@@ -152,9 +152,5 @@ def test_other_programs_see_images_and_dates(tmp_path):
     solar = {"pixel_scale": 1 * u.arcsec, "unit": "DN"}
     cube = EpochCube.from_arrays(np.arange(40.0).reshape(2, 4, 5), DATES[:2], **solar)
     assert EpochCube.read(write_epochs(cube, tmp_path / "e")).unit == u.DN
-    # One that it writes otherwise than astropy.
-    cube = cube.with_step("", unit=u.MJy / u.sr)
-    path = write_epochs(cube, tmp_path / "sr")[0]
-    assert fits.getval(path, "BUNIT") == "MJy sr-1"
     with pytest.raises(OSError, match="fits: exists; choose another folder, or overwr"):
         write_epochs(cube, tmp_path / "e")

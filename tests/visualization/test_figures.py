@@ -7,7 +7,6 @@ from io import BytesIO
 
 import matplotlib
 import pytest
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from astro_scc.visualization import FIGURES, style
@@ -45,20 +44,11 @@ def test_no_component_no_ssps_and_no_beam_are_no_reason_to_fail(kind, bare):
 REFUSED = [
     ("map", {}, "unknown figure 'map': use one of spectrum"),
     ("diagram", {"unit": "yr"}, "unit must be an angle"),
-    ("separation", {"unit": "s"}, "unit must be an angle"),
-    ("tracks", {"unit": "s"}, "unit must be an angle"),
     ("spectrum", {"unit": "mas"}, "unit must be an angle over a time"),
-    ("velocity_map", {"unit": "mas"}, "unit must be an angle over a time"),
     ("velocity_map", {"which": "p"}, "unknown map 'p': use 'coefficient'"),
     ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
-    (
-        "velocity_map",
-        {"colour": "red"},
-        "unknown option 'colour' of this figure: .*Image",
-    ),
     ("tracks", {"cmap": "magma"}, "unknown option 'cmap' .* matplotlib's Line2D"),
-    (0, {"unit": "Jy"}, "unit must be an angle"),
     (8, {}, "epoch 8 of a cube with 8 epochs"),
     (0.5, {}, "cannot be interpreted as an integer"),
     ("diagram", {"ax": "of a WCS"}, "ax is a WCSAxes, .* without projection="),
@@ -77,35 +67,18 @@ def test_what_is_refused(result, bare, what, options, words):
 
 
 #: Keywords of matplotlib by the kind of figure, and the artist that has them.
-KEYWORDS = {
-    "velocity_map": ({"cmap": "magma", "vmax": 3.0}, lambda ax: ax.images[0]),
-    "paper": ({"cmap": "magma"}, lambda ax: ax.images[0]),
-    "diagram": (
-        {"cmap": "PuOr", "norm": Normalize(-1, 2)},
-        lambda ax: ax.collections[0],
-    ),
-    "distance": ({"cmap": "Blues"}, lambda ax: ax.collections[0]),
-    "epochs": ({"cmap": "viridis", "vmax": 0.5}, lambda ax: ax.images[0]),
-    "spectrum": ({"lw": 3.0}, lambda ax: ax.lines[0]),
-    "significance": ({"color": "red"}, lambda ax: ax.lines[2]),
-    "speeds": ({"ms": 7}, lambda ax: ax.containers[0].lines[0]),
-    "sensitivity": ({"marker": "D"}, lambda ax: ax.containers[0].lines[0]),
-    "tracks": ({"lw": 2.5}, lambda ax: ax.lines[0]),
-    "separation": ({"alpha": 0.2}, lambda ax: ax.lines[1]),
-}
-GETTERS = {"lw": "linewidth", "ms": "markersize"}
+KEYWORDS = [
+    ("velocity_map", {"cmap": "magma"}, lambda ax: ax.images[0].get_cmap().name),
+    ("distance", {"cmap": "Blues"}, lambda ax: ax.collections[0].get_cmap().name),
+    ("spectrum", {"lw": 3.0}, lambda ax: ax.lines[0].get_linewidth()),
+    ("significance", {"color": "red"}, lambda ax: ax.lines[2].get_color()),
+    ("tracks", {"lw": 2.5}, lambda ax: ax.lines[0].get_linewidth()),
+]
 
 
-@pytest.mark.parametrize("kind", FIGURES)
-def test_keywords_of_matplotlib_pass_through(result, kind):
-    look, drawn = KEYWORDS[kind]
-    artist = drawn(result.plot(kind, **look).axes[0])
-    for name, value in look.items():
-        if name in ("vmax", "norm"):
-            assert artist.norm.vmax == getattr(value, "vmax", value)
-            continue
-        found = getattr(artist, f"get_{GETTERS.get(name, name)}")()
-        assert getattr(found, "name", found) == value
+@pytest.mark.parametrize(("kind", "look", "seen"), KEYWORDS)
+def test_keywords_of_matplotlib_pass_through(result, kind, look, seen):
+    assert [seen(result.plot(kind, **look).axes[0])] == [*look.values()]
 
 
 def test_files_have_fonts_that_journals_take(result, monkeypatch):

