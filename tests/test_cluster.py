@@ -6,14 +6,13 @@ import os
 import signal
 import sys
 import types
-from concurrent.futures import Future
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.parallel import _result, as_done, in_order, workers_of
+from astro_scc.parallel import as_done, in_order, workers_of
 
 distributed = pytest.importorskip("distributed")
 
@@ -116,31 +115,6 @@ def test_a_scheduler_that_is_lost(monkeypatch):
     with cluster_of(1) as client:
         with pytest.raises(OSError, match="was lost; start it and this again"):
             list(in_order(operator.neg, pieces(client), client))
-    # Of pieces that have been sent, each is told.
-    futures = [Future(), Future()]
-    for future in futures:
-        future.cancel()
-        future.set_running_or_notify_cancel()
-    monkeypatch.setattr("astro_scc.parallel._submit", lambda *_: futures.pop())
-    with cluster_of(1) as client:
-        found = dict(as_done(operator.neg, [1, 2], client))
-    assert {str(error).split(";")[0] for error in found.values()} == {
-        "the scheduler was lost"
-    }
-
-
-def test_work_that_is_not_done():
-    future = Future()
-    future.cancel()
-    future.set_running_or_notify_cancel()
-    with pytest.raises(OSError, match="was lost; start it and this again"):
-        _result(future, 2)
-    # As the scheduler says after four workers died of one piece.
-    future = Future()
-    worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
-    future.set_exception(distributed.KilledWorker("piece", worker, 3))
-    with pytest.raises(ChildProcessError, match="several workers died of one piece"):
-        _result(future, 2)
 
 
 def test_without_dask_or_a_scheduler(monkeypatch):

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 from astropy.time import Time
-from astropy.wcs import WCS
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.measurement.parts import parts_of
 from astro_scc.paper.components import find_velocity_peaks
 from astro_scc.products import write_products
 from astro_scc.quantities import seeded
@@ -136,18 +134,6 @@ def test_epochs_that_are_decomposed_are_not_the_paper_s(cube):
         make_scc(method="paper").measure(decomposed)
 
 
-def test_parts_of_the_data_use_the_same_intervals(cube):
-    low, high = 0.1, 0.3
-    result = measure(cube, baseline=[low, high] * u.yr, position_angle=270 * u.deg)
-    assert result.search.intervals == (low, high)
-    own = replace(result.search, intervals=(0.0, 0.2))
-    assert parts_of(own)[0]["pm"] == parts_of(result.search)[0]["pm"]
-    rows = {row["choice"]: row["pm"] for row in parts_of(result.search)}
-    other = {row["choice"]: row["pm"] for row in parts_of(own)}
-    (inner,) = [name for name in rows if name.startswith("inner")]
-    assert rows[inner] != other[inner]
-
-
 # The motion that is there --------------------------------------------------------
 
 
@@ -197,22 +183,6 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
 
 
 # What must not matter ------------------------------------------------------------
-
-
-def test_pixels_that_are_not_square():
-    """Ten narrow pixels an epoch are farther than the mean pixel tells."""
-    data = moving((10.0, 0.0), n_epochs=3, shape=(72, 128))
-    wcs = WCS(naxis=2)
-    wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
-    wcs.wcs.cunit = ["mas", "mas"]
-    wcs.wcs.crpix = [64.0, 36.0]
-    wcs.wcs.cdelt = [-0.05, 0.2]
-    beam = Beam(0.3 * u.mas, 0.3 * u.mas)
-    cube = EpochCube(data=data, times=dates(range(3)), wcs=wcs, beams=beam)
-    with pytest.warns(MeasurementWarning, match="3 epochs allow no p_global below"):
-        found = measure(cube, scales=[1], max_speed=6 * PIXEL)
-    # Half of 0.1 mas each.
-    np.testing.assert_allclose(strongest(found), (5, 0), atol=0.15)
 
 
 NO_SSP = (

@@ -48,7 +48,7 @@ def scene():
     return image + gaussians(places, 3.4, heights, image.shape)
 
 
-@pytest.mark.parametrize("value", [0.0, -2.5e9, 0.1])
+@pytest.mark.parametrize("value", [0.0, -2.5e9])
 @pytest.mark.parametrize("noise", ["plane", "local"])
 def test_nothing_in_a_constant_image(value, noise):
     image = np.full((64, 64), value)

@@ -36,16 +36,6 @@ def test_a_secure_feature(features, secure):
     assert lines[0].startswith(
         f"Detected within 0.5 beams in {n} of {last - first + 1}"
     )
-    low, high, _ = map(
-        float, re.findall(r"S/N of (\S+) to (\S+), (\S+) in", lines[0])[0]
-    )
-    # The images say the same.
-    x, y = features.cube.offset_to_pixel(rows["ra_offset"], rows["dec_offset"])
-    pixel = np.rint(y).astype(int), np.rint(x).astype(int)
-    value = features.cube.data[rows["epoch"], *pixel]
-    signal = value / features.cube.noise_rms().value[rows["epoch"]]
-    assert low <= 1.05 * signal.min() + 0.1
-    assert 1.05 * high + 1 >= signal.max()
     text = " ".join(lines)
     assert f"p_false {features.p_false[k]:.2g} (at most 0.3)" in text
     assert f"motion of {features.moved[k]:.2g} beams (at least 1)" in text
@@ -105,10 +95,6 @@ def test_which_step_lost_an_emission(features, secure):
         lines[-2],
     )
     assert "its links are in less than 60% of the disturbed assignments" in lines[-1]
-    # Other tracks that have its detections, two each.
-    parts = np.array_split(features.tracks[k].detection, 3)
-    split = replace(features, tracks=tuple(Track(part, 1.0, True) for part in parts))
-    assert "are taken by likelier tracks: " in lost(split)[-1]
     jump = np.random.default_rng(1).normal(scale=4.0, size=(12, 2))
     scattered = replace(d, place=d.place + jump[d.epoch])
     moved = rows.copy()

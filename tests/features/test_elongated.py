@@ -6,11 +6,9 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from astropy.time import Time
 from scipy.ndimage import gaussian_filter
 
-from astro_scc.cli import main
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import TrackSettings, find_features
 from astro_scc.features.finder import distinct_tracks, without_alternatives
@@ -50,8 +48,10 @@ def cube_of(data, interval=1 * u.yr, pixel=0.1 * u.mas, beam=BEAM):
 # -- elongated ones --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("noise", [5e-3, 1e-3, 1e-4])
-@pytest.mark.parametrize("widths", [(1, 1.15), (1, 1.4), (1.4, 1), (1, 2)])
+@pytest.mark.parametrize(
+    ("widths", "noise"),
+    [((1, 1.15), 1e-4), ((1, 1.4), 5e-3), ((1.4, 1), 1e-3), ((1, 2), 1e-3)],
+)
 def test_an_elongated_knot_is_one_feature(widths, noise):
     features = find_features(cube_of(images(BEAM * np.array(widths), noise)))
     assert features.secure.sum() == len(KNOTS)
@@ -159,10 +159,7 @@ def usual(data):
 
 UNITS = [
     (0.1 * u.s, 1 * u.uas, 1.0),
-    (1 * u.min, 1 * u.mas, 1e-9),
     (1 * u.day, 1 * u.arcsec, 1e6),
-    (10 * u.yr, 1 * u.deg, 1.0),
-    (0.1 * u.s, 1 * u.deg, 1e6),
     (10 * u.yr, 1 * u.uas, 1e-9),
 ]
 
@@ -186,14 +183,3 @@ def test_units_change_nothing_else(data, usual, interval, pixel, brightness):
             )
     flux = found.detections.flux / brightness
     np.testing.assert_allclose(flux, usual.detections.flux, rtol=1e-4)
-
-
-def test_fast_and_small_ones_on_the_command_line(data, tmp_path):
-    cube = cube_of(data, 0.1 * u.s, 1 * u.uas)
-    cube.write(tmp_path / "cube.fits")
-    options = ["-o", str(tmp_path / "out"), "--quiet"]
-    assert main(["track", str(tmp_path / "cube.fits"), *options]) == 0
-    table = QTable.read(tmp_path / "out" / "features.ecsv")
-    assert table["secure"].sum() == len(KNOTS)
-    speed = (table["pm"] * 0.1 * u.s / u.uas).to_value(1)
-    np.testing.assert_allclose(speed, STEP, rtol=0.02)

@@ -78,7 +78,7 @@ def test_no_scale():
         np.testing.assert_allclose(getattr(small, name), value, 1e-6, 1e-9 * unit)
 
 
-@pytest.mark.parametrize("bad", [np.nan, 1e6, -1e6])
+@pytest.mark.parametrize("bad", [np.nan, -1e6])
 def test_missing_pixels_do_not_spread(bad):
     image = sky(*TWO)
     mask = np.zeros(SHAPE, dtype=bool)

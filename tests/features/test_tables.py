@@ -93,16 +93,6 @@ def test_the_error_of_the_core(features):
     assert features.core_error == pytest.approx(np.sqrt(square))
 
 
-def test_positions(features):
-    table, d = features.positions, features.detections
-    own = table[table["feature"] == features.number[2]]
-    track = features.tracks[2].detection
-    np.testing.assert_array_equal(own["epoch"], d.epoch[track])
-    np.testing.assert_allclose(own["ra_offset"].value, d.place[track, 0], atol=1e-2)
-    assert own["date"][0].isot.startswith("2001-01-01")
-    assert set(own["used"]) == {True}
-
-
 def test_a_feature_at_the_core_that_stands(features, series):
     # Neither radius nor motion has a direction.
     d = series([(t, 0.0, 0.0) for t in range(N)], years=features.detections.years)
@@ -111,15 +101,6 @@ def test_a_feature_at_the_core_that_stands(features, series):
     assert row["pm_pa_err"] == row["position_angle_err"] == 180 * u.deg
     assert row["separation"] == 0 * u.mas
     assert np.isnan(row["t_ej"])
-
-
-def test_columns_of_the_sun(features):
-    wcs = features.cube.wcs.deepcopy()
-    wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
-    sun = replace(features, cube=replace(features.cube, wcs=wcs))
-    for table in (sun.table, sun.positions):
-        assert not {n for n in table.colnames if "ra_" in n or "dec" in n}
-        assert table["lon_offset"].info.description.endswith("solar west")
 
 
 @pytest.mark.parametrize(

@@ -99,17 +99,6 @@ def test_the_seed_decides(series):
     assert [t.same_speed for t in one] != [t.same_speed for t in other]
 
 
-def test_rounds_take_up_what_is_left(separated):
-    for rounds, n in ((0, 0), (1, 4)):
-        assert len(found(separated, settings=TrackSettings(rounds=rounds))) == n
-
-
-def test_the_speed_of_what_is_ambiguous_is_not_the_same(series):
-    # A row of equal features that stands, or moves by one place at each epoch.
-    d = series([(t, 0.5 * k, 0.0) for t in range(7) for k in range(1, 9)])
-    assert np.mean([track.same_speed for track in find_tracks(d)]) < 1
-
-
 # -- tracks that steady motion allows ---------------------------------------------
 
 

@@ -16,7 +16,6 @@ from scipy.special import stdtr
 from astro_scc import StackedCrossCorrelation
 from astro_scc.flow import (
     compare_scales,
-    feature_profile,
     fit_profile,
     measure_acceleration,
     measure_field,
@@ -29,7 +28,7 @@ from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import feature_distances
 from astro_scc.kinematics import RadialFrame, RidgeLine
 from astro_scc.measurement.tables import stream_table
-from astro_scc.simulation import Flow, simulate_jet
+from astro_scc.simulation import simulate_jet
 from astro_scc.streams.decomposed import decompose_flow
 from astro_scc.streams.parts import fit_part
 
@@ -128,12 +127,7 @@ def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
         assert u.isclose(found.acceleration_err, found.gradient_err * found.speed)
         assert str(found).startswith("acceleration: 0.")
         assert found.centre > 1.6 * u.mas
-    n = len(result.streams)
-    for row in np.flatnonzero(result.streams["kind"] == "stationary"):
-        still = measure_acceleration(result, row)
-        assert np.isnan(still.p_value)
-        assert "unknown, as speeds are needed in three parts" in str(still)
-    with pytest.raises(ValueError, match=f"row must be from 0 to {n - 1}, got 9"):
+    with pytest.raises(ValueError, match="row must be from 0 to .*, got 9"):
         measure_acceleration(result, 9)
 
 
@@ -149,16 +143,6 @@ def test_along_a_ridge_line_and_in_windows(decomposed):
     assert_allclose(*pm, rtol=0.02)
     windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
     assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
-
-
-def test_bins_of_features_hold_all_in_order(result):
-    table, stream = feature_profile(result), result.search.streams[0]
-    own = table["stream"] == 1
-    assert stream.kind == "moving"
-    assert table["n_features"][own].sum() == len(stream.members)
-    assert np.all(table["n_features"] >= 5)
-    limits = [table[k][own].value for k in ("r_min", "r_mid", "r_max")]
-    assert np.all(np.diff(np.transpose(limits).ravel()) >= 0)
 
 
 # -- covariance and slope ----------------------------------------------------------
@@ -215,13 +199,6 @@ def test_straight_line_is_that_of_numpy():
     chi2 = (((v - np.polyval(line, R.value)) / e) ** 2).sum()
     assert (fit.chi2, fit.n_free) == (pytest.approx(chi2), 10)
     assert fit.aicc == pytest.approx(chi2 + 4 + 12 / 9)
-    # A covariance of independent speeds is their errors; what all share, v0 has.
-    again = fit_profile(R, v * PM, e * PM, covariance=np.diag(e**2) * PM**2)
-    assert again.chi2 == pytest.approx(fit.chi2)
-    both = np.diag(e**2) + 0.25
-    common = fit_profile(R, v * PM, e * PM, covariance=both * PM**2)
-    assert u.isclose(common.errors["gradient"], fit.errors["gradient"], rtol=1e-3)
-    assert common.errors["v0"] > 0.5 * PM
 
 
 @settings(max_examples=25)
@@ -248,18 +225,6 @@ def test_broken_line_finds_the_break():
     assert 0 < fit.errors["r_break"].value < 0.5
 
 
-def test_a_fit_does_not_depend_on_the_units():
-    # A zigzag, which no broken line is.
-    r = np.linspace(1, 10, 24)
-    v, errors = 1 + 2 * np.abs((r % 5) - 2.5), np.full(24, 0.02)
-    fits = [
-        fit_profile((r * u.mas).to(unit), v, errors, model="broken")
-        for unit in (u.mas, u.arcsec, u.deg)
-    ]
-    chi2 = [fit.chi2 for fit in fits]
-    assert_allclose(chi2, chi2[0], rtol=1e-6)
-
-
 @pytest.mark.parametrize("scale", [0.2, 3.0])
 def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
     """Student's, whether the speeds scatter by more or less than their errors."""
@@ -271,13 +236,6 @@ def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
     assert fit.p_constant == pytest.approx(2 * stdtr(10, -abs(slope / slope_err)))
     # Two speeds leave nothing that a line could be judged by.
     assert fit_profile(R[:2], v[:2], error[:2]).p_constant == 1
-
-
-def test_constant_has_uniform_probabilities():
-    speeds = np.random.default_rng(4).normal(2, 0.1, (300, 12))
-    p = np.array([fit_profile(R, v, np.full(12, 0.1)).p_constant for v in speeds])
-    assert np.mean(p < 0.05) < 0.09
-    assert fit_profile(R, V, V, model="constant").p_constant == 1
 
 
 # -- groups of scales --------------------------------------------------------------
@@ -301,22 +259,6 @@ def test_groups_are_measured_by_themselves(by_scale):
     assert np.all(found["p_value"] > 1e-3)
 
 
-@pytest.mark.slow
-def test_layers_have_their_speeds():
-    """Small features at 0.9 beams an interval, and large ones at 0.3."""
-    small = {"speed": 0.9, "size": 0.2}
-    large = {"speed": 0.3, "size": 1.2, "flux": 0.3}
-    flows = [
-        Flow(name, n_features=5, widening=0.1, **own)
-        for name, own in (("spine", small), ("sheath", large))
-    ]
-    cube = simulate_jet(streams=flows, n_epochs=30, rng=301).cube
-    result = SCC(cube, n_trials=99, rng=1)
-    (row,) = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})
-    assert row["difference"] < 0 * PM
-    assert row["p_value"] < 0.05
-
-
 # -- cells -------------------------------------------------------------------------
 
 
@@ -336,9 +278,6 @@ def test_cells_of_distance_and_offset(result):
     assert_allclose(hdus["SPEED"].data[0], even.table["pm_parallel"].value)
     wcs = WCS(hdus["ERROR"].header)
     assert_allclose(wcs.wcs_pix2world([[1, 0]], 0), [[5.2, 0.0]])
-    # Every two beams, in three parts across.
-    whole = measure_field(result, n_trials=3, rng=1)
-    assert len(whole.table) == (len(whole.along) - 1) * 3
 
 
 def test_cells_of_radial_flows_have_azimuths(jet):

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.columns import columns_of
 from astro_scc.decomposition import SSPs
 from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import false_discovery_rate
@@ -40,17 +39,6 @@ def same(read, written):
         if isinstance(b, Time):
             a, b = a.isot, b.isot
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
-
-
-def test_streams_have_all_columns_with_units_and_descriptions():
-    row = dict.fromkeys(columns_of("streams"), 1.0)
-    row |= {"kind": "few", "caution": "-", "pm_from": "spectrum"}
-    for n in (0, 3):
-        table = stream_table([row] * n, meta={"seed": 1})
-        assert (len(table), table.meta) == (n, {"seed": 1})
-        assert all(table[name].info.description for name in table.colnames)
-        assert table["pm"].unit == table["pm_spectrum"].unit == PM
-        assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
 
 
 # Of a measurement ----------------------------------------------------------------

@@ -397,13 +397,11 @@ def test_nothing_to_correlate(masked, target):
         ({"target": "image"}, {}, "target = 'image' must be one of segments, plane"),
         ({"min_overlap": 0}, {}, "min_overlap = 0 must be above 0, up to 1"),
         ({}, {"pairs": [(0, 3)]}, "outside 0 to 2"),
-        ({}, {"pairs": [(-1, 2)]}, "outside 0 to 2"),
         *(
             ({}, {"search_radius": r}, "search radius must be one or two numbers of")
             for r in ((5, -1), (1, 2, 3), np.nan)
         ),
         ({}, {"other": ((1, 2), NY, NX)}, "one shape and the same scales"),
-        ({}, {"other": ((1, 3), *SHAPE)}, "one shape and the same scales"),
     ],
 )
 def test_what_is_refused(masked, own, call, message):

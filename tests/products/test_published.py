@@ -4,7 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable, vstack
+from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.epochs import ComponentList
@@ -55,14 +55,6 @@ def test_the_same_features_have_their_numbers_and_speeds(features, written, tmp_
     error = np.hypot(table["pm_err"], table["published_pm_err"].unmasked)
     assert np.all((np.abs(close) <= 3 * error)[~other])
     assert all(table[k].info.description for k in table.colnames)
-    # Later positions of a feature that accelerates do not count.
-    later = published.copy()
-    later["date"] += 20 * u.yr
-    later["ra_offset"] += 99 * u.mas
-    far = vstack([published, later])
-    far.sort(["published", "date"])
-    again = with_published(features.table, features, far)
-    np.testing.assert_array_equal(again["published_pm"], table["published_pm"])
     # They survive in the file.
     table.write(tmp_path / "out.ecsv")
     assert QTable.read(tmp_path / "out.ecsv")["published"].mask.sum() == 1
@@ -82,17 +74,6 @@ def test_how_many_agree_is_said(features, written):
     table["published"].mask = True
     assert published_lines(table) == [f"0 of {n} secure features are published ones."]
     assert published_lines(with_published(features.table, features, None)) == []
-
-
-def test_too_far_or_too_few_are_others(features, written):
-    def same(published):
-        return with_published(features.table, features, published)["published"]
-
-    found = same(written(1.5 * features.detections.fwhm)).filled(-1)
-    assert not np.any(found == np.arange(len(found)) + 1)
-    published = written()
-    few = published[published["date"] < features.cube.times[2]]
-    assert np.all(same(few).mask)
 
 
 def test_speeds_are_those_of_straight_lines(features, shared_data):

@@ -66,7 +66,6 @@ def test_segmentation(matched):
         (lambda *of: ssp_regions(*of, 0, frame="sky"), ValueError, "frame must be"),
         (lambda *of: ssp_regions(*of, 0, frame="epoch"), ValueError, "was not read fr"),
         (lambda *of: ssp_regions(*of, 2), IndexError, "epoch 2 of a cube with 2"),
-        (lambda *of: ssp_segmentation(*of, 2, 1), IndexError, "epoch 2 of a cube"),
     ],
 )
 def test_what_is_refused(call, error, words):

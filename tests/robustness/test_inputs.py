@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Files, options and memory as they are in practice, see ``tools/inputs.py``."""
 
-import io
 import os
 import resource
 import signal
@@ -47,16 +46,6 @@ def test_a_disk_that_is_full_in_the_middle(epochs, measure, tmp_path, limit):
         "cannot be written: File too large; make room there or choose another folder"
     )
     assert set(tmp_path.rglob("*")) == before
-
-
-def test_output_that_nobody_can_print(inputs, epochs, tmp_path, monkeypatch):
-    """Terminals without Unicode get the answer too."""
-    text = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
-    monkeypatch.setattr("sys.stdout", text)
-    words = ["measure", *map(str, epochs), "-o", str(tmp_path / "ö"), *inputs.QUICK]
-    assert main([*words, "--no-report"]) == 0
-    text.flush()
-    assert b"\\xf6" in text.buffer.getvalue()
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 """Simulated jets: those of the paper, and jets as surveys see them."""
 
 import json
-from functools import partial
 
 import astropy.units as u
 import numpy as np
@@ -13,28 +12,18 @@ from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc.components.restoring import add_gaussians
-from astro_scc.epochs import Beam
 from astro_scc.simulation import (
     Flow,
     JetSimulation,
     Stream,
     simulate_ballistic,
     simulate_jet,
-    simulate_random_velocity,
     simulate_shell,
     simulate_two_fluid,
     simulate_unrelated,
     write_simulation,
 )
 from astro_scc.simulation.streams import raised_cosine
-
-PM = u.mas / u.yr
-
-
-def steps(truth, name="x"):
-    """Motion of every feature between consecutive epochs, in pixels."""
-    parts = truth.group_by("feature").groups
-    return np.concatenate([np.diff(part[name].value) for part in parts])
 
 
 def seen(truth, n_epochs=10):
@@ -44,31 +33,6 @@ def seen(truth, n_epochs=10):
 
 
 # The paper's jets -------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("folder", "simulate"),
-    [("two_fluid", simulate_two_fluid), ("random", simulate_random_velocity),
-     ("two_fluid_dense", partial(simulate_two_fluid, dense=True))],
-)  # fmt: skip
-def test_like_the_jets_of_the_paper(shared_data, folder, simulate):
-    """The same numbers of features, steps and peaks, within errors."""
-    paper = json.loads((shared_data / "paper_test" / folder / "truth.json").read_text())
-    jets = [simulate(rng=seed) for seed in range(8)]
-    for name, numbers in paper["n_visible_per_epoch"].items():
-        truths = [jet.truth[jet.truth["group"] == name] for jet in jets]
-        number = np.mean([seen(truth).mean() for truth in truths])
-        assert number == pytest.approx(np.mean(numbers), rel=0.1)
-        theirs = [f for f in paper["features"] if f["group"] == name]
-        for axis in "xy":
-            their = np.diff(np.array([f[axis] for f in theirs]))
-            ours = np.concatenate([steps(truth, axis) for truth in truths])
-            assert ours.mean() == pytest.approx(their.mean(), abs=0.6)
-            assert ours.std() == pytest.approx(their.std(), rel=0.12)
-    peak = np.mean([jet.cube.data.max(axis=(1, 2)).mean() for jet in jets])
-    theirs = np.mean([e["clean_peak"] for e in paper["epochs"]])
-    assert peak == pytest.approx(theirs, rel=0.15)
 
 
 def test_images_of_the_paper_from_their_truth(shared_data):
@@ -112,15 +76,6 @@ def test_velocity_field_is_followed():
     for part in truth.group_by("feature").groups:
         x = part["x"].value
         assert_allclose(x[1:], 1.1 * x[:-1])
-    across = Stream("flow", dx=(1, 2), dy=lambda x, y: 64 - y, half_width=9.0)
-    truth = JetSimulation([across], n_epochs=3, noise=0).run(rng=1).truth
-    assert_allclose(truth["y"].value[truth["epoch"] > 0], 64)
-    # The region stays populated, by 400 on average, of a binomial.
-    for speed, jitter in ((-30, 0.0), (12, 3.0)):
-        stream = Stream("s", dx=speed, density=20.0, half_width=5.0, jitter=jitter)
-        x = stream.features(JetSimulation([stream]), np.random.default_rng(1)).x
-        inside = ((x >= 20) & (x <= 220)).sum(axis=0)
-        assert np.all(np.abs(inside - 400) < 100)
 
 
 @pytest.mark.parametrize(
@@ -135,20 +90,11 @@ def test_speeds_have_their_mean_and_dispersion(distribution, dispersion, spread)
     assert speeds.min() >= 0.06
 
 
-def test_number_of_features_in_view():
-    jet, rng = simulate_jet(rng=1, shape=(8, 8)).simulation, np.random.default_rng(1)
-    flow = Flow(dispersion=0.3, acceleration=1.6)
-    drawn = [flow.features(jet, rng) for _ in range(60)]
-    counts = [np.mean(np.sum(features.flux > 0, axis=0)) for features in drawn]
-    assert np.mean(counts) == pytest.approx(8, rel=0.05)
-
-
 # Nothing but the features.
 BARE = {"core_flux": 0.0, "noise": 0.0, "flux_variation": 0.0, "shape": (8, 8)}
 
 
-@pytest.mark.parametrize("acceleration", [0.5, 1.6])
-def test_acceleration(acceleration):
+def test_acceleration(acceleration=1.6):
     truth = simulate_jet(
         rng=1, dispersion=0.0, acceleration=acceleration, interval_scatter=0.0,
         interval=0.01 * u.yr, speed=0.03, n_features=60, **BARE,
@@ -175,32 +121,6 @@ def test_peaks_are_where_the_truth_has_them():
         assert max(abs(x - row["x"].value), abs(y - row["y"].value)) <= 0.5
         total = row["flux"].value + other["flux"].value
         assert image.sum() / pixels_a_beam == pytest.approx(total, rel=1e-3)
-    east, north = still["east"].to_value(u.mas), still["north"].to_value(u.mas)
-    assert np.ptp(east) == pytest.approx(0, abs=1e-9)
-    assert np.hypot(east, north)[0] == pytest.approx(5 * 0.8, rel=0.02)
-    angle = np.degrees(np.arctan2(east[0], north[0])) % 360
-    assert angle == pytest.approx(200, abs=12)
-    assert np.std(still["x"].value) == pytest.approx(0.3 * 8, rel=0.5)
-
-
-def test_truth_has_the_motions_of_the_features_in_view():
-    jet = simulate_two_fluid(rng=2, jitter=0.0)
-    truth = jet.truth
-    names = "feature group epoch date x y east north flux fwhm visible pm_east pm_north"
-    assert truth.colnames == names.split()
-    slow = truth["group"] == "slow"
-    assert_allclose(truth["pm_east"][slow].to_value(PM), -5 * 1.2175)
-    assert_allclose(truth["pm_north"].value, 0, atol=1e-9)
-    assert np.all(truth["date"][truth["epoch"] == 3] == jet.cube.times[3])
-    assert truth.meta["velocity_unit"].to_value(PM) == pytest.approx(1.2175)
-    truth = simulate_jet(rng=1, dispersion=0.2, shape=(8, 8)).truth
-    moving = truth[(truth["group"] == "flow") & truth["visible"]]
-    parts = [part for part in moving.group_by("feature").groups if len(part) > 1]
-    speeds = [-part["pm_east"].value.mean() for part in parts]
-    flow = truth.meta["streams"][0]
-    found = [flow[k].to_value(PM) for k in ("mean_speed", "std_speed")]
-    assert found == pytest.approx([np.mean(speeds), np.std(speeds, ddof=1)])
-    assert flow["n_seen"] == len(speeds)
 
 
 def test_artefacts():
@@ -246,21 +166,16 @@ NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
     [
         (Stream, {"motion": "circular"}, "stream 's': motion = .* must be one of"),
         (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
-        (Stream, {"jitter": np.nan}, "jitter must be zero or positive"),
         (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
         (Stream, {"dx": (1.0, 2.0, 3.0)}, "dx must be a number, two limits"),
         (Flow, {"distribution": "flat"}, "flow 's': distribution = .* must be one"),
         (Flow, {"positions": (2.0,)}, "they are those of standing features"),
-        (Flow, {"speed": np.nan}, "speed must be zero or positive"),
         (Flow, {"acceleration": 0.0}, "acceleration must be positive"),
         (JetSimulation, {"streams": ONE}, "sequence of Stream"),
         (JetSimulation, {"n_epochs": 0}, "n_epochs must be at least"),
         (JetSimulation, {"dates": Time([2001, 2000], format="jyear")}, "increasing ti"),
-        (JetSimulation, {"beams": [Beam(1 * u.mas, 1 * u.mas)]}, "10 beams, got 1"),
         (JetSimulation, {"noise": ()}, "beams and noise need one value"),
         (JetSimulation, {"extent": (220.0, 20.0)}, "extent must be"),
-        (JetSimulation, {"core": -1.0}, "core must be zero or positive"),
-        (simulate_two_fluid, {"slow": 5 * u.km / u.s}, "not convertible"),
         (simulate_shell, {"n_epochs": 1}, "n_epochs must be at least 2"),
         (simulate_shell, {"size": 100}, "larger than 100 pixels can show"),
         (simulate_jet, {"length": np.nan}, "length must be zero or positive"),

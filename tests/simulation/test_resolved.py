@@ -65,36 +65,6 @@ def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
         assert np.sum(y * image) / image.sum() == pytest.approx(row["y"].value)
 
 
-def test_clumps_live_at_all_dates_and_fade():
-    own = layer(n_clumps=60, life=0.2 * u.yr, flux_scatter=0.0)
-    jet = simulate_resolved_jet(layers=[own], n_epochs=20, **BARE, rng=1)
-    number = np.bincount(jet.truth["epoch"][jet.truth["visible"]])
-    assert number.mean() == pytest.approx(60, rel=0.2)
-    assert number[:5].mean() == pytest.approx(number[-5:].mean(), rel=0.3)
-    dates = jet.truth["date"].decimalyear
-    spans = [
-        np.ptp(dates[jet.truth["feature"] == k]) for k in set(jet.truth["feature"])
-    ]
-    assert max(spans) < 0.2
-    assert jet.truth.meta["streams"][0]["n_seen"] > 100
-
-
-def test_limbs_are_where_they_were_asked_for():
-    limbs = layer(across=(-1, 1), scatter=0.0, flux_scatter=0.0,
-                  size=(0.2, 0.2) * u.mas, brightness=[9, 9, 9] * u.mJy / u.beam,
-                  **STILL)  # fmt: skip
-    jet = simulate_resolved_jet(layers=[limbs], n_epochs=2, **BARE, rng=1)
-    r, across = along_and_across(jet.truth)
-    assert (r > 0.5).all()
-    width = np.interp(np.abs(r), DISTANCE, TABLE["half_width"].value)
-    assert_allclose(np.abs(across), width)
-    assert 0.3 < np.mean(across > 0) < 0.7
-    inside = (jet.truth["x"].value > 5) & (jet.truth["y"].value > 5)
-    ny, nx = jet.cube.shape[1:]
-    inside &= (jet.truth["x"].value < nx - 6) & (jet.truth["y"].value < ny - 6)
-    assert inside.all()
-
-
 def test_a_still_point_has_the_peak_and_the_beam_that_were_asked_for():
     beam = Beam(0.5 * u.mas, 0.3 * u.mas, 30 * u.deg)
     point = layer(size=(0, 0) * u.mas, n_clumps=1, flux_scatter=0.0, **STILL,
@@ -115,13 +85,6 @@ def test_a_still_point_has_the_peak_and_the_beam_that_were_asked_for():
     wanted = beam.covariance.to_value(u.mas**2) * [[1, -1], [-1, 1]]
     assert_allclose(moments, wanted, rtol=0.02)
     assert_allclose(jet.cube.data[1], image)
-
-
-def test_noise_is_as_asked():
-    empty = {"layers": [layer(n_clumps=0)], "n_epochs": 6, "core": 0.0}
-    noise = [0.001] * 3 + [0.003] * 3
-    cube = simulate_resolved_jet(**empty, noise=noise, rng=1).cube
-    assert_allclose(np.std(cube.data, axis=(1, 2)), noise, rtol=0.15)
 
 
 def test_fluxes_of_still_clumps_have_a_memory():
@@ -148,6 +111,8 @@ def test_layers_of_m87():
     at = np.interp([0.5, 2, 20], fast.distance.value, fast.speed.value) * 0.264
     assert_allclose(at, [0.3, 2.3, 2.7], rtol=0.01)
     assert slow.across == (-1, 1)
+    with pytest.raises(ValueError, match="layers: give a sequence of Layer, at least"):
+        simulate_resolved_jet(layers=[])
     with pytest.raises(ValueError, match=r"length must be above 0.5 mas, got 0.2 mas"):
         m87_layers(length=0.2 * u.mas)
 
@@ -156,23 +121,13 @@ def test_layers_of_m87():
     ("changes", "message"),
     [
         ({"scatter": -1}, "layer 'layer': scatter must be zero or positive, got -1"),
-        ({"speed": [-1, -1, -1] * u.mas / u.yr}, "speed must be zero or positive"),
         ({"speed": [0, 1, 1] * u.mas / u.yr}, "speed must be positive, or zero every"),
         ({"speed": [1, 1] * u.mas / u.yr}, "half_width, brightness must have one len"),
         ({"distance": [1, 1, 2] * u.mas}, "distance must increase, got"),
         ({"size": (2, 1) * u.mas}, "size must be two limits, got"),
-        ({"across": ()}, "across needs one place or more"),
         ({"life": np.inf * u.yr}, "life must be positive, and finite for a layer that"),
-        ({"life": 0 * u.yr}, "life must be positive"),
-        ({"distance": [1, 2, 3] * u.s}, "not convertible"),
     ],
 )
 def test_what_a_layer_refuses(changes, message):
     with pytest.raises(ValueError, match=message):
         layer(**changes)
-
-
-@pytest.mark.parametrize("layers", [[], layer()])
-def test_layers_are_a_sequence(layers):
-    with pytest.raises(ValueError, match="layers: give a sequence of Layer, at least"):
-        simulate_resolved_jet(layers=layers)
