@@ -13,8 +13,6 @@ from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velociti
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.paper.components import find_velocity_peaks
 from astro_scc.products import write_products
-from astro_scc.quantities import seeded
-from astro_scc.simulation import simulate_two_fluid
 
 PM = u.mas / u.yr
 DAYS = 30
@@ -95,24 +93,6 @@ def result(cube):
     return measure(cube)
 
 
-# Settings ------------------------------------------------------------------------
-
-
-def test_settings_are_kept_in_the_units_of_the_package():
-    scc = StackedCrossCorrelation(
-        scales=2,
-        max_speed=1 * u.arcsec / u.kyr,
-        baseline=[0, 365.25] * u.day,
-        position_angle=np.pi * u.rad,
-    )
-    assert (scc.scales, scc.max_speed) == ((2.0,), 1 * PM)
-    assert (scc.baseline.unit, scc.position_angle) == (u.yr, 180 * u.deg)
-    assert scc.to_dict()["scales"] == [2.0]
-    again = StackedCrossCorrelation(**scc.to_dict())
-    np.testing.assert_equal(again.to_dict(), scc.to_dict())
-    assert StackedCrossCorrelation(max_speed="2 mas/yr").max_speed == 2 * PM
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -132,9 +112,6 @@ def test_epochs_that_are_decomposed_are_not_the_paper_s(cube):
     decomposed = make_scc().decompose(cube)
     with pytest.raises(ValueError, match="^method = 'paper' measures images"):
         make_scc(method="paper").measure(decomposed)
-
-
-# The motion that is there --------------------------------------------------------
 
 
 def test_finds_the_motion(result):
@@ -182,9 +159,6 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
     assert len(scc.match(flat, region=corner).ssps) == 0
 
 
-# What must not matter ------------------------------------------------------------
-
-
 NO_SSP = (
     r"^no significant pattern \(SSP\) in any epoch on scale 1, 2: try other scales, or "
     "a lower detection; if the images have no empty sky, give their noise and "
@@ -208,18 +182,9 @@ def test_in_flat_images_nothing_moves(result, tmp_path):
         assert getattr(read["streams"][name], "unit", None) == unit
 
 
-# Seeds and records ---------------------------------------------------------------
-
-
 def same_tables(one, other):
     for name in one.colnames:
         np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
-
-
-def test_without_a_seed_one_is_drawn():
-    (first, drawn), (second, _) = seeded(None), seeded(None)
-    assert first == drawn != second
-    assert seeded(np.int64(3)) == (3, 3)
 
 
 def test_one_call_gives_the_table(cube, result):
@@ -228,28 +193,3 @@ def test_one_call_gives_the_table(cube, result):
     # A region of the whole is no more than another way to the same.
     whole = measure_velocities(cube, region=np.ones(cube.shape[1:], bool), **options)
     np.testing.assert_allclose(in_pixels(whole), in_pixels(result.streams), rtol=1e-3)
-
-
-# The paper's jets ----------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3])
-def test_two_streams_of_a_simulated_jet(seed):
-    """Their speeds, and the mean motions that their features really have."""
-    jet = simulate_two_fluid(rng=seed)
-    table = jet.truth[jet.truth["visible"] & (jet.truth["epoch"] < 9)]
-    options = {"scales": [1, 2, 3], "max_speed": 30 * PIXEL, "n_trials": 1000}
-    found = measure(jet.cube, position_angle=270 * u.deg, **options)
-    significant = found.components[found.components["kind"] == "moving"]
-    assert len(significant) == 2
-    motions = in_pixels(significant)
-    for speed, group in ((5, "slow"), (20, "fast")):
-        own = table[table["group"] == group]
-        own["pm_ra_cosdec"], own["pm_dec"] = own["pm_east"], own["pm_north"]
-        truth = in_pixels(own).mean(axis=0)
-        x, y = motions[np.hypot(motions[:, 0] - speed, motions[:, 1]).argmin()]
-        assert abs(x - speed) < 1.0
-        assert abs(x - truth[0]) < 1.0
-        assert abs(y - truth[1]) < 1.5
-    assert np.all(significant["p_distinct"] <= 0.05)

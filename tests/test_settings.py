@@ -11,7 +11,7 @@ import pytest
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.inputs import settings_of
 from astro_scc.cli.program import build_parser
-from astro_scc.quantities import random_generator, to_time
+from astro_scc.quantities import random_generator
 from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, require
 
 PM = u.mas / u.yr
@@ -96,16 +96,6 @@ def test_generators_of_either_kind():
     assert one.integers(10**9) == other.integers(10**9)
     with pytest.raises(ValueError, match="rng must be a seed of 0 or more, or a numpy"):
         random_generator(np.random)
-
-
-def test_dates(tmp_path):
-    path = tmp_path / "config.toml"
-    path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
-    found = Settings(**read_config(path)[0])
-    assert (found.after, found.before) == ("2001-02-03", "2005-01-01T12:00:00")
-    for text in (" 2011-01-01T00:00:00 ", "2011 Jan 01", "20110101", "2011-01-01Z"):
-        assert to_time(text) == to_time("2011-01-01")
-    assert (to_time("2011.5").jyear, to_time("2011").jyear) == (2011.5, 2011)
 
 
 @pytest.mark.parametrize(

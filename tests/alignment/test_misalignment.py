@@ -3,20 +3,15 @@
 
 import warnings
 
-import astropy.units as u
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.alignment.registration import misalignment, warn_of_misalignment
-from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.simulation import (
     simulate_jet,
     simulate_static,
-    simulate_two_fluid,
-    simulate_unrelated,
 )
 
 
@@ -62,26 +57,6 @@ def test_an_alignment_mends_it(jet):
         assert misalignment(bad.align("core")) < 0.05
 
 
-@pytest.mark.slow
-def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
-    y, x = np.mgrid[:48, :96]
-    core, other = (np.exp(-((x - at) ** 2 + (y - 24) ** 2) / 30) for at in (25, 50))
-    fluxes = [(1.0, 0.4), (0.5, 1.2), (1.1, 0.6), (0.6, 0.9), (1.0, 0.5), (0.7, 1.1)]
-    noise = np.random.default_rng(0).normal(0, 1e-3, (6, *x.shape))
-    data = np.array([a * core + b * other for a, b in fluxes]) + noise
-    assert np.std([np.argmax(image) % 96 for image in data]) > 10
-    fields = {"pixel_scale": 0.1 * u.mas, "beams": Beam(1.29 * u.mas, 1.29 * u.mas)}
-    dates = [f"200{k}-01-01" for k in range(6)]
-    scatter = misalignment(EpochCube.from_arrays(data, dates, **fields))
-    assert scatter is None or scatter < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("simulate", [simulate_two_fluid, simulate_unrelated])
-def test_epochs_that_do_not_resemble_one_another_do_not_tell(simulate):
-    assert misalignment(simulate(n_epochs=6, rng=1).cube) is None
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -93,9 +68,6 @@ def test_epochs_that_do_not_resemble_one_another_do_not_tell(simulate):
 )
 def test_what_cannot_be_told(jet, change):
     assert misalignment(change(jet)) is None
-
-
-# -- those who say it --------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -116,15 +88,3 @@ def test_it_is_said_and_measured_once(unaligned):
     with pytest.warns(MeasurementWarning, match=LINE):
         warn_of_misalignment(unaligned)
     assert vars(unaligned)["misalignment"] is unaligned.misalignment
-
-
-@pytest.mark.slow
-def test_the_call_says_it_and_what_mends_it(unaligned):
-    scc = StackedCrossCorrelation(scales=[2], max_speed=5 * u.mas / u.yr)
-    with pytest.warns(MeasurementWarning, match=LINE):
-        meta = scc(unaligned, n_trials=119, rng=1).components.meta
-    assert meta["misalignment_beams"] == unaligned.misalignment > 0.2
-    aligned = unaligned.align("core")
-    with warnings.catch_warnings(action="error"):
-        meta = scc(aligned, n_trials=119, rng=1).components.meta
-    assert meta["misalignment_beams"] < 0.05

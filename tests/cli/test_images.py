@@ -4,13 +4,11 @@
 import re
 
 import astropy.units as u
-import pytest
 from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import EpochCube
 from astro_scc.epochs import Beam
-from astro_scc.simulation import simulate_jet, simulate_two_fluid
 
 
 def same(one, other):
@@ -74,9 +72,6 @@ def test_restore_lists_the_sources_of_tables(done, refused, here):
     done("restore", *how, "--source", "3C 120")
 
 
-# -- inspect -------------------------------------------------------------------------
-
-
 def table_of(text):
     """The rows of the table of speeds."""
     return [k for k in text.split("pairs\n")[1].splitlines() if k[:1].isdigit()]
@@ -117,29 +112,3 @@ def test_inspect_says_what_is_wrong(series, done, refused, here):
     assert "no date of observation" in done("inspect", paths[0])[0]
     out, _ = done("inspect", paths[1])
     assert "velocities need at least two epochs of different date." in out
-
-
-@pytest.mark.slow
-def test_inspect_advises_an_alignment(done):
-    """An unaligned jet, one that is aligned, and ones of which only the core tells."""
-    said = {}
-    for name, jet in {
-        "bad": simulate_jet(n_epochs=8, alignment_error=0.4, rng=2),
-        "good": simulate_jet(n_epochs=8, rng=2),
-        "two": simulate_jet(n_epochs=2, alignment_error=0.6, rng=1),
-        "dense": simulate_two_fluid(n_epochs=6, core=5.0, rng=1),
-    }.items():
-        jet.cube.write(f"{name}.fits")
-        out, _ = done("inspect", f"{name}.fits")
-        _, *rest = out.split("pairs\n")[-1].split("\n\n")
-        *said[name], choices = rest
-        head, align, direction = choices.splitlines()
-        assert head == "Without options, astro-scc measure takes:"
-        taken = "core" if name == "bad" else "none"
-        assert align.startswith(f"  --align {taken}: ")
-        assert direction.startswith('  --position-angle "2')
-        # How well they are aligned is said once.
-        assert len(re.findall("aligned|the epochs scatter", out)) == 1
-    assert said["bad"] == said["good"] == said["dense"] == []
-    (line,) = said["two"]
-    assert re.match(r"What is fitted as the core scatters by 0\.\d\d beams: ", line)

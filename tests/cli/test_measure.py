@@ -86,9 +86,6 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     assert "--n-trials" in error
 
 
-# -- the method of the paper -----------------------------------------------------------
-
-
 def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     words = ["measure", *jet, *QUICK, "--method", "paper", "--position-angle", "270deg"]
     out, _ = done(*words, "-o", "out", "--seed", 1, "--redshift", 0.1)
@@ -115,9 +112,6 @@ def test_so_few_epochs_show_no_motion(jet, refused, here):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
         assert "too few epochs: 5 images, 6 are needed" in line
         assert line.endswith("astro-scc track follows features in four or more")
-
-
-# -- the demo --------------------------------------------------------------------------
 
 
 def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
@@ -161,32 +155,10 @@ def test_demo(done, here):
     assert same(folder, here / "again")
 
 
-# -- the page with linked panels -------------------------------------------------------
-
-
 @pytest.fixture
 def out(measured, here):
     pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
     return shutil.copytree(measured, here / "out")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("change", ["", "moved", "fewer"])
-def test_the_page_with_and_without_its_images(change, out, done):
-    config = out / "config.toml"
-    text = config.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines(True) if "_00_" in line)
-    changed = {"": line, "moved": line.replace("_00_", "_moved_"), "fewer": ""}[change]
-    config.write_text(text.replace(line, changed), encoding="utf-8")
-    (out / "explore.html").write_text("an earlier page")
-    said, notes = done("explore", "out")
-    page = (out / "explore.html").read_text(encoding="utf-8")
-    assert "jet: features and velocities" in page
-    assert re.fullmatch(r"out/explore.html: \d\.\d MB\n", said)
-    assert notes.count("note: without images: ") == notes.count("\n") == bool(change)
-    assert ("Note: without images: " in page) == bool(change)
-    with_images = "CategoricalSlider" in page.rpartition('"application/json"')[2]
-    assert with_images != bool(change)
 
 
 def test_measurements_that_no_page_can_show(out, refused, monkeypatch):

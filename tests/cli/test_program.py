@@ -11,7 +11,7 @@ import warnings
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.cli.program import Reporter, build_parser
+from astro_scc.cli.program import Reporter
 from astro_scc.exceptions import EpochWarning
 
 
@@ -50,13 +50,6 @@ def test_completion_of_a_shell(capsys, monkeypatch):
     said = capsys.readouterr()
     assert {"survey", "--position-angle"} <= set(re.findall(r"[\w-]+", said.out))
     assert "needs shtab: pip install shtab" in said.err
-
-
-@pytest.mark.parametrize("angle", ["-112deg", "-112 deg", "-.5rad"])
-def test_angles_below_zero_are_no_options(angle):
-    words = ["measure", "a.fits", "-o", "out", "--position-angle", angle, "--quiet"]
-    args = build_parser().parse_args(words)
-    assert (args.position_angle, args.quiet) == (angle, True)
 
 
 @pytest.mark.parametrize(

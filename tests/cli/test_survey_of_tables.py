@@ -3,17 +3,12 @@
 
 import io
 import re
-import shutil
-import tomllib
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io.votable import validate
 from astropy.table import QTable, Table
-
-from astro_scc.epochs import write_epochs
-from astro_scc.simulation import simulate_two_fluid
 
 BOTH = ("0003+380", "0010+405")
 BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
@@ -93,35 +88,6 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
     assert f"restored with one of {beam}, the median" in said
 
 
-@pytest.mark.slow
-def test_folders_of_images(done, refused, here):
-    folder, out, z = here / "images", here / "out", here / "z.txt"
-    for name in ("one [1]", "two"):
-        cube = simulate_two_fluid(n_epochs=6, rng=1).cube
-        write_epochs(cube.crop((slice(70, 186), slice(20, 170))), folder / name)
-    (folder / "notes").mkdir()
-    # A measurement beside its images is no source.
-    measured = shutil.copytree(folder / "two", folder / "two-measured")
-    (measured / "streams.ecsv").touch()
-    argv = ["survey", folder, "-o", out, "--quiet"]
-    done(*argv)
-    table = QTable.read(out / "survey.ecsv")
-    assert set(table["source"]) == {"one [1]", "two"}
-    assert "failed" not in table["status"]
-    # What has been added to the file stays, and a folder that is new is a source more.
-    plan = out / "survey.toml"
-    plan.write_text(plan.read_text() + "n_trials = 50\nredshift = 0.2\n")
-    shutil.copytree(folder / "two", folder / "three")
-    z.write_text("name z\ntwo 0.158\n")
-    done(*argv, "--redshifts", z)
-    table = QTable.read(out / "survey.ecsv")
-    assert len(set(table["source"])) == 3
-    assert set(table["redshift"][table["source"] == "two"]) == {0.158}
-    assert tomllib.loads(plan.read_text())["sources"]["two"]["n_trials"] == 50
-    plan.write_text(f"{plan.read_text()}n_trials = \n")
-    assert "survey.toml: is not a TOML file: Invalid value" in refused(*argv)
-
-
 def test_without_neighbours_there_is_no_beam(refused, here):
     table = QTable({"source": ["a"] * 5, "component": [0] * 5})
     table["epoch"] = [f"200{k}-01-01" for k in range(5)]
@@ -148,3 +114,19 @@ def test_sources_and_folders_that_are_refused(table, refused, here):
         (out / name).write_text(text)
         line = refused(*words)
         assert "out: exists and is not of a survey of a table; choose another" in line
+
+
+def test_redshifts_and_folders_that_make_no_sense(refused, here):
+    (here / "images").mkdir()
+    for text, reason in {
+        "": "is no table: ",
+        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
+        "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
+    }.items():
+        (here / "z.txt").write_text(text)
+        words = ["survey", "images", "-o", "out", "--redshifts", "z.txt"]
+        assert f"z.txt: {reason}" in refused(*words)
+    line = refused("survey", "images", "-o", "out")
+    assert "images: has no folder of FITS images" in line
+    line = refused("survey", "images", "-o", "out", "--source", "two")
+    assert "--source is for a table of components, not for" in line

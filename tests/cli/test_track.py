@@ -52,22 +52,6 @@ def test_tables_and_what_is_said(done, jet, here):
     assert len(votable) == len(positions)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("detections", ["gaussians", "ssp"])
-def test_the_same_seed_gives_the_same_tables(done, jet, here, detections):
-    (here / "jet.toml").write_text(
-        'scales = [1, 2]\nmax_speed = "30 mas/yr"\nposition_angle = "radial"\n'
-        "kappa = 0.7\ndetection = 5\nn_trials = 2\nseed = 3\n"
-    )
-    for name, workers in (("a", "1"), ("b", "2")):
-        words = ["-o", name, "--config", "jet.toml", "--pdf", "--workers", workers]
-        done("track", *jet, *words, "--detections", detections)
-    for table in ("features.ecsv", "positions.ecsv"):
-        one, other = ((here / f / table).read_bytes() for f in "ab")
-        assert one == other
-    assert {path.name for path in (here / "a").iterdir()} == set(PRODUCTS)
-
-
 def test_no_features_are_empty_tables(done, jet, here, no_figures):
     (here / "r.reg").write_text("image\ncircle(3,3,2)\n")
     how = ["-o", "out", "--distance", "10 Mpc", "--region", "r.reg"]
@@ -115,9 +99,6 @@ def test_why_it_is_a_feature(done, refused, jet, here):
     assert "its features are not those of the images now; measure again" in err
 
 
-# -- profile -------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def profile(tmp_path_factory):
     """The words of a command on a cube."""
@@ -147,24 +128,6 @@ def test_the_whole_stretch(profile, done, here, no_figures):
     rows = QTable.read(here / "out" / "scales.ecsv")
     assert set(rows["first"]) | set(rows["second"]) == {"1", "2"}
 
-
-@pytest.mark.slow
-def test_profile(profile, done, here):
-    how = ["--bins", "0 10 20 mas", "--redshift", "0.1", "--seed", "1", "--scales", "2"]
-    out, _ = done(*profile, *WEST, *how)
-    assert "separation (mas)" in out
-    assert "p_fdr" in out
-    assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc" in out
-    table = QTable.read(here / "out" / "profile.ecsv")
-    assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
-    assert table["beta_app"].unit == u.one
-    # The configuration does it again, to the bit.
-    done("profile", "--config", "out/config.toml", "-o", "again")
-    first, second = ((here / k / "profile.ecsv").read_text() for k in ("out", "again"))
-    assert first == second
-
-
-# -- a microquasar: twelve daily images of a jet at 17 mas per day ---------------------
 
 SPEED = 17 * u.mas / u.d
 

@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.table import QTable, vstack
+from astropy.table import QTable
 from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -57,9 +57,6 @@ def write(table, path, **meta):
     return path
 
 
-# The list itself --------------------------------------------------------------
-
-
 def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_path):
     wide = Beam(2 * u.mas, 1 * u.mas)
     components = ComponentList(**columns(beams=[BEAM, wide]))
@@ -99,8 +96,6 @@ def test_bad_lists(changes, message):
     with pytest.raises((ValueError, u.UnitConversionError), match=message):
         ComponentList(**columns(**changes))
 
-
-# Tables -----------------------------------------------------------------------
 
 CARTESIAN = {
     "separation": None, "position_angle": None,
@@ -157,13 +152,6 @@ def test_bad_tables(tmp_path, changes, options, message):
 def test_sources_of_a_table(tmp_path):
     path = write(mojave(source=["a", "a", "b", "b"]), tmp_path / "t.ecsv")
     assert read_components(path, source="b").meta["object"] == "b"
-    table = vstack([mojave(source=[f"S{k}"] * 4) for k in range(30)])
-    path = write(table, tmp_path / "many.ecsv")
-    assert len(read_components(path, source="S29")) == 4
-    with pytest.raises(ValueError, match=r"30 sources .*, S7 and 22 more\); say"):
-        read_components(path)
-    with pytest.raises(ValueError, match=r"no source 'S-29'; did you mean S29"):
-        read_components(path, source="S-29")
     path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
     assert read_components(path, source="3c273").n_epochs == 2
     with pytest.raises(ValueError, match="09.mod: no source 'M87'; it does not say"):
@@ -232,8 +220,6 @@ def test_mojave_xviii(shared_data):
         assert u.allclose(getattr(found, name), getattr(own, name))
 
 
-# difmap -----------------------------------------------------------------------
-
 MODEL = """\
 ! Center RA: 12 29 06.6997,  Dec: +02 03 08.598 (2000.0)
 ! Established model.
@@ -300,9 +286,6 @@ def test_bad_files(tmp_path, name, content, options, message):
     assert "\n" not in str(error.value)
 
 
-# AIPS -------------------------------------------------------------------------
-
-
 def aips(path, *, tables=1, drop=(), units=True, header=None, **changes):
     values = {
         "FLUX": [1.0, 0.5], "DELTAX": [0.0, -2 * MAS], "DELTAY": [0.0, 1 * MAS],
@@ -344,15 +327,6 @@ def test_aips_table(tmp_path):
         hdus.writeto(tmp_path / "list.fits")
     assert kind_of(tmp_path / "list.fits") == "components"
     assert components.times[0].isot.startswith("2009-01-07")
-    drop = ("MAJOR AX", "MINOR AX", "POSANGLE", "TYPE OBJ")
-    undated = {"DATE-OBS": None, "CTYPE1": None, "OBJECT": "Jet"}
-    path = aips(tmp_path / "b.fits", drop=drop, units=False, header=undated)
-    points = read_components(path, dates=Time("2010-01-07"))
-    assert not points.major.value.any()
-    assert "position" not in points.meta
-    with pytest.warns(EpochWarning, match="files are of 0506\\+056, Jet"):
-        both = read_components([tmp_path / "a.fits", path], dates=[None, "2010-01-07"])
-    assert "object" not in both.meta
 
 
 def test_a_table_of_sources_without_rows(tmp_path):
@@ -367,28 +341,12 @@ def test_a_table_of_sources_without_rows(tmp_path):
         read_sources(tmp_path / "t.ecsv")
 
 
-# Lists that are given where images are expected ---------------------------------
-
-RESTORED = "lists of components were restored with the beam 1 x 0.5 mas at -7.0 deg"
-
-
 @pytest.fixture
 def models(tmp_path):
     """Difmap models of a core and a feature that moves by 0.5 mas."""
     texts = [f"1v 0v 0v 0.2v 1 0 1\n0.3v {r}v 45v 0.5v 1 0 1\n" for r in (2, 2.5)]
     names = [f"source_2006-0{month}-09.mod" for month in (3, 9)]
     return [model(tmp_path, *pair) for pair in zip(texts, names, strict=True)]
-
-
-def test_difmap_models_are_restored(models):
-    with pytest.warns(EpochWarning, match=RESTORED) as caught:
-        cube = EpochCube.read(models, beams=BEAM)
-    assert "pixels of 0.1 mas and noise of 0.0" in str(caught[0].message)
-    assert cube.times.isot[1][:10] == "2006-09-09"
-    assert np.allclose(cube.data[0].max(), 0.9, atol=0.1)
-    # The faintest component, of 0.15 to 0.3 Jy a beam, is ten times the noise.
-    assert np.all((cube.noise > 0.015 * cube.unit) & (cube.noise < 0.03 * cube.unit))
-    assert np.all(abs(cube.measured_noise / cube.noise - 1) < 0.2)
 
 
 def test_lists_that_cannot_be_images(models, tmp_path, make_fits):

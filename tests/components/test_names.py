@@ -12,10 +12,7 @@ from numpy.testing import assert_allclose
 
 from astro_scc.components.lists import read_sources
 from astro_scc.components.names import (
-    also_named,
-    common_names,
     place_of,
-    plain,
     same_source,
 )
 from astro_scc.components.tables import source_list
@@ -68,22 +65,6 @@ def test_places_that_names_tell(name, lon, lat, frame):
 )
 def test_names_that_tell_no_place(name):
     assert place_of(name) is None
-
-
-def test_common_names_tell_places_and_stand_for_one_source_each():
-    names = [plain(name) for own in common_names().values() for name in own]
-    assert len(names) == len(set(names)) > 80
-    # Of some the places are known, to the digits of the name.
-    for name, place in {
-        "3C 273": "12h29m06.70s 2d03m08.6s",
-        "OJ 287": "8h54m48.87s 20d06m30.6s",
-        "3C 279": "12h56m11.17s -5d47m21.5s",
-        "Cygnus A": "19h59m28.36s 40d44m02.1s",
-    }.items():
-        assert place_of(name).separation(SkyCoord(place)) < 0.3 * u.deg
-    assert also_named("0430+052") == also_named("PKS 0430+052") == ["3C 120"]
-    assert also_named("M 87") == ["NGC 4486", "3C 274", "Virgo A"]
-    assert also_named("jet") == []
 
 
 NAMES = ["0415+379", "0430+052", "1226+023", "1228+126", "J0854+2006"]
@@ -145,14 +126,6 @@ def test_the_position_of_a_table_is_that_of_its_images(columns, meta, tmp_path):
     assert_allclose(cube.wcs.wcs.crval, [place.ra.deg, place.dec.deg], atol=1e-9)
     told = "at the position that the name 0430+052 tells" in cube.meta["history"][0]
     assert told == (not (columns or meta))
-
-
-def test_words_that_are_no_position(tmp_path):
-    for columns in (
-        {"ra": "none", "dec": "x"}, {"RAdeg": 10 * u.Jy, "DEdeg": 3 * u.deg}
-    ):  # fmt: skip
-        components = read_components(write(tmp_path, ["jet"], **columns))
-        assert "position" not in components.meta
 
 
 def test_the_sources_of_a_table(tmp_path):

@@ -92,23 +92,6 @@ def test_planes_noise_and_patterns(scene, noise, kernel, factors):
     assert (np.diff(found.ssps.scale) >= 0).all()
 
 
-def test_masked_and_missing_pixels(scene):
-    mask, nan = np.zeros((2, *scene.shape), dtype=bool)
-    mask[20:30, 40:60] = nan[50, 10] = nan[5, 80] = True
-    decomposition = Decomposer(scales=(1, 2))(np.where(nan, np.nan, scene), mask=mask)
-    np.testing.assert_array_equal(decomposition.mask, mask | nan)
-    assert np.isfinite(decomposition.planes).all()
-    assert (decomposition.planes[:, mask | nan] == 0).all()
-    assert len(decomposition.ssps)
-    assert not (mask | nan).flat[decomposition.ssps.pixels].any()
-    assert np.isfinite(decomposition.ssps.x).all()
-    # Far from the mask nothing is different.
-    far = Decomposer(scales=(1, 2))(scene)
-    np.testing.assert_allclose(
-        decomposition.planes[:, :, 88:], far.planes[:, :, 88:], atol=1e-6
-    )
-
-
 @pytest.mark.parametrize(
     ("settings_", "image", "message"),
     [
@@ -166,9 +149,6 @@ def test_as_many_patterns_as_the_authors_program(shared_data, name):
     np.testing.assert_allclose(ours, theirs, rtol=0.15)
 
 
-# -- segmentation -----------------------------------------------------------------
-
-
 @settings(max_examples=40)
 @given(
     st.floats(-1, 1), st.floats(0.05, 1), st.floats(0.05, 1), st.floats(-0.9, 0.9),
@@ -181,17 +161,6 @@ def test_quadratic_peak_is_exact_for_quadratics(level, a, b, skew, y0, x0, scale
     found_y, found_x, height = quadratic_peak(values)
     assert (found_y, found_x) == pytest.approx((y0, x0), abs=1e-9)
     assert height == pytest.approx(max(scale * level, values[1, 1]), abs=1e-9 * scale)
-
-
-def test_quadratic_peak_stays_within_the_pixel():
-    ridge = np.array([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]])
-    corner = np.array([[0.99, 0, 0], [0, 1, 0], [0, 0, 0.99]])
-    unknown = np.array([[0, 0, 0], [0, 1, np.nan], [0, 0, 0]])
-    dy, dx, height = quadratic_peak(np.stack([ridge, corner, np.ones((3, 3)), unknown]))
-    assert np.isfinite([dy, dx, height]).all()
-    assert (np.abs([dy, dx]) <= 0.5).all()
-    assert (height >= 1).all()
-    np.testing.assert_array_equal([dy[2:], dx[2:]], 0)
 
 
 @settings(max_examples=30)

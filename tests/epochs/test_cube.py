@@ -3,7 +3,6 @@
 
 import re
 import warnings
-from datetime import datetime
 
 import astropy.units as u
 import numpy as np
@@ -43,9 +42,6 @@ def celestial(**changes):
     return wcs
 
 
-# -- construction ----------------------------------------------------------------
-
-
 def test_everything_is_sorted_by_date():
     data, order = images(), [1, 2, 0]
     cube = EpochCube(
@@ -61,31 +57,6 @@ def test_everything_is_sorted_by_date():
     assert cube.labels == ("b", "c", "a")
     assert [w.wcs.crval[0] for w in cube.epoch_wcs] == [1, 2, 0]
     assert [m["k"] for m in cube.epoch_meta] == [1, 2, 0]
-
-
-def test_arrays_become_float64_and_pixels_that_are_not_finite_are_masked():
-    data = images()
-    data[0, 0, 0], data[1, 1, 1] = np.nan, np.inf
-    cube = EpochCube(data, Time(DATES), celestial())
-    assert cube.mask.sum() == 2
-    # The mean leaves masked pixels out.
-    mean, others = cube.mean_image(), data[1:, 0, 0].mean()
-    assert (mean.data[0, 0], mean.mask.any()) == (pytest.approx(others), False)
-    integers = np.ones((1, 2, 3), dtype=">i2") * u.mJy
-    cube = EpochCube(integers, "2000-01-01", celestial(), unit=u.Jy)
-    assert (cube.data.dtype, cube.data[0, 0, 0]) == (np.float64, pytest.approx(1e-3))
-
-
-def test_dates_are_taken_in_many_forms():
-    for times in (
-        Time(DATES),
-        [datetime.fromisoformat(date) for date in DATES],
-        np.array(DATES, dtype="datetime64[D]"),
-        ["01/01/01", "2000-01-01Z", "2000/06/01"],
-    ):
-        cube = EpochCube(images(), times, celestial())
-        assert [t[:10] for t in cube.times.isot] == sorted(DATES)
-        assert len(EpochCube(images(1), times[0], celestial())) == 1
 
 
 @pytest.mark.parametrize(
@@ -128,9 +99,6 @@ def test_from_arrays_and_axes_that_are_not_celestial():
         make_cube(pixel_scale=-1 * u.mas)
 
 
-# -- what it gives --------------------------------------------------------------
-
-
 def test_epochs_are_images_and_some_of_them_a_cube():
     cube = make_cube(beams=DIFFERENT, noise=[1, 2, 3] * JY_BEAM)
     image = cube[1]
@@ -153,16 +121,6 @@ def test_epochs_are_images_and_some_of_them_a_cube():
             cube[none]
 
 
-def test_steps_leave_a_line_and_the_first_cube_as_it_was():
-    cube = make_cube()
-    noise = cube.measured_noise
-    other = cube.with_step("doubled", data=2 * cube.data)
-    assert other.meta["history"] == ["3 epochs from arrays", "doubled"]
-    assert cube.meta["history"] == ["3 epochs from arrays"]
-    # What was measured holds only for the same images.
-    assert np.allclose(other.measured_noise, 2 * noise)
-
-
 @settings(max_examples=15)
 @given(st.floats(-180, 180), st.booleans(), st.floats(-50, 50), st.floats(-50, 50))
 def test_offsets_are_those_of_the_sky_and_have_an_inverse(angle, flipped, x, y):
@@ -176,22 +134,6 @@ def test_offsets_are_those_of_the_sky_and_have_an_inverse(angle, flipped, x, y):
     true = u.Quantity(origin.spherical_offsets_to(cube.wcs.pixel_to_world(x, y)))
     assert u.allclose(offset, true, rtol=1e-5, atol=1e-5 * u.mas)
     assert u.allclose(u.Quantity(cube.offsets())[:, 4, 3], 0 * u.mas)
-
-
-def test_how_it_looks():
-    table = make_cube(beams=ROUND).epochs
-    assert table.colnames[:6] == ["epoch", "label", "date", "major", "minor", "pa"]
-    assert table["noise"].unit == JY_BEAM
-    assert np.isnan(table["frequency"]).all()
-    assert repr(make_cube(beams=ROUND)) == (
-        "<EpochCube 3 epochs 2000-01-01 to 2001-01-01, 12 x 8 pixels of 0.1 mas, "
-        "Jy / beam, beam 1 mas x 1 mas>"
-    )
-    assert "beams that differ" in repr(make_cube(beams=DIFFERENT))
-    assert make_cube(1)._repr_html_().startswith("<p>EpochCube 1 epoch 2001-01-01")
-
-
-# -- from files -----------------------------------------------------------------
 
 
 def test_read_sorts_and_lays_on_reference_pixels(make_fits):
@@ -378,28 +320,10 @@ def test_whole_pixels_are_moved_without_interpolation(make_epochs):
     assert cube.mask.sum(axis=(1, 2)).tolist() == [5 * 32, 21 * 32 - 20 * 24]
 
 
-STEP = 0.1 / 3.6e6
-
-
-def test_other_grids_are_resampled_in_offsets(make_epochs):
-    fine = {"data": gaussian(64, 64, 31 + 10, 31 + 6), "CRPIX1": 32.0, "CRPIX2": 32.0}
-    coarse = {"data": gaussian(40, 40, 19 + 5, 19 + 3, 1.5), "CDELT1": -2 * STEP,
-              "CDELT2": 2 * STEP, "CRPIX1": 20.0, "CRPIX2": 20.0,
-              "CRVAL1": 187.25 + 3 * STEP}  # fmt: skip
-    with pytest.warns(EpochWarning, match=r"1.fits: on another grid"):
-        cube = EpochCube.read(make_epochs(fine, coarse))
-    x0, y0 = cube.reference_pixel
-    expected = gaussian(*cube.shape[1:], x0 + 10, y0 + 6)
-    assert np.allclose(*(np.where(cube.mask, 0, d) for d in (cube.data, expected)),
-                       atol=0.02)  # fmt: skip
-    crval = [wcs.wcs.crval[0] for wcs in (cube.wcs, cube.epoch_wcs[1])]
-    assert crval == [187.25, 187.25 + 3 * STEP]
-
-
 def test_absolute_coordinates_are_trusted_when_asked(make_epochs):
-    data = gaussian(32, 48, 20, 15)
+    data, step = gaussian(32, 48, 20, 15), 0.1 / 3.6e6
     here = {"data": data, "CRPIX1": 21.0, "CRPIX2": 16.0, "CRVAL2": 0.0}
-    east, half = {"CRVAL1": 187.25 + 2 * STEP}, {"CRVAL2": 2.5 * STEP}
+    east, half = {"CRVAL1": 187.25 + 2 * step}, {"CRVAL2": 2.5 * step}
     paths = make_epochs(here, here | east, here | half)
     assert np.ptp(EpochCube.read(paths[:2]).data, axis=0).max() == 0
     with pytest.warns(EpochWarning, match=r"2.fits: on another grid"):

@@ -99,27 +99,6 @@ def test_two_epochs_of_the_same_pixels():
     assert said.startswith("2002-01-01: has the same pixels as 2000-07-01, of another")
 
 
-def test_plan_is_that_of_the_formulas():
-    found, b = plan(), np.sqrt(0.5)
-    span, gap = (
-        (YEARS[-1] - YEARS[0]).jd / 365.25,
-        np.median(np.diff(YEARS.jd)) / 365.25,
-    )
-    times = [found.span, found.median, found.shortest, found.longest]
-    expected = [span, gap, 182 / 365.25, 365 / 365.25]
-    assert u.Quantity(times).to_value(u.yr) == pytest.approx(expected)
-    assert found.resolution.to_value(u.mas) == pytest.approx(b)
-    speeds = [found.slowest, found.fastest, *found.consecutive]
-    expected = [b / span, 5 / gap, 0.3 * b / gap, 1.5 * b / gap]
-    assert u.Quantity(speeds).to_value(SPEED) == pytest.approx(expected)
-    assert found.baseline(1 * SPEED).to_value(u.yr) == pytest.approx([0.3 * b, 1.5 * b])
-    assert found.baseline(0.2 * SPEED)[1] == found.span
-    assert "further apart" not in str(plan(YEARS[:2]))
-    # The resolution is the median of beams that differ, and three pixels without any.
-    wide = plan(beams=[*[BEAM] * 3, Beam(9 * u.mas, 0.5 * u.mas)])
-    assert wide.resolution == found.resolution
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [

@@ -70,9 +70,6 @@ def test_equals_weighted_least_squares_without_chance():
     assert np.isinf(fitted(part, centre=ORIGIN).covariance).all()
 
 
-# -- rates, centre and sectors of a shell -----------------------------------------
-
-
 @pytest.fixture(scope="module")
 def scc():
     return StackedCrossCorrelation(

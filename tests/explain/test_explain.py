@@ -10,7 +10,6 @@ import pytest
 
 from astro_scc.explain import explain_feature
 from astro_scc.features import find_features
-from astro_scc.features.tracks import Track
 from astro_scc.simulation import simulate_jet
 
 
@@ -53,17 +52,6 @@ def test_a_published_feature_and_a_place_are_found(features, secure):
     lines = explain_feature(features, offset=place, date=rows["date"][2])
     assert lines[0].startswith("Detected within 0.5 beams in 1 of 1 epoch")
     assert f"Of its 1 detection, 1 are of {number}." in lines
-
-
-def test_what_is_not_secure_says_why(features, secure):
-    k, _ = secure
-    track = features.tracks[k]
-    short = Track(track.detection[:3], 0.25, True)
-    few = replace(features, tracks=(short,))
-    last = explain_feature(few, feature=few.number[0])[-1]
-    assert last.startswith("It is not secure: ")
-    assert "3 epochs (at least 4)" in last
-    assert "the same speed in 25% of the disturbed assignments" in last
 
 
 def test_which_step_lost_an_emission(features, secure):

@@ -6,9 +6,11 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable
 from astropy.time import Time
 from scipy.ndimage import gaussian_filter
 
+from astro_scc.cli import main
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import TrackSettings, find_features
 from astro_scc.features.finder import distinct_tracks, without_alternatives
@@ -43,9 +45,6 @@ def cube_of(data, interval=1 * u.yr, pixel=0.1 * u.mas, beam=BEAM):
         data, Time(times, format="isot"), pixel_scale=pixel, reference_pixel=CORE,
         unit=u.Jy / u.beam, beams=Beam(beam * pixel, beam * pixel),
     )  # fmt: skip
-
-
-# -- elongated ones --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -96,22 +95,6 @@ def test_two_bright_points_stay_two(apart):
     assert np.sum(found.group >= 0) == 2
 
 
-def test_errors_of_ellipses_are_those_of_noise():
-    rng, beam = np.random.default_rng(2), 6.25 * np.eye(2)
-    image, noise = gaussian(40.3, 45.2, beam + np.diag([0, 15.0])), 0.02
-    off = []
-    for _ in range(40):
-        error = gaussian_filter(rng.normal(size=image.shape), 2.5)
-        found = fit_gaussians(image + noise * error / error.std(), beam, noise)
-        whole = np.flatnonzero(found.group <= 0)
-        if len(whole) == 1:
-            (k,) = whole
-            off.append([(found.y[k] - 40.3) / found.y_err[k],
-                        (found.x[k] - 45.2) / found.x_err[k]])  # fmt: skip
-    assert len(off) >= 30
-    np.testing.assert_allclose(np.std(off, axis=0), 1, atol=0.35)
-
-
 @pytest.mark.parametrize(
     ("off", "size", "is_whole"),
     [(0.0, 0.5, True), (0.0, 0.8, False), (0.3, 0.5, False)],
@@ -132,9 +115,6 @@ def test_what_is_one_in_most_epochs_is_one_in_all(series, off, size, is_whole):
     assert np.sum(found.group == (-1 if is_whole else 1)) == (1 if is_whole else 2)
 
 
-# -- two features are two --------------------------------------------------------------
-
-
 def test_no_two_tracks_are_of_the_same_emission(series):
     d = series([(t, 0.3 * t + dx, 0.0, flux) for t in range(6)
                 for dx, flux in ((3, 1.0), (3.2, 2.0), (3.6, 1.0))])  # fmt: skip
@@ -142,9 +122,6 @@ def test_no_two_tracks_are_of_the_same_emission(series):
     assert distinct_tracks(d, tracks) == tracks[1:]
     longer = [tracks[0], Track(tracks[1].detection[1:], 1.0, True)]
     assert distinct_tracks(d, longer) == tracks[:1]
-
-
-# -- units -----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -183,3 +160,14 @@ def test_units_change_nothing_else(data, usual, interval, pixel, brightness):
             )
     flux = found.detections.flux / brightness
     np.testing.assert_allclose(flux, usual.detections.flux, rtol=1e-4)
+
+
+def test_fast_and_small_ones_on_the_command_line(data, tmp_path):
+    cube = cube_of(data, 0.1 * u.s, 1 * u.uas)
+    cube.write(tmp_path / "cube.fits")
+    options = ["-o", str(tmp_path / "out"), "--quiet"]
+    assert main(["track", str(tmp_path / "cube.fits"), *options]) == 0
+    table = QTable.read(tmp_path / "out" / "features.ecsv")
+    assert table["secure"].sum() == len(KNOTS)
+    speed = (table["pm"] * 0.1 * u.s / u.uas).to_value(1)
+    np.testing.assert_allclose(speed, STEP, rtol=0.02)

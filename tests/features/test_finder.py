@@ -64,9 +64,6 @@ def against_truth(jet, features):
     return np.array(purity), np.array(off)
 
 
-# -- speeds --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
 )
@@ -113,9 +110,6 @@ def test_ssps_instead_of_gaussians(jet, ssps, beams):
         assert np.all(again.positions["flux"] == found.positions["flux"])
 
 
-# -- parts of images, and processes ---------------------------------------------------
-
-
 def test_missing_pixels_do_not_spread(jet, features):
     data, mask = jet.cube.data.copy(), np.zeros(jet.cube.shape, dtype=bool)
     mask[3, 5:30, 10:60] = mask[7, 100:, 200:] = True
@@ -126,20 +120,6 @@ def test_missing_pixels_do_not_spread(jet, features):
     assert len(found) == len(features)
     for a, b in zip(found.motions, features.motions, strict=True):
         assert np.hypot(*(a.velocity - b.velocity)) < 0.1 * b.speed_err
-
-
-def test_a_region_restricts_detections(jet, features):
-    x0, _ = jet.cube.reference_pixel
-    mask = np.zeros(jet.cube.shape[1:], dtype=bool)
-    mask[:, int(x0) + 40 :] = True
-    found = find_features(jet.cube, region=mask)
-    # West is to the right: what is less than 4 mas away is not used.
-    assert 0 < len(found.detections) < len(features.detections)
-    assert found.detections.place[:, 0].max() < -3.9
-    assert len(found.core) == len(features.core)
-
-
-# -- nothing to find -----------------------------------------------------------------
 
 
 EMPTY = {

@@ -103,9 +103,6 @@ def test_one_date_has_no_motion():
         fit_motion(np.full(3, 2000.0), np.ones((3, 2)), np.ones((3, 2)), 1.0)
 
 
-# -- ejection ------------------------------------------------------------------------
-
-
 def motion(place=(4.0, 3.0), velocity=(0.4, 0.3), **changes):
     """A motion that was at the core ten years ago."""
     nan, small = np.full(2, np.nan), np.array([0.01, 0.01])
@@ -157,9 +154,6 @@ def test_dates_without_meaning_are_not_given(bad):
     assert np.isfinite(motion(**aside).ejection(0.0, 2.0)[0])
 
 
-# -- probabilities of tracks that differ in one respect ---------------------------
-
-
 @pytest.fixture(scope="module")
 def track_of(series):
     """Make a track of the first detection of each epoch, and its motion."""
@@ -203,15 +197,6 @@ def test_properties(track_of):
     features = Features(cube=None, detections=d, core=d, tracks=(track,))
     features.__dict__["motions"] = (motion,)
     assert features.p_false == pytest.approx([1 / (1 + np.exp(logit))])
-
-
-@pytest.mark.parametrize(
-    ("beam", "moved"), [([4, 4], 1.25), ([4, 1], 1.25), ([1, 4], 2.5)]
-)
-def test_motion_is_in_beams_along_it(track_of, beam, moved):
-    d, *of = track_of(straight(6, step=2))
-    other = replace(d, beam=np.diag(beam) @ d.beam)
-    assert properties(other, *of)[1] == pytest.approx(np.log(moved))
 
 
 @pytest.mark.parametrize(

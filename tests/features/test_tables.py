@@ -11,7 +11,6 @@ from astropy.time import Time
 from astro_scc.columns import columns_of
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
-from astro_scc.features.finder import flux_unit
 from astro_scc.features.tracks import Track
 
 N = 8
@@ -91,26 +90,6 @@ def test_a_bent_feature(features):
 def test_the_error_of_the_core(features):
     square = 0.02**2 / 2 + np.mean(features.core.place_error**2)
     assert features.core_error == pytest.approx(np.sqrt(square))
-
-
-def test_a_feature_at_the_core_that_stands(features, series):
-    # Neither radius nor motion has a direction.
-    d = series([(t, 0.0, 0.0) for t in range(N)], years=features.detections.years)
-    track = Track(np.arange(N), 1.0, True)
-    row = replace(features, detections=d, tracks=(track,)).table[0]
-    assert row["pm_pa_err"] == row["position_angle_err"] == 180 * u.deg
-    assert row["separation"] == 0 * u.mas
-    assert np.isnan(row["t_ej"])
-
-
-@pytest.mark.parametrize(
-    ("unit", "flux"),
-    [(u.Jy / u.beam, u.Jy), (u.mJy / u.beam, u.mJy), (u.K, u.K), ("", "")],
-)
-def test_fluxes_have_the_unit_of_the_image_times_beams(features, unit, flux):
-    cube = replace(features.cube, unit=u.Unit(unit))
-    assert flux_unit(cube) == u.Unit(flux)
-    assert (replace(features, cube=cube).table["flux"].unit or u.one) == u.Unit(flux)
 
 
 def test_its_summary(features, empty):

@@ -17,7 +17,6 @@ from astro_scc.features.tracks import (
     Assignment,
     find_tracks,
     log_t,
-    position_scatter,
     steady_hypotheses,
 )
 
@@ -89,17 +88,6 @@ def test_the_order_within_an_epoch_is_free(separated):
     turned = replace(separated.select(order), number=separated.number)
     sets = {frozenset(order[own].tolist()) for own in found(turned)}
     assert sets == {frozenset(own) for own in found(separated)}
-
-
-def test_the_seed_decides(series):
-    rng = np.random.default_rng(1)
-    d = series([(t, *rng.uniform(0, 1, 2)) for t in range(8) for _ in range(5)])
-    one, again, other = (find_tracks(d, seed=seed) for seed in (4, 4, 5))
-    assert [t.same_speed for t in one] == [t.same_speed for t in again]
-    assert [t.same_speed for t in one] != [t.same_speed for t in other]
-
-
-# -- tracks that steady motion allows ---------------------------------------------
 
 
 SETTINGS = TrackSettings()
@@ -184,21 +172,11 @@ def test_what_makes_no_track(series, rows):
     assert (paths, len(score)) == ([], 0)
 
 
-def test_scatter_adds_its_parts(series):
-    d = replace(series([(0, 3.0, 4.0)], error=0.3), size=np.array([2.0]))
-    o = SETTINGS
-    parts = o.scatter, 2 * o.size_scatter, 5 * o.far_scatter, 0.3
-    assert position_scatter(d, o) == pytest.approx([np.linalg.norm(parts)])
-
-
 @pytest.mark.parametrize("n_axes", [1, 2])
 def test_students_density(n_axes):
     off = np.array([0.3, -2.0])[:n_axes]
     true = stats.multivariate_t(shape=0.7 * np.eye(n_axes), df=4).logpdf(off)
     assert log_t(off @ off, 0.7, 4.0, n_axes) == pytest.approx(true)
-
-
-# -- tracks that share no detection, against trying every choice ------------------
 
 
 def best_total(paths, score):

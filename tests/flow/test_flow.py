@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from astropy.wcs import WCS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -21,7 +20,6 @@ from astro_scc.flow import (
     measure_field,
     measure_profile,
 )
-from astro_scc.flow.acceleration import acceleration_of
 from astro_scc.flow.field import cell_coordinates
 from astro_scc.flow.parts import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.profile import bins_of
@@ -78,9 +76,6 @@ def slope_of_truth(jet):
     return np.polyfit(distance[known], speed[known], 1)[0]
 
 
-# -- bins of distance --------------------------------------------------------------
-
-
 def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     table = profile.components
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
@@ -102,18 +97,6 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     ):
         own = [k for s in (found.search.streams if found else ()) for k in s.members]
         assert np.all((distance[own] >= low) & (distance[own] < high))
-    # The meta has the covariance of the bins that are known, and is written.
-    table.write(tmp_path / "profile.ecsv")
-    kept = QTable.read(tmp_path / "profile.ecsv").meta["covariance"]["all"]
-    assert (
-        kept["bins"]
-        == np.flatnonzero(np.isfinite(np.diag(profile.covariance))).tolist()
-    )
-    known = np.ix_(kept["bins"], kept["bins"])
-    assert_allclose(kept["covariance"].value, profile.covariance[known].value)
-    assert profile.covariance.unit == PM**2
-    # The last bin is beyond the jet.
-    assert np.isnan(profile.covariance[3]).all()
 
 
 def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
@@ -141,11 +124,6 @@ def test_along_a_ridge_line_and_in_windows(decomposed):
     # The same direction: the same speeds.
     pm = (own.speeds["all"].speed[0] for own in (found, straight))
     assert_allclose(*pm, rtol=0.02)
-    windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
-    assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
-
-
-# -- covariance and slope ----------------------------------------------------------
 
 
 def test_a_slope_is_that_of_least_squares():
@@ -157,13 +135,6 @@ def test_a_slope_is_that_of_least_squares():
     line, covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
     assert_allclose([slope, slope_err], [line[0], covariance[0, 0] ** 0.5], rtol=1e-4)
     assert number == 8
-    # More scatter than the errors have counts.
-    wide = PartSpeeds(x, y, np.diag(error**2) / 100)
-    _, scaled = np.polyfit(x, y, 1, w=1 / error, cov=True)
-    assert slope_of(wide)[3] == pytest.approx(scaled[0, 0] ** 0.5, rel=1e-3)
-    # Two bins have no slope.
-    few = acceleration_of(PartSpeeds(x[:2], y[:2], np.eye(2)), 1.0)
-    assert np.isnan(few.p_value)
 
 
 @pytest.mark.slow
@@ -183,8 +154,6 @@ def test_the_covariance_is_that_of_repeated_jets():
     # They share features.
     assert expected[0, 1] > 0
 
-
-# -- fits of profiles, against numpy and against what was put in -------------------
 
 R, V = np.linspace(0.5, 10, 12) * u.mas, np.ones(12)
 
@@ -238,9 +207,6 @@ def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
     assert fit_profile(R[:2], v[:2], error[:2]).p_constant == 1
 
 
-# -- groups of scales --------------------------------------------------------------
-
-
 def test_groups_are_measured_by_themselves(by_scale):
     assert by_scale.groups == ("1", "2, 3")
     table = by_scale.components
@@ -257,9 +223,6 @@ def test_groups_are_measured_by_themselves(by_scale):
     alone = np.hypot(found["first_speed_err"], found["second_speed_err"])
     assert np.all(found["difference_err"] < 1.5 * alone)
     assert np.all(found["p_value"] > 1e-3)
-
-
-# -- cells -------------------------------------------------------------------------
 
 
 def test_cells_of_distance_and_offset(result):
@@ -288,8 +251,6 @@ def test_cells_of_radial_flows_have_azimuths(jet):
     assert abs(np.median(angle[seen]) - 270) < 20
     assert distance[seen].max() > 6
 
-
-# -- what is refused ---------------------------------------------------------------
 
 REFUSED = [
     (lambda *_: bins_of([1.0] * u.mas), "2 distance"),

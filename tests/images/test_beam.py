@@ -93,8 +93,6 @@ def test_beams_that_differ_are_refused_until_that_is_stated():
     assert len(scc.match(cube.to_common_beam()).matches)
 
 
-# -- the beam of a channel -----------------------------------------------------
-
 CHANNELS = np.linspace(4.0, 1.0, 4)
 ONE = [{"CHAN": 0, "POL": 0, "BMAJ": 2.0}]
 FOUR = [{"CHAN": k, "POL": 0, "BMAJ": width} for k, width in enumerate(CHANNELS)]
@@ -166,9 +164,6 @@ def test_which_channel_it_is_cannot_be_told(with_table, rows, changes):
     assert EpochCube.read(path, beams=given).beams == (given,)
 
 
-# -- a common beam ---------------------------------------------------------------
-
-
 def source(cube, covariance):
     """A Gaussian of peak 1 on the grid of a cube, from sky covariances."""
     e, n = (v.to_value(u.mas) for v in cube.offsets())
@@ -213,18 +208,6 @@ def test_flux_density_and_intensities_per_pixel_are_conserved(unit):
          for image, b in zip(c.data, c.beams, strict=True)] for c in (cube, result)
     )  # fmt: skip
     assert u.allclose(before, after, rtol=1e-6)
-
-
-def test_epochs_with_the_beam_stay_as_they_are():
-    value = float(np.float32(0.83))  # as in a header of single precision
-    cube = point_sources(beam(value, 0.8, 12), beam(0.7, 0.5), noise=[1, 1] * JY_BEAM)
-    result = common_beam(cube, beam(0.83, 0.8, 12))
-    assert_array_equal(result.data[0], cube.data[0])
-    assert np.any(result.data[1] != cube.data[1])
-    again = common_beam(result.with_step("noise", noise=[2, 3] * JY_BEAM))
-    assert_array_equal(again.data, result.data)
-    assert (result.noise, again.noise.value.tolist()) == (None, [2, 3])
-    assert "0 of 2" in again.meta["history"][-1]
 
 
 def test_bad_pixels_and_edges_do_not_darken():
@@ -275,16 +258,6 @@ def test_the_smallest_common_beam_contains_all(shapes):
     assert all(contains(result, b, 2e-6) for b in beams)
     area = float(result.major * result.minor / u.mas**2)
     assert area <= least_area(beams) * (1 + 1e-5)
-
-
-@pytest.mark.parametrize("scale", [2e-5, 3.6e6])
-def test_common_beams_of_any_size(scale):
-    """Micro-arcseconds for the EHT, degrees for single dishes."""
-    beams = [beam(scale, 0.5 * scale, pa) for pa in (-20, 20)]
-    result = smallest_common_beam(beams)
-    assert all(contains(result, b) for b in beams)
-    # Of two equal ellipses the least one lies midway.
-    assert abs(result.pa.value) < 0.1
 
 
 CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))

@@ -22,12 +22,10 @@ from regions import (
 
 from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.exceptions import EpochWarning
-from astro_scc.images.fits import read_plane
 from astro_scc.images.positions import offset_wcs
 from astro_scc.images.regions import crop, distance_mask, region_mask
 
 SHAPE = (40, 50)
-MAS = u.mas.to(u.deg)
 EXCLUDED = RegionMeta({"include": False})
 
 
@@ -54,8 +52,6 @@ def disc(x, y, r):
 def circle(x, y, r, **meta):
     return CirclePixelRegion(PixCoord(x, y), r, **meta)
 
-
-# -- regions -----------------------------------------------------------------
 
 ONE, TWO, HOLE = circle(15, 20, 8), circle(25, 20, 8), circle(20, 20, 4, meta=EXCLUDED)
 UNION = disc(15, 20, 8) | disc(25, 20, 8)
@@ -87,15 +83,6 @@ def test_regions_unite_and_exclusions_are_taken_away(tmp_path, region, expected)
     mask = region_mask(CUBE, region)
     assert_array_equal(mask, expected)
     assert mask is not region
-
-
-def test_sky_regions_of_milliarcseconds(tmp_path):
-    cube = make(25)
-    centre = cube.wcs.pixel_to_world(24, 18)
-    region = CircleSkyRegion(centre, 0.52 * u.mas)
-    Regions([region]).write(tmp_path / "jet.reg", format="ds9", precision=12)
-    for own in (region, tmp_path / "jet.reg"):
-        assert_array_equal(region_mask(cube, own), disc(24, 18, 5.2))
 
 
 SKY = SkyCoord("12h30m49.423382s +12d23m28.0443217s")
@@ -137,17 +124,6 @@ def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
             region_mask(cube, tmp_path / "r.reg")
 
 
-def test_regions_on_the_sphere():
-    regions = pytest.importorskip("regions", minversion="0.12")
-    cube = make(25)
-    centre = cube.wcs.pixel_to_world(24.3, 18.2)
-    circle = regions.CircleSphericalSkyRegion(centre, 0.52 * u.mas)
-    assert_array_equal(region_mask(cube, circle), disc(24.3, 18.2, 5.2))
-    limits = {"longitude_range": [1, 2] * u.deg, "frame": "icrs"}
-    with pytest.raises(ValueError, match="a RangeSphericalSkyRegion has no inside"):
-        region_mask(cube, regions.RangeSphericalSkyRegion(**limits))
-
-
 @pytest.mark.parametrize(
     ("region", "message"),
     [
@@ -176,9 +152,6 @@ def test_regions_that_cannot_be_used(tmp_path, region, message):
     assert "\n" not in str(caught.value)
 
 
-# -- crops --------------------------------------------------------------------
-
-
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 38), st.integers(1, 40), st.integers(0, 48), st.integers(1, 50))
 def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
@@ -191,9 +164,6 @@ def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
     before = cube.epoch_wcs[1].pixel_to_world(x0, y0)
     assert part.epoch_wcs[1].pixel_to_world(0, 0).separation(before) < 1e-4 * u.mas
     assert part.wcs.array_shape == part.shape[1:]
-
-
-# -- rings ----------------------------------------------------------------------
 
 
 def test_rings_share_no_pixel_and_leave_none_out():
@@ -221,8 +191,6 @@ def test_rings_and_crops_that_cannot_be_made(function, arguments, words):
     with pytest.raises((ValueError, u.UnitsError), match=words):
         function(CUBE, *arguments)
 
-
-# -- parts of files --------------------------------------------------------------
 
 PART = slice(9, 30), slice(14, 50)
 
@@ -285,38 +253,6 @@ def test_images_that_lie_whole_pixels_aside(tmp_path):
     same(EpochCube.read(paths, region=corner), EpochCube.read(paths).crop(corner))
     with pytest.raises(ValueError, match="nothing of the region lies in it; leave it"):
         EpochCube.read(paths, region=(slice(0, 4), slice(0, 20)))
-
-
-def test_what_a_part_has_not(paths):
-    for value, words in ((np.nan, "no valid pixel in this part, all are NaN"),
-                         (3, r"than two different values in this region")):  # fmt: skip
-        with fits.open(paths[1], mode="update") as hdus:
-            hdus[0].data[9:30, 14:50] = value
-        with pytest.raises(ValueError, match=words):
-            EpochCube.read(paths, region=PART)
-    fits.delval(paths[1], "DATE-OBS")
-    with pytest.raises(ValueError, match=f"{paths[1]}: no date of observation"):
-        EpochCube.read(paths, region=PART)
-    times = ["2001-03-01", "2001-02-01", None]
-    assert len(EpochCube.read(paths, region=PART, times=times, check=False)) == 3
-    # A part is smaller than the scatter of positions of VLBI, by which sources differ.
-    there = fits.getval(paths[1], "CRVAL1")
-    fits.setval(paths[1], "CRVAL1", value=there + 0.25 * MAS)
-    part = slice(30, 33), slice(10, 13)
-    assert len(EpochCube.read(paths, region=part, times=times)) == 3
-
-
-def test_parts_of_scaled_and_weighted_images_and_headers_alone(paths):
-    counts = np.rint(1000 * np.nan_to_num(read_plane(paths[0]).data)).astype(np.int16)
-    scaled = fits.PrimaryHDU(counts, fits.getheader(paths[0]))
-    scaled.header.update({"BSCALE": 0.001, "BZERO": 5.0})
-    weight = fits.ImageHDU(np.ones(counts.shape), name="WHT")
-    weight.data[20, 30] = 0
-    fits.HDUList([scaled, weight]).writeto(paths[0], overwrite=True)
-    whole, part = read_plane(paths[0]), read_plane(paths[0], window=PART)
-    assert_array_equal(part.data, whole.data[PART])
-    assert_array_equal(part.mask, whole.mask[PART])
-    assert part.mask.sum() == 1
 
 
 @pytest.mark.slow

@@ -124,17 +124,6 @@ def test_dates_of_which_there_are_doubts(cards, expected, words):
     assert words in record.get("date_problem", "") + "".join(record["remarks"])
 
 
-@pytest.mark.parametrize("step", [0.1, 12 * 60])
-def test_images_of_any_cadence_are_epochs(make_epochs, step):
-    times = Time("2015-06-18T10:00:00") + np.arange(3) * step * u.s
-    own = zip(PIXELS, times.isot, strict=True)
-    paths = make_epochs(*({"data": data, "DATE_OBS": text} for data, text in own))
-    cube = EpochCube.read(paths)
-    assert np.diff((cube.times - cube.times[0]).to_value(u.s)) == pytest.approx(step)
-    assert len({*cube[:].labels}) == 3
-    assert inspect_epochs(paths)["problem"].tolist() == ["", "", ""]
-
-
 @pytest.mark.parametrize(
     ("clocks", "pixels", "refused"),
     [
@@ -155,9 +144,6 @@ def test_the_same_date_and_the_same_exposure(make_epochs, clocks, pixels, refuse
             EpochCube.read(paths)
     else:
         assert len(EpochCube.read(paths)) == 3
-
-
-# -- cubes of images at many dates ---------------------------------------------------
 
 
 def cube(path, *, table=None, shape=(4, 16, 32), **changes):
@@ -224,20 +210,6 @@ def test_an_axis_of_time_has_epochs(tmp_path, changes, seconds):
     assert found.labels[3] == "movie.fits, image 4"
     table = inspect_epochs(tmp_path / "movie.fits")
     assert (len(table), set(table["problem"])) == (4, {""})
-
-
-def test_parts_and_single_images_of_movies(tmp_path):
-    pixels = cube(tmp_path / "movie.fits")
-    part = EpochCube.read(tmp_path / "movie.fits", region=(slice(2, 9), slice(3, 30)))
-    assert np.array_equal(part.data, pixels[:, 2:9, 3:30])
-    dates = ["2001-01-01", "2002-01-01", "2003-01-01", "2004-01-01"]
-    given = EpochCube.read(tmp_path / "movie.fits", times=dates)
-    assert given.times.isot[3][:10] == "2004-01-01"
-    # Images that were cut out of a movie have the dates of their axis.
-    for i in (2, 0):
-        cube(tmp_path / f"{i}.fits", shape=(1, 16, 32), CRPIX3=1.0 - i, seed=i)
-    found = EpochCube.read([tmp_path / "2.fits", tmp_path / "0.fits"], check=False)
-    assert (found.times[1] - found.times[0]).to_value(u.s) == pytest.approx(20)
 
 
 @pytest.mark.parametrize(

@@ -116,15 +116,13 @@ def test_an_image_is_chosen_behind_the_name(tmp_path, choice, expected, versions
     part = EpochCube.read(names, region=(slice(2, 9), slice(3, 30)))
     assert np.array_equal(part.mask, cube.mask[:, 2:9, 3:30])
     assert main(["inspect", names]) == 0
-    for choice in ("SCI,3", "9"):
+    for choice in ("SCI,3", "9", "ERR"):
         with pytest.raises(ValueError, match=rf"1.fits: has no image \[{choice}\]"):
             EpochCube.read(f"{paths[0]}[{choice}]")
     for name in (f"{tmp_path}/b.fits[1]", f"{tmp_path}/b*.fits[1]"):
         with pytest.raises(FileNotFoundError, match="no (such file|file matches)"):
             EpochCube.read(name)
 
-
-# -- pixels ----------------------------------------------------------------------
 
 BAD = np.zeros(SHAPE, dtype=bool)
 BAD[5, 7], BAD[:, 20] = True, True

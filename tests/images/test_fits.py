@@ -27,31 +27,11 @@ def test_degenerate_axes_byte_order_and_facts(make_fits):
     assert image.facts == facts
 
 
-def test_pixel_types_scaled_blank_and_not_finite_pixels(make_fits):
-    stored = np.arange(16 * 32).reshape(16, 32) % 100
-    for kind in ("i2", "f4"):
-        assert np.array_equal(
-            read_plane(make_fits(data=stored.astype(kind))).data, stored
-        )
-    path = make_fits(data=stored.astype("i2"))
-    with fits.open(path, mode="update", do_not_scale_image_data=True) as hdus:
-        hdus[0].header.update({"BSCALE": 0.5, "BZERO": 10.0, "BLANK": 3})
-    expected = np.where(stored == 3, np.nan, 10 + stored / 2)
-    assert np.array_equal(read_plane(path).data, expected, equal_nan=True)
-    data = PIXELS.copy()
-    data[0, 0, :3, 0] = np.nan, np.inf, -np.inf
-    image = read_plane(make_fits(data=data))
-    assert image.mask.sum() == image.mask[:3, 0].sum() == 3
-
-
 def test_stokes_i_is_taken_from_several_planes(make_fits):
     data = np.concatenate([PIXELS + k for k in range(4)])
     for plane, changes in ((0, {}), (3, {"CRVAL4": 4.0, "CDELT4": -1.0})):
         image = read_plane(make_fits(data=data, **changes))
         assert np.array_equal(image.data, data[plane, 0])
-
-
-# -- what is no image ------------------------------------------------------------
 
 
 def refused(path, words, error=OSError):

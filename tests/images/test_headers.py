@@ -136,15 +136,6 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, cha
     assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
-def test_equinox_reference_value_and_signs(aips_header):
-    for epoch, system in ((2000.0, "FK5"), (1950.0, "FK4")):
-        assert celestial_wcs(aips_header(EPOCH=epoch)).wcs.radesys == system
-    assert celestial_wcs(aips_header(EPOCH=None)).wcs.radesys in ("", "ICRS")
-    wcs = celestial_wcs(aips_header(CRVAL1=None, CRVAL2=None, CDELT1=2e-8))
-    assert list(wcs.wcs.crval) == [0, 0]
-    assert wcs.pixel_scale_matrix[0, 0] > 0
-
-
 def test_polynomials_are_of_degrees(aips_header):
     """Whether the pixel scale is in CDELT or in the matrix."""
     terms = {"PV1_1": 1.0, "PV1_4": 0.02, "PV2_1": 1.0}

@@ -24,7 +24,7 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images import local
-from astro_scc.images.local import north_in, separation, turned
+from astro_scc.images.local import north_in, turned
 from astro_scc.images.regions import refuse_pixels, region_mask
 
 NY, NX = 24, 32
@@ -166,32 +166,6 @@ def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
     assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2)
 
 
-@pytest.mark.parametrize(("pole", "code"), [(89.9, "TAN"), (-89.7, "CAR")])
-def test_images_near_a_pole(code, pole):
-    head = header(code, (200.0, pole), 5e-5)
-    head["CRVAL1"], head["CRVAL2"] = (120.0, 0.0 if code == "CAR" else 0.995 * pole)
-    head["CRPIX1"] = head["CRPIX2"] = 0.0
-    x, y = WCS(head).world_to_pixel_values(200.0, pole)
-    head["CRPIX1"], head["CRPIX2"] = (NX - 1) / 2 - x, (NY - 1) / 2 - y
-    cube = read(head)
-    assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2, 3e-3)
-
-
-@pytest.mark.parametrize(
-    ("turns", "code", "lat"), [(-1, "CAR", 60.0), (1, "CEA", -40.0), (2, "MER", 0.0)]
-)
-def test_longitudes_that_were_counted_on_past_half_a_turn(code, turns, lat):
-    head = header(code, (100.0, lat), 1e-3)
-    straight = read(head)
-    wcs = WCS(head)
-    head["CRPIX1"] += turns * 360 / 1e-3
-    cube = read(head)
-    assert_allclose(cube.pixel_matrix.value, straight.pixel_matrix.value, atol=1)
-    there, here = (one.wcs.pixel_to_world_values(9, 9) for one in (straight, cube))
-    assert_allclose(here, there, atol=1e-5)
-    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
-
-
 def test_structure_far_from_the_reference_pixel_of_a_mosaic():
     head = header("TAN", (120.0, 40.0), 0.03)
     head.update({"CRPIX1": 150.0, "CRPIX2": 150.0, "CRVAL1": 120.0, "CRVAL2": 40.0})
@@ -254,20 +228,6 @@ def test_structure_over_much_of_the_sky_is_refused():
         flat.reproject_to(WCS(wide), (NY, NX))
 
 
-@pytest.mark.parametrize("code", ["CAR", "CEA"])
-def test_coordinates_of_the_sun_that_follow_its_rotation(code):
-    """The reference point moves from epoch to epoch, the structure stays."""
-    head = header(code, (122.0, 40.0), 0.01, mirrored=True, kind="CRLN")
-    every = []
-    for i in range(3):
-        every.append(WCS(head))
-        head["CRVAL1"] += 0.5 * (i + 1)
-        head["CRPIX1"] += 0.5 * (i + 1) / 0.01
-    cube = stack(images(), every)
-    assert_allclose(cube.data, images(), atol=1e-6)
-    assert_as_on_sky(cube, every[0], (NX - 1) / 2, (NY - 1) / 2)
-
-
 def test_far_reference_pixels_are_no_origin(tmp_path):
     """Along the equator the matrix of a cylinder holds, but its offsets say nothing."""
     paths = []
@@ -288,27 +248,6 @@ def test_far_reference_pixels_are_no_origin(tmp_path):
         assert cube.align("wcs").meta["alignment"][-1]["shift_east_mas"] == 0
 
 
-@pytest.mark.parametrize(
-    ("other", "turn", "mirrored"), [("CAR", 40.0, False), ("TPV", 0.0, True)]
-)
-@pytest.mark.filterwarnings("ignore:.*:astro_scc.exceptions.EpochWarning")
-def test_epochs_of_several_projections_lie_at_their_places(other, turn, mirrored):
-    place = (121.0, 35.0)
-    one = WCS(header("TAN", place, 2e-4))
-    two = WCS(header(other, place, 3e-4, turn, mirrored))
-    cube = stack([images()[0]] * 3, [one, two, two], frame="absolute")
-    x, y = np.ravel(cube.wcs.world_to_pixel(SkyCoord(*place, unit="deg")))
-    left, low = round(x) - 3, round(y) - 3
-    v, w = np.indices((7, 7))
-    for part in cube.data[:, low : low + 7, left : left + 7] ** 3:
-        centre = np.array([np.sum(part * w), np.sum(part * v)]) / part.sum()
-        assert_allclose(centre + [left, low], [x, y], atol=0.6)
-    assert_as_on_sky(cube, one, (NX - 1) / 2, (NY - 1) / 2)
-
-
-# -- equinoxes -----------------------------------------------------------------------
-
-
 def equinoxes(lat):
     """Return the WCS of one place in B1950 and in J2000."""
     place = SkyCoord(83.0, lat, unit="deg", frame="fk5")
@@ -320,21 +259,6 @@ def equinoxes(lat):
         head.update({"EQUINOX": equinox, "CRPIX1": 8.0, "CRPIX2": 12.0})
         made.append(WCS(head))
     return made
-
-
-@pytest.mark.parametrize("lat", [-70.0, 85.0])
-def test_one_place_is_one_place_in_either_equinox(lat):
-    old, new = equinoxes(lat)
-    assert separation(old, new) == separation(new, old) == 0
-    away = new.deepcopy()
-    away.wcs.crval = new.wcs.crval + [0, 0.01]
-    assert_allclose([separation(away, new), separation(old, away)], 0.01, rtol=0.01)
-    # The north of B1950 as J2000 has it, by two places on the sky.
-    turn = (north_in(old, new) + np.pi) % (2 * np.pi) - np.pi
-    step = SkyCoord(*old.wcs.crval, unit="deg", frame=FK4(equinox="B1950"))
-    ahead = step.directional_offset_by(0 * u.deg, 1 * u.arcmin)
-    wanted = step.icrs.position_angle(ahead.icrs).wrap_at(180 * u.deg).rad
-    assert_allclose(turn, wanted, atol=1e-5)
 
 
 @pytest.mark.filterwarnings("error", "ignore:.*on another grid")
@@ -360,8 +284,6 @@ def test_epochs_of_both_equinoxes_have_one_north():
     matrices = (w.pixel_scale_matrix for w in (cube.epoch_wcs[1], turned(new, -turn)))
     assert_allclose(*matrices, atol=1e-12)
 
-
-# -- regions -------------------------------------------------------------------------
 
 MAS = u.mas
 
@@ -410,14 +332,6 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
     assert region_mask(cube, PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
     hollow = CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
     assert not region_mask(cube, hollow)[39, 39]
-
-
-def test_places_of_no_frame_are_as_they_are():
-    """Coordinates of the Sun have no frame without sunpy."""
-    one, other = (WCS(header("TAN", (120.0, 10.0), 1e-3, kind="HPLN")) for _ in "ab")
-    other.wcs.crval = one.wcs.crval + [0, 0.5]
-    assert_allclose(separation(one, other), 0.5)
-    assert north_in(one, other) == 0
 
 
 def test_structure_is_where_most_bright_pixels_are():

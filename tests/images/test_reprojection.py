@@ -42,9 +42,6 @@ def cube_of(wcs=None, shape=SHAPE, **fields):
     return EpochCube(spots(wcs, shape), DATES, wcs, **fields)
 
 
-# -- filling and shifting ---------------------------------------------------
-
-
 @settings(max_examples=15)
 @given(st.integers(-9, 9), st.integers(-12, 12))
 def test_whole_pixels_are_copied(dy, dx):
@@ -78,9 +75,6 @@ def test_parts_of_a_pixel_move_a_source_and_its_bad_pixels():
     assert_allclose(moved[~mask], spot(20.5, 20.25)[~mask], atol=5e-3)
 
 
-# -- onto another grid --------------------------------------------------------
-
-
 def test_onto_finer_and_turned_pixels():
     new, new_shape = grid((60, 55), pixel=0.05, turn=30), (110, 120)
     result = reproject_cube(cube_of(unit=u.Jy / u.beam), new, new_shape)
@@ -108,38 +102,6 @@ def test_averages_over_larger_pixels():
     assert_allclose(result.data[~result.mask], sums[~result.mask], atol=1e-4)
 
 
-def test_grids_of_headers_cubes_and_coordinates():
-    cube, new = cube_of(), grid((70.25, 50), pixel=0.05, turn=20)
-    expected = reproject_cube(cube, new, (50, 70))
-    header, new.array_shape = new.to_header(), (50, 70)
-    header.update({"NAXIS": 2, "NAXIS1": 70, "NAXIS2": 50, "CTYPE2": "DEC---SIN"})
-    for target in (header, new, cube_of(new, (50, 70))):
-        result = cube.reproject_to(target)
-        assert_array_equal(result.mask, expected.mask)
-        assert_allclose(result.data, expected.data, atol=1e-6)
-    assert cube.reproject_to(header, (40, 60)).shape == (2, 40, 60)
-
-
-def test_what_is_kept_of_copied_and_of_interpolated_pixels():
-    unit = u.Jy / u.beam
-    beams = [Beam(1 * u.mas, k * u.mas) for k in (0.5, 0.7)]
-    fields = {"noise": [1, 2] * unit, "labels": ("a", "b"), "beams": beams}
-    cube = cube_of(unit=unit, meta={"caution": 1}, **fields)
-    cube.data[0, 30, 40], cube.mask[0, 30, 40] = np.nan, True
-    copied = reproject_cube(cube, grid((35, 40)), (70, 60))
-    assert_array_equal(copied.data[:, 8:70, :60], cube.data[:, :62, 5:65])
-    assert copied.mask[:, :8].all()
-    assert copied.mask[:, 8:].sum() == 1
-    result = reproject_cube(cube, grid((40.4, 32.3)), SHAPE)
-    assert (result.mask[0][INNER].sum(), result.mask[1][INNER].sum()) == (4, 0)
-    assert result.mask[0, 30, 40]
-    expected, good = spots(grid((40.4, 32.3)), SHAPE), ~result.mask
-    assert_allclose(result.data[good], expected[good], atol=2e-3)
-    for one, noise in ((copied, cube.noise), (result, None)):
-        assert (one.noise is noise, one.meta["caution"]) == (True, 1)
-        assert (one.unit, one.beams, one.labels) == (unit, cube.beams, cube.labels)
-
-
 @pytest.mark.parametrize(
     ("target", "options", "words"),
     [
@@ -157,9 +119,6 @@ def test_what_cannot_be_a_grid_is_refused(target, options, words):
     cube = cube_of(beams=Beam(1 * u.mas, 1 * u.mas))
     with pytest.raises((ValueError, TypeError), match=words):
         reproject_cube(cube, target, **{"shape": SHAPE, **options})
-
-
-# -- a grid for all ------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -117,9 +117,6 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
         table_in_c(table, distance="16 7 Mpc")
 
 
-# -- flows behind apparent speeds -------------------------------------------------
-
-
 def test_numbers_at_15_degrees_and_speeds_that_are_none():
     gamma = lorentz_factor(beta_intrinsic([4, 6], 15 * u.deg))
     np.testing.assert_allclose(gamma.value, [4.13, 7.48], atol=5e-3)

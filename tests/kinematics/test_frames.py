@@ -84,9 +84,6 @@ def test_no_frame(frame, values, message):
         frame(*values)
 
 
-# -- ridge lines ------------------------------------------------------------------
-
-
 BEND = 10.0
 WEST = 270 * u.deg
 
@@ -167,17 +164,6 @@ def bent_images(n=1, noise=0.002, turn=0.0):
     t = np.linspace(0, 1.0, 120)
     options = {"size": (140, 140), "reference": (25, 25), "noise": noise, "rms": noise}
     return along(*on_circle(t), 0.1 * np.exp(-t), 4.5, n, turn=turn, **options)
-
-
-def test_ridge_line_of_an_image():
-    line = find_ridge_line(bent_images(turn=0.5), position_angle=WEST, threshold=10)
-    s = np.linspace(1, 9, 30) * u.mas
-    east, north = line.at(s)
-    away = np.hypot(east.value, north.value - BEND) - BEND
-    assert np.abs(away).max() < 0.1
-    assert np.all(line.error.value < 0.05)
-    angle = line.position_angle(s).value
-    assert_allclose(angle, 270 + np.degrees(s.value / BEND), atol=6)
 
 
 def test_position_angle_and_end_of_a_line():

@@ -37,9 +37,6 @@ def same(one, other, names=COLUMNS):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-# -- coefficients and peaks ---------------------------------------------------------
-
-
 def double_loop(values, footprint, window, reach, valid, min_overlap):
     """The paper's equation, one displacement after the other."""
     height, width = footprint.shape
@@ -126,9 +123,6 @@ def test_peaks_equal_brute_force(seed, n, ny, nx, smooth, threshold, ties, missi
         assert index[k] == map_
         assert max(abs(y[k] - py), abs(x[k] - px)) <= 0.5
         assert maps[map_, py, px] <= value[k] <= max(1, maps[map_, py, px])
-
-
-# -- matches against loops ----------------------------------------------------------
 
 
 def gaussian(x0, y0, fwhm=10.0, height=1.0, shape=(NY, NX)):
@@ -271,9 +265,6 @@ def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
     assert np.all(np.abs(found.overlap - whole.overlap) <= limit)
 
 
-# -- what matches tell --------------------------------------------------------------
-
-
 @settings(max_examples=15)
 @given(
     st.floats(-11, 11), st.floats(-11, 11), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5),
@@ -291,57 +282,6 @@ def test_shifted_gaussian_comes_back(dx, dy, x0, y0, scale, target):
     # The roles reversed, the displacement is the opposite one.
     back = best_match(matches, len(first.ssps) + brightest(second, scale))
     assert (back.dx[0], back.dy[0]) == pytest.approx((-dx, -dy), abs=0.06)
-
-
-def test_faint_feature_beside_a_core():
-    """A knot is found beside a core a hundred thousand times brighter."""
-    images = [
-        gaussian(30, 48, 6, 1e5) + gaussian(60 + 4.4 * k, 48, 6, 1.0) for k in (0, 1)
-    ]
-    # Far from the core its wavelets are exactly zero: any noise would do.
-    decompose = Decomposer(scales=[2], noise="propagated")
-    pair = [decompose(image, rms=0.05) for image in images]
-    knot = int(np.argmin(np.abs(pair[0].ssps.x - 60)))
-    matches = Correlator()(pair, [(0, 1)], (8, 34))
-    own = matches.select(matches.ssp == knot)
-    assert np.hypot(own.dx - 4.4, own.dy).min() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("target", "end"), [("segments", NX), ("segments", 118), ("plane", 118)]
-)
-def test_feature_that_leaves(target, end):
-    """Near the edge its place is right; beyond it there is no match."""
-    decompose = Decomposer(scales=[2])
-    first = decompose(gaussian(90, 48) + noise(1))
-    ssp = brightest(first, 2)
-    mask = np.zeros((NY, NX), dtype=bool)
-    mask[:, end:] = True
-
-    def matches_at(x):
-        second = decompose(gaussian(x, 48) + noise(2), mask=mask)
-        return Correlator(target=target)([first, second], [(0, 1)], 44)
-
-    for x, largest in ((end - 15.7, 0.05), (end - 9.7, 0.3), (end - 6.7, 1.0)):
-        best = best_match(matches_at(x), ssp)
-        assert best.dx[0] == pytest.approx(x - 90, abs=largest)
-        assert best.dy[0] == pytest.approx(0, abs=0.05)
-    for x in (end - 1.7, end + 5.3):
-        matches = matches_at(x)
-        # Not on the brink of the smallest overlap either.
-        own = matches.select((matches.ssp == ssp) & (np.abs(matches.dy) < 4))
-        assert not (own.dx > end - 90 - 15).any()
-
-
-def test_patterns_of_few_pixels_match_nothing(masked, matched, monkeypatch):
-    """With two pixels the coefficient is one or minus one, wherever they fall."""
-    number = SSPs.of_epochs(masked).n_pixels[matched.ssp]
-    least = int(np.sort(number)[len(number) // 2])
-    monkeypatch.setattr("astro_scc.paper.correlate.FEWEST_PIXELS", least)
-    same(Correlator()(masked, all_pairs(3), 6), matched.select(number >= least))
-
-
-# -- calls --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("target", ["segments", "plane"])
@@ -410,9 +350,6 @@ def test_what_is_refused(masked, own, call, message):
     epochs = [*masked[:2], Decomposer(scales=scales)(np.zeros(shape))]
     with pytest.raises(ValueError, match=message):
         Correlator(**own)(epochs, **options)
-
-
-# -- matches ------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -39,20 +39,6 @@ def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
     np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
 
 
-def test_fit_follows_the_high_values_under_noise():
-    """Weights f^2: errors of the logarithm of low values do not count."""
-    rng = np.random.default_rng(0)
-    x = y = np.linspace(-3, 3, 25)
-    errors = []
-    for _ in range(100):
-        centre = rng.uniform(-0.3, 0.3, 2)
-        f = np.exp(-0.5 * ((x - centre[0]) ** 2 + (y[:, None] - centre[1]) ** 2))
-        f = np.clip(f + rng.normal(scale=0.02, size=f.shape), 0, None)
-        errors.append(fit_gaussian(f, x, y)[:2] - centre)
-    assert np.abs(errors).max() < 0.1
-    assert np.std(errors) < 0.02
-
-
 @pytest.mark.parametrize(
     "surface",
     [
@@ -88,17 +74,6 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
 def test_a_maximum_on_the_border_is_none(place):
     found = find_velocity_peaks(gaussian(AXES, *place, 1.0, 1.0), AXES, BOX)
     assert [len(part) for part in found] == [0, 0]
-
-
-def test_too_narrow_for_a_fit_the_quadratic_serves():
-    """A kernel below the grid's spacing: fewer than six points reach half."""
-    scc = gaussian(AXES, 0.1, 0.0, 0.25, 0.2)
-    ((v1, v2),), _ = find_velocity_peaks(scc, AXES, BOX)
-    assert abs(v1 - 0.1) < 0.25
-    assert abs(v2) < 0.2
-
-
-# -- errors from shifted positions ------------------------------------------------
 
 
 PAIRS = consecutive_pairs([0.0, 0.5])
@@ -210,24 +185,3 @@ def test_the_nearest_of_two_maxima_is_found_again():
     found = jitter(Displacements(**both), 200, box=(5.0, 3.0))
     assert len(found) == 200
     assert np.abs(found).max() < 0.5
-
-
-@pytest.mark.parametrize("n", [100, 1000])
-def test_normal_values_look_normal_and_others_do_not(n):
-    rng = np.random.default_rng(3)
-    turn = np.array([[2.0, 0.0], [1.5, 0.3]])
-    p = [normal_probability(rng.normal(size=(n, 2)) @ turn) for _ in range(400)]
-    assert 0.02 < np.mean(np.array(p) < 0.05) < 0.08
-    assert normal_probability(rng.exponential(size=(n, 2))) < 1e-3
-    assert normal_probability(rng.uniform(size=(1000, 2)) @ turn) < 1e-3
-    # Neither shift nor scale changes it.
-    values = rng.normal(size=(n, 2))
-    p = normal_probability(values)
-    assert normal_probability(5 + 1e-3 * values) == pytest.approx(p)
-
-
-def test_too_few_values_or_a_line_have_no_distribution():
-    values = np.random.default_rng(4).normal(size=(9, 2))
-    assert np.isfinite(normal_probability(values))
-    assert np.isnan(normal_probability(values[:7]))
-    assert np.isnan(normal_probability(np.zeros((50, 2))))

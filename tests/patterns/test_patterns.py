@@ -18,8 +18,6 @@ from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.patterns import allow_for_structure, centroids_inside
 
-# -- images without empty sky ------------------------------------------------------
-
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 SCALES = (1, 2, 3, 4)
 
@@ -92,15 +90,6 @@ def test_the_noise_of_a_texture_is_what_its_epochs_do_not_share(kind, noise):
     assert len(found.ssps) > 20 * len(Decomposer(scales=[1, 2, 3])(cube.data[0]).ssps)
 
 
-def test_only_scales_that_are_full_of_structure_are_changed():
-    """A wide texture below noise that hides its finer parts."""
-    wide = textured(3, noise=5.0, shape=(256, 256))
-    with pytest.warns(MeasurementWarning, match="full of structure on scale 4: "):
-        allowed = allow_for_structure(wide, Decomposer(scales=SCALES))
-    assert allowed.noise_factors[:3] == (1, 1, 1)
-    assert 0.3 < allowed.noise_factors[3] < 0.8
-
-
 @pytest.mark.slow
 def test_a_texture_is_measured_and_said():
     cube = textured(3, shape=(64, 96), n_epochs=6)
@@ -113,9 +102,6 @@ def test_a_texture_is_measured_and_said():
     assert row["kind"] == "moving"
     # 2.3 px of 0.1 mas in 0.2 yr to the right, which is west.
     assert abs(row["pm_ra_cosdec"].value + 1.15) < 3 * row["pm_err"].value < 0.2
-
-
-# -- regions ------------------------------------------------------------------------
 
 
 def test_ssps_are_inside_if_their_centroid_is(matched):

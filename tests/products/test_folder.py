@@ -15,7 +15,6 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc.measurement.citations import citations_of
-from astro_scc.measurement.result import velocity_hdus
 from astro_scc.products import write_products
 from astro_scc.products.folder import product_folder
 from astro_scc.writing import versions
@@ -54,9 +53,6 @@ def written(result, streams, tmp_path_factory):
     return folder
 
 
-# -- folders -----------------------------------------------------------------------
-
-
 def tree(folder):
     """The text of all files, and the folders."""
     return {
@@ -90,12 +86,6 @@ def test_a_folder_is_made_with_its_parents_and_filled_again_if_asked(tmp_path):
         (target / name / "mine.fits").write_text("old")
     fill(target, overwrite=True, stale=("one.txt", "old.txt", "older.txt", "pages"))
     assert tree(target) == NEW | {"mine.txt": "old", "images/mine.fits": "old"}
-
-
-def test_what_a_killed_run_left_is_no_product(tmp_path):
-    (tmp_path / ".partial-0123abcd").mkdir()
-    fill(tmp_path)
-    assert tree(tmp_path) == NEW | {".partial-0123abcd": False}
 
 
 @pytest.mark.parametrize(
@@ -150,9 +140,6 @@ def test_an_interrupt_while_files_are_moved_comes_too_late(tmp_path, monkeypatch
     assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
 
 
-# -- tables and maps ---------------------------------------------------------------
-
-
 def test_tables_are_the_ones_of_the_result(written, result, streams):
     own = (written / name for name in ("streams.ecsv", "components.ecsv"))
     assert len({path.read_text() for path in own}) == 1
@@ -196,28 +183,6 @@ def test_maps_satisfy_the_standard(written, result):
     assert list(header["HISTORY"]) == ["simulated: here"]
     assert {"scales = [2]", "# Gr??e"} <= {*header["COMMENT"]}
 
-
-@pytest.mark.parametrize("radial", [True, False])
-def test_the_fits_file_holds_the_diagram(result, jet_results, radial):
-    result = jet_results["radial"] if radial else result
-    image, hdus = result.diagram(), velocity_hdus(result)
-    header, wcs = hdus["DIAGRAM"].header, WCS(hdus["DIAGRAM"].header)
-    np.testing.assert_array_equal(hdus["DIAGRAM"].data, image.data)
-    assert list(wcs.wcs.ctype) == ["INTV-LOG", "DISPLACE"]
-    x, y = np.indices(image.data.T.shape)
-    interval, displacement = wcs.pixel_to_world_values(x, y)
-    own = image.wcs.pixel_to_world_values(x, y)
-    np.testing.assert_allclose([interval, displacement], own, rtol=1e-9, atol=1e-9)
-    table = QTable.read(hdus["INTERVALS"])
-    for name in ("interval", "n_pairs"):
-        np.testing.assert_array_equal(table[name], image.meta[name])
-    assert header["BEAM"] == image.meta["beam"].value
-    assert ("radial" in header.comments["CNAME2"]) == radial
-    angle = image.meta["position_angle"]
-    assert header.get("DISPPA") == (None if radial else angle.value)
-
-
-# -- citations -----------------------------------------------------------------------
 
 PAPERS = ["mertens2016", "mertens2015", "astro_scc"]
 

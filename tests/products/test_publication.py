@@ -9,13 +9,10 @@ import pytest
 from astropy.io import ascii
 from astropy.io.votable import parse, validate
 from astropy.io.votable.ucd import check_ucd
-from astropy.table import MaskedColumn, QTable, vstack
-from astropy.time import Time
-from astropy.utils.masked import Masked
+from astropy.table import vstack
 
 from astro_scc.columns import column_of, columns_of
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.products import write_votable
 from astro_scc.products.publication import (
     ONE_PAGE,
     latex_texts_of,
@@ -50,9 +47,6 @@ def folder(printed, tmp_path_factory):
     return out / "publication"
 
 
-# -- archives ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_archives_read_the_numbers(folder, printed, name):
     path, table = folder / f"{name}_mrt.txt", printed[name]
@@ -84,69 +78,6 @@ def test_archives_read_the_numbers(folder, printed, name):
         np.testing.assert_allclose(got[known], values[known], **how)
 
 
-def test_tables_without_rows_and_speeds(printed, tmp_path):
-    write_publication({name: own[:0] for name, own in printed.items()}, tmp_path)
-    out = tmp_path / "publication"
-    text = (out / "features_mrt.txt").read_text()
-    rows = [line for line in text.splitlines() if not line.startswith("Note: ")]
-    assert max(map(len, rows)) <= 80
-    # What has no features has no speed in print.
-    table = printed["streams"].copy()
-    for name in table.colnames:
-        if name.startswith(("pm", "beta_app", "dispersion")):
-            table[name][0] = np.nan
-    for text in latex_texts_of(table, "streams").values():
-        (row,) = (line for line in text.splitlines() if line.startswith("1 & moving"))
-        heads = next(line for line in text.splitlines() if "beta" in line).split("&")
-        cells = dict(zip(heads, row.split(" & "), strict=True))
-        blank = [cells[k] for k in heads if "mu" in k or "beta" in k]
-        assert blank == [r"\nodata"] * 4
-        # The core is the reference.
-        assert "& stationary" not in text
-
-
-# -- VOTable -----------------------------------------------------------------------
-
-
-def test_votables_hold_the_numbers(sky_result, printed, folder, tmp_path):
-    write_votable(sky_result.ssps, tmp_path / "ssps.vot")
-    every = {tmp_path / "ssps.vot": sky_result.ssps}
-    every |= {folder / f"{n}.vot": printed[n] for n in NAMES[1:]}
-    for path, table in every.items():
-        read = QTable.read(path, format="votable")
-        assert read.colnames == table.colnames
-        for column in set(table.colnames) - {"stream"}:
-            one, other = table[column], read[column]
-            # VOTable has a unit for each real number.
-            unit, same = (getattr(k, "unit", None) or u.one for k in (one, other))
-            assert unit == same
-            about = (k.info.description or "" for k in (one, other))
-            assert len({" ".join(text.split()) for text in about}) == 1
-            one = getattr(one, "isot", one)
-            np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
-
-
-def test_short_tables_dates_masks_and_meta(tmp_path):
-    path = tmp_path / "a.vot"
-    meta = {"seed": 1, "level": 0.05, "done": True, "note": "two words", "settings": {}}
-    columns = {"pm": [1.0] * u.mas / u.yr, "date": Time(["2000-01-01"])}
-    columns["t_ej"] = Masked([1.5] * u.yr, mask=[True])
-    columns["share"] = MaskedColumn([0.5], mask=[True])
-    table = QTable(columns, meta=meta)
-    write_votable(table, path)
-    votable, read = parse(path).get_first_table(), QTable.read(path)
-    params = {param.name: param.value for param in votable.params}
-    assert params == {key: meta[key] for key in meta if key != "settings"}
-    assert read["pm"].unit == u.mas / u.yr
-    assert read["date"][0] == "2000-01-01T00:00:00.000"
-    assert read["t_ej"].mask.all()
-    assert read["share"].mask.all()
-    with pytest.raises(OSError, match=r"a\.vot: exists"):
-        write_votable(table, path)
-    write_votable(table[:0], path, overwrite=True)
-    assert QTable.read(path)["date"].dtype.kind in "OU"
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_votable_says_of_what_it_is(folder, name, capsys):
     path = folder / f"{name}.vot"
@@ -176,9 +107,6 @@ def test_columns_are_described_and_have_ucds_of_the_vocabulary(sky_result):
     names = "streams features feature_positions ssps sensitivity spectrum".split()
     for table in (getattr(sky_result, k) for k in names):
         assert [n for n in table.colnames if not table[n].info.description] == []
-
-
-# -- LaTeX -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rows", [2, ONE_PAGE + 1])

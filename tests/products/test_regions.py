@@ -38,18 +38,6 @@ def test_outlines_hold_the_pixels(matched, tmp_path):
         assert np.array_equal(inside, np.sort(ssps.pixels_of(index)))
 
 
-def test_frame_of_the_file(matched):
-    cube = matched.cube
-    moved = cube.wcs.deepcopy()
-    moved.wcs.crval = moved.wcs.crval + [0, 1e-7]
-    moved.wcs.set()
-    own = replace(cube, epoch_wcs=[cube.wcs, moved, *[cube.wcs] * (len(cube) - 2)])
-    (one, *_), (other, *_) = (
-        ssp_regions(matched.ssps, own, 1, frame=frame) for frame in ("cube", "epoch")
-    )
-    assert np.allclose((other.vertices.dec - one.vertices.dec).deg, 1e-7, atol=1e-12)
-
-
 def test_segmentation(matched):
     image = ssp_segmentation(matched.ssps, matched.cube, -1, 2)
     here = indices(matched.ssps, len(matched.cube) - 1, 2)

@@ -18,7 +18,6 @@ from astro_scc.epochs import Beam
 from astro_scc.kinematics import RidgeLine
 from astro_scc.recovery import (
     FeaturePaths,
-    area_for_features,
     completeness,
     draw_paths,
     inject,
@@ -59,20 +58,6 @@ def test_a_strong_stream_is_found_and_one_below_the_noise_is_not(sky, settings):
     table = completeness(sky, settings, speeds=FAST, fluxes=[0.5, 100], **QUICK)
     assert table["n_found"].tolist() == [0, 2]
     assert table["fraction"].tolist() == [0.0, 1.0]
-
-
-def test_features_are_put_where_the_epochs_have_ssps(sky, settings):
-    where = np.zeros(sky.shape[1:], dtype=bool)
-    where[20:30, 30:60] = True
-    how = {"position_angle": WEST, "n_features": 3, "rng": 1}
-    paths = draw_paths(sky, where, speed=1 * PM, **how)
-    decomposed = settings.decompose(inject(sky, paths, 1.0))
-    area = area_for_features(decomposed, None)
-    assert 0 < area.sum() < 0.6 * area.size
-    assert area[20:30, 30:60].any()
-    np.testing.assert_array_equal(area_for_features(decomposed, where), where)
-    # Without any SSP they may be anywhere.
-    assert area_for_features(settings.decompose(sky), None).all()
 
 
 CORNER = np.zeros((48, 96), dtype=bool)

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from astro_scc.epochs import Beam
 from astro_scc.simulation import (
     Layer,
     m87_layers,
@@ -22,7 +21,6 @@ TABLE = {
     "half_width": [0.2, 0.4, 0.6] * u.mas,
     "brightness": [20, 10, 5] * u.mJy / u.beam,
 }
-STILL = {"speed": [0, 0, 0] * u.mas / u.yr, "life": np.inf * u.yr}
 BARE = {"core": 0.0, "flux_variation": 0.0, "noise": 0.0}
 
 
@@ -63,46 +61,6 @@ def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
     for image, row in zip(jet.cube.data, jet.truth, strict=True):
         assert np.sum(x * image) / image.sum() == pytest.approx(row["x"].value)
         assert np.sum(y * image) / image.sum() == pytest.approx(row["y"].value)
-
-
-def test_a_still_point_has_the_peak_and_the_beam_that_were_asked_for():
-    beam = Beam(0.5 * u.mas, 0.3 * u.mas, 30 * u.deg)
-    point = layer(size=(0, 0) * u.mas, n_clumps=1, flux_scatter=0.0, **STILL,
-                  brightness=[10, 10, 10] * u.mJy / u.beam)  # fmt: skip
-    settings = {"layers": [point], "n_epochs": 2, "beam": beam, **BARE}
-    # One clump, away from the end of the jet, where all fade.
-    found = (simulate_resolved_jet(**settings, rng=seed) for seed in range(20))
-    jet = next(
-        j for j in found if len(j.truth) == 2 and j.truth["flux"][0].value > 0.0099
-    )
-    image = jet.cube.data[0]
-    assert image.max() == pytest.approx(0.01, rel=0.05)
-    y, x = np.indices(image.shape)
-    mean = [np.sum(v * image) / image.sum() for v in (x, y)]
-    moments = np.cov([x.ravel() - mean[0], y.ravel() - mean[1]], aweights=image.ravel(),
-                     bias=True) * 0.06**2  # fmt: skip
-    # East is left, north is up.
-    wanted = beam.covariance.to_value(u.mas**2) * [[1, -1], [-1, 1]]
-    assert_allclose(moments, wanted, rtol=0.02)
-    assert_allclose(jet.cube.data[1], image)
-
-
-def test_fluxes_of_still_clumps_have_a_memory():
-    still = layer(n_clumps=300, **STILL)
-    settings = {
-        "n_epochs": 8,
-        "noise": 0.0,
-        "core": 0.0,
-        "flux_variation": 0.5,
-        "rng": 1,
-    }
-    for memory, kept in ((42 * u.day, np.exp(-0.5)), (0 * u.yr, 0.0)):
-        jet = simulate_resolved_jet(layers=[still], memory=memory, **settings)
-        assert np.all(jet.truth["pm_east"] == 0)
-        log = np.log(jet.truth["flux"].value).reshape(-1, 8)
-        log -= log.mean()
-        change = np.mean(np.diff(log, axis=1) ** 2) / (2 * 0.5**2)
-        assert 1 - change == pytest.approx(kept, abs=0.1)
 
 
 def test_layers_of_m87():

@@ -19,7 +19,6 @@ pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 DOCUMENT = "Bokeh.documents[0]"
 SOURCE = f"{DOCUMENT}.get_model_by_name('table').source"
-SHOWN = f"{DOCUMENT}.get_model_by_name('sky').children[0].renderers[0].view.indices"
 #: Pixel on the screen of a point of the data of a plot.
 PLACE = """([name, x, y]) => {
   let plot = Bokeh.documents[0].get_model_by_name(name)
@@ -108,40 +107,6 @@ def test_a_reader_selects_and_looks(path, page, result):
         tab.mouse.up()
         assert selected(tab, np.unique(row[inside]).tolist())
         assert 0 < len(np.unique(row[inside])) < len(own)
-
-
-@pytest.mark.slow
-def test_a_reader_steps_through_epochs_by_keyboard(path, page):
-    with browser(path, width=800) as tab:
-        first, _ = tab.get_by_role("slider").all()
-        first.press("ArrowRight")
-        assert tab.evaluate(f"() => [...{SHOWN}]") == [1]
-        tab.get_by_role("button", name="blink").press("Enter")
-        for epoch in (len(page.dates) - 1, 1):
-            tab.wait_for_function(f"[...{SHOWN}][0] === {epoch}")
-        # Nothing is wider than the window.
-        assert tab.evaluate("() => document.documentElement.scrollWidth") == 800
-        # Features are ticked in the table with arrows and space.
-        table = tab.locator(".slick-viewport").first
-        table.click(position={"x": 200, "y": 10})
-        for key in ("Home", "Space", "ArrowDown", "Space"):
-            tab.keyboard.press(key)
-        assert selected(tab, [0, 1])
-
-
-# -- the content -------------------------------------------------------------------
-
-
-def test_features_are_those_of_the_tables(page, result):
-    features, points = page.features.data, page.points.data
-    assert list(features["feature"]) == list(result.features["feature"])
-    np.testing.assert_allclose(features["pm"], result.features["pm"].value)
-    for k, positions in enumerate(result.feature_positions.group_by("feature").groups):
-        own = points["row"] == k
-        np.testing.assert_allclose(points["x"][own], positions["ra_offset"].value)
-        np.testing.assert_allclose(points["y"][own], positions["dec_offset"].value)
-        dates = [str(date) for date in np.array(points["date"])[own]]
-        assert dates == [date[:10] for date in positions["date"].isot]
 
 
 def test_large_images_are_binned_and_there_may_be_no_features(bare, monkeypatch):

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from astropy.time import Time
 from astropy.wcs import WCS
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from matplotlib.colors import AsinhNorm, LogNorm
 from matplotlib.transforms import Affine2D
 
 from astro_scc import Beam, EpochCube
 from astro_scc.units import offset_unit, speed_unit
-from astro_scc.visualization.images import epoch_names, image_limits, ticks_of
+from astro_scc.visualization.images import epoch_names, ticks_of
 
 
 def small_cube(**kwargs):
@@ -75,21 +73,6 @@ def test_brightness_has_limits_unit_and_ticks_that_fit():
         small_cube().plot(0, norm="log")
     assert ticks_of(AsinhNorm(0.004, vmin=-1e-3, vmax=3)) == [0, 0.01, 0.1, 1]
     assert ticks_of(AsinhNorm(0.4, vmin=-1, vmax=3)) is None
-
-
-SSP = st.tuples(st.floats(-3, 3), st.floats(-2, 2), st.floats(4, 1e4))
-
-
-@settings(max_examples=10, deadline=None)
-@given(st.lists(SSP, min_size=1))
-def test_limits_are_a_part_of_the_image_that_is_not_empty(ssps):
-    cube = small_cube(pixel_scale=0.3 * u.mas)
-    east, north, snr = np.array(ssps).T
-    weight = 0.05 + np.log(snr / snr.min())
-    points = {"place": np.stack([east, north]), "weight": weight}
-    whole, near = image_limits(cube), image_limits(cube, points)
-    assert np.all(near[:, 1] > near[:, 0])
-    assert np.all((near >= whole[:, :1] - 1e-9) & (near <= whole[:, 1:] + 1e-9))
 
 
 def test_the_sun_has_west_to_the_right(jet_results):

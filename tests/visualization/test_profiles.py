@@ -49,6 +49,9 @@ def test_components_fits_and_others_have_names(table, cube):
     # The large error does not squeeze the rest.
     assert ax.get_ylim()[1] < 2
     plot_profile(table[:0]).draw_without_rendering()
+    table["scale_group"] = ["1, 2", "3", "3"]
+    found = labels(plot_profile(table, markersize=9).axes[0])
+    assert found[-1] == "stationary, scales 3"
     angles = {"a": [240, 250, 251] * u.deg, "b": [] * u.deg}
     speeds.plot_position_angles(angles).draw_without_rendering()
 

@@ -1,11 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The velocity spectrum, and speeds against distance."""
 
-import astropy.units as u
 import numpy as np
 import pytest
-
-from astro_scc.visualization.spectrum import spectra_of_bins
 
 
 def parts(figure, gid):
@@ -32,20 +29,3 @@ def test_the_spectrum_is_that_of_the_tables(frame, jet_results):
     figure.draw_without_rendering()
     (axis,) = (own for own in upper.child_axes if own.get_xlabel())
     np.testing.assert_allclose(axis.get_xlim(), np.multiply(upper.get_xlim(), 0.002))
-
-
-@pytest.mark.parametrize("frame", ["jet", "sky", "radial"])
-def test_bins_of_distance_have_the_speed_of_the_jet(frame, jet_results):
-    result = jet_results[frame]
-    edges, speed, share = spectra_of_bins(result.search)
-    assert share.shape == (len(speed), len(edges) - 1)
-    np.testing.assert_allclose(share.sum(axis=0)[share.any(axis=0)], 1)
-    main = result.streams["pm"][0].value
-    # Outward, beyond what is close to the core.
-    outward = np.where((speed > 0)[:, None], share, 0)
-    alike = np.abs(speed[outward.argmax(axis=0)] / main - 1) < 0.3
-    assert alike[1:].mean() >= 0.75
-    ax = result.plot("distance", unit="uas/yr").axes[0]
-    features = result.features
-    points = np.array([own.lines[0].get_xydata()[0] for own in ax.containers])
-    np.testing.assert_allclose(points[:, 0], features["separation"].to_value(u.mas))

@@ -8,6 +8,7 @@ from functools import partial
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable
 from astropy.time import Time
 from matplotlib.figure import Figure
 
@@ -62,13 +63,22 @@ def test_separations_fits_and_residuals(features):
     assert plot_separation(features, ax=Figure().add_subplot()).axes[1:] == []
 
 
-def test_paths_over_the_mean_image(features):
+def test_paths_over_the_mean_image_and_published_ones(features):
+    cube = features.cube
     (ax,) = plot_tracks(features, unit=u.mas).axes
     x, y = dots(ax)
     assert x == pytest.approx(features.positions["ra_offset"].value)
     assert y == pytest.approx(features.positions["dec_offset"].value)
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     assert np.all((x < left) & (x > right) & (y > bottom) & (y < top))
+    later = Time([*cube.times[:3].jyear, cube.times[-1].jyear + 9], format="jyear")
+    published = QTable({"published": [7] * 4, "date": later})
+    for name in ("separation", "ra_offset", "dec_offset"):
+        published[name] = np.arange(1.0, 5.0) * u.mas
+    # Of the time of the images.
+    ax = plot_tracks(features, published=published, unit=u.mas).axes[0]
+    assert list(lines_of(ax, "published 7")[0].get_xdata()) == [1, 2, 3]
+    plot_separation(features, published=published)
     nothing = features.detections.select(np.zeros(len(features.detections), bool))
     core = features.core.select(np.zeros(len(features.core), bool))
     for plot in (plot_separation, plot_tracks):
