@@ -105,17 +105,14 @@ def test_generators_of_either_kind():
         ("epochs", ["a.fits", 3], "must be text"),
         ("align", " ", "must be text"),
         ("common_beam", "yes", "true or false"),
-        ("kappa", "much", "must be a number"),
         ("kappa", 1.0, "kappa = 1.0 must be between 0 and 1"),
         ("min_error_beams", 5, "min_error_beams = 5 must be a part of the beam"),
-        ("min_overlap", 1.1, "min_overlap = 1.1 must be above 0, up to 1"),
         ("n_trials", 1, "must be 2 to"),
         ("seed", 2**63, "must be 0 to"),
         ("noise", "none", "noise = 'none' must be one of plane, local, propagated"),
         ("max_speed", "2", "max_speed = '2' has no unit at its end; it must be an"),
         ("max_speed", "2 mas", "angle per time with a unit, such as '2 mas/yr'"),
         ("max_speed", 0 * PM, "max_speed = 0.0 mas / yr must be finite and"),
-        ("max_speed", "1 mas 2", "no unit"),
         ("position_angle", "65", "radial, ridge, fit, any or an angle"),
         ("position_angle", "west", "has 'west' where a number is expected; it must be"),
         *(("baseline", value, "shortest and a longest") for value in (
@@ -126,14 +123,10 @@ def test_generators_of_either_kind():
           for value in (0, "0", [0])),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
-        ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
         ("scales", [0.1, np.nan] * u.mas, "must be scale numbers such as"),
-        ("cosmology", "standard", "is no cosmology"),
         ("before", "yesterday", "is no date such as 2011-01-01"),
-        ("redshift", -0.1, "above 0"),
         ("distance", "0.158", "no unit at its end; it must be a length with a unit"),
         ("scale_groups", "1,2", "must be two groups of scales or more"),
-        ("bins", "2 1 mas", "must be increasing distances"),
         ("alignment_error", "-0.1 mas", "0 or above"),
         *(("alignment_error", value * u.mas, "must be an angle or a list of them")
           for value in ([1, np.nan], np.inf, np.ones((2, 2)))),
@@ -164,19 +157,6 @@ def test_values_that_make_no_sense(name, value, reason):
 )
 def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected):
     assert same(require(name, value), expected)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("max_speed", 2.0), ("max_speed", 2 * u.km / u.s), ("baseline", [1, 2] * u.mas),
-        ("position_angle", 65), ("position_angle", 1 * u.yr), ("scales", [1, 2] * u.s),
-        ("alignment_error", 1 * u.s),
-    ],
-)  # fmt: skip
-def test_a_wrong_unit_is_an_error_of_units(name, value):
-    with pytest.raises(u.UnitConversionError, match=f"{name} = .* must be .*such as"):
-        require(name, value)
 
 
 @pytest.mark.parametrize(

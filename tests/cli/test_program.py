@@ -123,27 +123,6 @@ def test_warnings_are_lines_each_once(capsys, quiet):
     assert reporter.warnings == ["look here"]
 
 
-@pytest.mark.parametrize(
-    ("said", "typed"),
-    [
-        ("max_speed = '2' has no unit", "--max-speed '2' has no unit"),
-        ("give a smaller max_speed, or", "give a smaller --max-speed, or"),
-        ("the kappa of all", "the kappa of all"),
-        # Names of files, and keys in them.
-        ("c.toml: max_speed = '2' has no", "c.toml: max_speed = '2' has no"),
-    ],
-)
-def test_messages_name_options_as_they_are_typed(capsys, said, typed):
-    reporter = Reporter("astro-scc test", settings=("max_speed", "kappa"))
-    reporter.warn(said)
-    reporter.error(said)
-    err = capsys.readouterr().err
-    assert err == f"warning: {typed}\nastro-scc test: error: {typed}\n"
-    # A survey has its settings in a file.
-    Reporter("astro-scc test").error(said)
-    assert capsys.readouterr().err == f"astro-scc test: error: {said}\n"
-
-
 @pytest.mark.slow
 def test_long_commands_tell_how_far_they_are(jet, done, monkeypatch):
     # As if every half minute, and pytest's standard error is no terminal.

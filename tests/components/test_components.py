@@ -149,15 +149,6 @@ def test_bad_tables(tmp_path, changes, options, message):
     assert str(path) in str(error.value) or not {"source"} >= options.keys()
 
 
-def test_sources_of_a_table(tmp_path):
-    path = write(mojave(source=["a", "a", "b", "b"]), tmp_path / "t.ecsv")
-    assert read_components(path, source="b").meta["object"] == "b"
-    path = write(mojave(), tmp_path / "t.ecsv", name="3C 273", source="1226+023")
-    assert read_components(path, source="3c273").n_epochs == 2
-    with pytest.raises(ValueError, match="09.mod: no source 'M87'; it does not say"):
-        read_components(model(tmp_path), source="M87")
-
-
 #: As the journals print tables of jet features of many sources.
 JOURNAL = """\
 Title: Kinematics of made-up jets
@@ -286,11 +277,11 @@ def test_bad_files(tmp_path, name, content, options, message):
     assert "\n" not in str(error.value)
 
 
-def aips(path, *, tables=1, drop=(), units=True, header=None, **changes):
+def aips(path, *, tables=1, header=None):
     values = {
         "FLUX": [1.0, 0.5], "DELTAX": [0.0, -2 * MAS], "DELTAY": [0.0, 1 * MAS],
         "MAJOR AX": [0.0, 0.5 * MAS], "MINOR AX": [0.0, 0.25 * MAS],
-        "POSANGLE": [0.0, 30.0], "TYPE OBJ": [0.0, 1.0], **changes,
+        "POSANGLE": [0.0, 30.0], "TYPE OBJ": [0.0, 1.0],
     }  # fmt: skip
     unit = {"FLUX": "JY", "TYPE OBJ": "CODE"}
     keywords = {
@@ -302,9 +293,9 @@ def aips(path, *, tables=1, drop=(), units=True, header=None, **changes):
     hdus[0].header.update({k: v for k, v in keywords.items() if v is not None})
     for version in range(1, tables + 1):
         made = [
-            fits.Column(name, "1E", unit=unit.get(name, "DEGREES") if units else None,
+            fits.Column(name, "1E", unit=unit.get(name, "DEGREES"),
                         array=np.array(array) * (version if name == "FLUX" else 1))
-            for name, array in values.items() if name not in drop
+            for name, array in values.items()
         ]  # fmt: skip
         hdus.append(fits.BinTableHDU.from_columns(made, name="AIPS CC", ver=version))
     fits.HDUList(hdus).writeto(path)

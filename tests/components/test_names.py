@@ -11,10 +11,7 @@ from astropy.table import QTable
 from numpy.testing import assert_allclose
 
 from astro_scc.components.lists import read_sources
-from astro_scc.components.names import (
-    place_of,
-    same_source,
-)
+from astro_scc.components.names import place_of, same_source
 from astro_scc.components.tables import source_list
 from astro_scc.epochs import Beam, read_components, restore
 
@@ -59,10 +56,7 @@ def test_places_that_names_tell(name, lon, lat, frame):
     assert place_of(name).separation(wanted) < 0.1 * u.arcsec
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["", "jet", "M101", "2530+052", "1230+952"],
-)
+@pytest.mark.parametrize("name", ["", "jet", "M101", "2530+052", "1230+952"])
 def test_names_that_tell_no_place(name):
     assert place_of(name) is None
 

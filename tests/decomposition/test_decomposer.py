@@ -97,16 +97,11 @@ def test_planes_noise_and_patterns(scene, noise, kernel, factors):
     [
         ({"scales": ()}, {}, "at least one wavelet scale"),
         ({"scales": (4,)}, {}, r"small for wavelet scale 4 \(16 px\): leave out the"),
-        ({"scales": (1.3,)}, {}, "not a number of the series"),
         ({"scales": (1.5,), "kernel": "b3"}, {}, "kernel 'b1' only"),
         ({"kernel": "db2"}, {}, "unknown wavelet kernel"),
         ({"noise": "mad"}, {}, "must be one of plane, local, propagated"),
         ({"kernel": "b3", "scales": (3,)}, {}, "too small for wavelet scale"),
-        *(
-            ({"scales": (j,)}, {}, "not a number of the")
-            for j in (-0.5, np.nan, np.inf)
-        ),
-        ({"detection": 2}, {}, "0 < segmentation <= detection"),
+        *(({"scales": (j,)}, {}, "not a number of the") for j in (-0.5, 1.3, np.nan)),
         ({"segmentation": 0}, {}, "0 < segmentation <= detection"),
         *(
             ({"noise_factors": factors}, {}, "noise_factors must be 1 from 0 to 1")
@@ -117,7 +112,7 @@ def test_planes_noise_and_patterns(scene, noise, kernel, factors):
         ({}, {"image": np.zeros((2, 16, 16))}, "two dimensions, this has 3"),
         *(
             ({"noise": "propagated"}, {"rms": rms}, "needs the rms of the image")
-            for rms in (None, 0.0, np.nan, np.inf)
+            for rms in (None, np.nan)
         ),
     ],
 )

@@ -62,8 +62,7 @@ def turned():
 
 
 @pytest.mark.parametrize(
-    ("make", "name"),
-    [(make_cube, "cube.fits"), (turned, "cube.fits.gz")],
+    ("make", "name"), [(make_cube, "cube.fits"), (turned, "cube.fits.gz")]
 )
 def test_everything_comes_back_to_the_bit(tmp_path, make, name):
     cube, path = make(), tmp_path / name

@@ -165,14 +165,3 @@ def test_common_shifts_are_removed(series, shift):
     np.testing.assert_allclose(d.place[1::2, 0], 3 + 0.1 * np.arange(N))
     np.testing.assert_allclose(d.place[1::2, 1], 0, atol=1e-12)
     assert d.aligned() is d
-
-
-def test_epochs_without_a_core(series, shift):
-    often = with_core(series, shift, np.arange(N) >= 3)
-    assert often.aligned() is often
-    d = with_core(series, shift, np.arange(N) != 5).aligned()
-    assert set(d.epoch.tolist()) == set(range(N)) - {5}
-    assert len(d) == 2 * (N - 1)
-    np.testing.assert_allclose(d.place[1::2, 1], 0, atol=1e-12)
-    # Numbers within the epoch remain those of all detections.
-    assert d.number.tolist() == [0, 1] * (N - 1)

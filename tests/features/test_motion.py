@@ -7,19 +7,9 @@ import numpy as np
 import pytest
 
 from astro_scc.features import Features
-from astro_scc.features.motion import (
-    PRIOR_FREEDOM,
-    SCATTER,
-    WANDER,
-    Motion,
-    fit_motion,
-)
+from astro_scc.features.motion import PRIOR_FREEDOM, SCATTER, WANDER, Motion, fit_motion
 from astro_scc.features.tracks import Track
-from astro_scc.features.trust import (
-    FAR,
-    is_secure,
-    properties,
-)
+from astro_scc.features.trust import FAR, is_secure, properties
 
 TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
 ERROR = np.full((8, 2), 0.01)
@@ -86,16 +76,6 @@ def test_errors_of_known_residuals():
     assert north == pytest.approx(fit.velocity_err[1])
     mean = np.sqrt((fit.velocity_err**2).mean())
     assert fit.error_along(np.zeros(2)) == pytest.approx(mean)
-
-
-def test_an_outlier_is_set_aside():
-    rng = np.random.default_rng(3)
-    place = on_line(TIME, (3, -1), (0.4, -0.2)) + rng.normal(0, 0.01, (8, 2))
-    place[6] += 1.5
-    fit = fit_motion(TIME, place, ERROR, 1.0)
-    assert fit.used.tolist() == [k != 6 for k in range(8)]
-    np.testing.assert_allclose(fit.velocity, [0.4, -0.2], atol=0.02)
-    assert np.hypot(*fit.residual[6]) > 1
 
 
 def test_one_date_has_no_motion():

@@ -76,17 +76,6 @@ def test_the_motion_of_a_radial_feature(features):
     assert np.isnan(row["acc_parallel"])
 
 
-def test_a_bent_feature(features):
-    row = features.table[2]
-    assert (row["n_epochs"], row["proven"], row["secure"]) == (N - 1, False, False)
-    assert row["first"].isot.startswith("2001")
-    assert np.isnan(row["t_ej"])
-    # It bends from west to south: towards smaller position angles.
-    parallel, across = row["acc_parallel"].value, row["acc_perpendicular"].value
-    assert np.hypot(parallel, across) == pytest.approx(0.2, abs=0.02)
-    assert across < 0 < parallel
-
-
 def test_the_error_of_the_core(features):
     square = 0.02**2 / 2 + np.mean(features.core.place_error**2)
     assert features.core_error == pytest.approx(np.sqrt(square))

@@ -12,13 +12,7 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from regions import (
-    CirclePixelRegion,
-    CircleSkyRegion,
-    PixCoord,
-    RegionMeta,
-    Regions,
-)
+from regions import CirclePixelRegion, CircleSkyRegion, PixCoord, RegionMeta, Regions
 
 from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.exceptions import EpochWarning

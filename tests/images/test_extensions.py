@@ -93,8 +93,7 @@ def test_images_of_which_several_may_be_meant(tmp_path, images, words):
 
 
 @pytest.mark.parametrize(
-    ("choice", "expected"),
-    [("SCI,2", OTHER), ("sci, 1", IMAGE), ("3", OTHER)],
+    ("choice", "expected"), [("SCI,2", OTHER), ("sci, 1", IMAGE), ("3", OTHER)]
 )
 @pytest.mark.parametrize("versions", [True, False])
 def test_an_image_is_chosen_behind_the_name(tmp_path, choice, expected, versions):

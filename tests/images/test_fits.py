@@ -10,21 +10,10 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import EpochCube
 from astro_scc.images.fits import looks_like_mask, read_plane
 
 PIXELS = np.random.default_rng(1).normal(size=(1, 1, 16, 32))
-
-
-def test_degenerate_axes_byte_order_and_facts(make_fits):
-    image = read_plane(make_fits())
-    assert (image.unit, image.wcs.naxis, image.notes) == (u.Jy / u.beam, 2, [])
-    assert (image.data.dtype, image.data.dtype.isnative) == (np.float64, True)
-    assert np.array_equal(image.data, PIXELS[0, 0])
-    assert not image.mask.any()
-    assert image.beam == Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-    facts = {"object": "3C273", "telescope": "VLBA", "frequency": 15.4e9, "stokes": "I"}
-    assert image.facts == facts
 
 
 def test_stokes_i_is_taken_from_several_planes(make_fits):

@@ -136,18 +136,6 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, cha
     assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
-def test_polynomials_are_of_degrees(aips_header):
-    """Whether the pixel scale is in CDELT or in the matrix."""
-    terms = {"PV1_1": 1.0, "PV1_4": 0.02, "PV2_1": 1.0}
-    changes = {"CTYPE1": "RA---TPV", "CTYPE2": "DEC--TPV", **terms}
-    steps = {"CD1_1": -1e-5, "CD2_2": 1e-5, "CDELT1": None, "CDELT2": None}
-    one = celestial_wcs(aips_header(**changes, CDELT1=-1e-5, CDELT2=1e-5))
-    other = celestial_wcs(aips_header(**changes, **steps))
-    places = np.array([[0, 30, 900.0], [0, 10, 500.0]])
-    found = [np.array(wcs.pixel_to_world_values(*places)) for wcs in (one, other)]
-    assert np.allclose(*found, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -165,3 +153,18 @@ def test_unusable_coordinates_are_refused_in_one_line(aips_header, changes, mess
     with pytest.raises(ValueError, match=message) as caught:
         celestial_wcs(aips_header(**changes))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("terms", [{}, {"PV1_1": 1.0, "PV1_4": 0.02, "PV2_1": 1.0}])
+def test_polynomials_are_of_degrees(aips_header, terms):
+    """Whether the pixel scale is in CDELT or in the matrix, and without terms."""
+    changes = {"CTYPE1": "RA---TPV", "CTYPE2": "DEC--TPV", **terms}
+    steps = {"CD1_1": -1e-5, "CD2_2": 1e-5, "CDELT1": None, "CDELT2": None}
+    one = celestial_wcs(aips_header(**changes, CDELT1=-1e-5, CDELT2=1e-5))
+    other = celestial_wcs(aips_header(**changes, **steps))
+    places = np.array([[0, 30, 900.0], [0, 10, 500.0]])
+    found = [np.array(wcs.pixel_to_world_values(*places)) for wcs in (one, other)]
+    assert np.allclose(*found, rtol=0, atol=1e-12)
+    plain = celestial_wcs(aips_header(CTYPE1="RA---TAN", CTYPE2="DEC--TAN", **steps))
+    away = np.abs(found[0] - plain.pixel_to_world_values(*places)).max()
+    assert away < (1e-5 if terms else 1e-12)

@@ -59,7 +59,6 @@ FOUR = PIXELS[None, None]
 BEAM = Beam(5 * u.arcsec, 4 * u.arcsec, 30 * u.deg)
 AIPS = ["AIPS   IMNAME='3C273' IMCLASS='ICLN'",
         "AIPS   CLEAN BMAJ=  1.3889E-03 BMIN=  1.1111E-03 BPA=  30.00"]  # fmt: skip
-IN_HEADER = {"BMAJ": 5 * ARCSEC, "BMIN": 4 * ARCSEC, "BPA": 30.0}
 SCI = PIXELS.astype("f4")
 WEIGHT = np.where(PIXELS > 2, 0, 1).astype("f4")
 FLAGS = np.where(PIXELS > 2, 4096, 0).astype("i2")
@@ -76,18 +75,6 @@ HEADERS = {
                 "CTYPE3": "VELOCITY", "CRVAL3": 7e5, "CDELT3": 2.6e3, "CRPIX3": 1.0,
                 **STOKES, "HISTORY": AIPS}, FOUR)],
         ("1997-01-24T00:00:00", u.one, BEAM, None, None, None, 0)),
-    "miriad": (
-        [image({"OBJECT": "GX 1+4", "TELESCOP": "ATCA", "BUNIT": "JY/BEAM",
-                "DATE-OBS": "2003-08-05T11:33:15.0", "EPOCH": 2000.0, "NITERS": 500,
-                "VOBS": -1.2e4, **sky("NCP", 1.0), **IN_HEADER, "HISTORY":
-                ["INVERT: Miriad invert: version 1.0"]})],
-        ("2003-08-05T11:33:15", u.Jy / u.beam, BEAM, None, None, None, 0)),
-    "WSClean": (
-        [image({"BSCALE": 1.0, "BZERO": 0.0, "BUNIT": "JY/BEAM", "ORIGIN": "WSClean",
-                "EQUINOX": 2000.0, "BTYPE": "Intensity", "TIMESYS": "UTC",
-                "DATE-OBS": "2019-08-11T16:00:01.3", "WSCNITER": 20.0,
-                **sky("SIN", 1.0), **FREQ, **STOKES, **IN_HEADER}, FOUR)],
-        ("2019-08-11T16:00:01.3", u.Jy / u.beam, BEAM, 1.42e9, None, None, 0)),
     "HST flt": (
         [image({"TELESCOP": "HST", "INSTRUME": "WFC3", "TARGNAME": "HH1",
                 "FILTER": "F164N", "DATE-OBS": "2016-04-05", "TIME-OBS": "06:07:08",
@@ -123,10 +110,6 @@ HEADERS = {
                 "T_REC": "2014.01.01_00:00:45_TAI", "WAVELNTH": 6173.0,
                 **sun(0.504, CROTA2=0.0)})],
         ("2014-01-01T00:00:07.5", u.Gauss, None, None, None, "6173", 0)),
-    "Pan-STARRS": (
-        [image({"HIERARCH FPA.FILTERID": "i.00000",
-                "MJD-OBS": 55330.25, "EXPTIME": 40.0, **sky(scale=0.25)})],
-        ("2010-05-14T06:00:20", u.one, None, None, "i.00000", None, 0)),
 }  # fmt: skip
 HEADERS["AIA"][0][1].data = PIXELS.astype("f4")
 

@@ -64,10 +64,8 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         ({}, "either a redshift, of which the cosmology may be given, or a distance"),
         ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
-        ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
-        ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         ({"redshift": 47367 * u.km / u.s},
          "redshift = 47367.0 km / s is a velocity, which may be defined in three "
          "ways; give the redshift, 0.158 if it is c z"),
@@ -76,7 +74,6 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         *(({"redshift": 0.1, "cosmology": text}, "is no cosmology; give H0=71,.*Pla")
           for text in ("Planck", "H0=71", "H0=71,Om0", "H0=0,Om0=1", "H0=1e999,Om0=1")),
         ({"distance": 0 * MPC}, "distance = 0.0 Mpc must be finite and above 0"),
-        ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, as"),
         ({"distance": 1 * MPC, "cosmology": "Planck18"}, "needs no cosmology"),
         ({"proper_motion": 1 * u.km / u.s, "distance": 1 * MPC},
          "proper_motion = 1.0 km / s must"),

@@ -24,21 +24,6 @@ def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
     assert sky_result.components.meta["jet_position_angle"] == sky_result.position_angle
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (
-            lambda r: r.components_in_c(cosmology="Planck18"),
-            "redshift|cosmology|distance",
-        ),
-        (lambda r: r.velocity_map("p"), "unknown map 'p': use 'coefficient' or"),
-    ],
-)
-def test_what_a_result_does_not_have(sky_result, call, words):
-    with pytest.raises(ValueError, match=words):
-        call(sky_result)
-
-
 def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):
     table = paper_table(sky_result.components)
     page = read_page(sky_result._repr_html_())

@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 from astro_scc import StackedCrossCorrelation
 from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.tables import (
-    stream_table,
-    velocity_columns,
-)
+from astro_scc.measurement.tables import stream_table, velocity_columns
 from astro_scc.quantities import decimals
 from astro_scc.writing import versions
 
@@ -76,15 +73,6 @@ def test_on_the_sky_frame(east, north, err1, err2, correlation, pa):
         assert row["pm_err"] == pytest.approx(np.sqrt(unit @ covariance @ unit))
         sigma = np.sqrt(turned @ covariance @ turned) / speed
         assert row["pm_pa_err"] == pytest.approx(min(np.degrees(sigma), 180.0))
-
-
-@pytest.mark.parametrize("unknown", [np.inf, np.nan])
-def test_errors_that_are_not_known_are_nan_and_the_velocity_is_not(unknown):
-    covariance = np.diag([unknown, unknown])
-    row = velocity_columns(np.array([3.0, 4.0]), covariance, SkyFrame(), 65 * u.deg)
-    assert row["pm"] == pytest.approx(5.0)
-    for name, value in row.items():
-        assert np.isnan(value) == name.endswith("_err")
 
 
 def table(p, **columns):

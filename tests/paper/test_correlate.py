@@ -13,11 +13,7 @@ from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.zncc import correlate_windows, find_peaks
 from astro_scc.paper import Correlator, Matches, all_pairs
-from astro_scc.paper.correlate import (
-    COLUMNS,
-    TargetStack,
-    target_ssps,
-)
+from astro_scc.paper.correlate import COLUMNS, TargetStack, target_ssps
 from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 96, 128
@@ -160,11 +156,6 @@ def masked():
     return epochs
 
 
-@pytest.fixture(scope="module")
-def matched(masked):
-    return Correlator()(masked, all_pairs(3), 6)
-
-
 def slow_matches(epochs, reach, target, min_overlap):
     """The paper's equation: each SSP's own pixels, each displacement."""
     ssps, (ny, nx) = SSPs.of_epochs(epochs), SHAPE
@@ -296,20 +287,6 @@ def test_small_batches_and_processes_give_the_same_to_the_bit(
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     assert done == [1] * 9
-
-
-def test_only_the_pairs_and_patterns_asked_for(masked, matched):
-    ssps = SSPs.of_epochs(masked)
-    pairs, done = [(2, 1), (0, 2), (2, 1)], []
-    found = Correlator()(masked, pairs, 6, progress=done.append)
-    epoch = ssps.epoch[matched.ssp]
-    wanted = [(a, b) in pairs for a, b in zip(epoch, matched.target, strict=True)]
-    same(found, matched.select(wanted))
-    assert done == [1, 1]
-    chosen = np.random.default_rng(2).random(len(ssps)) < 0.5
-    some = Correlator()(masked, all_pairs(3), 6, select=chosen)
-    assert 0 < len(some) < len(matched)
-    np.testing.assert_equal(vars(some), vars(matched.select(chosen[matched.ssp])))
 
 
 @pytest.mark.parametrize("target", ["segments", "plane"])

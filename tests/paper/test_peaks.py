@@ -57,9 +57,8 @@ def test_no_maximum_no_fit(surface):
     assert fit_gaussian(surface, axis, axis) is None
 
 
-@pytest.mark.parametrize("box", [(4.0, 4.0), (6.0, 6.0), (10.0, 10.0)])
-@pytest.mark.parametrize("second", [1.0, 0.6])
-@pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
+@pytest.mark.parametrize("box", [(4.0, 4.0), (10.0, 10.0)])
+@pytest.mark.parametrize(("separation", "second"), [(5.0, 0.6), (8.0, 1.0)])
 def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     """Four widths and more apart; the box holds the neighbour too."""
     scc = gaussian(AXES, -0.4, 0.3, 1.2, 1.0)

@@ -7,12 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from astro_scc.paper import (
-    baseline_pairs,
-    consecutive_pairs,
-    draw_orders,
-    image_pairs,
-)
+from astro_scc.paper import baseline_pairs, consecutive_pairs, draw_orders, image_pairs
 from astro_scc.paper.stack import velocity_axes
 
 speed = st.floats(0.01, 100.0)
@@ -57,19 +52,6 @@ def test_baseline_pairs_are_all_whose_separation_lies_inside(years, shortest, wi
         # Inverse variances: a displacement error over the interval is one of velocity.
         ratio = pairs.weight / pairs.interval**2
         np.testing.assert_allclose(ratio, ratio[0])
-
-
-def test_edges_of_a_baseline_are_inside():
-    years = np.array([0.0, 0.25, 0.75, 1.75])
-    pairs = baseline_pairs(years, 0.5, 1.0)
-    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2), (2, 3)]
-    # Limits given in rounded days must not lose the pair that they mean.
-    month = 30 / 365.25
-    assert len(baseline_pairs([0.0, month], 0.082, 0.082)) == 1
-    assert len(baseline_pairs([0.0, month], 0.084, 1.0)) == 0
-    minute = 1 / (365.25 * 1440)
-    for limits in ((minute, 3 * minute), (1.9e-6, 5.7e-6)):
-        assert len(baseline_pairs(np.arange(10) * minute, *limits)) == 9 + 8 + 7
 
 
 def test_all_orders_of_a_short_series_are_equally_likely():

@@ -16,7 +16,7 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import propagated_noise
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.patterns import allow_for_structure, centroids_inside
+from astro_scc.patterns import allow_for_structure
 
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 SCALES = (1, 2, 3, 4)
@@ -102,14 +102,3 @@ def test_a_texture_is_measured_and_said():
     assert row["kind"] == "moving"
     # 2.3 px of 0.1 mas in 0.2 yr to the right, which is west.
     assert abs(row["pm_ra_cosdec"].value + 1.15) < 3 * row["pm_err"].value < 0.2
-
-
-def test_ssps_are_inside_if_their_centroid_is(matched):
-    ssps, cube = matched.ssps, matched.cube
-    assert centroids_inside(ssps, cube, None).all()
-    region = np.zeros(cube.shape[1:], bool)
-    region[:, 60:160] = True
-    inside = centroids_inside(ssps, cube, region)
-    x = np.rint(ssps.x_centroid)
-    np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
-    assert 0 < inside.sum() < len(ssps)

@@ -13,11 +13,7 @@ from astropy.table import vstack
 
 from astro_scc.columns import column_of, columns_of
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.products.publication import (
-    ONE_PAGE,
-    latex_texts_of,
-    write_publication,
-)
+from astro_scc.products.publication import ONE_PAGE, latex_texts_of, write_publication
 
 NAMES = ("streams", "features", "positions")
 

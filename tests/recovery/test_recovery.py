@@ -16,13 +16,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam
 from astro_scc.kinematics import RidgeLine
-from astro_scc.recovery import (
-    FeaturePaths,
-    completeness,
-    draw_paths,
-    inject,
-    recovered,
-)
+from astro_scc.recovery import FeaturePaths, completeness, draw_paths, inject, recovered
 
 PM, WEST = u.mas / u.yr, 270 * u.deg
 FAST = 10 * PM

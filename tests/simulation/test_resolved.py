@@ -7,11 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from astro_scc.simulation import (
-    Layer,
-    m87_layers,
-    simulate_resolved_jet,
-)
+from astro_scc.simulation import Layer, m87_layers, simulate_resolved_jet
 
 ANGLE = 288 * u.deg
 DISTANCE, SPEED = [0.5, 2.0, 6.0], [1.0, 8.0, 10.0]

@@ -9,9 +9,8 @@ import pytest
 from astropy.time import Time
 from astropy.wcs import WCS
 from matplotlib.colors import AsinhNorm, LogNorm
-from matplotlib.transforms import Affine2D
 
-from astro_scc import Beam, EpochCube
+from astro_scc import EpochCube
 from astro_scc.units import offset_unit, speed_unit
 from astro_scc.visualization.images import epoch_names, ticks_of
 
@@ -36,24 +35,6 @@ def test_a_pixel_is_drawn_at_its_offset():
     offsets = u.Quantity(cube.pixel_to_offset([7, 0], [5, 0])).to_value(u.uas)
     drawn = to_axes.transform([(7, 5), (0, 0)])
     np.testing.assert_allclose(drawn, offsets.T, atol=1e-6)
-
-
-def test_the_beam_is_as_long_and_turned_as_it_is():
-    def beam_of(cube):
-        patches = cube.plot(0).axes[0].patches
-        return [patch for patch in patches if patch.get_gid() == "beam"]
-
-    beam = Beam(0.8 * u.mas, 0.3 * u.mas, 30 * u.deg)
-    (ellipse,) = beam_of(small_cube(beams=beam))
-    # Curves are made polygons to a tenth of a unit or so: a thousand a mas.
-    to_large = ellipse.get_patch_transform() + Affine2D().scale(1000)
-    (outline,) = to_large.transform_path(ellipse.get_path()).to_polygons()
-    outline = outline / 1000 - ellipse.get_center()
-    radius = np.hypot(*outline.T)
-    assert radius.max() == pytest.approx(0.4, rel=1e-2)
-    far = outline[radius.argmax()]
-    assert np.degrees(np.arctan2(*far)) % 180 == pytest.approx(30, abs=2)
-    assert not beam_of(small_cube())
 
 
 def test_brightness_has_limits_unit_and_ticks_that_fit():

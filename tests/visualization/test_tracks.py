@@ -12,8 +12,6 @@ from astropy.table import QTable
 from astropy.time import Time
 from matplotlib.figure import Figure
 
-from astro_scc import EpochCube
-from astro_scc.visualization import style
 from astro_scc.visualization.tracks import ejections, plot_separation, plot_tracks
 
 MODULE = "astro_scc.visualization.tracks"
@@ -97,23 +95,3 @@ def test_dashes_lead_to_the_ejections(features, monkeypatch):
     assert sorted(x[0] for x, _ in drawn) == pytest.approx(known)
     assert all(y[0] == 0 for _, y in drawn)
     assert drawn
-
-
-@pytest.mark.parametrize(
-    ("step", "label", "first"),
-    [
-        (0.2 * u.yr, "Year", 2020.0),
-        (1 * u.d, "MJD", 58849.5),
-        (2 * u.h, "Hours since 2020-01-01 00:00 UTC", 12.0),
-    ],
-)
-def test_dates_have_the_unit_of_the_series(cube, step, label, first):
-    times = Time("2020-01-01T12:00:00") + np.arange(4) * step
-    how = {"pixel_scale": cube.pixel_scale, "beams": cube.beams[0]}
-    ax = Figure().add_subplot()
-    to_axis = style.date_axis(ax, EpochCube.from_arrays(cube.data[:4], times, **how))
-    ends = to_axis(times.jyear[[0, -1]])
-    assert ax.get_xlabel() == label
-    assert ends == pytest.approx([first, first + 3 * step.value], abs=2e-3)
-    low, high = ax.get_xlim()
-    assert low < ends[0] < ends[1] < high
