@@ -26,13 +26,6 @@ def test_its_examples(monkeypatch):
     assert doctest.testmod(relativity).failed == 0
 
 
-def test_impossible_flows():
-    table = intrinsic_table([20.0], 0.1, viewing_angle=15 * u.deg, rng=1)
-    assert np.isinf(table["gamma"][0])
-    assert (table["doppler"][0], table["possible"][0]) == (0, 0)
-    assert "gamma" not in intrinsic_table([20.0], [0.1]).colnames
-
-
 @settings(max_examples=20)
 @given(beta=st.floats(0.1, 0.999), theta=st.floats(1, 89))
 def test_two_sided_jet_there_and_back(beta, theta):

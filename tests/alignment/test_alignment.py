@@ -91,20 +91,6 @@ def test_a_table_brings_sources_to_the_reference_pixel():
     assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
 
 
-def test_names_carry_units_and_errors(tmp_path):
-    path = tmp_path / "cores.csv"
-    path.write_text(
-        "epoch,core_x_uas_east,core_y_uas_north,core_east_err_uas,core_north_err_uas\n"
-        "2000-07-02,230,470,5,7\n2000-01-01,0,10,5,6\n"
-    )
-    times = Time(["2000-01-01T12:00", "2000-07-01"])
-    offsets, errors = offsets_from_table(path, times, ["a", "b"])
-    assert_allclose(offsets.to_value(u.mas), [[0, 0.01], [0.23, 0.47]])
-    assert_allclose(errors.to_value(u.mas), [[0.005, 0.006], [0.005, 0.007]])
-    result = align(images([[(0, 0, 1)]] * 2), "table", table=path)
-    assert_allclose(result.meta["alignment"][0]["shift_north_err_mas"], 0.006)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -220,19 +220,6 @@ def test_what_a_survey_does_not_measure(folder, tmp_path):
         assert words in found.message
 
 
-def test_when_nothing_could_be_measured(here, astro_scc):
-    (here / "s.toml").write_text("[sources.A]\nepochs = 'no.fits'\n")
-    status, _, err = astro_scc("survey", "s.toml", "-o", "out")
-    assert status == 2
-    assert "no source could be measured" in err
-    table = QTable.read(here / "out" / "survey.ecsv")
-    assert table["status"].tolist() == ["failed"]
-    assert "p_fdr" in table.colnames
-    assert "beta_app" not in table.colnames
-    page = (here / "out" / "overview.html").read_text(encoding="utf-8")
-    assert "Of 1 source, 1 failed." in page
-
-
 #: The beginning of a survey of one source, and what is wrong in it.
 A = "[sources.A]\nepochs = 'a'\n"
 WRONG = [

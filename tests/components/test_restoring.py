@@ -16,7 +16,6 @@ from astro_scc.exceptions import EpochWarning
 
 PIXEL = 0.1 * u.mas
 BEAM = Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-ROUND = Beam(1 * u.mas, 1 * u.mas)
 FLIP = np.diag([-1, 1])
 UNITS = u.mas, u.mas, u.deg
 JY_BEAM = u.Jy / u.beam
@@ -150,12 +149,3 @@ def test_rms_is_the_theoretical_one_everywhere(shape, major, ratio, pa):
     # Edges included.
     for part in (noise, noise[:, :3], noise[:, :, -3:]):
         assert np.sqrt(np.mean(part**2)) == pytest.approx(2.0, rel=0.3)
-
-
-def test_correlation_is_that_of_white_noise_seen_with_the_beam():
-    noise = noises(150, ROUND)
-    for lag in (3, 6, 10):
-        expected = np.exp(-4 * np.log(2) * lag**2 / (2 * 10**2))
-        along_x = np.mean(noise[:, :, :-lag] * noise[:, :, lag:])
-        along_y = np.mean(noise[:, :-lag] * noise[:, lag:])
-        assert [along_x, along_y] == pytest.approx([expected] * 2, abs=0.05)

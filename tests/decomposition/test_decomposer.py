@@ -12,12 +12,6 @@ from scipy import ndimage
 
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
-from astro_scc.decomposition.wavelet import (
-    local_noise,
-    plane_noise,
-    propagated_noise,
-    wavelet_planes,
-)
 
 NY, NX = 48, 64
 
@@ -39,15 +33,6 @@ def labels_of(ssps, shape=(NY, NX)):
     return labels
 
 
-@pytest.fixture(scope="module")
-def scene():
-    """A few Gaussians of 8 pixels with white noise."""
-    rng = np.random.default_rng(0)
-    places, heights = rng.uniform(12, [52, 84], (6, 2)), rng.uniform(0.3, 1, 6)
-    image = rng.normal(scale=0.005, size=(64, 96))
-    return image + gaussians(places, 3.4, heights, image.shape)
-
-
 @pytest.mark.parametrize("value", [0.0, -2.5e9])
 @pytest.mark.parametrize("noise", ["plane", "local"])
 def test_nothing_in_a_constant_image(value, noise):
@@ -56,40 +41,6 @@ def test_nothing_in_a_constant_image(value, noise):
     assert len(decompose(image).ssps) == 0
     holes = np.random.default_rng(0).random(image.shape) < 0.3
     assert len(decompose(np.where(holes, np.nan, image)).ssps) == 0
-
-
-COVARIANCE = np.array([[9, 1], [1, 4]])
-NOISES = {
-    "plane": lambda plane, scale, _: plane_noise(plane, scale),
-    "local": lambda plane, scale, _: local_noise(plane, scale),
-    "propagated": lambda _, scale, kernel: propagated_noise(
-        0.005, [scale], beam_covariance=COVARIANCE, kernel=kernel
-    ),
-}
-
-
-@pytest.mark.parametrize(
-    ("noise", "kernel", "factors"),
-    [
-        ("plane", "b1", None), ("plane", "b1", [0.5, 1, 0.8]), ("local", "b1", None),
-        ("propagated", "b1", None), ("propagated", "b3", None),
-    ],
-)  # fmt: skip
-def test_planes_noise_and_patterns(scene, noise, kernel, factors):
-    scales = (2, 1, 1.5, 1) if kernel == "b1" else (1, 2, 3)
-    decompose = Decomposer(scales, kernel, noise=noise, noise_factors=factors)
-    found = decompose(scene, rms=0.005, beam_covariance=COVARIANCE)
-    assert found.scales == tuple(sorted({float(scale) for scale in scales}))
-    assert (found.planes.dtype, found.mask) == (np.float32, None)
-    planes = wavelet_planes(scene, found.scales, kernel=kernel)
-    np.testing.assert_allclose(found.planes, planes, atol=1e-6)
-    for k, (plane, scale) in enumerate(zip(planes, found.scales, strict=True)):
-        sigma = NOISES[noise](plane, scale, kernel) * (factors or [1] * 3)[k]
-        np.testing.assert_allclose(found.noise[k], sigma, rtol=1e-5)
-        own = found.ssps.select(found.ssps.scale == scale)
-        np.testing.assert_array_equal(own.pixels, find_ssps(plane, scale, sigma).pixels)
-        np.testing.assert_allclose(own.values, plane.flat[own.pixels], rtol=1e-5)
-    assert (np.diff(found.ssps.scale) >= 0).all()
 
 
 @pytest.mark.parametrize(

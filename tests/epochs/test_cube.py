@@ -310,16 +310,6 @@ def gaussian(ny, nx, x0, y0, width=3.0):
     return np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2))
 
 
-def test_whole_pixels_are_moved_without_interpolation(make_epochs):
-    one, two = images(1, 16, 32, 1)[0], images(1, 20, 24, 2)[0]
-    there = {"data": two, "CRPIX1": 12.0, "CRPIX2": 14.0}
-    cube = EpochCube.read(make_epochs({"data": one}, there))
-    assert (cube.shape, cube.reference_pixel) == ((2, 21, 32), (15, 13))
-    assert np.array_equal(cube.data[0, 5:, :], one)
-    assert np.array_equal(cube.data[1, :20, 4:28], two)
-    assert cube.mask.sum(axis=(1, 2)).tolist() == [5 * 32, 21 * 32 - 20 * 24]
-
-
 def test_absolute_coordinates_are_trusted_when_asked(make_epochs):
     data, step = gaussian(32, 48, 20, 15), 0.1 / 3.6e6
     here = {"data": data, "CRPIX1": 21.0, "CRPIX2": 16.0, "CRVAL2": 0.0}

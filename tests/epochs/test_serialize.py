@@ -94,15 +94,6 @@ def test_any_cube_comes_back(tmp_path, data, days, labels, pixel, key, value):
     assert parts(again) == parts(cube)
 
 
-def test_files_are_not_replaced_unasked(tmp_path):
-    path = tmp_path / "cube.fits"
-    make_cube().write(path)
-    with pytest.raises(OSError, match=r"cube.fits: exists; pass overwrite=True"):
-        make_cube().write(path)
-    make_cube()[1:].write(path, overwrite=True)
-    assert len(EpochCube.read(path)) == 2
-
-
 def test_damaged_files_and_those_of_later_versions(tmp_path, monkeypatch):
     path = tmp_path / "cube.fits"
     with monkeypatch.context() as patch:

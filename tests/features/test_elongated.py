@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Knots are longer than wide, beams of headers are off, and units are arbitrary."""
 
-from dataclasses import replace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -12,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 
 from astro_scc.cli import main
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.features import TrackSettings, find_features
-from astro_scc.features.finder import distinct_tracks, without_alternatives
+from astro_scc.features import find_features
+from astro_scc.features.finder import distinct_tracks
 from astro_scc.features.gaussians import fit_gaussians
 from astro_scc.features.tracks import Track
 
@@ -93,26 +91,6 @@ def test_two_bright_points_stay_two(apart):
     )
     found = fit_gaussians(image, beam, 1e-3)
     assert np.sum(found.group >= 0) == 2
-
-
-@pytest.mark.parametrize(
-    ("off", "size", "is_whole"),
-    [(0.0, 0.5, True), (0.0, 0.8, False), (0.3, 0.5, False)],
-)
-def test_what_is_one_in_most_epochs_is_one_in_all(series, off, size, is_whole):
-    """In epoch 3 there are two parts, and an ellipse between them."""
-    rows = [(t, 3 + 0.3 * t, 2.0, 1.0) for t in range(7)]
-    rows[3] = (3, 3.9 + off, 2.0, 1.0)
-    rows += [(3, 3.9 + off + dx, 2.0, 0.5) for dx in (-0.3, 0.3)]
-    d = series(rows)
-    parts = d.flux < 1
-    group = np.select([parts, (d.epoch == 3) & ~parts], [1, -1])
-    sizes = np.where(parts, 0.0, np.where(group < 0, size, 0.5))
-    found, _ = without_alternatives(
-        replace(d, group=group, size=sizes), TrackSettings()
-    )
-    assert np.sum(found.epoch == 3) == (1 if is_whole else 2)
-    assert np.sum(found.group == (-1 if is_whole else 1)) == (1 if is_whole else 2)
 
 
 def test_no_two_tracks_are_of_the_same_emission(series):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from astro_scc.features import Features
-from astro_scc.features.motion import PRIOR_FREEDOM, SCATTER, WANDER, Motion, fit_motion
+from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track
 from astro_scc.features.trust import FAR, is_secure, properties
 
@@ -56,26 +56,6 @@ def test_accelerations_are_rare_where_there_is_none():
     place = on_line(time, (3, 0), (0.4, 0)) + rng.normal(0, 0.06, (80, 15, 2))
     fits = [fit_motion(time, one, np.zeros((15, 2)), 1.0) for one in place]
     assert np.mean([fit.accelerated for fit in fits]) < 0.07
-
-
-def test_errors_of_known_residuals():
-    # Residuals of equal length at right angles to constant and slope.
-    time, sign = 2000 + np.array([-3.0, -1, 1, 3]), np.array([1, -1, -1, 1])
-    beam, error, off = 2.0, 0.05, np.array([0.12, 0.05])
-    place = on_line(time, (1.0, 2.0), (0.5, 0.1)) + np.multiply.outer(sign, off)
-    fit = fit_motion(time, place, np.full((4, 2), error), beam)
-    scatter = np.hypot(SCATTER * beam, error)
-    variance = 4 * off**2 + PRIOR_FREEDOM * scatter**2
-    variance /= 4 - 2 + PRIOR_FREEDOM
-    np.testing.assert_allclose(fit.velocity, [0.5, 0.1])
-    np.testing.assert_allclose(fit.place_err, np.sqrt(variance / 4))
-    np.testing.assert_allclose(
-        fit.velocity_err, np.hypot(np.sqrt(variance / 20), WANDER * beam / 6)
-    )
-    north = fit.error_along(np.array([0.0, 3.0]))
-    assert north == pytest.approx(fit.velocity_err[1])
-    mean = np.sqrt((fit.velocity_err**2).mean())
-    assert fit.error_along(np.zeros(2)) == pytest.approx(mean)
 
 
 def test_one_date_has_no_motion():

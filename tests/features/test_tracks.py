@@ -140,38 +140,6 @@ def test_axes_units_and_the_first_date_are_free(series, seed, name):
     assert found == pytest.approx(dict(zip(*other, strict=True)))
 
 
-@pytest.mark.parametrize(("n", "bridged"), [(1, True), (3, True), (4, False)])
-def test_gaps_up_to_a_length_are_bridged(series, n, bridged):
-    seen = [*range(5), *range(5 + n, 10 + n)]
-    # Another feature far away is seen at all epochs.
-    d = series(
-        [(t, 0.2 * t, 0.0) for t in seen] + [(t, 50.0, 50.0) for t in range(10 + n)]
-    )
-    own = np.flatnonzero(d.place[:, 1] == 0)
-    paths, _ = steady_hypotheses(d, SETTINGS)
-    assert (tuple(own.tolist()) in paths) == bridged
-    assert bridged or tuple(own[:5].tolist()) in paths
-
-
-@pytest.mark.parametrize(("off", "linked"), [(0.15, True), (1.5, False)])
-def test_what_is_beyond_the_gate_is_not_linked(series, off, linked):
-    d = series([(t, 0.2 * t, off if t == 9 else 0.0) for t in range(10)])
-    paths, _ = steady_hypotheses(d, SETTINGS)
-    assert (tuple(range(10)) in paths) == linked
-    assert tuple(range(9)) in paths
-
-
-@pytest.mark.parametrize(
-    "rows",
-    [[], [(t, 0.2 * t, 0.0) for t in range(3)],
-     [(t, 40.0 * (-1) ** t, 40.0 * t) for t in range(6)]],
-    ids=["nothing", "three epochs", "no motion"],
-)  # fmt: skip
-def test_what_makes_no_track(series, rows):
-    paths, score = steady_hypotheses(series(rows), SETTINGS)
-    assert (paths, len(score)) == ([], 0)
-
-
 @pytest.mark.parametrize("n_axes", [1, 2])
 def test_students_density(n_axes):
     off = np.array([0.3, -2.0])[:n_axes]

@@ -2,15 +2,23 @@
 """What headers tell: dates, units, beams, facts and coordinates."""
 
 import warnings
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
+from astropy.table import QTable
+from astropy.wcs import WCS
 
 from astro_scc.epochs import Beam
 from astro_scc.images.cards import parse_unit
 from astro_scc.images.headers import celestial_wcs, read_header
+from astro_scc.images.positions import (
+    axis_words,
+    name_by_frame,
+    sky_columns,
+)
 from astro_scc.quantities import parse_date
 
 DAY = "2006-03-09T00:00:00.000"
@@ -168,3 +176,27 @@ def test_polynomials_are_of_degrees(aips_header, terms):
     plain = celestial_wcs(aips_header(CTYPE1="RA---TAN", CTYPE2="DEC--TAN", **steps))
     away = np.abs(found[0] - plain.pixel_to_world_values(*places)).max()
     assert away < (1e-5 if terms else 1e-12)
+
+
+def in_frame(*ctype):
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ctype
+    return SimpleNamespace(wcs=wcs)
+
+
+def test_words_of_the_axes_and_columns_named_by_them():
+    expected = {
+        ("RA---SIN", "DEC--SIN"): ("east", "north", True),
+        ("HPLN-TAN", "HPLT-TAN"): ("solar west", "solar north", False),
+        ("GLON-CAR", "GLAT-CAR"): ("galactic east", "galactic north", True),
+        ("XLON-CAR", "XLAT-CAR"): ("larger longitude", "larger latitude", True),
+    }
+    assert {ctype: axis_words(in_frame(*ctype)) for ctype in expected} == expected
+    table = QTable({"pm_ra_cosdec": [1.0], "pm_dec_err": [0.1], "east": [2.0]})
+    table["east"].info.description = "offset to the east"
+    assert name_by_frame(table, in_frame("RA---SIN", "DEC--SIN")) is table
+    assert sky_columns(table) == ("pm_ra_cosdec", "pm_dec")
+    name_by_frame(table, in_frame("HPLN-TAN", "HPLT-TAN"))
+    assert table.colnames == ["pm_lon_coslat", "pm_lat_err", "lon_offset"]
+    assert table["lon_offset"].info.description == "offset to solar west"
+    assert sky_columns(table) == ("pm_lon_coslat", "pm_lat")

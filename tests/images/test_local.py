@@ -166,18 +166,6 @@ def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
     assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2)
 
 
-def test_structure_far_from_the_reference_pixel_of_a_mosaic():
-    head = header("TAN", (120.0, 40.0), 0.03)
-    head.update({"CRPIX1": 150.0, "CRPIX2": 150.0, "CRVAL1": 120.0, "CRVAL2": 40.0})
-    wcs = WCS(head)
-    for x, y in ((280, 275), (150, 150)):
-        cube = read(head, images((300, 300), (x, y)))
-        assert_as_on_sky(cube, wcs, x, y, 3e-3)
-    flat = read(head, images((300, 300), (280, 275)))
-    crop = flat.crop((slice(255, 300), slice(250, 300)))
-    assert_allclose(crop.pixel_matrix.value, flat.pixel_matrix.value)
-
-
 @pytest.mark.parametrize("code", ["CAR", "HPX"])
 def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     shape = (80, 60)

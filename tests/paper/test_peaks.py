@@ -132,14 +132,6 @@ def test_independent_ssps(n):
     assert normal_probability(found) > 0.01
 
 
-def test_one_ssp_that_all_matches_share():
-    """Its shift moves all of them: its half of the variance does not average out."""
-    found = jitter(clump(60, shared=True))
-    expected = expected_error(0.4, 60, shared=0.5)
-    assert expected > 0.4 / np.sqrt(2)
-    np.testing.assert_allclose(errors(found), expected, rtol=0.08)
-
-
 def chains(n, n_epochs):
     """SSPs that are matched from epoch to epoch, all at one velocity."""
     feature, epoch = np.mgrid[:n, : n_epochs - 1].reshape(2, -1)

@@ -2,7 +2,6 @@
 """Features against the Gaussians and lines they are to be, and when they are found."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -16,7 +15,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam
 from astro_scc.kinematics import RidgeLine
-from astro_scc.recovery import FeaturePaths, completeness, draw_paths, inject, recovered
+from astro_scc.recovery import FeaturePaths, completeness, draw_paths, inject
 
 PM, WEST = u.mas / u.yr, 270 * u.deg
 FAST = 10 * PM
@@ -175,30 +174,3 @@ def test_radial_features_leave_the_reference_pixel():
     assert not np.any(gone[:, 1:] & ~gone[:, :-1])
     rate = np.diff(distance, axis=1) / np.diff(cube.years.value)
     np.testing.assert_allclose(rate[np.isfinite(rate)], 2.0, rtol=1e-6)
-
-
-def streams(*velocities):
-    """Streams that move, by their velocities."""
-    return [SimpleNamespace(velocity=np.array(v)) for v in velocities]
-
-
-TWO = (4.6, 0.0), (5.4, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("velocities", "own", "number"),
-    [
-        ([(5.2, 0.3)], [], 0),
-        ([(5.8, 0.7)], [], None),
-        ([], [(5, 0)], None),
-        # What the epochs have already is not found; of two, the one that is left.
-        ([(5.0, 0.0)], [(4.5, 0.0)], None),
-        (TWO, [(4.5, 0.0)], 1),
-        (TWO, [(4.5, 0.0), (5.5, 0.0)], None),
-        ([(5.6, 0), (4.7, 0)], [], 1),
-    ],
-)
-def test_when_features_are_found(velocities, own, number):
-    found = streams(*velocities)
-    stream = recovered(found, own, (5, 0), tolerance=1.0)
-    assert stream is (None if number is None else found[number])
