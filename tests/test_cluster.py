@@ -6,13 +6,14 @@ import os
 import signal
 import sys
 import types
+from concurrent.futures import Future
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.parallel import as_done, in_order, workers_of
+from astro_scc.parallel import _result, as_done, in_order, workers_of
 
 distributed = pytest.importorskip("distributed")
 
@@ -128,3 +129,17 @@ def test_without_dask_or_a_scheduler(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ImportError, match="pip install distributed"):
         list(in_order(operator.neg, [1], "tcp://127.0.0.1:9"))
+
+
+def test_work_that_is_not_done():
+    future = Future()
+    future.cancel()
+    future.set_running_or_notify_cancel()
+    with pytest.raises(OSError, match="was lost; start it and this again"):
+        _result(future, 2)
+    # As the scheduler says after four workers died of one piece.
+    future = Future()
+    worker = types.SimpleNamespace(address="tcp://127.0.0.1:9")
+    future.set_exception(distributed.KilledWorker("piece", worker, 3))
+    with pytest.raises(ChildProcessError, match="several workers died of one piece"):
+        _result(future, 2)

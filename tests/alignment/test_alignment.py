@@ -76,7 +76,7 @@ def positions(found):
     return np.stack([found["east"].value, found["north"].value], axis=1)
 
 
-def test_a_table_brings_sources_to_the_reference_pixel():
+def test_a_table_brings_sources_to_the_reference_pixel(tmp_path):
     turn, cube = 40, shifted_jets(turn=40)
     result = align(cube, "table", table=offset_table())
     reference = images([[(0, 0, 1.0), *JET]], turn=turn).data[0]
@@ -86,6 +86,8 @@ def test_a_table_brings_sources_to_the_reference_pixel():
         assert np.abs(np.subtract(peak, (39, 49))).max() <= 1
     assert_allclose(shifts(result), -OFFSETS, atol=1e-9)
     assert result.noise is None
+    offset_table().write(tmp_path / "cores.ecsv")
+    assert len(align(result, str(tmp_path / "cores.ecsv")).meta["alignment"]) == 8
     record = result.meta["alignment"][1]
     assert (record["epoch"], record["date"]) == (cube.labels[1], "2000-07-01")
     assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
@@ -95,6 +97,9 @@ def test_a_table_brings_sources_to_the_reference_pixel():
     ("text", "message"),
     [
         ("date,east_mas,north_mas\n2000-01-05,1,2\n", "no row within 1 d of"),
+        ("date,east_mas,north_mas\n2000-01-01,,2\n", "2000-01-01 .a.fits. has no numb"),
+        ("date,east_mas\n2000-01-01,1\n", "0 columns have 'north'"),
+        ("date,east,north_mas\n2000-01-01,1,2\n", "'east' has no unit"),
         ("date,east_mas,north_mas\n2000-01-01,1,2\n2000-01-01,1,3\n", "that differ"),
         ("date,east_mas,north_mas\n2000-01-01,1,x\n", "'north_mas' is not numeric"),
         ("when,east_mas,north_mas\n2000-01-01,1,2\n", "0 columns of dates"),
@@ -231,6 +236,7 @@ def shifted():
          "2000-01-01: its shift .* off the grid"),
         (offset_table(OFFSETS), {"table": "x.csv"}, "give one table, as method or as"),
         ("core", {"table": "x.csv", "region": HOLE}, "'core' has no option region, ta"),
+        ("table", {}, "needs table="),
         (3, {}, "is none of"),
     ],
 )  # fmt: skip
@@ -259,3 +265,16 @@ def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
     cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
     found = core_positions(cube, jet_pa=90 * u.deg)
     assert_allclose(found["east"].value, 0, atol=0.02)
+
+
+def test_dates_of_many_sorts():
+    for name, dates in (
+        ("MJD", [51544.2, 51726.0]),
+        ("jd", [2451544.5, 2451726.5]),
+        ("year", [2000.0, 2000.4983]),
+        ("time", Time(["2000-01-01", "2000-07-01"])),
+        ("Date-Obs", ["2000-01-01", "2000-07-01"]),
+    ):
+        table = QTable({name: dates, "east": [1, 2] * u.mas, "north": [3, 4] * u.mas})
+        offsets, _ = offsets_from_table(table, Time(["2000-07-01"]), ["a"])
+        assert_allclose(offsets.value, [[2, 4]])

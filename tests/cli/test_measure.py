@@ -171,3 +171,9 @@ def test_measurements_that_no_page_can_show(out, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "bokeh.models", None)
     monkeypatch.delitem(sys.modules, "astro_scc.visualization.explore", raising=False)
     assert "pip install bokeh" in refused("explore", "out")
+
+
+def test_images_without_beams_have_none_for_a_core(series, refused):
+    words = ["measure", *series([None] * 6), "-o", "out"]
+    assert "the epochs have no beams" in refused(*words, "--common-beam")
+    assert "epochs have none" in refused(*words, "--align", "core")

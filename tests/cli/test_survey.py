@@ -227,6 +227,8 @@ WRONG = [
     ("a = " + "[" * 5000, "is not a TOML file: nested too deep"),
     ("", "names no source"),
     ("[other]", "unknown key 'other'"),
+    (f"{A}regions = {{b = 3}}", "regions.b must be the path"),
+    (f"[defaults]\nmax_speed = '2 mas'\n{A}", "defaults: max_speed = '2 mas' must"),
     ("[sources.A]", "sources.A: has no epochs"),
     (f"{A}region = 'b'", "region is no setting of a survey"),
     (f"{A}regions = 'b'", "regions must be a table"),

@@ -85,7 +85,20 @@ def test_why_it_is_a_feature(done, refused, jet, here):
     offset = f"{place['ra_offset'].value} {place['dec_offset'].value} mas"
     again, _ = done("explain", "out", "--at", offset, "--date", place["date"].isot)
     assert again.splitlines()[-1] == out.splitlines()[-1]
+    # A table of published features.
+    published = QTable(
+        {
+            "epoch": positions["date"].isot, "feature": positions["feature"],
+            "east": positions["ra_offset"], "north": positions["dec_offset"],
+            "flux": np.ones(len(positions)) * u.Jy,
+        }
+    )  # fmt: skip
+    published.write("p.ecsv", format="ascii.ecsv")
+    name = "--compare", "p.ecsv", "--published"
+    again, _ = done("explain", "out", *name, row["feature"])
+    assert again.splitlines()[-1] == out.splitlines()[-1]
     for argv, words in (
+        ((*name, 9), "p.ecsv: has no feature 9; it has 1"),
         ((), "give one of --feature, --published, and --at with --date"),
         (("--feature", 1), "there is no feature 1; features.ecsv has the numbers"),
         (("--at", "1 2 mas"), "--at and --date are given together"),

@@ -253,6 +253,7 @@ NAME = "1226+023.u.2006_03_09.mod"
 BAD = [
     (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
     (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
+    (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
     (NAME, b"! nothing\n", {}, "no components in the file"),
     (NAME, b"\xff\xfe\x00", {}, "it is not text"),
     ("jet.mod", b"1 2 3\n", {}, "no date in a name like .*.mod; write"),

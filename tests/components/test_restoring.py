@@ -94,6 +94,7 @@ def test_grids():
     assert min(x - 20, nx - 1 - x, y, ny - 1 - y - 10) >= 40
     edges = cube.data[:, [0, -1]].ravel(), cube.data[:, :, [0, -1]].ravel()
     assert np.abs(np.concatenate(edges)).max() < 1e-12
+    assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
     with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
         restored(components(), shape=(40, 20), reference_pixel=(5, 20))
 

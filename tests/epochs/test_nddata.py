@@ -170,6 +170,7 @@ def test_ndcube_there_and_back(ndcube):
     same(back, cube)
     assert back.epoch_meta == cube.epoch_meta
     assert back.meta == {"object": "J0000", "history": ["made", "from an NDCube"]}
+    assert EpochCube.from_ndcube(cube.to_ndcube()[1, 2:]).shape == (1, 22, 36)
     sequence = ndcube.NDCubeSequence([ndcube.NDCube(d, wcs=celestial()) for d in DATA])
     assert_array_equal(EpochCube.from_ndcube(sequence, times=DATES).data, DATA)
 
@@ -270,6 +271,7 @@ def of_arrays(data=DATA, times=DATES, **fields):
             (InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; remove it")]),
         (of(NDData(PLANE, meta=DATED)), "image 0: it has no WCS"),
         (of(NDData(np.ones((2, 8, 9)), wcs=celestial())), r"0: has shape \(2, 8, 9\)"),
+        (of(NDData(PLANE * np.nan, wcs=celestial())), "image 0: no valid pixel"),
         (of(PLANE), "image 0: is a .*; give NDData, such as"),
         (lambda: EpochCube([image(0), image(1)], DATES[:2], celestial()),
          "use EpochCube.from_ccddata or from_ndcube"),

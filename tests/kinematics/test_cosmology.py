@@ -65,6 +65,7 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
+        ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": 47367 * u.km / u.s},
          "redshift = 47367.0 km / s is a velocity, which may be defined in three "

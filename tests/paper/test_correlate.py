@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -13,7 +13,7 @@ from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.zncc import correlate_windows, find_peaks
 from astro_scc.paper import Correlator, Matches, all_pairs
-from astro_scc.paper.correlate import COLUMNS, TargetStack, target_ssps
+from astro_scc.paper.correlate import COLUMNS, target_ssps
 from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 96, 128
@@ -210,50 +210,6 @@ def test_matches_equal_the_papers_equation(masked, target, maps):
         np.testing.assert_allclose(
             getattr(found, name), values, rtol=tolerance, atol=tolerance, err_msg=name
         )
-
-
-def sparse_epochs(seed, masked):
-    """Three images of few blobs, far from one another and from the edges or not."""
-    rng, shape = np.random.default_rng(seed), (70, 110)
-    y, x = np.indices(shape)
-    mask = (np.hypot(x - 60, y - 30) < 9) if masked else None
-    for k in range(3):
-        spots = rng.uniform([0, 0], [110, 70], size=(4, 2))
-        image = sum(
-            (gaussian(*xy, 6.2, shape=shape) for xy in spots), noise(k, 0.01, shape)
-        )
-        yield Decomposer(scales=[1, 2])(image, mask=mask)
-
-
-def everywhere(stack, box):
-    """All displacements, by their middle and half their range."""
-    return np.zeros(2, int), stack.margin
-
-
-@settings(max_examples=4)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    reach=st.tuples(st.integers(2, 40), st.integers(2, 40)),
-    masked=st.booleans(),
-)
-@example(seed=296373, reach=(3, 32), masked=True)
-def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
-    epochs = list(sparse_epochs(seed, masked))
-    # A few pixels agree equally well with any one pixel: maxima that tie.
-    select = SSPs.of_epochs(epochs).n_pixels > 8
-    found = Correlator()(epochs, all_pairs(3), reach, select=select)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(TargetStack, "displacements", everywhere)
-        whole = Correlator()(epochs, all_pairs(3), reach, select=select)
-    same(found, whole, ("ssp", "target"))
-    for name in ("dy", "dx", "coefficient", "target_snr"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(whole, name), atol=2e-4, err_msg=name
-        )
-    # Of two pixels that tie, either may be the maximum, with an overlap of its own.
-    tie = [np.abs(np.abs(v - np.rint(v)) - 0.5) < 1e-3 for v in (found.dy, found.dx)]
-    limit = np.where(np.any(tie, axis=0), 0.1, 2e-4)
-    assert np.all(np.abs(found.overlap - whole.overlap) <= limit)
 
 
 @settings(max_examples=15)

@@ -176,3 +176,17 @@ def test_the_nearest_of_two_maxima_is_found_again():
     found = jitter(Displacements(**both), 200, box=(5.0, 3.0))
     assert len(found) == 200
     assert np.abs(found).max() < 0.5
+
+
+@pytest.mark.parametrize("n", [100, 1000])
+def test_normal_values_look_normal_and_others_do_not(n):
+    rng = np.random.default_rng(3)
+    turn = np.array([[2.0, 0.0], [1.5, 0.3]])
+    p = [normal_probability(rng.normal(size=(n, 2)) @ turn) for _ in range(400)]
+    assert 0.02 < np.mean(np.array(p) < 0.05) < 0.08
+    assert normal_probability(rng.exponential(size=(n, 2))) < 1e-3
+    assert normal_probability(rng.uniform(size=(1000, 2)) @ turn) < 1e-3
+    # Neither shift nor scale changes it.
+    values = rng.normal(size=(n, 2))
+    p = normal_probability(values)
+    assert normal_probability(5 + 1e-3 * values) == pytest.approx(p)

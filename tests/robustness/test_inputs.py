@@ -70,12 +70,6 @@ def test_a_part_is_measured(inputs, epochs, measure, tmp_path):
     assert table.meta["configuration"]["crop"] == str(part)
     (line,) = (text for text in table.meta["history"] if "cropped" in text)
     assert line == "cropped to pixels x 5 to 41, y 6 to 34"
-    # The settings do it again.
-    config = tmp_path / "out" / "config.toml"
-    assert main(["measure", "--config", str(config), "-o", str(tmp_path / "again"),
-                 "--no-report", "--quiet"]) == 0  # fmt: skip
-    same = [(tmp_path / name / "ssps.ecsv").read_bytes() for name in ("out", "again")]
-    assert same[0] == same[1]
 
 
 def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):

@@ -164,29 +164,6 @@ def lines_of(ax, gid):
     return [line for line in ax.lines if line.get_gid() == gid]
 
 
-def test_separations_fits_and_residuals(features):
-    ax, lower = plot_separation(features, unit=u.uas, beta_per_pm=10.0).axes
-    table, d = features.positions, features.detections
-    time, distance = dots(ax)
-    wanted = np.hypot(table["ra_offset"], table["dec_offset"]).to_value(u.uas)
-    assert distance == pytest.approx(wanted)
-    assert time == pytest.approx(table["date"].jyear)
-    fits = [k for k in ax.lines if k.get_marker() == "None" and not k.get_gid()]
-
-    def separation(m, time):
-        dt = (np.asarray(time) - m.date)[..., None]
-        path = m.velocity * dt + np.nan_to_num(m.acceleration) * dt**2 / 2
-        return 1000 * np.hypot(*np.moveaxis(m.place + path, -1, 0))
-
-    left = []
-    for line, track, m in zip(fits, features.tracks, features.motions, strict=True):
-        own, (time, distance) = track.detection, line.get_data()
-        assert distance[-1] == pytest.approx(separation(m, time[-1]))
-        left.extend(1000 * np.hypot(*d.place[own].T) - separation(m, d.time[own]))
-    assert dots(lower)[1] == pytest.approx(np.array(left), abs=1e-6)
-    assert plot_separation(features, ax=Figure().add_subplot()).axes[1:] == []
-
-
 def test_paths_over_the_mean_image_and_published_ones(features):
     cube = features.cube
     (ax,) = plot_tracks(features, unit=u.mas).axes
