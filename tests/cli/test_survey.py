@@ -13,7 +13,6 @@ from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_part, run_survey
 from astro_scc.cli.survey_sources import Outcome, alone, folder_names, read_survey
 from astro_scc.report.page import write_overview
-from astro_scc.simulation import simulate_two_fluid
 
 TEXT = """
 [defaults]
@@ -45,15 +44,13 @@ ROWS = [
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(make_jet, tmp_path_factory):
     """A survey of two small cubes, and of one that is not there."""
     folder = tmp_path_factory.mktemp("in")
-    for seed, name in enumerate(("one", "two")):
-        cube = simulate_two_fluid(n_epochs=8, rng=seed).cube
-        cube = cube.crop((slice(70, 186), slice(20, 170)))
-        cube.write(folder / f"{name}.fits")
-    (folder / "left.reg").write_text("image\nbox(40,58,80,116,0)\n")
-    (folder / "right.reg").write_text("image\ncircle(146,4,3)\n")
+    for name in ("one", "two"):
+        make_jet().cube.write(folder / f"{name}.fits")
+    (folder / "left.reg").write_text("image\nbox(50,32,90,60,0)\n")
+    (folder / "right.reg").write_text("image\ncircle(124,4,3)\n")
     (folder / "survey.toml").write_text(TEXT)
     return folder
 

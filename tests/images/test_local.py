@@ -109,7 +109,7 @@ def step_on_sky(wcs, x, y, dx, dy):
 places = st.tuples(st.floats(0, 360), st.floats(-80, 80))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(
     code=st.sampled_from([*CYLINDERS, *OTHERS, *ZENITHAL]),
     place=places,

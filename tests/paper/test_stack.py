@@ -173,7 +173,7 @@ def test_z_scores_are_among_all_other_stacks(shift):
 def test_p_global_is_uniform_where_epochs_are_unrelated():
     """Also of few epochs, whose orders repeat, and where groups are exchanged."""
     p = []
-    for seed in range(120):
+    for seed in range(60):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(3, 9))
         d = random_displacements(rng, n, 40 * n)
@@ -187,7 +187,7 @@ def test_p_global_is_uniform_where_epochs_are_unrelated():
         assert min(c.p_global for c in found.components) >= p[-1]
     for level in (0.05, 0.1, 0.25, 0.5):
         share = np.mean(np.array(p) <= level + 1e-9)
-        assert share <= level + 3 * np.sqrt(level / 120)
+        assert share <= level + 3 * np.sqrt(level / 60)
     assert np.mean(np.array(p) <= 0.5) > 0.3
 
 
