@@ -316,3 +316,12 @@ WRITTEN = [
 
 def test_numbers_have_two_digits_of_their_error():
     assert [(v, e, with_error(v, e)) for v, e, _ in WRITTEN] == WRITTEN
+
+
+def test_choices_that_change_the_speed_are_named(result, words_of):
+    choices = [dict(row) for row in result.choices]
+    choices[1]["significant"] = True
+    words = words_of(replace(result, choices=choices))
+    assert "Stream 1 (moving): its speed differs between parts: " in words
+    assert f"({choices[1]['choice']})" in words
+    assert "from parts of the data" not in words_of(replace(result, choices=[]))

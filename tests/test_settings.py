@@ -127,6 +127,7 @@ def test_generators_of_either_kind():
           for value in (0, "0", [0])),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
+        ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
         ("scales", [0.1, np.nan] * u.mas, "must be scale numbers such as"),
         ("before", "yesterday", "is no date such as 2011-01-01"),
         ("distance", "0.158", "no unit at its end; it must be a length with a unit"),

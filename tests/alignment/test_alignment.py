@@ -137,6 +137,7 @@ def test_a_lonely_core_and_its_errors():
     """Residuals are as large as the errors say."""
     found = core_positions(images([[(0.13, -0.08, 0.05)]] * 4, noise=1e-3))
     assert not found["blended"].any()
+    assert len(shifts(align(images([[(0.13, -0.08, 1)]] * 2, noise=1e-3), "core"))) == 2
     errors = np.stack([found["east_err"].value, found["north_err"].value], axis=1)
     pulls = (positions(found) - [0.13, -0.08]) / errors
     assert 0.3 < np.sqrt(np.mean(pulls**2)) < 2

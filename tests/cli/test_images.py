@@ -28,6 +28,9 @@ def test_simulate_and_its_seed(done, here):
     assert "b/c/*.fits -o b/c-measured" in out
     assert same(here / "a", here / "b" / "c")
     assert len(list((here / "a").glob("*.fits"))) == 3
+    # One epoch cannot be measured.
+    out, _ = done("simulate", "static", "d", "--epochs", 1, "--seed", 1)
+    assert out == "1 epoch and truth.ecsv in d (seed 1)\n"
 
 
 def test_restore_and_inspect_components(done, here):

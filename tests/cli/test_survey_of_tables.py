@@ -12,7 +12,6 @@ from astropy.table import QTable, Table
 
 BOTH = ("0003+380", "0010+405")
 BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
-OPTIONS = [*BEAM, "--noise", "0.5 mJy/beam", "--seed", "1", "--no-report", "--quiet"]
 
 
 @pytest.fixture
@@ -26,31 +25,6 @@ def table(shared_data, here):
     rows = "\n".join([*kept, ""])
     (here / "table_mrt.txt").write_text(f"{head}{'-' * 80}\n{rows}")
     return "table_mrt.txt"
-
-
-@pytest.mark.slow
-def test_all_sources_are_restored_and_measured(table, done, here):
-    def measure(*words, out="out"):
-        done("survey", *words, "-o", out)
-        found = QTable.read(here / out / "survey.ecsv")
-        images = sorted((here / out / "images" / "0003+380").glob("*.fits"))
-        return found, [path.stat().st_mtime_ns for path in images]
-
-    found, before = measure(table, *OPTIONS)
-    status = dict(zip(found["source"], found["status"], strict=True))
-    assert status == dict.fromkeys(BOTH, "measured") | {"9999+999": "failed"}
-    assert len(before) == 10
-    # The same command goes on; with another beam, it begins again.
-    assert measure(table, *OPTIONS)[1] == before
-    other = ["--pixel", "0.25 mas", "--source", ",".join(BOTH)]
-    found, again = measure(table, *OPTIONS, *other)
-    assert again != before
-    assert set(found["source"]) == set(BOTH)
-    # The file can be changed, for a redshift, and given to the command.
-    plan = here / "out" / "survey.toml"
-    plan.write_text(plan.read_text() + "redshift = 0.229\n")
-    found, _ = measure(plan, "--no-report", "--quiet")
-    assert "beta_app" in found.colnames
 
 
 @pytest.mark.slow

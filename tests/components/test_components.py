@@ -132,6 +132,7 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
         ({"epoch": None, "flux": None}, {}, "no column for 'epoch', 'flux'; the"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
+        ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
         ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: separation or posi"),
         ({"feature": [0, 0, 0, 1]}, {}, "2 core components .* on 2006-03-09"),
@@ -240,6 +241,8 @@ def test_difmap_model(tmp_path):
     for name, values in expected.items():
         assert_allclose(getattr(components, name).value, values, atol=1e-12)
     assert components.meta["position"].ra.deg == pytest.approx(187.27791542)
+    text = MODEL.replace("Radius (mas)", "Radius (arcsec)")
+    assert read_components(model(tmp_path, text)).east[0] == 100 * u.mas
     # A size without a type is that of a Gaussian.
     path = model(tmp_path, "1 0 0 0.5 1 0\n", "2006-03-09.mod")
     assert read_components(path).major[0] == 0.5 * u.mas
@@ -258,6 +261,7 @@ BAD = [
     (NAME, b"\xff\xfe\x00", {}, "it is not text"),
     ("jet.mod", b"1 2 3\n", {}, "no date in a name like .*.mod; write"),
     ("jet.model", b"1 2 3\n", {}, "its suffix is none of .ecsv, .*; rename it"),
+    ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
     ("t.ecsv", b"<html>not found</html>\n", {}, "not a readable ascii.ecsv"),
     # Options of a FITS file with an AIPS CC table.
     ("a.fits", {"tables": 0}, {}, "no AIPS CC table"),
@@ -312,6 +316,10 @@ def test_aips_table(tmp_path):
     for name, values in expected.items():
         assert_allclose(getattr(components, name).value, values)
     assert components.meta["position"].ra.deg == 77
+    other = {"OBJECT": "Jet", "DATE-OBS": "2010-01-07"}
+    other = aips(tmp_path / "b.fits", header=other)
+    with pytest.warns(EpochWarning, match=r"files are of 0506\+056, Jet"):
+        assert "object" not in read_components([tmp_path / "a.fits", other]).meta
     # Where there is no image, components are restored.
     with fits.open(tmp_path / "a.fits") as hdus:
         assert kind_of(tmp_path / "a.fits") == "images"

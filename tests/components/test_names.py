@@ -99,6 +99,7 @@ def test_sources_by_other_names(wanted, found, tmp_path):
     [
         ({}, {}),
         ({}, {"position": SkyCoord(10 * u.deg, -20 * u.deg)}),
+        ({}, {"position": "00h40m00s -20d00m00s"}),
         ({}, {"ra": "10 deg", "dec": "-20 deg"}),
         ({"RAdeg": 10 * u.deg, "DEdeg": -20 * u.deg}, {}),
         ({"RAJ2000": 2 / 3 * u.hour, "DEJ2000": -20 * u.deg}, {}),

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
+from astro_scc.decomposition.wavelet import propagated_noise
 
 NY, NX = 48, 64
 
@@ -220,3 +221,11 @@ def test_catalogues_are_joined():
     np.testing.assert_array_equal(joined.x, [*first.x, *second.x])
     for none in (SSPs.empty(), SSPs.of_epochs([])):
         assert (len(none), none.n_pixels.shape, repr(none)) == (0, (0,), "<SSPs: none>")
+
+
+def test_the_noise_of_the_image_is_propagated():
+    how = {"beam_covariance": np.array([[9, 1], [1, 4]])}
+    image = gaussians([(24, 30)])
+    found = Decomposer((1, 2), noise="propagated")(image, rms=0.01, **how)
+    np.testing.assert_allclose(found.noise, propagated_noise(0.01, (1, 2), **how))
+    assert len(found.ssps) == 2

@@ -240,3 +240,13 @@ def test_noise_of_an_image():
     alike = np.ones((10, 10))
     alike[0, 0] = 2
     assert measure_noise(alike, alike > 2) == pytest.approx(alike.std())
+
+
+def test_local_noise_of_scattered_pixels_is_constant():
+    """Boxes with hardly a pixel tell nothing of a place."""
+    rng = np.random.default_rng(0)
+    plane, mask = rng.normal(size=(128, 128)), rng.random((128, 128)) < 0.95
+    noise = local_noise(plane, 1, mask=mask)
+    assert np.ptp(noise) == 0
+    assert noise[0, 0] == plane_noise(plane, 1, mask=mask)
+    assert noise[0, 0] == pytest.approx(1, abs=0.2)

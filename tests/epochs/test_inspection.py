@@ -86,5 +86,6 @@ def test_two_epochs_of_the_same_pixels():
     ],
 )
 def test_plans_that_cannot_be_made(call, words):
+    assert "4 epochs over 2 yr, 0.498 to 0.999 yr apart" in str(plan())
     with pytest.raises(ValueError, match=words):
         call()

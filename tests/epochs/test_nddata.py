@@ -171,6 +171,7 @@ def test_ndcube_there_and_back(ndcube):
     assert back.epoch_meta == cube.epoch_meta
     assert back.meta == {"object": "J0000", "history": ["made", "from an NDCube"]}
     assert EpochCube.from_ndcube(cube.to_ndcube()[1, 2:]).shape == (1, 22, 36)
+    assert make_cube(noise=None).to_ndcube().uncertainty is None
     sequence = ndcube.NDCubeSequence([ndcube.NDCube(d, wcs=celestial()) for d in DATA])
     assert_array_equal(EpochCube.from_ndcube(sequence, times=DATES).data, DATA)
 
@@ -252,6 +253,13 @@ PLANE = np.ones((8, 9))
 LINE = HighLevelWCSWrapper(SlicedLowLevelWCS(celestial(), (3, slice(None))))
 
 
+def unfit():
+    wrong = image(0)
+    # astropy itself checks units of images that have one.
+    wrong._uncertainty = StdDevUncertainty(np.ones(SHAPE), unit=u.K)
+    return wrong
+
+
 def of(*images):
     return lambda: EpochCube.from_ccddata(images)
 
@@ -269,6 +277,7 @@ def of_arrays(data=DATA, times=DATES, **fields):
             (StdDevUncertainty(None), "has no values; remove it"),
             (StdDevUncertainty(np.full(SHAPE, -1.0)), "has negative values; correct"),
             (InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; remove it")]),
+        (of(unfit()), "image 0: .* StdDevUncertainty is in K, which"),
         (of(NDData(PLANE, meta=DATED)), "image 0: it has no WCS"),
         (of(NDData(np.ones((2, 8, 9)), wcs=celestial())), r"0: has shape \(2, 8, 9\)"),
         (of(NDData(PLANE * np.nan, wcs=celestial())), "image 0: no valid pixel"),
@@ -301,3 +310,6 @@ def test_zeros_that_pad_are_missing_at_each_door():
     cube = of(NDData(padded, **made))()
     assert_array_equal(cube.mask[0], padded == 0)
     assert_array_equal(of_arrays([padded], DATES[:1])().mask, cube.mask)
+    filled = np.where(padded == 0, -999.0, padded)
+    with pytest.warns(EpochWarning, match="^its pixels of exactly -999 are taken"):
+        assert_array_equal(of_arrays([filled], DATES[:1])().mask, cube.mask)

@@ -89,6 +89,9 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     assert np.all(table["p_fdr"][moves] >= table["p_global"][moves])
     assert profile.main["kind"][:2].tolist() == ["moving"] * 2
     assert profile.main["pm"][0] < profile.main["pm"][1]
+    assert profile.covariance.unit == PM**2
+    windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
+    assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
     # Features belong to the bin of their mean place.
     features = decomposed.features
     distance = feature_distances(profile.flow, features)

@@ -27,6 +27,14 @@ def beam(major, minor, pa=0.0):
 ROUND, WIDE = beam(0.5, 0.5), beam(0.52, 0.5)
 
 
+def test_beams_of_radio_beam():
+    radio_beam = pytest.importorskip("radio_beam")
+    beams = radio_beam.Beams([3] * 3 * u.mas, [1, 2, 3] * u.mas, [10, 20, 30] * u.deg)
+    data = np.random.default_rng(1).normal(size=(3, 8, 8))
+    cube = EpochCube.from_arrays(data, DATES, pixel_scale=PIXEL, beams=beams)
+    assert [one.minor.value for one in cube.beams] == [1, 2, 3]
+
+
 def with_beams(*beams):
     """A feature that moves a pixel an epoch, with a beam for each epoch."""
     y, x = np.mgrid[:32, :32]

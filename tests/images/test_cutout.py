@@ -1,13 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Regions, crops, rings, and parts of files that are read without the rest."""
 
-import tracemalloc
-
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.io import fits
 from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -247,25 +244,3 @@ def test_images_that_lie_whole_pixels_aside(tmp_path):
     same(EpochCube.read(paths, region=corner), EpochCube.read(paths).crop(corner))
     with pytest.raises(ValueError, match="nothing of the region lies in it; leave it"):
         EpochCube.read(paths, region=(slice(0, 4), slice(0, 20)))
-
-
-@pytest.mark.slow
-def test_only_the_part_is_in_memory(tmp_path):
-    """Six images of 4 MB each, 8 as they are kept, of which a hundredth is wanted."""
-    rng = np.random.default_rng(1)
-    header = fits.getheader(write_epochs(series(n=1), tmp_path / "one")[0])
-    paths = []
-    for k in range(6):
-        header["DATE-OBS"] = f"200{k}-01-01"
-        paths.append(tmp_path / f"e{k}.fits")
-        image = rng.normal(size=(1024, 1024)).astype(">f4")
-        fits.PrimaryHDU(image, header).writeto(paths[-1])
-    tracemalloc.start()
-    try:
-        cube = EpochCube.read(paths, region=(slice(400, 500), slice(450, 550)))
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert cube.shape == (6, 100, 100)
-    assert_array_equal(cube.data[5], fits.getdata(paths[5])[400:500, 450:550])
-    assert peak < 6e6

@@ -45,6 +45,7 @@ SIP = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "A_ORDER": 2, "B_ORDE
     ("data", "changes", "words"),
     [
         (broadcast(4, 1, 16, 32), {"CRVAL4": -4.0}, "4 planes .* STOKES and none of"),
+        (broadcast(4, 1, 16, 32), {"CRVAL4": None}, "STOKES and none of them is I"),
         (broadcast(5, 16, 32), {"CTYPE3": None}, "has 5 planes on axis 3 of the file"),
         (PIXELS[0, 0], SIP, "has distortions .SIP.; resample"),
         (PIXELS * np.nan, {}, "no valid pixel, all are NaN"),

@@ -147,3 +147,15 @@ def test_the_finest_pixels_and_the_widest_extent_are_shared(grids):
     for far in ((187.1, 12.0), (7.0, -12.0)):
         with pytest.raises(ValueError, match="too far apart"):
             shared_grid([*grids, (SHAPE, grid(crval=far))])
+
+
+def test_grids_of_headers_cubes_and_coordinates():
+    cube, new = cube_of(), grid((70.25, 50), pixel=0.05, turn=20)
+    expected = reproject_cube(cube, new, (50, 70))
+    header, new.array_shape = new.to_header(), (50, 70)
+    header.update({"NAXIS": 2, "NAXIS1": 70, "NAXIS2": 50, "CTYPE2": "DEC---SIN"})
+    for target in (header, new, cube_of(new, (50, 70))):
+        result = cube.reproject_to(target)
+        assert_array_equal(result.mask, expected.mask)
+        assert_allclose(result.data, expected.data, atol=1e-6)
+    assert cube.reproject_to(header, (40, 60)).shape == (2, 40, 60)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 from astropy.time import Time
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from astro_scc.units import PM_UNIT
@@ -75,12 +76,14 @@ def test_what_is_refused(result, bare, what, options, words):
         bare.plot("sensitivity")
 
 
+NORM = Normalize(-1, 2)
 #: Keywords of matplotlib by the kind of figure, and the artist that has them.
 KEYWORDS = [
     ("velocity_map", {"cmap": "magma"}, lambda ax: ax.images[0].get_cmap().name),
     ("distance", {"cmap": "Blues"}, lambda ax: ax.collections[0].get_cmap().name),
     ("spectrum", {"lw": 3.0}, lambda ax: ax.lines[0].get_linewidth()),
     ("significance", {"color": "red"}, lambda ax: ax.lines[2].get_color()),
+    ("paper", {"norm": NORM}, lambda ax: ax.images[0].norm),
     ("tracks", {"lw": 2.5}, lambda ax: ax.lines[0].get_linewidth()),
 ]
 
@@ -198,3 +201,11 @@ def test_dashes_lead_to_the_ejections(features, monkeypatch):
     assert sorted(x[0] for x, _ in drawn) == pytest.approx(known)
     assert all(y[0] == 0 for _, y in drawn)
     assert drawn
+
+
+def test_streams_of_no_known_speed_or_error_are_drawn(result):
+    rows = result.streams[:1].copy()
+    for name in ("pm_parallel_err", "pm_ra_cosdec", "pm_dec"):
+        rows[name] = np.nan * rows[name].unit
+    for kind in ("diagram", "velocity_map", "paper"):
+        result.plot(kind, components=rows).draw_without_rendering()
