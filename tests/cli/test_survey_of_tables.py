@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc survey`` of a table of components, and of folders of images."""
+"""``astro-scc survey`` of a table of components, and what no survey can be."""
 
 import io
 import re

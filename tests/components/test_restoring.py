@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images of components, noise that the beam correlates, and a file an epoch."""
+"""Images of components, and noise that the beam correlates."""
 
 import astropy.units as u
 import numpy as np

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Decomposed epochs: noise and structure, and SSPs of a region."""
+"""Decomposed epochs: noise and structure."""
 
 import warnings
 from dataclasses import replace

@@ -65,9 +65,6 @@ def test_what_cannot_be_meant_is_refused(call, words):
         call()
 
 
-# What the images tell.
-
-
 def spots(*places, beams=BEAM, bright=0.1):
     """Two epochs of a core and of fainter spots, (east, north) in mas."""
     y, x = np.mgrid[:121, :121]

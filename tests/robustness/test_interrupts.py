@@ -89,3 +89,16 @@ def test_an_interrupt_leaves_nothing(usual, tmp_path, how, seed):
     for line in said.splitlines():
         if ": error:" in line:
             assert line == "astro-scc measure: error: interrupted, nothing was written"
+
+
+@pytest.mark.slow
+def test_a_run_that_is_started_again_gives_the_same(
+    interrupts, inputs, epochs, tmp_path
+):
+    words = ["measure", *map(str, epochs), *inputs.QUICK, "--no-report"]
+    options = {"number": 1, "seed": 1, "launch": start}
+    for trial, seconds in interrupts.trials(words, tmp_path / "runs", **options):
+        assert trial.good, trial
+        assert 0 < trial.after < seconds
+        assert trial.status in (128 + trial.how, 70, -trial.how)
+        assert "Traceback" not in trial.said

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the benchmarks of resolved jets and of the level simulate, and their score."""
+"""What the benchmarks of resolved jets and of the level simulate."""
 
 import importlib
 from pathlib import Path

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""None"""
+"""Flow planes, their model and its solution, on diagrams and flows that are known."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Images and their SSPs: what is drawn where, in which unit and how bright."""
+"""Images and their SSPs: what is drawn where, and how bright."""
 
 from dataclasses import replace
 
