@@ -112,6 +112,9 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     assert_quantity_allclose(near["v_app_err"][0], 0.18962 * kms, rtol=1e-4)
     far = table_in_c(table, distance=2 * u.Mpc)
     assert "v_app" not in far.colnames + found.colnames
+    # astropy reads 16 x 7 Mpc.
+    with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
+        table_in_c(table, distance="16 7 Mpc")
 
 
 def test_numbers_at_15_degrees_and_speeds_that_are_none():
