@@ -11,7 +11,8 @@ from astropy.io import fits
 from hypothesis import settings
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.simulation import JetSimulation, Stream
+from astro_scc.features import find_features
+from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 
 HERE = Path(__file__).parent
 #: Folders and modules whose tests run the command line, or scripts, end to end.
@@ -94,6 +95,18 @@ def jet_results(jet_stacked):
 def sky_result(jet_results):
     """The small jet, measured along east and north."""
     return jet_results["sky"]
+
+
+@pytest.fixture(scope="session")
+def known_jet():
+    """Ten epochs of a core and of features whose motions are known."""
+    return simulate_jet(n_epochs=10, dispersion=0.1, rng=1)
+
+
+@pytest.fixture(scope="session")
+def known_features(known_jet):
+    """Its features; the cached properties of copies of them are their own."""
+    return find_features(known_jet.cube, seed=1)
 
 
 VOID = {"meta", "img", "br", "link", "hr"}

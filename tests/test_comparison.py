@@ -27,15 +27,3 @@ def test_all_speeds_of_a_sample_are_read(speeds):
     rng = np.random.default_rng(1)
     v = np.concatenate([rng.normal(speed, 1, 90) for speed in speeds])
     np.testing.assert_allclose(speeds_of(v), speeds, atol=0.5)
-
-
-def test_no_speed_where_there_is_none():
-    rng = np.random.default_rng(2)
-    assert len(speeds_of([])) == 0
-    assert len(speeds_of(rng.uniform(-60, 60, 4000))) == 0
-    # Nor of what is too fast, goes across, or was seen in one pair of epochs.
-    assert len(speeds_of(np.full(90, 31.0))) == 0
-    assert len(speeds_of(np.full(90, 5.0), across=11.0)) == 0
-    v = np.concatenate([rng.normal(5, 1, 90), np.full(40, 20.0)])
-    pair = np.concatenate([np.arange(90) % 9, np.full(40, 4)])
-    np.testing.assert_allclose(speeds_of(v, pair), [5], atol=0.5)

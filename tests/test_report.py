@@ -8,8 +8,8 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import Column, QTable, vstack
-from hypothesis import given
+from astropy.table import Column, vstack
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc.columns import cell
@@ -22,10 +22,9 @@ from astro_scc.report.answer import (
     headline,
     notes,
     paper_lines,
-    scale_lines,
     stream_lines,
 )
-from astro_scc.report.page import acceleration_text, draw_figures, feature_rows
+from astro_scc.report.page import acceleration_text
 from astro_scc.units import PM_UNIT
 
 CHANCE = "p_global 0.62 is above alpha"
@@ -104,9 +103,6 @@ def words_of(tmp_path, monkeypatch, read_page):
     return write
 
 
-# -- the page ------------------------------------------------------------------------
-
-
 def test_the_page_stands_alone_for_every_reader(page, folder):
     assert not page.all("script") + page.all("link")
     assert not re.search(r"(src|href)=\"?(http|//)|url\(|@import", page.source)
@@ -121,14 +117,6 @@ def test_the_page_stands_alone_for_every_reader(page, folder):
     # Nothing that was given is code.
     assert page.words.count("<script>alert('1')</script>") >= 6
     assert "alert" not in str([attrs for _, attrs in page.tags])
-    # For who cannot see, and for narrow screens and paper.
-    assert len({img["alt"] for img in page.all("img")}) == len(MAIN + MORE)
-    assert page.all("html") == [{"lang": "en"}]
-    assert all(th["scope"] == "col" for th in page.all("th"))
-    screen, paper = page.source.split("</style>")[0].split("@media print")
-    assert ".wide { overflow-x: auto; }" in screen
-    assert ".wide { overflow: visible; }" in paper
-    assert page.all("div").count({"class": "wide"}) == len(page.all("table")) == 5
 
 
 def test_the_answer_comes_first(page, streams):
@@ -146,14 +134,6 @@ def test_the_answer_comes_first(page, streams):
     places = [page.words.find(part) for part in order]
     assert -1 not in places, order[places.index(-1)]
     assert places == sorted(places)
-    kinds = [tr.get("class") for tr in page.all("tr") if tr.get("class")]
-    # What the answer is made of, and the rest.
-    assert kinds[:6] == 2 * ["moving", "stationary", "not-significant"]
-    heads = {
-        "speed (mas/yr)", "speed (c)", "PA (deg)", "share", "dispersion (mas/yr)",
-        "speed of features (mas/yr)", "speed of the spectrum (mas/yr)",
-    }  # fmt: skip
-    assert heads <= set(page.text)
     for words in (
         cell(streams[2], "p_global"), "speed (c): apparent speed, in units of c",
         # Descriptions speak of headings, not of names of columns.
@@ -165,54 +145,6 @@ def test_the_answer_comes_first(page, streams):
     assert page.words.count(CHANCE) == 1
     assert [a["href"] for a in page.all("a")] == ["streams.ecsv"]
 
-
-def test_each_feature_has_its_own_speed(result, page):
-    part = page.source.split("<h2>Features</h2>")[1].split("</section>")[0]
-    rows = re.findall(r"<tr(?: class=not-significant)?>(.*)</tr>", part)
-    head, *rows = [re.findall(r"<t[hd][^>]*>([^<]*)", row) for row in rows]
-    rows = [cells for cells in rows if cells != head]
-    # Those that are not secure are folded away.
-    n_secure = part.partition("<details>")[0].count("<tr>") - 1
-    assert n_secure == result.features["secure"].sum() > 0
-    features = result.features[np.argsort(~result.features["secure"], kind="stable")]
-    for cells, row in zip(rows, features, strict=True):
-        assert cells[:3] == [str(row[k]) for k in ("feature", "stream", "n_epochs")]
-        assert cells[3] == row["first"].strftime("%Y-%m-%d")
-        assert cells[head.index("speed (mas/yr)")] == cell(row, "pm")
-    # Of many, those that were seen longest are shown.
-    table = changed(result.features, secure=True)
-    longest = np.sort(np.argsort(-table["n_epochs"], kind="stable")[:2])
-    numbers = table["feature"].astype(str)
-    _, said, _, *lines, secure, _ = feature_lines(table, most=2)
-    assert "secure: p_false of at most 0.3, moved by 1 beam" in secure
-    assert said.endswith("secure; the 2 that were seen in most epochs:")
-    for line, row in zip(lines, table[longest], strict=True):
-        assert line.split()[:2] == [str(row["feature"]), str(row["stream"])]
-        assert cell(row, "pm", "+-") in line
-    _, shown, others = feature_rows(table, 2)
-    assert [cells[0] for cells, _ in shown] == list(numbers[longest])
-    assert [cells[0] for cells, _ in others] == list(np.delete(numbers, longest))
-
-
-@pytest.mark.slow
-def test_the_same_files_each_time_and_as_pdf(result, tmp_path, monkeypatch):
-    monkeypatch.setattr("astro_scc.visualization.style.DPI", 20)
-    a, b = (write_report(result, tmp_path / name, pdf=True).parent for name in "ab")
-    assert all(k.read_bytes() == (b / k.name).read_bytes() for k in a.iterdir())
-    assert {k.stem for k in a.glob("*.pdf")} == set(MAIN)
-
-
-def test_figures_that_are_empty_or_not_wanted(result, monkeypatch):
-    monkeypatch.setattr(
-        "astro_scc.visualization.style.figure_files", lambda names, *_, **_k: set(names)
-    )
-    assert draw_figures(result, result.streams) == set(MAIN)
-    still = replace(result, choices=[])
-    drawn = draw_figures(still, still.streams, every=True)
-    assert drawn == {*MAIN, *MORE} - {"sensitivity"}
-
-
-# -- what it says --------------------------------------------------------------------
 
 #: Columns of streams, and what the page says of them and does not.
 SAID = [
@@ -233,15 +165,6 @@ def test_what_the_page_says_of_streams(result, words_of, columns, said, unsaid):
     words = words_of(result, changed(result.streams, **columns))
     assert [text for text in said if text not in words] == []
     assert unsaid not in words
-
-
-def test_choices_that_change_the_speed_are_named(result, words_of):
-    choices = [dict(row) for row in result.choices]
-    choices[1]["significant"] = True
-    words = words_of(replace(result, choices=choices))
-    assert "Stream 1 (moving): its speed differs between parts: " in words
-    assert f"({choices[1]['choice']})" in words
-    assert "from parts of the data" not in words_of(replace(result, choices=[]))
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
@@ -271,11 +194,6 @@ def test_features_are_counted_once(result):
     assert feature_count(table) == f"{n + 1} features ({n} of stream 1, 1 of none)"
 
 
-def test_a_probability_that_may_be_zero_is_a_limit():
-    table = QTable({"p_global": [0.000999, 0.02], "p_global_err": [0.000999, 0.004]})
-    assert [cell(row, "p_global") for row in table] == ["< 0.002", "0.0200 ± 0.0040"]
-
-
 def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of, read_page):
     command = {"explore": "astro-scc explore out"}
     said = "features, epochs and velocities: astro-scc explore out"
@@ -294,9 +212,6 @@ def test_accelerations_are_named(result):
     assert acceleration_text(table) == f"{table['feature'][k]}: 1.25 ± 0.31 mas/yr²"
 
 
-# -- the terminal --------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def features(jet_results):
     return jet_results["radial"].features
@@ -311,6 +226,7 @@ def radial(jet_results):
 KINDS = "moving", "not confirmed", "stationary", "not significant"
 
 
+@settings(max_examples=15)
 @given(st.lists(st.sampled_from(KINDS), max_size=4))
 def test_headline_and_table_agree(radial, features, kinds):
     order = sorted(kinds, key=KINDS.index)
@@ -359,28 +275,13 @@ def test_the_headline_of_one_stream(radial, columns, said):
     assert said in headline(changed(radial, **columns))
 
 
-PAIR = "first", "second"
-
-
-def test_nothing_and_the_paper_and_scales_are_said(radial):
+def test_what_the_paper_s_method_says(radial):
     table = radial.copy()
     table["z_score"] = [8.123]
     lines = paper_lines(table, 4.61)
     assert lines[0] == "Paper's method: 1 stream with a z-score above 4.6."
     assert "8.12" in lines[3]
     assert paper_lines(table[:0], 4.6)[0].startswith("Paper's method: no streams")
-    of_scales = QTable({"r_min": [0, 1] * u.mas, "r_max": [np.inf, 2] * u.mas})
-    for name in ("first_speed", "first_speed_err", "second_speed"):
-        of_scales[name] = [1.0, 2.0] * PM_UNIT
-    of_scales["second_speed_err"] = [0.1, 0.1] * PM_UNIT
-    of_scales["first"], of_scales["second"] = ["1", "1"], ["2", "2, 3"]
-    of_scales["p_value"] = [np.nan, 0.5]
-    (line,) = scale_lines(of_scales)
-    first, second = (f"{cell(of_scales[1], f'{k}_speed', '+-')}" for k in PAIR)
-    assert line == (
-        f"1 to 2 mas: {first} mas/yr on scale 1, {second} mas/yr on scales 2, 3; "
-        "p of equal speeds 0.5"
-    )
 
 
 def test_what_secure_features_would_need_is_said(features):
@@ -404,9 +305,6 @@ def test_what_secure_features_would_need_is_said(features):
     assert feature_lines(table[:0])[0] == "0 features, 0 of them secure."
 
 
-# -- cells ---------------------------------------------------------------------------
-
-
 #: Values, their errors and how both are written.
 WRITTEN = [
     (5.5687, 0.4323, "5.57 ± 0.43"), (117.3, 12.2, "117 ± 12"),
@@ -420,8 +318,10 @@ def test_numbers_have_two_digits_of_their_error():
     assert [(v, e, with_error(v, e)) for v, e, _ in WRITTEN] == WRITTEN
 
 
-@given(st.floats(-1e4, 1e4), st.floats(1e-6, 1e3))
-def test_rounding_is_small_beside_the_error(value, error):
-    shown, shown_error = map(float, with_error(value, error).split(" ± "))
-    assert shown_error == pytest.approx(error, rel=0.06, abs=0.5 if error > 10 else 0)
-    assert abs(shown - value) <= max(0.051 * error, 0.5) + 1e-9
+def test_choices_that_change_the_speed_are_named(result, words_of):
+    choices = [dict(row) for row in result.choices]
+    choices[1]["significant"] = True
+    words = words_of(replace(result, choices=choices))
+    assert "Stream 1 (moving): its speed differs between parts: " in words
+    assert f"({choices[1]['choice']})" in words
+    assert "from parts of the data" not in words_of(replace(result, choices=[]))

@@ -2,7 +2,6 @@
 """Every table of the documentation can be made again, and is what its command makes."""
 
 import csv
-import json
 import re
 import runpy
 import subprocess
@@ -54,20 +53,6 @@ def test_commands_are_those_of_scripts_that_are_there():
         assert entry.minutes > 0
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "size"),
-    [
-        ("1.0 ± 0.2", "1.0 ± 0.2", 0),
-        ("1.0 ± 0.2; p 1e-3", "1.1 ± 0.2; p 1e-3", 0.1 / 1.1),
-        ("none", "1.0", float("inf")),
-        ("-2 slow", "-2 fast", float("inf")),
-        ("0", "0.0", 0),
-    ],
-)
-def test_how_much_a_cell_changes(before, after, size):
-    assert TOOL.largest_change(before, after) == pytest.approx(size)
-
-
 def test_what_changed_in_a_table_is_said(tmp_path):
     path = tmp_path / "a.csv"
     assert TOOL.read_cells(path) == {}
@@ -79,42 +64,6 @@ def test_what_changed_in_a_table_is_said(tmp_path):
     assert lines[0] == "  row 1, speed: 2.0 ± 0.1 -> 2.5 ± 0.1"
     assert lines[1] == "  row 3, jet: (none) -> C"
     assert TOOL.compare(before, before) == []
-    # A line more in a text moves no others.
-    path = tmp_path / "a.txt"
-    path.write_text("speed 2.0\nspeed 3.0\n")
-    before = TOOL.read_cells(path)
-    path.write_text("new\nspeed 2.0\nspeed 3.3\n")
-    first, *lines = TOOL.compare(before, TOOL.read_cells(path))
-    assert first == "2 of 3 changed, at most by words"
-    assert "  'speed #' 2: speed 3.0 -> speed 3.3" in lines
-
-
-def test_a_run_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
-    """Entries that are made with this code are not made again; a failure is said."""
-    run, report = TOOL.run, TOOL.report
-    state = {}
-    entries = {
-        "one": TOOL.Entry("python tests/test_run_all.py", 1, ("none.txt",)),
-        "bad": TOOL.Entry("python setup.cfg", 1, ()),
-    }
-    for name, value in (("ENTRIES", entries), ("STATE", tmp_path / "state.json")):
-        monkeypatch.setitem(run.__globals__, name, value)
-    options = {"data": "a", "images": "b"}
-    run([*entries], state, **options)
-    said = capsys.readouterr().out
-    assert "one: python tests/test_run_all.py (about 1 min)" in said
-    assert "failed: exit status 1" in said
-    assert set(json.loads((tmp_path / "state.json").read_text())) == {"one"}
-    run(["one"], state, **options)
-    assert capsys.readouterr().out == "one: made before\n"
-    run(["one"], state, again=True, **options)
-    assert "about" in capsys.readouterr().out
-    report([*entries], state)
-    said = capsys.readouterr().out
-    assert "bad: failed, exit status 1" in said
-    state["one"]["changed"] = {"a.csv": ["2 of 3 changed"]}
-    report(["one"], state)
-    assert "a.csv: 2 of 3 changed" in capsys.readouterr().out
 
 
 #: Cheap tables: the arguments that make some of their rows.

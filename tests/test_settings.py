@@ -11,7 +11,7 @@ import pytest
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.inputs import settings_of
 from astro_scc.cli.program import build_parser
-from astro_scc.quantities import random_generator, to_time
+from astro_scc.quantities import random_generator
 from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, require
 
 PM = u.mas / u.yr
@@ -98,16 +98,6 @@ def test_generators_of_either_kind():
         random_generator(np.random)
 
 
-def test_dates(tmp_path):
-    path = tmp_path / "config.toml"
-    path.write_text("after = 2001-02-03\nbefore = 2005-01-01T12:00:00\n")
-    found = Settings(**read_config(path)[0])
-    assert (found.after, found.before) == ("2001-02-03", "2005-01-01T12:00:00")
-    for text in (" 2011-01-01T00:00:00 ", "2011 Jan 01", "20110101", "2011-01-01Z"):
-        assert to_time(text) == to_time("2011-01-01")
-    assert (to_time("2011.5").jyear, to_time("2011").jyear) == (2011.5, 2011)
-
-
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
@@ -115,44 +105,33 @@ def test_dates(tmp_path):
         ("epochs", ["a.fits", 3], "must be text"),
         ("align", " ", "must be text"),
         ("common_beam", "yes", "true or false"),
-        ("kappa", "much", "must be a number"),
         ("kappa", float("nan"), "finite"),
+        ("max_speed", "1x2 mas", "unknown unit 'x2 mas'"),
+        ("position_angle", "117 mas", "must be in degrees or radians"),
+        ("redshift", [0.1, 0.2], "must be one redshift"),
         ("kappa", 1.0, "kappa = 1.0 must be between 0 and 1"),
         ("min_error_beams", 5, "min_error_beams = 5 must be a part of the beam"),
-        ("min_overlap", 1.1, "min_overlap = 1.1 must be above 0, up to 1"),
         ("n_trials", 1, "must be 2 to"),
-        ("n_trials", 10.5, "whole number"),
         ("seed", 2**63, "must be 0 to"),
         ("noise", "none", "noise = 'none' must be one of plane, local, propagated"),
         ("max_speed", "2", "max_speed = '2' has no unit at its end; it must be an"),
         ("max_speed", "2 mas", "angle per time with a unit, such as '2 mas/yr'"),
         ("max_speed", 0 * PM, "max_speed = 0.0 mas / yr must be finite and"),
-        ("max_speed", np.inf * PM, "must be finite and above 0"),
-        ("max_speed", "1 mas 2", "no unit"),
-        ("max_speed", ", mas 1", "'mas' where a number"),
-        ("max_speed", "1x2 mas", "unknown unit 'x2 mas'"),
         ("position_angle", "65", "radial, ridge, fit, any or an angle"),
         ("position_angle", "west", "has 'west' where a number is expected; it must be"),
-        ("position_angle", np.nan * u.deg, "position_angle = nan deg must be finite"),
-        ("position_angle", "117 mas", "must be in degrees or radians"),
         *(("baseline", value, "shortest and a longest") for value in (
-            "1 yr", "2 yr 1 yr", "1 2", [1, 2], [-1, 1] * u.yr, [0, np.nan] * u.yr)),
+            "1 yr", "2 yr 1 yr", [1, 2], [0, np.nan] * u.yr)),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
         *(("scales", value, "scale 0 is single pixels, and none alone")
-          for value in (0, 0.0, "0", [0], np.int64(0))),
+          for value in (0, "0", [0])),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
         ("scales", [0.1, np.nan] * u.mas, "must be scale numbers such as"),
-        ("cosmology", "standard", "is no cosmology"),
         ("before", "yesterday", "is no date such as 2011-01-01"),
-        ("redshift", -0.1, "above 0"),
-        ("redshift", [0.1, 0.2], "must be one redshift"),
         ("distance", "0.158", "no unit at its end; it must be a length with a unit"),
-        ("distance", "16 7 Mpc", "must be one distance"),
         ("scale_groups", "1,2", "must be two groups of scales or more"),
-        ("bins", "2 1 mas", "must be increasing distances"),
         ("alignment_error", "-0.1 mas", "0 or above"),
         *(("alignment_error", value * u.mas, "must be an angle or a list of them")
           for value in ([1, np.nan], np.inf, np.ones((2, 2)))),
@@ -169,17 +148,12 @@ def test_values_that_make_no_sense(name, value, reason):
     [
         ("max_speed", "2 mas/yr", 2 * PM),
         ("scales", np.array([1, 2]), (1.0, 2.0)),
-        ("scales", [0.2 * u.mas, 0.4 * u.mas], [0.2, 0.4] * u.mas),
         ("scales", 0.4 * u.mas, [0.4] * u.mas),
         ("position_angle", "115 deg", 115 * u.deg),
         ("position_angle", "\N{MINUS SIGN}112deg", -112 * u.deg),
-        ("position_angle", "ridge", "ridge"),
         ("baseline", "0.2 yr 1 yr", [0.2, 1.0] * u.yr),
-        ("baseline", ["0.2 yr", "365.25 d"], [0.2, 1.0] * u.yr),
-        ("bins", "  .5,1.,1e1 mas ", [0.5, 1.0, 10.0] * u.mas),
         ("baseline", [0.2 * u.yr, 365.25 * u.day], [0.2, 1.0] * u.yr),
         ("alignment_error", "0.1 0.2 mas", [0.1, 0.2] * u.mas),
-        ("outward", np.False_, False),
         ("kappa", "0.7", 0.7),
         ("n_trials", np.int64(100), 100),
         ("redshift", "15.8 %", 0.158),
@@ -191,25 +165,10 @@ def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected)
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("max_speed", 2.0), ("max_speed", 2 * u.km / u.s), ("baseline", [1, 2] * u.mas),
-        ("position_angle", 65), ("position_angle", 1 * u.yr), ("scales", [1, 2] * u.s),
-        ("alignment_error", 1 * u.s),
-    ],
-)  # fmt: skip
-def test_a_wrong_unit_is_an_error_of_units(name, value):
-    with pytest.raises(u.UnitConversionError, match=f"{name} = .* must be .*such as"):
-        require(name, value)
-
-
-@pytest.mark.parametrize(
     ("text", "reason"),
     [
         (b"max_sped = '2 mas/yr'", "unknown key 'max_sped', did you mean max_speed"),
-        (b"max-speed = '2 mas/yr'", "did you mean max_speed"),
         (b"xyzzy = 1", "unknown key 'xyzzy'; see"),
-        (b"kappa = ", "is not a TOML file: "),
         (b"\xff\xfe\x00", "is not a TOML file"),
         (b"versions = 3", "versions must be a table"),
         (b"alpha = 1.5", "alpha = 1.5 must be"),

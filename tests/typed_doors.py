@@ -19,16 +19,10 @@ from astro_scc import (
     Beam,
     EpochCube,
     StackedCrossCorrelation,
-    decomposition,
-    epochs,
-    expansion,
-    explain,
     features,
     flow,
     kinematics,
-    paper,
     products,
-    recovery,
     report,
     settings,
     simulation,
@@ -64,15 +58,6 @@ def measure_as_the_paper(cube: EpochCube) -> NDData:
     return found.velocity_map("z_score")
 
 
-def decompose_and_correlate(image: np.ndarray) -> paper.Matches:
-    decomposer = decomposition.Decomposer(scales=[1, 2])
-    ssps = decomposer(image).ssps
-    assert_type(ssps, decomposition.SSPs)
-    both = [decomposer(image), decomposer(image)]
-    matches = paper.Correlator(kappa=0.6)(both, paper.all_pairs(2), 5)
-    return matches.select(np.arange(3) > 0)
-
-
 def speeds_in_c(result: SCCResult) -> u.Quantity:
     kinematics.apparent_speed(1 * MAS_PER_YEAR, redshift="15.8 %", cosmology="Planck18")
     assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
@@ -104,26 +89,6 @@ def track(cube: EpochCube) -> features.Features:
     return features.find_features(cube, detections="ssp", seed=1, n_workers=2)
 
 
-def why(found: features.Features, place: u.Quantity, date: Time) -> list[str]:
-    explain.explain_feature(found, feature="503")  # type: ignore[arg-type]
-    return explain.explain_feature(found, offset=place, date=date)
-
-
-def expand(scc: StackedCrossCorrelation, matched: MatchedEpochs) -> QTable:
-    fit = expansion.fit_shell(scc, {"ring": matched, "knots": matched})
-    expansion.expansion_speed(fit.rate[0], fit.radius, 3.4 * u.kpc)
-    return expansion.measure_expansion(scc, matched, fit.centre, fit.radius, sectors=4)
-
-
-def recover(cube: EpochCube, scc: StackedCrossCorrelation) -> QTable:
-    area = np.ones(cube.data.shape[1:], bool)
-    speed = 1 * MAS_PER_YEAR
-    paths = recovery.draw_paths(cube, area, speed=speed, position_angle=65 * u.deg)
-    assert_type(recovery.inject(cube, paths, 5 * u.mJy / u.beam), EpochCube)
-    recovery.completeness(cube, scc, speeds=1.0, fluxes=5)  # type: ignore[arg-type]
-    return recovery.completeness(cube, scc, speeds=speed, fluxes=5 * u.mJy / u.beam)
-
-
 def simulate() -> list[Path]:
     beam = Beam(0.8 * u.mas, 0.6 * u.mas, 10 * u.deg)
     jet = simulation.simulate_jet(
@@ -151,16 +116,6 @@ def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
     cube.write("cube.fits", clobber=True)  # type: ignore[call-arg]
     EpochCube.from_ndcube(cube.to_ndcube(), times=cube.times)
     return EpochCube.from_arrays(np.ones((2, 8, 8)), ["2000", "2001"], pixel_scale=east)
-
-
-def inspect(paths: list[str], cube: EpochCube) -> epochs.ComponentList:
-    assert_type(epochs.plan_intervals(cube).span, u.Quantity)
-    epochs.distance_mask(cube, 0, 1)  # type: ignore[arg-type]
-    beam = Beam(2 * u.mas, 1 * u.mas)
-    models = epochs.read_components("jet.mod", dates=["2000-01-01"])
-    restored = epochs.restore(models, beam=beam, pixel_scale=0.1 * u.mas, rng=1)
-    assert_type(epochs.write_epochs(restored, "epochs"), list[Path])
-    return models.select(after="2001-01-01")
 
 
 def read_results(

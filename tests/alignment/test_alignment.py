@@ -76,12 +76,8 @@ def positions(found):
     return np.stack([found["east"].value, found["north"].value], axis=1)
 
 
-# -- by a table ---------------------------------------------------------------
-
-
-@pytest.mark.parametrize("turn", [0, 40])
-def test_a_table_brings_sources_to_the_reference_pixel(tmp_path, turn):
-    cube = shifted_jets(turn=turn)
+def test_a_table_brings_sources_to_the_reference_pixel(tmp_path):
+    turn, cube = 40, shifted_jets(turn=40)
     result = align(cube, "table", table=offset_table())
     reference = images([[(0, 0, 1.0), *JET]], turn=turn).data[0]
     for image, mask in zip(result.data, result.mask, strict=True):
@@ -90,52 +86,11 @@ def test_a_table_brings_sources_to_the_reference_pixel(tmp_path, turn):
         assert np.abs(np.subtract(peak, (39, 49))).max() <= 1
     assert_allclose(shifts(result), -OFFSETS, atol=1e-9)
     assert result.noise is None
+    offset_table().write(tmp_path / "cores.ecsv")
+    assert len(align(result, str(tmp_path / "cores.ecsv")).meta["alignment"]) == 8
     record = result.meta["alignment"][1]
     assert (record["epoch"], record["date"]) == (cube.labels[1], "2000-07-01")
     assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
-    line = "table: shifts of 0.195 mas (east) and 0.356 mas (north) rms, largest (-0.06"
-    assert f"{line}, +0.52) mas for 2001-07-01; the n" in result.meta["history"][-1]
-    offset_table().write(tmp_path / "cores.ecsv")
-    again = align(result, str(tmp_path / "cores.ecsv"))
-    assert (len(again.meta["alignment"]), len(result.meta["alignment"])) == (8, 4)
-
-
-def test_whole_pixels_keep_values_and_noise():
-    cube = images([[(0, 0, 1)], [(0.3, -0.2, 1)]], noise=0.01)
-    result = align(cube, offset_table([[0, 0], [0.3, -0.2]]))
-    assert_array_equal(result.data[0], cube.data[0])
-    # East is to the left, so the image moves right by 3 and up by 2.
-    assert_array_equal(result.data[1, 2:, 3:], cube.data[1, :-2, :-3])
-    assert result.mask[1, :2].all()
-    assert result.mask[1, :, :3].all()
-    assert result.noise is cube.noise
-
-
-def test_names_carry_units_and_errors(tmp_path):
-    path = tmp_path / "cores.csv"
-    path.write_text(
-        "epoch,core_x_uas_east,core_y_uas_north,core_east_err_uas,core_north_err_uas\n"
-        "2000-07-02,230,470,5,7\n2000-01-01,0,10,5,6\n"
-    )
-    times = Time(["2000-01-01T12:00", "2000-07-01"])
-    offsets, errors = offsets_from_table(path, times, ["a", "b"])
-    assert_allclose(offsets.to_value(u.mas), [[0, 0.01], [0.23, 0.47]])
-    assert_allclose(errors.to_value(u.mas), [[0.005, 0.006], [0.005, 0.007]])
-    result = align(images([[(0, 0, 1)]] * 2), "table", table=path)
-    assert_allclose(result.meta["alignment"][0]["shift_north_err_mas"], 0.006)
-
-
-def test_dates_of_many_sorts():
-    for name, dates in (
-        ("MJD", [51544.2, 51726.0]),
-        ("jd", [2451544.5, 2451726.5]),
-        ("year", [2000.0, 2000.4983]),
-        ("time", Time(["2000-01-01", "2000-07-01"])),
-        ("Date-Obs", ["2000-01-01", "2000-07-01"]),
-    ):
-        table = QTable({name: dates, "east": [1, 2] * u.mas, "north": [3, 4] * u.mas})
-        offsets, _ = offsets_from_table(table, Time(["2000-07-01"]), ["a"])
-        assert_allclose(offsets.value, [[2, 4]])
 
 
 @pytest.mark.parametrize(
@@ -143,28 +98,22 @@ def test_dates_of_many_sorts():
     [
         ("date,east_mas,north_mas\n2000-01-05,1,2\n", "no row within 1 d of"),
         ("date,east_mas,north_mas\n2000-01-01,,2\n", "2000-01-01 .a.fits. has no numb"),
-        ("date,east_mas,north_mas\n2000-01-01,1,2\n2000-01-01,1,3\n", "that differ"),
         ("date,east_mas\n2000-01-01,1\n", "0 columns have 'north'"),
         ("date,east,north_mas\n2000-01-01,1,2\n", "'east' has no unit"),
+        ("date,east_mas,north_mas\n2000-01-01,1,2\n2000-01-01,1,3\n", "that differ"),
         ("date,east_mas,north_mas\n2000-01-01,1,x\n", "'north_mas' is not numeric"),
         ("when,east_mas,north_mas\n2000-01-01,1,2\n", "0 columns of dates"),
         ("date,east_mas,north_mas\n1 May 2000,1,2\n", "'date' are not understood"),
         ("date,east_mas,north_mas\n2000-01-01,1,2\n,1,2\n", "that of row 2 is missing"),
-        ("mjd,east_mas,north_mas\n51544,1,2\n,1,2\n", "that of row 2 is missing"),
         (QTable({"time": Time(np.ma.masked_invalid([np.nan]), format="mjd"),
                  "east": [1] * u.mas, "north": [1] * u.mas}), "of row 1 is missing"),
         (3, "table must be a path or a Table, got int"),
-        ("# %ECSV 1.0\ndate east\n", "neither CSV nor ECSV"),
-        (None, "No such file"),
-        (Table({"date": DATES[:1], "east": [1] * u.s, "north": [1] * u.mas}),
-         "'east' has the unit s, expected"),
     ],
 )  # fmt: skip
 def test_tables_that_cannot_be_used(tmp_path, text, message):
     table = text
-    if text is None or isinstance(text, str):
-        table = tmp_path / "cores.csv"
     if isinstance(text, str):
+        table = tmp_path / "cores.csv"
         table.write_text(text)
     with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
         offsets_from_table(table, Time(["2000-01-01"]), ["a.fits"])
@@ -172,13 +121,9 @@ def test_tables_that_cannot_be_used(tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
-# -- by the core ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("core", "turn"), [(1.0, 0), (0.25, 40)])
-def test_the_core_is_found_though_it_is_blended_and_not_the_brightest(turn, core):
+def test_the_core_is_found_though_it_is_blended_and_not_the_brightest():
     """0.56 mas to the next feature, about 0.7 of the beam."""
-    cube = shifted_jets(core=core, turn=turn, noise=2e-4)
+    cube = shifted_jets(core=0.25, turn=40, noise=2e-4)
     found = core_positions(cube)
     assert_allclose(positions(found), OFFSETS, atol=0.01)
     assert found["blended"].all()
@@ -188,18 +133,11 @@ def test_the_core_is_found_though_it_is_blended_and_not_the_brightest(turn, core
     assert result.meta["alignment"][0]["shift_east_err_mas"] > 0
 
 
-@pytest.mark.parametrize("distance", [0.6, 1.08])
-def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
-    """Up to 1.4 beams there is but one maximum, four times as bright."""
-    cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
-    found = core_positions(cube, jet_pa=90 * u.deg)
-    assert_allclose(found["east"].value, 0, atol=0.02)
-
-
 def test_a_lonely_core_and_its_errors():
     """Residuals are as large as the errors say."""
     found = core_positions(images([[(0.13, -0.08, 0.05)]] * 4, noise=1e-3))
     assert not found["blended"].any()
+    assert len(shifts(align(images([[(0.13, -0.08, 1)]] * 2, noise=1e-3), "core"))) == 2
     errors = np.stack([found["east_err"].value, found["north_err"].value], axis=1)
     pulls = (positions(found) - [0.13, -0.08]) / errors
     assert 0.3 < np.sqrt(np.mean(pulls**2)) < 2
@@ -207,26 +145,9 @@ def test_a_lonely_core_and_its_errors():
     assert_allclose(errors[:, 1], 0.9 / 2 / 50 * 1.2, rtol=0.2)
 
 
-def test_the_direction_of_the_jet_decides_and_bad_pixels_do_not():
-    cube = images([[(0, 0, 1.0), (1.6, 0, 0.9)]])
-    assert_allclose(core_positions(cube)["east"].value, 0, atol=0.01)
-    west = align(cube, "core", jet_pa=-90 * u.deg)
-    assert_allclose(shifts(west), [[-1.6, 0]], atol=0.01)
-    cube = images([[(0.13, -0.08, 1.0)]])
-    mask = np.zeros(cube.shape, dtype=bool)
-    mask[0, 36:39, 47:52] = True
-    cube = cube.with_step("", data=np.where(mask, 1e3, cube.data), mask=mask)
-    assert_allclose(positions(core_positions(cube)), [[0.13, -0.08]], atol=1e-3)
-
-
 @pytest.mark.slow
 def test_the_cores_of_0003_380(shared_data):
-    """
-    Against the cores of the model fits in the visibilities.
-
-    The worst epochs are 0.019 mas (own beams) and 0.028 mas (common beam)
-    away; the brightest pixel is up to 0.11 mas off.
-    """
+    """Against model fits in the visibilities; the brightest pixel is 0.11 mas off."""
     path = shared_data / "0003+380" / "core_offsets.csv"
     table = Table.read(path)
     truth = np.stack([table["core_x_mas_east"], table["core_y_mas_north"]], axis=1)
@@ -236,9 +157,6 @@ def test_the_cores_of_0003_380(shared_data):
         assert np.hypot(*residual.T).max() < limit, residual
     left = positions(core_positions(align(cube, path)))
     assert np.hypot(*left.T).max() < 0.022
-
-
-# -- by correlation ---------------------------------------------------------------
 
 
 def test_a_known_shift_is_recovered():
@@ -260,9 +178,6 @@ def test_a_known_shift_is_recovered():
     shift, covariance = displacement(*arguments)
     assert_allclose(shift, [-2.30, -4.70], atol=3e-3)
     assert np.all(np.sqrt(np.diag(covariance)) < 5e-3)
-    # What is known to a pixel needs no search.
-    known, _ = displacement(*arguments, start=(-2, -5))
-    assert_allclose(known, shift, atol=1e-5)
     mask = np.ones((128, 128), dtype=bool)
     mask[:4, :4] = False
     with pytest.raises(ValueError, match="too few good pixels"):
@@ -291,9 +206,6 @@ def test_a_region_that_stands_still_is_not_dragged_along():
     assert np.ptp(shifts(align(cube, "correlate"))[:, 0]) > 0.2
 
 
-# -- by absolute coordinates ------------------------------------------------------
-
-
 def test_absolute_coordinates():
     """Each header gives its own position to the reference pixel."""
     cube, cos = shifted_jets(), np.cos(np.radians(12))
@@ -309,18 +221,11 @@ def test_absolute_coordinates():
     # Done once, there is nothing left to do.
     assert_array_equal(align(result, "wcs").data, result.data)
     assert align(result, "none").data is result.data
-    # They follow the other alignments.
-    back = align(align(cube, offset_table()), "wcs")
-    inside = ~(back.mask | result.mask)
-    assert_allclose(back.data[inside], result.data[inside], atol=3e-3)
 
 
 @pytest.fixture(scope="module")
 def shifted():
     return shifted_jets(epoch_wcs=[grid(), grid(turn=30), grid(), grid()])
-
-
-# -- in general --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -330,10 +235,9 @@ def shifted():
         ("wcs", {}, "2000-07-01: is turned or stretched .* frame='absolute'"),
         ("table", {"table": offset_table(OFFSETS + 50)},
          "2000-01-01: its shift .* off the grid"),
-        ("table", {}, "needs table="),
         (offset_table(OFFSETS), {"table": "x.csv"}, "give one table, as method or as"),
         ("core", {"table": "x.csv", "region": HOLE}, "'core' has no option region, ta"),
-        ("magic", {}, "'magic' is none of core, correlate, table"),
+        ("table", {}, "needs table="),
         (3, {}, "is none of"),
     ],
 )  # fmt: skip
@@ -354,3 +258,24 @@ def test_images_without_a_core_and_without_coordinates():
     ):
         with pytest.raises(ValueError, match=words):
             align(own, method)
+
+
+@pytest.mark.parametrize("distance", [0.6, 1.08])
+def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
+    """Up to 1.4 beams there is but one maximum, four times as bright."""
+    cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
+    found = core_positions(cube, jet_pa=90 * u.deg)
+    assert_allclose(found["east"].value, 0, atol=0.02)
+
+
+def test_dates_of_many_sorts():
+    for name, dates in (
+        ("MJD", [51544.2, 51726.0]),
+        ("jd", [2451544.5, 2451726.5]),
+        ("year", [2000.0, 2000.4983]),
+        ("time", Time(["2000-01-01", "2000-07-01"])),
+        ("Date-Obs", ["2000-01-01", "2000-07-01"]),
+    ):
+        table = QTable({name: dates, "east": [1, 2] * u.mas, "north": [3, 4] * u.mas})
+        offsets, _ = offsets_from_table(table, Time(["2000-07-01"]), ["a"])
+        assert_allclose(offsets.value, [[2, 4]])

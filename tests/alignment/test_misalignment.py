@@ -1,23 +1,13 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """How well epochs lie on one another, of jets whose shifts are known."""
 
-import warnings
-
-import astropy.units as u
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.alignment.registration import misalignment, warn_of_misalignment
-from astro_scc.epochs import Beam, read_components, restore
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.simulation import (
-    simulate_jet,
-    simulate_static,
-    simulate_two_fluid,
-    simulate_unrelated,
-)
+from astro_scc.simulation import simulate_jet, simulate_static
 
 
 def shifted(cube, x, y=None):
@@ -53,40 +43,6 @@ def test_epochs_that_are_aligned_or_drift_steadily(jet):
     assert (misalignment(shifted(jet, drift)) or 0) < 0.1
 
 
-def test_an_alignment_mends_it_and_masked_pixels_do_not_count(jet):
-    """The epochs are 0.4 beams off."""
-    bad = shifted(jet, *(4 * np.random.default_rng(0).normal(size=(2, 12))))[:7]
-    found = misalignment(bad)
-    assert found > 0.2
-    with warnings.catch_warnings(action="ignore"):  # the core is blended in some
-        assert misalignment(bad.align("core")) < 0.05
-    data, mask = bad.data.copy(), np.zeros(bad.shape, dtype=bool)
-    mask[::2, :, 100:130] = True
-    data[mask] = 1e3
-    masked = misalignment(bad.with_step("", data=data, mask=mask))
-    assert masked == pytest.approx(found, rel=0.2)
-
-
-@pytest.mark.slow
-def test_brightness_that_goes_from_feature_to_feature_is_no_misalignment():
-    y, x = np.mgrid[:48, :96]
-    core, other = (np.exp(-((x - at) ** 2 + (y - 24) ** 2) / 30) for at in (25, 50))
-    fluxes = [(1.0, 0.4), (0.5, 1.2), (1.1, 0.6), (0.6, 0.9), (1.0, 0.5), (0.7, 1.1)]
-    noise = np.random.default_rng(0).normal(0, 1e-3, (6, *x.shape))
-    data = np.array([a * core + b * other for a, b in fluxes]) + noise
-    assert np.std([np.argmax(image) % 96 for image in data]) > 10
-    fields = {"pixel_scale": 0.1 * u.mas, "beams": Beam(1.29 * u.mas, 1.29 * u.mas)}
-    dates = [f"200{k}-01-01" for k in range(6)]
-    scatter = misalignment(EpochCube.from_arrays(data, dates, **fields))
-    assert scatter is None or scatter < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("simulate", [simulate_two_fluid, simulate_unrelated])
-def test_epochs_that_do_not_resemble_one_another_do_not_tell(simulate):
-    assert misalignment(simulate(n_epochs=6, rng=1).cube) is None
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -98,30 +54,6 @@ def test_epochs_that_do_not_resemble_one_another_do_not_tell(simulate):
 )
 def test_what_cannot_be_told(jet, change):
     assert misalignment(change(jet)) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["1308+326", "0430+052", "1226+023", "2200+420"])
-def test_jets_that_are_aligned_by_their_cores(shared_data, name):
-    lists = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
-    beam, noise = Beam(0.9 * u.mas, 0.6 * u.mas, -5 * u.deg), 0.3 * u.mJy / u.beam
-    cube = restore(lists, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=1)
-    for part in (cube[:12], cube[12:24]):
-        # What moves by beams between epochs does not tell.
-        assert (misalignment(part) or 0) < 0.2
-    assert misalignment(cube[:12]) is not None
-
-
-@pytest.mark.slow
-def test_a_jet_whose_core_is_not_its_brightest_pixel(shared_data):
-    cube = EpochCube.read(f"{shared_data}/0003+380/*.fits").to_common_beam()
-    assert misalignment(cube) < 0.05
-    x = np.random.default_rng(1).normal(size=10) * 3
-    expected = np.std(x) * 0.1 / 0.98 / np.sqrt(2)
-    assert misalignment(shifted(cube, x)) == pytest.approx(expected, rel=0.35)
-
-
-# -- those who say it --------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -142,15 +74,3 @@ def test_it_is_said_and_measured_once(unaligned):
     with pytest.warns(MeasurementWarning, match=LINE):
         warn_of_misalignment(unaligned)
     assert vars(unaligned)["misalignment"] is unaligned.misalignment
-
-
-@pytest.mark.slow
-def test_the_call_says_it_and_what_mends_it(unaligned):
-    scc = StackedCrossCorrelation(scales=[2], max_speed=5 * u.mas / u.yr)
-    with pytest.warns(MeasurementWarning, match=LINE):
-        meta = scc(unaligned, n_trials=119, rng=1).components.meta
-    assert meta["misalignment_beams"] == unaligned.misalignment > 0.2
-    aligned = unaligned.align("core")
-    with warnings.catch_warnings(action="error"):
-        meta = scc(aligned, n_trials=119, rng=1).components.meta
-    assert meta["misalignment_beams"] < 0.05

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
-from regions import Regions
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli.measure import STALE
@@ -66,12 +65,6 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
     assert err == ""
     assert "Tables and maps: out" in out
     assert same(here / "out", measured)
-    # Files for other programs go with the measurement that they are of.
-    ssps = QTable.read(measured / "ssps.ecsv")
-    files = sorted((here / "out" / "ssp_regions").iterdir())
-    assert [file.name[3:-4] for file in files] == [path.stem for path in jet]
-    for i, file in enumerate(files):
-        assert len(Regions.read(file)) == np.sum(ssps["epoch"] == i)
     # The command line comes before the file.
     other = ["--distance", "16.7 Mpc", "--n-trials", "130", "--seed", "5"]
     other += ["--common-beam", "--before", "2001-05-15"]
@@ -84,26 +77,6 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
     assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {*range(6)}
 
 
-@pytest.mark.slow
-def test_regions_and_a_distance_that_gives_way_to_a_redshift(jet, done, here):
-    (here / "box.reg").write_text("image\nbox(51,33,90,50,0)\n")
-    (here / "jet.toml").write_text("distance = '16.7 Mpc'\nregion = 'box.reg'\n")
-    words = ["measure", *jet, *QUICK, "-o", "out", "--no-report"]
-    source = ["--redshift", "0.1", "--cosmology", "Planck18"]
-    out, _ = done(*words, "--config", "jet.toml", *source)
-    assert "speeds in c: redshift 0.1, Planck18, FlatLambdaCDM with H0 = 67.66" in out
-    table = QTable.read(here / "out" / "streams.ecsv")
-    assert {"pm", "beta_app"} <= set(table.colnames)
-    assert table.meta["configuration"]["cosmology"] == "Planck18"
-    assert "distance" not in table.meta["configuration"]
-    (here / "jet.reg").write_text("image\nbox(51,33,40,40,0)\n")
-    done(*words, "--region", "jet.reg", "--overwrite")
-    ssps = QTable.read(here / "out" / "ssps.ecsv")
-    inside = (ssps["x"].value > 29) & (ssps["x"].value < 71)
-    assert 0 < ssps["in_region"].sum() < len(ssps)
-    assert np.all(inside[ssps["in_region"]])
-
-
 def test_other_versions_are_noted(measured, astro_scc, here):
     text = (measured / "config.toml").read_text()
     (here / "old.toml").write_text(re.sub('numpy = ".*"', 'numpy = "1.0"', text))
@@ -113,40 +86,11 @@ def test_other_versions_are_noted(measured, astro_scc, here):
     assert "--n-trials" in error
 
 
-def test_images_without_beams_have_none_for_a_core(series, refused):
-    words = ["measure", *series([None] * 6), "-o", "out"]
-    assert "the epochs have no beams" in refused(*words, "--common-beam")
-    assert "epochs have none" in refused(*words, "--align", "core")
-
-
-@pytest.mark.slow
-def test_a_report_tells_warnings_and_epochs_left_out(series, done, here, no_figures):
-    paths = series([1] * 7, OBJECT="3C <273>")
-    how = ["--after", "2000-01-15", "--n-trials", "20"]
-    out, err = done("measure", *paths, *QUICK, "-o", "out", *how)
-    assert out.splitlines()[-1] == "Report: out/report.html"
-    assert "warning: 20 trials allow no p_global" in err
-    page = (here / "out" / "report.html").read_text()
-    for words in (
-        "3C &lt;273&gt;", "20 trials allow no p_global", paths[0].name,
-        "before 2000-01-15", "astro-scc measure --config out/config.toml -o FOLDER",
-    ):  # fmt: skip
-        assert words in page
-
-
-# -- the method of the paper -----------------------------------------------------------
-
-
 def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     words = ["measure", *jet, *QUICK, "--method", "paper", "--position-angle", "270deg"]
     out, _ = done(*words, "-o", "out", "--seed", 1, "--redshift", 0.1)
     assert out.startswith("Paper's method: ")
     assert {"z_score", "coefficient"} <= set(out.split())
-    kept = (
-        "streams.ecsv components.ecsv ssps.ecsv scc.fits config.toml publication "
-        "citations.bib"
-    )
-    assert {path.name for path in (here / "out").iterdir()} == {*kept.split()}
     table = QTable.read(here / "out" / "streams.ecsv")
     scc = StackedCrossCorrelation(
         scales=[2], max_speed=30 * u.mas / u.yr, position_angle=270 * u.deg,
@@ -155,11 +99,6 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     own = scc(EpochCube.read(jet).align("none"), n_trials=99, rng=1)
     for name in own.streams.colnames:
         np.testing.assert_array_equal(table[name], own.streams[name], err_msg=name)
-    assert {"pm_err_jitter", "n_ssp", "n_pairs", "beta_app"} <= {*table.colnames}
-    np.testing.assert_array_equal(table["pm_err_jitter"], table["pm_err"])
-    ssps = (QTable.read(folder / "ssps.ecsv") for folder in (here / "out", measured))
-    assert len({len(one) for one in ssps}) == 1
-    assert config_of(here / "out")["method"] == "paper"
 
 
 def test_profiles_are_of_the_spectrum(jet, refused, here):
@@ -173,9 +112,6 @@ def test_so_few_epochs_show_no_motion(jet, refused, here):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
         assert "too few epochs: 5 images, 6 are needed" in line
         assert line.endswith("astro-scc track follows features in four or more")
-
-
-# -- the demo --------------------------------------------------------------------------
 
 
 def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
@@ -214,37 +150,12 @@ def test_demo(done, here):
     for truth in (5, 20):
         apart = np.hypot(table["pm_parallel"] - truth * step, table["pm_transverse"])
         assert np.min(apart[:2]) < 1.5 * step
-    # The demo is a measurement like any other.
-    done("measure", "--config", "out/config.toml", "-o", "again", "--no-report")
-    assert same(folder, here / "again")
-
-
-# -- the page with linked panels -------------------------------------------------------
 
 
 @pytest.fixture
 def out(measured, here):
     pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
     return shutil.copytree(measured, here / "out")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("change", ["", "moved", "fewer"])
-def test_the_page_with_and_without_its_images(change, out, done):
-    config = out / "config.toml"
-    text = config.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines(True) if "_00_" in line)
-    changed = {"": line, "moved": line.replace("_00_", "_moved_"), "fewer": ""}[change]
-    config.write_text(text.replace(line, changed), encoding="utf-8")
-    (out / "explore.html").write_text("an earlier page")
-    said, notes = done("explore", "out")
-    page = (out / "explore.html").read_text(encoding="utf-8")
-    assert "jet: features and velocities" in page
-    assert re.fullmatch(r"out/explore.html: \d\.\d MB\n", said)
-    assert notes.count("note: without images: ") == notes.count("\n") == bool(change)
-    assert ("Note: without images: " in page) == bool(change)
-    with_images = "CategoricalSlider" in page.rpartition('"application/json"')[2]
-    assert with_images != bool(change)
 
 
 def test_measurements_that_no_page_can_show(out, refused, monkeypatch):
@@ -257,3 +168,9 @@ def test_measurements_that_no_page_can_show(out, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "bokeh.models", None)
     monkeypatch.delitem(sys.modules, "astro_scc.visualization.explore", raising=False)
     assert "pip install bokeh" in refused("explore", "out")
+
+
+def test_images_without_beams_have_none_for_a_core(series, refused):
+    words = ["measure", *series([None] * 6), "-o", "out"]
+    assert "the epochs have no beams" in refused(*words, "--common-beam")
+    assert "epochs have none" in refused(*words, "--align", "core")

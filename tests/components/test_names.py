@@ -11,13 +11,7 @@ from astropy.table import QTable
 from numpy.testing import assert_allclose
 
 from astro_scc.components.lists import read_sources
-from astro_scc.components.names import (
-    also_named,
-    common_names,
-    place_of,
-    plain,
-    same_source,
-)
+from astro_scc.components.names import place_of, same_source
 from astro_scc.components.tables import source_list
 from astro_scc.epochs import Beam, read_components, restore
 
@@ -50,22 +44,11 @@ def write(path, *args, meta=None, **columns):
     ("name", "lon", "lat", "frame"),
     [
         ("0430+052", 4.5, 5.2, B1950),
-        ("B0430+052", 4.5, 5.2, B1950),
-        ("PKS 0430+052", 4.5, 5.2, B1950),
-        ("PKS0430+05", 4.5, 5.0, B1950),
-        ("3C 120", 4.5, 5.2, B1950),
         ("3c120", 4.5, 5.2, B1950),
-        ("1253-055", 12 + 53 / 60, -5.5, B1950),
         ("1253\N{MINUS SIGN}055", 12 + 53 / 60, -5.5, B1950),
-        ("0048-097", 0.8, -9.7, B1950),
-        ("0003-066", 0.05, -6.6, B1950),
-        ("S5 0716+714", 7 + 16 / 60, 71.4, B1950),
-        ("1H 0323+342", 3 + 23 / 60, 34.2, B1950),
         ("J0433+0521", 4.55, 5.35, "icrs"),
-        ("QSO J0433+0521", 4.55, 5.35, "icrs"),
         ("0433+0521", 4.55, 5.35, "icrs"),
         ("J043311.1+052115", 4.55 + 11.1 / 3600, 5.35 + 15 / 3600, "icrs"),
-        ("J0006-0623", 0.1, -6 - 23 / 60, "icrs"),
     ],
 )
 def test_places_that_names_tell(name, lon, lat, frame):
@@ -73,36 +56,9 @@ def test_places_that_names_tell(name, lon, lat, frame):
     assert place_of(name).separation(wanted) < 0.1 * u.arcsec
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["", "jet", "M101", "NGC 1", "2530+052", "0475+052", "0430+0575", "1230+952"],
-)
+@pytest.mark.parametrize("name", ["", "jet", "M101", "2530+052", "1230+952"])
 def test_names_that_tell_no_place(name):
     assert place_of(name) is None
-
-
-def test_common_names_tell_places_and_stand_for_one_source_each():
-    names = [plain(name) for own in common_names().values() for name in own]
-    assert len(names) == len(set(names)) > 80
-    # Of some the places are known, to the digits of the name.
-    for name, place in {
-        "3C 273": "12h29m06.70s 2d03m08.6s",
-        "M87": "12h30m49.42s 12d23m28.0s",
-        "BL Lac": "22h02m43.29s 42d16m40.0s",
-        "3C 454.3": "22h53m57.75s 16d08m53.6s",
-        "OJ 287": "8h54m48.87s 20d06m30.6s",
-        "3C 84": "3h19m48.16s 41d30m42.1s",
-        "Mrk 501": "16h53m52.22s 39d45m36.6s",
-        "3C 279": "12h56m11.17s -5d47m21.5s",
-        "4C +38.41": "16h35m15.49s 38d08m04.5s",
-        "NRAO 530": "17h33m02.71s -13d04m49.5s",
-        "CTA 102": "22h32m36.41s 11d43m50.9s",
-        "Cygnus A": "19h59m28.36s 40d44m02.1s",
-    }.items():
-        assert place_of(name).separation(SkyCoord(place)) < 0.3 * u.deg
-    assert also_named("0430+052") == also_named("PKS 0430+052") == ["3C 120"]
-    assert also_named("M 87") == ["NGC 4486", "3C 274", "Virgo A"]
-    assert also_named("jet") == []
 
 
 NAMES = ["0415+379", "0430+052", "1226+023", "1228+126", "J0854+2006"]
@@ -114,16 +70,10 @@ NAMES = ["0415+379", "0430+052", "1226+023", "1228+126", "J0854+2006"]
         ("0430+052", "0430+052"),
         ("3C 120", "0430+052"),
         ("3c120", "0430+052"),
-        ("PKS 0430+052", "0430+052"),
-        ("B0430+052", "0430+052"),
         ("J0433+0521", "0430+052"),
         ("M 87", "1228+126"),
-        ("Virgo A", "1228+126"),
-        ("OJ 287", "J0854+2006"),
         ("0851+202", "J0854+2006"),
         ("0430+05", None),
-        ("J0500+0521", None),
-        ("OJ 28", None),
         ("3C 279", None),
     ],
 )
@@ -150,13 +100,10 @@ def test_sources_by_other_names(wanted, found, tmp_path):
         ({}, {}),
         ({}, {"position": SkyCoord(10 * u.deg, -20 * u.deg)}),
         ({}, {"position": "00h40m00s -20d00m00s"}),
-        ({}, {"ra": 10.0, "dec": -20.0}),
         ({}, {"ra": "10 deg", "dec": "-20 deg"}),
         ({"RAdeg": 10 * u.deg, "DEdeg": -20 * u.deg}, {}),
-        ({"RA": 10.0, "DEC": -20.0}, {}),
         ({"RAJ2000": 2 / 3 * u.hour, "DEJ2000": -20 * u.deg}, {}),
         ({"RAJ2000": "00 40 00", "DEJ2000": "-20 00 00"}, {}),
-        ({"ra": "00:40:00.0", "dec": "-20:00:00"}, {}),
         ({"RAh": 0, "RAm": 40, "RAs": 0.0, "DE-": "-", "DEd": 20, "DEm": 0, "DEs": 0.0},
          {}),
         ({"RAB1950": OLD.fk4.ra, "DEB1950": OLD.fk4.dec}, {}),
@@ -176,14 +123,6 @@ def test_the_position_of_a_table_is_that_of_its_images(columns, meta, tmp_path):
     assert told == (not (columns or meta))
 
 
-@pytest.mark.parametrize(
-    "columns", [{"ra": "none", "dec": "x"}, {"RAdeg": 10 * u.Jy, "DEdeg": 3 * u.deg}]
-)
-def test_words_that_are_no_position(columns, tmp_path):
-    components = read_components(write(tmp_path, ["jet"], **columns))
-    assert "position" not in components.meta
-
-
 def test_the_sources_of_a_table(tmp_path):
     dates = ["2006-03-09T00:00:00.000", "2007-01-01T00:00:00.000"]
     path = write(tmp_path)
@@ -191,11 +130,6 @@ def test_the_sources_of_a_table(tmp_path):
         ("0430+052", ["3C 120"], dates),
         ("1226+023", ["3C 273"], dates),
     ]
-    one = table(["x"])
-    one.remove_column("source")
-    one.meta["name"] = "0430+052"
-    one.write(tmp_path / "one.ecsv")
-    assert source_list(tmp_path / "one.ecsv") == [("0430+052", ["3C 120"], dates)]
     model = tmp_path / "m_2006-03-09.mod"
     model.write_text("1.0v 0.0v 0v 0.1v 1 0 1\n")
     assert source_list(model) == [("m_2006-03-09", [], dates[:1])]

@@ -20,28 +20,6 @@ def plan(times=YEARS, beams=BEAM, pixel_scale=0.1 * u.mas):
     return plan_intervals(cube)
 
 
-def test_good_files_have_no_problem(make_fits):
-    data = np.random.default_rng(0).normal(scale=1e-3, size=(64, 64))
-    data[20, 40] = 1
-    paths = [
-        make_fits("b.fits", data, DATE_OBS="2007-01-01"),
-        make_fits("a.fits", data, BUNIT="mJy/beam"),
-    ]
-    table = inspect_epochs(paths)
-    assert table["file"].tolist() == [str(paths[1]), str(paths[0])]
-    assert [str(date)[:10] for date in table["date"]] == ["2006-03-09", "2007-01-01"]
-    expected = {
-        "pixel": 0.1 * u.mas, "major": 1 * u.mas, "pa": -7 * u.deg,
-        "peak": [1, 1000] * u.mJy / u.beam, "peak_east": (40 - 15) * -0.1 * u.mas,
-        "peak_north": (20 - 8) * 0.1 * u.mas, "frequency": 15.4 * u.GHz,
-    }  # fmt: skip
-    for name, value in expected.items():
-        assert u.allclose(table[name], value), name
-    assert u.allclose(table["noise"], [1e-3, 1] * u.mJy / u.beam, rtol=0.05)
-    for name, value in {"problem": "", "nx": 64, "object": "3C273"}.items():
-        assert table[name].tolist() == [value, value]
-
-
 def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     fields = {"times": YEARS[:1], "pixel_scale": 1 * u.mas}
     EpochCube.from_arrays(np.ones((1, 4, 4)), **fields).write(tmp_path / "cube.fits")
@@ -50,13 +28,11 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     files = {
         "good": {},
         "date": {"DATE_OBS": None},
-        "odd_date": {"DATE_OBS": "soon"},
         "beam": {"DATE_OBS": "2008-01-01", "BMAJ": None},
         "bad_beam": {"DATE_OBS": "2009-01-01", "BMAJ": -1.0},
         "unit": {"DATE_OBS": "2010-01-01", "BUNIT": "ODD"},
         "mask": {"DATE_OBS": "2014-01-01", "data": np.eye(16, 32)},
         "coarse": {"DATE_OBS": "2011-01-01", "CDELT1": -1e-7, "CDELT2": 1e-7},
-        "turned": {"DATE_OBS": "2012-01-01", "CROTA2": 30.0},
         "far": {"DATE_OBS": "2013-01-01", "CRVAL2": 2.1},
         "nan": {"data": np.full((4, 4), np.nan)},
         "wcs": {"CTYPE1": None, "CTYPE2": None},
@@ -68,14 +44,12 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     found = dict(zip(table["file"], table["problem"], strict=True))
     expected = {
         "date": "no date of observation",
-        "odd_date": "DATE-OBS: 'soon' is no date",
         "beam": "no beam where other epochs have one",
         "bad_beam": "its beam is taken as unknown",
         "unit": "unit 'ODD' is not known",
         "mask": "no more than two different values",
         "coarse": "on another grid than good.fits, the finest, and resampled",
         "far": "its reference pixel and that of good.fits are 180 arcsec",
-        "turned": "on another grid than good.fits, the finest, and resampled",
         "nan": "all are NaN",
         "wcs": "no celestial coordinates",
         "text": "no FITS",
@@ -90,7 +64,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
         assert str(tmp_path) not in problem.replace(f"{paths['folder']}/", "")
     assert found[str(paths["good"])] == ""
     assert "its unit is none, that of others is Jy" in found[str(paths["unit"])]
-    assert (table["date"].mask.sum(), np.isnan(table["noise"]).sum()) == (8, 7)
+    assert (table["date"].mask.sum(), np.isnan(table["noise"]).sum()) == (7, 7)
     assert inspect_epochs(tmp_path / "text.fits")["date"].mask.all()
 
 
@@ -103,39 +77,6 @@ def test_two_epochs_of_the_same_pixels():
     assert said.startswith("2002-01-01: has the same pixels as 2000-07-01, of another")
 
 
-def test_plan_is_that_of_the_formulas():
-    found, b = plan(), np.sqrt(0.5)
-    span, gap = (
-        (YEARS[-1] - YEARS[0]).jd / 365.25,
-        np.median(np.diff(YEARS.jd)) / 365.25,
-    )
-    times = [found.span, found.median, found.shortest, found.longest]
-    expected = [span, gap, 182 / 365.25, 365 / 365.25]
-    assert u.Quantity(times).to_value(u.yr) == pytest.approx(expected)
-    assert found.resolution.to_value(u.mas) == pytest.approx(b)
-    speeds = [found.slowest, found.fastest, *found.consecutive]
-    expected = [b / span, 5 / gap, 0.3 * b / gap, 1.5 * b / gap]
-    assert u.Quantity(speeds).to_value(SPEED) == pytest.approx(expected)
-    assert found.baseline(1 * SPEED).to_value(u.yr) == pytest.approx([0.3 * b, 1.5 * b])
-    assert found.baseline(0.2 * SPEED)[1] == found.span
-    text = str(found)
-    for words in (
-        "4 epochs over 2 yr, 0.498 to 0.999 yr apart, median 0.504 yr",
-        "than a beam and is not searched; what is faster than 9.93 mas / yr",
-        "Consecutive epochs suit speeds of 0.42 to 2.1 mas / yr",
-        "further apart, which are used for them.",
-    ):
-        assert words in text
-    assert "further apart" not in str(plan(YEARS[:2]))
-    # The resolution is the median of beams that differ, and three pixels without any.
-    wide = plan(beams=[*[BEAM] * 3, Beam(9 * u.mas, 0.5 * u.mas)])
-    assert wide.resolution == found.resolution
-    # In the units of the series.
-    hours = plan(YEARS[0] + [0, 1, 3] * u.hour, None, 1 * u.arcsec)
-    assert (hours.slowest.unit, hours.span) == (u.arcsec / u.hour, 3 * u.hour)
-    assert u.isclose(hours.resolution, 3 * u.arcsec)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -145,5 +86,6 @@ def test_plan_is_that_of_the_formulas():
     ],
 )
 def test_plans_that_cannot_be_made(call, words):
+    assert "4 epochs over 2 yr, 0.498 to 0.999 yr apart" in str(plan())
     with pytest.raises(ValueError, match=words):
         call()

@@ -62,8 +62,7 @@ def turned():
 
 
 @pytest.mark.parametrize(
-    ("make", "name"),
-    [(make_cube, "cube.fits"), (turned, "cube.fits.gz")],
+    ("make", "name"), [(make_cube, "cube.fits"), (turned, "cube.fits.gz")]
 )
 def test_everything_comes_back_to_the_bit(tmp_path, make, name):
     cube, path = make(), tmp_path / name
@@ -74,26 +73,8 @@ def test_everything_comes_back_to_the_bit(tmp_path, make, name):
     assert kind_of(path) == "cube"
 
 
-def test_meta_keeps_types_and_what_it_cannot_hold_becomes_text(tmp_path):
-    meta = {
-        "speed": 1.5 * u.mas / u.yr,
-        "time": Time("2000-01-01"),
-        "position": SkyCoord(1 * u.deg, 2 * u.deg),
-        "shifts": np.array([[0.1, 0.2], [1e-17, -3]]),
-        "nested": {"deep": [1, "two", None, np.float32(3)], "ünï": "çödé"},
-        "pair": (1, 2),
-        "thing": object,
-    }
-    make_cube(meta=meta).write(tmp_path / "cube.fits")
-    again = EpochCube.read(tmp_path / "cube.fits").meta
-    assert again.pop("position").separation(meta.pop("position")) == 0
-    assert np.array_equal(again.pop("shifts"), meta.pop("shifts"))
-    meta["nested"]["deep"][-1], meta["thing"] = 3.0, str(object)
-    assert again == meta | {"history": ["again"]}
-
-
 @pytest.mark.filterwarnings("ignore:two images are of")
-@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=3, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     data=arrays(float, (2, 1, 2), elements=st.floats(width=64)),
     days=st.lists(st.floats(-3e4, 2e4), min_size=2, max_size=2),
@@ -113,15 +94,6 @@ def test_any_cube_comes_back(tmp_path, data, days, labels, pixel, key, value):
     assert parts(again) == parts(cube)
 
 
-def test_files_are_not_replaced_unasked(tmp_path):
-    path = tmp_path / "cube.fits"
-    make_cube().write(path)
-    with pytest.raises(OSError, match=r"cube.fits: exists; pass overwrite=True"):
-        make_cube().write(path)
-    make_cube()[1:].write(path, overwrite=True)
-    assert len(EpochCube.read(path)) == 2
-
-
 def test_damaged_files_and_those_of_later_versions(tmp_path, monkeypatch):
     path = tmp_path / "cube.fits"
     with monkeypatch.context() as patch:
@@ -131,7 +103,7 @@ def test_damaged_files_and_those_of_later_versions(tmp_path, monkeypatch):
         EpochCube.read(path)
     make_cube().write(path, overwrite=True)
     content = path.read_bytes()
-    for keep in (3000, 9000, len(content) // 2, len(content) - 3000):
+    for keep in (3000, len(content) - 3000):
         path.write_bytes(content[:keep])
         with pytest.raises(
             OSError, match=r"cube.fits: cannot be read as .*EpochC"
@@ -152,9 +124,5 @@ def test_other_programs_see_images_and_dates(tmp_path):
     solar = {"pixel_scale": 1 * u.arcsec, "unit": "DN"}
     cube = EpochCube.from_arrays(np.arange(40.0).reshape(2, 4, 5), DATES[:2], **solar)
     assert EpochCube.read(write_epochs(cube, tmp_path / "e")).unit == u.DN
-    # One that it writes otherwise than astropy.
-    cube = cube.with_step("", unit=u.MJy / u.sr)
-    path = write_epochs(cube, tmp_path / "sr")[0]
-    assert fits.getval(path, "BUNIT") == "MJy sr-1"
     with pytest.raises(OSError, match="fits: exists; choose another folder, or overwr"):
         write_epochs(cube, tmp_path / "e")

@@ -70,21 +70,6 @@ def test_equals_weighted_least_squares_without_chance():
     assert np.isinf(fitted(part, centre=ORIGIN).covariance).all()
 
 
-def test_response_is_the_derivative():
-    """Moved velocities move the fit as the response says."""
-    samples = made_up(3, chance=0.0)
-    area = np.full(len(samples.x), 1e12)
-    fit = fitted(samples, area)
-    moved = np.zeros_like(samples.v)
-    moved[::3, 0] = 1e-3
-    again = fit_mixture(samples._replace(v=samples.v + moved), fit.place, area)
-    expected = np.einsum("ia,iaj->j", moved, fit.response)
-    np.testing.assert_allclose(again.place - fit.place, expected, rtol=0.05, atol=2e-5)
-
-
-# -- rates, centre and sectors of a shell -----------------------------------------
-
-
 @pytest.fixture(scope="module")
 def scc():
     return StackedCrossCorrelation(

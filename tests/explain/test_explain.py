@@ -9,76 +9,51 @@ import numpy as np
 import pytest
 
 from astro_scc.explain import explain_feature
-from astro_scc.features import find_features
-from astro_scc.features.tracks import Track
-from astro_scc.simulation import simulate_jet
 
 
 @pytest.fixture(scope="module")
-def features():
-    """Of a jet; the cached properties of its copies are their own."""
-    return find_features(simulate_jet(n_epochs=12, dispersion=0.1, rng=1).cube)
-
-
-@pytest.fixture(scope="module")
-def secure(features):
+def secure(known_features):
     """The secure feature of most epochs: its index, and its positions as published."""
-    k = max(np.flatnonzero(features.secure), key=lambda k: len(features.tracks[k]))
-    rows = features.positions
-    return k, rows[rows["feature"] == features.number[k]]
+    k = max(
+        np.flatnonzero(known_features.secure),
+        key=lambda k: len(known_features.tracks[k]),
+    )
+    rows = known_features.positions
+    return k, rows[rows["feature"] == known_features.number[k]]
 
 
-def test_a_secure_feature(features, secure):
+def test_a_secure_feature(known_features, secure):
     k, rows = secure
-    lines = explain_feature(features, feature=features.number[k])
+    lines = explain_feature(known_features, feature=known_features.number[k])
     n = len(rows)
-    first, last = features.detections.epoch[features.tracks[k].detection[[0, -1]]]
+    first, last = known_features.detections.epoch[
+        known_features.tracks[k].detection[[0, -1]]
+    ]
     assert lines[0].startswith(
         f"Detected within 0.5 beams in {n} of {last - first + 1}"
     )
-    low, high, _ = map(
-        float, re.findall(r"S/N of (\S+) to (\S+), (\S+) in", lines[0])[0]
-    )
-    # The images say the same.
-    x, y = features.cube.offset_to_pixel(rows["ra_offset"], rows["dec_offset"])
-    pixel = np.rint(y).astype(int), np.rint(x).astype(int)
-    value = features.cube.data[rows["epoch"], *pixel]
-    signal = value / features.cube.noise_rms().value[rows["epoch"]]
-    assert low <= 1.05 * signal.min() + 0.1
-    assert 1.05 * high + 1 >= signal.max()
     text = " ".join(lines)
-    assert f"p_false {features.p_false[k]:.2g} (at most 0.3)" in text
-    assert f"motion of {features.moved[k]:.2g} beams (at least 1)" in text
+    assert f"p_false {known_features.p_false[k]:.2g} (at most 0.3)" in text
+    assert f"motion of {known_features.moved[k]:.2g} beams (at least 1)" in text
     assert f"links {n} epochs" in text
     assert lines[-1] == "It is secure."
 
 
-def test_a_published_feature_and_a_place_are_found(features, secure):
+def test_a_published_feature_and_a_place_are_found(known_features, secure):
     k, rows = secure
-    number = f"feature {features.number[k]}"
-    lines = explain_feature(features, published=rows)
+    number = f"feature {known_features.number[k]}"
+    lines = explain_feature(known_features, published=rows)
     assert f"Of its {len(rows)} detections, {len(rows)} are of {number}." in lines
     assert lines[-1] == "It is secure."
     place = u.Quantity([rows["ra_offset"][2], rows["dec_offset"][2]])
-    lines = explain_feature(features, offset=place, date=rows["date"][2])
+    lines = explain_feature(known_features, offset=place, date=rows["date"][2])
     assert lines[0].startswith("Detected within 0.5 beams in 1 of 1 epoch")
     assert f"Of its 1 detection, 1 are of {number}." in lines
 
 
-def test_what_is_not_secure_says_why(features, secure):
-    k, _ = secure
-    track = features.tracks[k]
-    short = Track(track.detection[:3], 0.25, True)
-    few = replace(features, tracks=(short,))
-    last = explain_feature(few, feature=few.number[0])[-1]
-    assert last.startswith("It is not secure: ")
-    assert "3 epochs (at least 4)" in last
-    assert "the same speed in 25% of the disturbed assignments" in last
-
-
-def test_which_step_lost_an_emission(features, secure):
+def test_which_step_lost_an_emission(known_features, secure):
     k, rows = secure
-    none = replace(features, tracks=())
+    none = replace(known_features, tracks=())
 
     def lost(of=none, published=rows):
         return explain_feature(of, published=published)
@@ -91,10 +66,12 @@ def test_which_step_lost_an_emission(features, secure):
     assert lines[1].startswith("Not detected (date, S/N")
     assert lines[1].endswith(more)
     # Emission that no detection is at.
-    d = features.detections
+    d = known_features.detections
     away = replace(
         none,
-        detections=d.select(~np.isin(np.arange(len(d)), features.tracks[k].detection)),
+        detections=d.select(
+            ~np.isin(np.arange(len(d)), known_features.tracks[k].detection)
+        ),
     )
     bright = "nothing is detected there though there is emission: blended, or outside"
     assert bright in lost(away)[-1]
@@ -105,11 +82,7 @@ def test_which_step_lost_an_emission(features, secure):
         lines[-2],
     )
     assert "its links are in less than 60% of the disturbed assignments" in lines[-1]
-    # Other tracks that have its detections, two each.
-    parts = np.array_split(features.tracks[k].detection, 3)
-    split = replace(features, tracks=tuple(Track(part, 1.0, True) for part in parts))
-    assert "are taken by likelier tracks: " in lost(split)[-1]
-    jump = np.random.default_rng(1).normal(scale=4.0, size=(12, 2))
+    jump = np.random.default_rng(1).normal(scale=4.0, size=(10, 2))
     scattered = replace(d, place=d.place + jump[d.epoch])
     moved = rows.copy()
     for name, shift in zip(("ra_offset", "dec_offset"), jump.T, strict=True):
@@ -118,8 +91,8 @@ def test_which_step_lost_an_emission(features, secure):
     assert re.search(r"steady motion joins at most \d of them, and a feature", said)
 
 
-def test_what_cannot_be_explained(features):
+def test_what_cannot_be_explained(known_features):
     with pytest.raises(ValueError, match="there is no feature 1; features.ecsv has"):
-        explain_feature(features, feature=1)
+        explain_feature(known_features, feature=1)
     with pytest.raises(ValueError, match="give a feature, a published one, or an off"):
-        explain_feature(features, offset=[1, 1] * u.mas)
+        explain_feature(known_features, offset=[1, 1] * u.mas)

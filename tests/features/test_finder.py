@@ -13,25 +13,14 @@ from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import TrackSettings, find_features
 from astro_scc.simulation import simulate_jet, simulate_static
 
-JETS = {"n_epochs": 10, "dispersion": 0.1}
 STATIC = {"n_epochs": 6, "shape": (64, 128), "extent": (16, 112), "axis": 32}
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
 
 @pytest.fixture(scope="module")
-def jet():
-    return simulate_jet(**JETS, rng=1)
-
-
-@pytest.fixture(scope="module")
-def features(jet):
-    return find_features(jet.cube)
-
-
-@pytest.fixture(scope="module")
-def ssps(jet):
+def ssps(known_jet):
     decompose = Decomposer(scales=[1, 2, 3])
-    return SSPs.of_epochs([decompose(image) for image in jet.cube.data])
+    return SSPs.of_epochs([decompose(image) for image in known_jet.cube.data])
 
 
 def cube_of(data, **fields):
@@ -64,14 +53,11 @@ def against_truth(jet, features):
     return np.array(purity), np.array(off)
 
 
-# -- speeds --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
 )
 def test_speeds_of_a_jet_are_true_and_what_stands_is_not_secure(seed):
-    jet = simulate_jet(**JETS, rng=seed)
+    jet = simulate_jet(n_epochs=10, dispersion=0.1, rng=seed)
     found = find_features(jet.cube)
     purity, off = against_truth(jet, found)
     assert found.secure.sum() >= 5
@@ -89,7 +75,8 @@ def test_speeds_of_a_jet_are_true_and_what_stands_is_not_secure(seed):
 
 
 def test_misaligned_epochs_are_aligned_on_the_core():
-    jet = simulate_jet(**JETS, alignment_error=0.2, rng=1)
+    how = {"alignment_error": 0.2, "rng": 1}
+    jet = simulate_jet(n_epochs=10, dispersion=0.1, **how)
     found = find_features(jet.cube)
     _, off = against_truth(jet, found)
     assert found.secure.sum() >= 5
@@ -99,10 +86,10 @@ def test_misaligned_epochs_are_aligned_on_the_core():
 
 
 @pytest.mark.parametrize("beams", ["given", "none"])
-def test_ssps_instead_of_gaussians(jet, ssps, beams):
-    cube = jet.cube if beams == "given" else replace(jet.cube, beams=None)
+def test_ssps_instead_of_gaussians(known_jet, ssps, beams):
+    cube = known_jet.cube if beams == "given" else replace(known_jet.cube, beams=None)
     found = find_features(cube, detections="ssp", ssps=ssps)
-    purity, off = against_truth(jet, found)
+    purity, off = against_truth(known_jet, found)
     assert found.secure.sum() >= 4
     assert purity.mean() > 0.9
     assert (off[found.secure] < 3).mean() >= 0.75
@@ -113,33 +100,16 @@ def test_ssps_instead_of_gaussians(jet, ssps, beams):
         assert np.all(again.positions["flux"] == found.positions["flux"])
 
 
-# -- parts of images, and processes ---------------------------------------------------
-
-
-def test_missing_pixels_do_not_spread(jet, features):
-    data, mask = jet.cube.data.copy(), np.zeros(jet.cube.shape, dtype=bool)
+def test_missing_pixels_do_not_spread(known_jet, known_features):
+    data, mask = known_jet.cube.data.copy(), np.zeros(known_jet.cube.shape, dtype=bool)
     mask[3, 5:30, 10:60] = mask[7, 100:, 200:] = True
     data[mask] = 1e3
-    noise = jet.cube.noise_rms()
-    cube = replace(jet.cube, data=data, mask=mask, noise=noise)
+    noise = known_jet.cube.noise_rms()
+    cube = replace(known_jet.cube, data=data, mask=mask, noise=noise)
     found = find_features(cube, n_workers=2)
-    assert len(found) == len(features)
-    for a, b in zip(found.motions, features.motions, strict=True):
+    assert len(found) == len(known_features)
+    for a, b in zip(found.motions, known_features.motions, strict=True):
         assert np.hypot(*(a.velocity - b.velocity)) < 0.1 * b.speed_err
-
-
-def test_a_region_restricts_detections(jet, features):
-    x0, _ = jet.cube.reference_pixel
-    mask = np.zeros(jet.cube.shape[1:], dtype=bool)
-    mask[:, int(x0) + 40 :] = True
-    found = find_features(jet.cube, region=mask)
-    # West is to the right: what is less than 4 mas away is not used.
-    assert 0 < len(found.detections) < len(features.detections)
-    assert found.detections.place[:, 0].max() < -3.9
-    assert len(found.core) == len(features.core)
-
-
-# -- nothing to find -----------------------------------------------------------------
 
 
 EMPTY = {
@@ -168,13 +138,13 @@ def test_nothing_is_a_table_with_all_columns(name):
         ({"beams": None}, {}, "without beams no Gaussians"),
     ],
 )
-def test_choices_that_do_not_exist(jet, change, how, words):
+def test_choices_that_do_not_exist(known_jet, change, how, words):
     with pytest.raises(ValueError, match=words):
-        find_features(replace(jet.cube, **change), **how)
+        find_features(replace(known_jet.cube, **change), **how)
 
 
-def test_settings_are_used(jet):
-    few = jet.cube[:5]
+def test_settings_are_used(known_jet):
+    few = known_jet.cube[:5]
     none = find_features(few, settings=TrackSettings(core=0.0, least_epochs=6))
     assert len(none) == len(none.core) == 0
     assert none.core_error == 0.0

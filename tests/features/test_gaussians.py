@@ -78,7 +78,7 @@ def test_no_scale():
         np.testing.assert_allclose(getattr(small, name), value, 1e-6, 1e-9 * unit)
 
 
-@pytest.mark.parametrize("bad", [np.nan, 1e6, -1e6])
+@pytest.mark.parametrize("bad", [np.nan, -1e6])
 def test_missing_pixels_do_not_spread(bad):
     image = sky(*TWO)
     mask = np.zeros(SHAPE, dtype=bool)
@@ -90,23 +90,11 @@ def test_missing_pixels_do_not_spread(bad):
     np.testing.assert_allclose(found.x, [40.2, 60.7], atol=1e-3)
 
 
-@pytest.mark.parametrize("variance", [2.0, 40.0])
-def test_negative_sources_are_not_fitted(variance):
-    image = sky((-1.0, 30.0, 40.0, variance))
-    assert len(fit_gaussians(image, BEAM, 1e-3)) == 0
-    found = fit_gaussians(image + sky((0.5, 60.0, 60.0, 0.0)), BEAM, 1e-3)
-    assert (found.peak > 0).all()
-    np.testing.assert_allclose(found.y[0], 60, atol=0.1)
-
-
 @pytest.mark.parametrize(
     ("image", "noise", "mask"),
     [
         (np.zeros(SHAPE), 1.0, False),
-        (np.zeros(SHAPE), 0.0, False),
-        (np.full(SHAPE, np.nan), 1.0, False),
         (sky(*ONE), 1e-3, np.ones(SHAPE, dtype=bool)),
-        (sky(*ONE), 1.0, False),
         (np.zeros((0, 0)), 1.0, False),
     ],
 )
@@ -123,9 +111,6 @@ def test_noise_alone_has_no_components_and_a_spike_few():
     image[5, 5] = 1.0
     assert len(fit_gaussians(image, BEAM, 1e-3)) <= 20
     assert len(fit_gaussians(np.ones((2, 3)), BEAM, 1e-3)) <= 6
-
-
-# -- the core, and shifts of whole epochs -----------------------------------------
 
 
 N = 20
@@ -145,16 +130,6 @@ def with_core(series, shift, seen=None):
 def shift():
     # A shift is drawn towards the feature only so far that the core stays nearest.
     return np.clip(np.random.default_rng(1).normal(0, 0.2, (N, 2)), -0.45, 0.45)
-
-
-def test_numbers_count_within_epochs(series):
-    d = series([(0, 1, 1), (0, 2, 1), (2, 1, 1), (2, 1, 2), (2, 1, 3)])
-    assert d.number.tolist() == [0, 1, 0, 1, 2]
-    assert d.time.tolist() == [2000, 2000, 2002, 2002, 2002]
-    some = d.select([False, True, False, False, True])
-    assert some.number.tolist() == [1, 2]
-    by_index = d.select(np.array([4, 1]))
-    np.testing.assert_array_equal(by_index.place, [[1, 3], [2, 1]])
 
 
 def test_the_core_is_the_nearest_of_each_epoch(series):
@@ -190,14 +165,3 @@ def test_common_shifts_are_removed(series, shift):
     np.testing.assert_allclose(d.place[1::2, 0], 3 + 0.1 * np.arange(N))
     np.testing.assert_allclose(d.place[1::2, 1], 0, atol=1e-12)
     assert d.aligned() is d
-
-
-def test_epochs_without_a_core(series, shift):
-    often = with_core(series, shift, np.arange(N) >= 3)
-    assert often.aligned() is often
-    d = with_core(series, shift, np.arange(N) != 5).aligned()
-    assert set(d.epoch.tolist()) == set(range(N)) - {5}
-    assert len(d) == 2 * (N - 1)
-    np.testing.assert_allclose(d.place[1::2, 1], 0, atol=1e-12)
-    # Numbers within the epoch remain those of all detections.
-    assert d.number.tolist() == [0, 1] * (N - 1)

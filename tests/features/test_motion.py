@@ -7,19 +7,9 @@ import numpy as np
 import pytest
 
 from astro_scc.features import Features
-from astro_scc.features.motion import (
-    PRIOR_FREEDOM,
-    SCATTER,
-    WANDER,
-    Motion,
-    fit_motion,
-)
+from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track
-from astro_scc.features.trust import (
-    FAR,
-    is_secure,
-    properties,
-)
+from astro_scc.features.trust import FAR, is_secure, properties
 
 TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
 ERROR = np.full((8, 2), 0.01)
@@ -68,42 +58,9 @@ def test_accelerations_are_rare_where_there_is_none():
     assert np.mean([fit.accelerated for fit in fits]) < 0.07
 
 
-def test_errors_of_known_residuals():
-    # Residuals of equal length at right angles to constant and slope.
-    time, sign = 2000 + np.array([-3.0, -1, 1, 3]), np.array([1, -1, -1, 1])
-    beam, error, off = 2.0, 0.05, np.array([0.12, 0.05])
-    place = on_line(time, (1.0, 2.0), (0.5, 0.1)) + np.multiply.outer(sign, off)
-    fit = fit_motion(time, place, np.full((4, 2), error), beam)
-    scatter = np.hypot(SCATTER * beam, error)
-    variance = 4 * off**2 + PRIOR_FREEDOM * scatter**2
-    variance /= 4 - 2 + PRIOR_FREEDOM
-    np.testing.assert_allclose(fit.velocity, [0.5, 0.1])
-    np.testing.assert_allclose(fit.place_err, np.sqrt(variance / 4))
-    np.testing.assert_allclose(
-        fit.velocity_err, np.hypot(np.sqrt(variance / 20), WANDER * beam / 6)
-    )
-    north = fit.error_along(np.array([0.0, 3.0]))
-    assert north == pytest.approx(fit.velocity_err[1])
-    mean = np.sqrt((fit.velocity_err**2).mean())
-    assert fit.error_along(np.zeros(2)) == pytest.approx(mean)
-
-
-def test_an_outlier_is_set_aside():
-    rng = np.random.default_rng(3)
-    place = on_line(TIME, (3, -1), (0.4, -0.2)) + rng.normal(0, 0.01, (8, 2))
-    place[6] += 1.5
-    fit = fit_motion(TIME, place, ERROR, 1.0)
-    assert fit.used.tolist() == [k != 6 for k in range(8)]
-    np.testing.assert_allclose(fit.velocity, [0.4, -0.2], atol=0.02)
-    assert np.hypot(*fit.residual[6]) > 1
-
-
 def test_one_date_has_no_motion():
     with pytest.raises(ValueError, match="at least two dates"):
         fit_motion(np.full(3, 2000.0), np.ones((3, 2)), np.ones((3, 2)), 1.0)
-
-
-# -- ejection ------------------------------------------------------------------------
 
 
 def motion(place=(4.0, 3.0), velocity=(0.4, 0.3), **changes):
@@ -157,9 +114,6 @@ def test_dates_without_meaning_are_not_given(bad):
     assert np.isfinite(motion(**aside).ejection(0.0, 2.0)[0])
 
 
-# -- probabilities of tracks that differ in one respect ---------------------------
-
-
 @pytest.fixture(scope="module")
 def track_of(series):
     """Make a track of the first detection of each epoch, and its motion."""
@@ -203,15 +157,6 @@ def test_properties(track_of):
     features = Features(cube=None, detections=d, core=d, tracks=(track,))
     features.__dict__["motions"] = (motion,)
     assert features.p_false == pytest.approx([1 / (1 + np.exp(logit))])
-
-
-@pytest.mark.parametrize(
-    ("beam", "moved"), [([4, 4], 1.25), ([4, 1], 1.25), ([1, 4], 2.5)]
-)
-def test_motion_is_in_beams_along_it(track_of, beam, moved):
-    d, *of = track_of(straight(6, step=2))
-    other = replace(d, beam=np.diag(beam) @ d.beam)
-    assert properties(other, *of)[1] == pytest.approx(np.log(moved))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from astropy.time import Time
 from astro_scc.columns import columns_of
 from astro_scc.epochs import EpochCube
 from astro_scc.features import Features
-from astro_scc.features.finder import flux_unit
 from astro_scc.features.tracks import Track
 
 N = 8
@@ -77,59 +76,9 @@ def test_the_motion_of_a_radial_feature(features):
     assert np.isnan(row["acc_parallel"])
 
 
-def test_a_bent_feature(features):
-    row = features.table[2]
-    assert (row["n_epochs"], row["proven"], row["secure"]) == (N - 1, False, False)
-    assert row["first"].isot.startswith("2001")
-    assert np.isnan(row["t_ej"])
-    # It bends from west to south: towards smaller position angles.
-    parallel, across = row["acc_parallel"].value, row["acc_perpendicular"].value
-    assert np.hypot(parallel, across) == pytest.approx(0.2, abs=0.02)
-    assert across < 0 < parallel
-
-
 def test_the_error_of_the_core(features):
     square = 0.02**2 / 2 + np.mean(features.core.place_error**2)
     assert features.core_error == pytest.approx(np.sqrt(square))
-
-
-def test_positions(features):
-    table, d = features.positions, features.detections
-    own = table[table["feature"] == features.number[2]]
-    track = features.tracks[2].detection
-    np.testing.assert_array_equal(own["epoch"], d.epoch[track])
-    np.testing.assert_allclose(own["ra_offset"].value, d.place[track, 0], atol=1e-2)
-    assert own["date"][0].isot.startswith("2001-01-01")
-    assert set(own["used"]) == {True}
-
-
-def test_a_feature_at_the_core_that_stands(features, series):
-    # Neither radius nor motion has a direction.
-    d = series([(t, 0.0, 0.0) for t in range(N)], years=features.detections.years)
-    track = Track(np.arange(N), 1.0, True)
-    row = replace(features, detections=d, tracks=(track,)).table[0]
-    assert row["pm_pa_err"] == row["position_angle_err"] == 180 * u.deg
-    assert row["separation"] == 0 * u.mas
-    assert np.isnan(row["t_ej"])
-
-
-def test_columns_of_the_sun(features):
-    wcs = features.cube.wcs.deepcopy()
-    wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
-    sun = replace(features, cube=replace(features.cube, wcs=wcs))
-    for table in (sun.table, sun.positions):
-        assert not {n for n in table.colnames if "ra_" in n or "dec" in n}
-        assert table["lon_offset"].info.description.endswith("solar west")
-
-
-@pytest.mark.parametrize(
-    ("unit", "flux"),
-    [(u.Jy / u.beam, u.Jy), (u.mJy / u.beam, u.mJy), (u.K, u.K), ("", "")],
-)
-def test_fluxes_have_the_unit_of_the_image_times_beams(features, unit, flux):
-    cube = replace(features.cube, unit=u.Unit(unit))
-    assert flux_unit(cube) == u.Unit(flux)
-    assert (replace(features, cube=cube).table["flux"].unit or u.one) == u.Unit(flux)
 
 
 def test_its_summary(features, empty):

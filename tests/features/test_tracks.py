@@ -91,28 +91,6 @@ def test_the_order_within_an_epoch_is_free(separated):
     assert sets == {frozenset(own) for own in found(separated)}
 
 
-def test_the_seed_decides(series):
-    rng = np.random.default_rng(1)
-    d = series([(t, *rng.uniform(0, 1, 2)) for t in range(8) for _ in range(5)])
-    one, again, other = (find_tracks(d, seed=seed) for seed in (4, 4, 5))
-    assert [t.same_speed for t in one] == [t.same_speed for t in again]
-    assert [t.same_speed for t in one] != [t.same_speed for t in other]
-
-
-def test_rounds_take_up_what_is_left(separated):
-    for rounds, n in ((0, 0), (1, 4)):
-        assert len(found(separated, settings=TrackSettings(rounds=rounds))) == n
-
-
-def test_the_speed_of_what_is_ambiguous_is_not_the_same(series):
-    # A row of equal features that stands, or moves by one place at each epoch.
-    d = series([(t, 0.5 * k, 0.0) for t in range(7) for k in range(1, 9)])
-    assert np.mean([track.same_speed for track in find_tracks(d)]) < 1
-
-
-# -- tracks that steady motion allows ---------------------------------------------
-
-
 SETTINGS = TrackSettings()
 
 
@@ -163,53 +141,11 @@ def test_axes_units_and_the_first_date_are_free(series, seed, name):
     assert found == pytest.approx(dict(zip(*other, strict=True)))
 
 
-@pytest.mark.parametrize(("n", "bridged"), [(1, True), (3, True), (4, False)])
-def test_gaps_up_to_a_length_are_bridged(series, n, bridged):
-    seen = [*range(5), *range(5 + n, 10 + n)]
-    # Another feature far away is seen at all epochs.
-    d = series(
-        [(t, 0.2 * t, 0.0) for t in seen] + [(t, 50.0, 50.0) for t in range(10 + n)]
-    )
-    own = np.flatnonzero(d.place[:, 1] == 0)
-    paths, _ = steady_hypotheses(d, SETTINGS)
-    assert (tuple(own.tolist()) in paths) == bridged
-    assert bridged or tuple(own[:5].tolist()) in paths
-
-
-@pytest.mark.parametrize(("off", "linked"), [(0.15, True), (1.5, False)])
-def test_what_is_beyond_the_gate_is_not_linked(series, off, linked):
-    d = series([(t, 0.2 * t, off if t == 9 else 0.0) for t in range(10)])
-    paths, _ = steady_hypotheses(d, SETTINGS)
-    assert (tuple(range(10)) in paths) == linked
-    assert tuple(range(9)) in paths
-
-
-@pytest.mark.parametrize(
-    "rows",
-    [[], [(t, 0.2 * t, 0.0) for t in range(3)],
-     [(t, 40.0 * (-1) ** t, 40.0 * t) for t in range(6)]],
-    ids=["nothing", "three epochs", "no motion"],
-)  # fmt: skip
-def test_what_makes_no_track(series, rows):
-    paths, score = steady_hypotheses(series(rows), SETTINGS)
-    assert (paths, len(score)) == ([], 0)
-
-
-def test_scatter_adds_its_parts(series):
-    d = replace(series([(0, 3.0, 4.0)], error=0.3), size=np.array([2.0]))
-    o = SETTINGS
-    parts = o.scatter, 2 * o.size_scatter, 5 * o.far_scatter, 0.3
-    assert position_scatter(d, o) == pytest.approx([np.linalg.norm(parts)])
-
-
 @pytest.mark.parametrize("n_axes", [1, 2])
 def test_students_density(n_axes):
     off = np.array([0.3, -2.0])[:n_axes]
     true = stats.multivariate_t(shape=0.7 * np.eye(n_axes), df=4).logpdf(off)
     assert log_t(off @ off, 0.7, 4.0, n_axes) == pytest.approx(true)
-
-
-# -- tracks that share no detection, against trying every choice ------------------
 
 
 def best_total(paths, score):
@@ -283,3 +219,10 @@ def test_without_time_or_all_tracks_nothing_is_proven(monkeypatch, limits):
     assert is_packing(paths, chosen)
     assert len(chosen) > 0
     assert not proven
+
+
+def test_scatter_adds_its_parts(series):
+    d = replace(series([(0, 3.0, 4.0)], error=0.3), size=np.array([2.0]))
+    o = SETTINGS
+    parts = o.scatter, 2 * o.size_scatter, 5 * o.far_scatter, 0.3
+    assert position_scatter(d, o) == pytest.approx([np.linalg.norm(parts)])

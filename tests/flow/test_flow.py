@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from astropy.wcs import WCS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -16,20 +15,18 @@ from scipy.special import stdtr
 from astro_scc import StackedCrossCorrelation
 from astro_scc.flow import (
     compare_scales,
-    feature_profile,
     fit_profile,
     measure_acceleration,
     measure_field,
     measure_profile,
 )
-from astro_scc.flow.acceleration import acceleration_of
 from astro_scc.flow.field import cell_coordinates
 from astro_scc.flow.parts import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import feature_distances
 from astro_scc.kinematics import RadialFrame, RidgeLine
 from astro_scc.measurement.tables import stream_table
-from astro_scc.simulation import Flow, simulate_jet
+from astro_scc.simulation import simulate_jet
 from astro_scc.streams.decomposed import decompose_flow
 from astro_scc.streams.parts import fit_part
 
@@ -79,9 +76,6 @@ def slope_of_truth(jet):
     return np.polyfit(distance[known], speed[known], 1)[0]
 
 
-# -- bins of distance --------------------------------------------------------------
-
-
 def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     table = profile.components
     assert table.colnames[:3] == ["r_min", "r_max", "r_mid"]
@@ -95,6 +89,9 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     assert np.all(table["p_fdr"][moves] >= table["p_global"][moves])
     assert profile.main["kind"][:2].tolist() == ["moving"] * 2
     assert profile.main["pm"][0] < profile.main["pm"][1]
+    assert profile.covariance.unit == PM**2
+    windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
+    assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
     # Features belong to the bin of their mean place.
     features = decomposed.features
     distance = feature_distances(profile.flow, features)
@@ -103,18 +100,6 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     ):
         own = [k for s in (found.search.streams if found else ()) for k in s.members]
         assert np.all((distance[own] >= low) & (distance[own] < high))
-    # The meta has the covariance of the bins that are known, and is written.
-    table.write(tmp_path / "profile.ecsv")
-    kept = QTable.read(tmp_path / "profile.ecsv").meta["covariance"]["all"]
-    assert (
-        kept["bins"]
-        == np.flatnonzero(np.isfinite(np.diag(profile.covariance))).tolist()
-    )
-    known = np.ix_(kept["bins"], kept["bins"])
-    assert_allclose(kept["covariance"].value, profile.covariance[known].value)
-    assert profile.covariance.unit == PM**2
-    # The last bin is beyond the jet.
-    assert np.isnan(profile.covariance[3]).all()
 
 
 def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
@@ -128,12 +113,7 @@ def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
         assert u.isclose(found.acceleration_err, found.gradient_err * found.speed)
         assert str(found).startswith("acceleration: 0.")
         assert found.centre > 1.6 * u.mas
-    n = len(result.streams)
-    for row in np.flatnonzero(result.streams["kind"] == "stationary"):
-        still = measure_acceleration(result, row)
-        assert np.isnan(still.p_value)
-        assert "unknown, as speeds are needed in three parts" in str(still)
-    with pytest.raises(ValueError, match=f"row must be from 0 to {n - 1}, got 9"):
+    with pytest.raises(ValueError, match="row must be from 0 to .*, got 9"):
         measure_acceleration(result, 9)
 
 
@@ -147,21 +127,6 @@ def test_along_a_ridge_line_and_in_windows(decomposed):
     # The same direction: the same speeds.
     pm = (own.speeds["all"].speed[0] for own in (found, straight))
     assert_allclose(*pm, rtol=0.02)
-    windows = bins_of([2.0, 9.0] * u.mas, window=5 * u.mas)
-    assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
-
-
-def test_bins_of_features_hold_all_in_order(result):
-    table, stream = feature_profile(result), result.search.streams[0]
-    own = table["stream"] == 1
-    assert stream.kind == "moving"
-    assert table["n_features"][own].sum() == len(stream.members)
-    assert np.all(table["n_features"] >= 5)
-    limits = [table[k][own].value for k in ("r_min", "r_mid", "r_max")]
-    assert np.all(np.diff(np.transpose(limits).ravel()) >= 0)
-
-
-# -- covariance and slope ----------------------------------------------------------
 
 
 def test_a_slope_is_that_of_least_squares():
@@ -173,13 +138,6 @@ def test_a_slope_is_that_of_least_squares():
     line, covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
     assert_allclose([slope, slope_err], [line[0], covariance[0, 0] ** 0.5], rtol=1e-4)
     assert number == 8
-    # More scatter than the errors have counts.
-    wide = PartSpeeds(x, y, np.diag(error**2) / 100)
-    _, scaled = np.polyfit(x, y, 1, w=1 / error, cov=True)
-    assert slope_of(wide)[3] == pytest.approx(scaled[0, 0] ** 0.5, rel=1e-3)
-    # Two bins have no slope.
-    few = acceleration_of(PartSpeeds(x[:2], y[:2], np.eye(2)), 1.0)
-    assert np.isnan(few.p_value)
 
 
 @pytest.mark.slow
@@ -200,8 +158,6 @@ def test_the_covariance_is_that_of_repeated_jets():
     assert expected[0, 1] > 0
 
 
-# -- fits of profiles, against numpy and against what was put in -------------------
-
 R, V = np.linspace(0.5, 10, 12) * u.mas, np.ones(12)
 
 
@@ -215,13 +171,6 @@ def test_straight_line_is_that_of_numpy():
     chi2 = (((v - np.polyval(line, R.value)) / e) ** 2).sum()
     assert (fit.chi2, fit.n_free) == (pytest.approx(chi2), 10)
     assert fit.aicc == pytest.approx(chi2 + 4 + 12 / 9)
-    # A covariance of independent speeds is their errors; what all share, v0 has.
-    again = fit_profile(R, v * PM, e * PM, covariance=np.diag(e**2) * PM**2)
-    assert again.chi2 == pytest.approx(fit.chi2)
-    both = np.diag(e**2) + 0.25
-    common = fit_profile(R, v * PM, e * PM, covariance=both * PM**2)
-    assert u.isclose(common.errors["gradient"], fit.errors["gradient"], rtol=1e-3)
-    assert common.errors["v0"] > 0.5 * PM
 
 
 @settings(max_examples=25)
@@ -248,18 +197,6 @@ def test_broken_line_finds_the_break():
     assert 0 < fit.errors["r_break"].value < 0.5
 
 
-def test_a_fit_does_not_depend_on_the_units():
-    # A zigzag, which no broken line is.
-    r = np.linspace(1, 10, 24)
-    v, errors = 1 + 2 * np.abs((r % 5) - 2.5), np.full(24, 0.02)
-    fits = [
-        fit_profile((r * u.mas).to(unit), v, errors, model="broken")
-        for unit in (u.mas, u.arcsec, u.deg)
-    ]
-    chi2 = [fit.chi2 for fit in fits]
-    assert_allclose(chi2, chi2[0], rtol=1e-6)
-
-
 @pytest.mark.parametrize("scale", [0.2, 3.0])
 def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
     """Student's, whether the speeds scatter by more or less than their errors."""
@@ -271,16 +208,6 @@ def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
     assert fit.p_constant == pytest.approx(2 * stdtr(10, -abs(slope / slope_err)))
     # Two speeds leave nothing that a line could be judged by.
     assert fit_profile(R[:2], v[:2], error[:2]).p_constant == 1
-
-
-def test_constant_has_uniform_probabilities():
-    speeds = np.random.default_rng(4).normal(2, 0.1, (300, 12))
-    p = np.array([fit_profile(R, v, np.full(12, 0.1)).p_constant for v in speeds])
-    assert np.mean(p < 0.05) < 0.09
-    assert fit_profile(R, V, V, model="constant").p_constant == 1
-
-
-# -- groups of scales --------------------------------------------------------------
 
 
 def test_groups_are_measured_by_themselves(by_scale):
@@ -301,25 +228,6 @@ def test_groups_are_measured_by_themselves(by_scale):
     assert np.all(found["p_value"] > 1e-3)
 
 
-@pytest.mark.slow
-def test_layers_have_their_speeds():
-    """Small features at 0.9 beams an interval, and large ones at 0.3."""
-    small = {"speed": 0.9, "size": 0.2}
-    large = {"speed": 0.3, "size": 1.2, "flux": 0.3}
-    flows = [
-        Flow(name, n_features=5, widening=0.1, **own)
-        for name, own in (("spine", small), ("sheath", large))
-    ]
-    cube = simulate_jet(streams=flows, n_epochs=30, rng=301).cube
-    result = SCC(cube, n_trials=99, rng=1)
-    (row,) = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})
-    assert row["difference"] < 0 * PM
-    assert row["p_value"] < 0.05
-
-
-# -- cells -------------------------------------------------------------------------
-
-
 def test_cells_of_distance_and_offset(result):
     along, across = [1.6, 4.0, 6.4] * u.mas, [-0.5, 0.5, 9] * u.mas
     field = measure_field(result, along=along, across=across, n_trials=19, rng=1)
@@ -336,9 +244,6 @@ def test_cells_of_distance_and_offset(result):
     assert_allclose(hdus["SPEED"].data[0], even.table["pm_parallel"].value)
     wcs = WCS(hdus["ERROR"].header)
     assert_allclose(wcs.wcs_pix2world([[1, 0]], 0), [[5.2, 0.0]])
-    # Every two beams, in three parts across.
-    whole = measure_field(result, n_trials=3, rng=1)
-    assert len(whole.table) == (len(whole.along) - 1) * 3
 
 
 def test_cells_of_radial_flows_have_azimuths(jet):
@@ -349,8 +254,6 @@ def test_cells_of_radial_flows_have_azimuths(jet):
     assert abs(np.median(angle[seen]) - 270) < 20
     assert distance[seen].max() > 6
 
-
-# -- what is refused ---------------------------------------------------------------
 
 REFUSED = [
     (lambda *_: bins_of([1.0] * u.mas), "2 distance"),

@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Beams, those that differ, a common one, and the one of an image among several."""
 
-import pickle
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -13,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import Beam, inspect_epochs
-from astro_scc.images.beam import different_beam, parse_beam, smallest_common_beam
-from astro_scc.images.grid import common_beam, gaussian_smooth
+from astro_scc.images.beam import parse_beam, smallest_common_beam
+from astro_scc.images.grid import common_beam
 from astro_scc.images.positions import offset_wcs
 
 DATES = ["2000-01-01", "2000-02-01", "2000-03-01"]
@@ -26,42 +24,15 @@ def beam(major, minor, pa=0.0):
     return Beam(major * u.mas, minor * u.mas, pa * u.deg)
 
 
-def test_beams_are_read_from_text():
-    assert parse_beam("1.0 mas 0.5 mas -7 deg") == beam(1, 0.5, -7)
-    assert parse_beam("0.8 mas") == beam(0.8, 0.8)
-
-
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        (beam(1, 0.5), Beam(1000 * u.uas, 500 * u.uas)),
-        (beam(1, 0.5, -7), beam(1, 0.5, 173)),
-        (beam(1, 1), beam(1, 1, 30)),
-        (beam(3, 1), Beam(float(np.float32(3 / 3.6e6)) * u.deg, 1 * u.mas)),
-    ],
-)
-def test_equal_beams_are_one_in_a_set(one, other):
-    assert one == other
-    assert len({one, other, pickle.loads(pickle.dumps(one))}) == 1
-    assert len({one, other, beam(one.major.value * 1.001, one.minor.value)}) == 2
-    assert one not in (1, "beam", beam(2, 1, 31))
-    assert with_beams(one, other, one).facts["beam"] == str(one)
+ROUND, WIDE = beam(0.5, 0.5), beam(0.52, 0.5)
 
 
 def test_beams_of_radio_beam():
     radio_beam = pytest.importorskip("radio_beam")
     beams = radio_beam.Beams([3] * 3 * u.mas, [1, 2, 3] * u.mas, [10, 20, 30] * u.deg)
-    made = with_beams(*[ROUND] * 3)
-    fields = {"data": made.data, "times": DATES, "pixel_scale": PIXEL}
-    cube = EpochCube.from_arrays(**fields, beams=beams)
+    data = np.random.default_rng(1).normal(size=(3, 8, 8))
+    cube = EpochCube.from_arrays(data, DATES, pixel_scale=PIXEL, beams=beams)
     assert [one.minor.value for one in cube.beams] == [1, 2, 3]
-    with pytest.raises(ValueError, match="3 epochs need 3 beams, got 1"):
-        EpochCube.from_arrays(**fields, beams=beams[:1])
-    with pytest.raises(ValueError, match="of a beam are single angles, got 2; make a"):
-        Beam([1, 2] * u.mas, 1 * u.mas)
-
-
-ROUND, WIDE = beam(0.5, 0.5), beam(0.52, 0.5)
 
 
 def with_beams(*beams):
@@ -70,22 +41,6 @@ def with_beams(*beams):
     images = [np.exp(-((x - 12 - k) ** 2 + (y - 16) ** 2) / 8) for k in range(3)]
     fields = {"noise": 0.01 * u.one, "beams": beams or None}
     return EpochCube.from_arrays(np.array(images), DATES, pixel_scale=PIXEL, **fields)
-
-
-@pytest.mark.parametrize(
-    ("beams", "expected"),
-    [
-        ([ROUND, ROUND, beam(0.504, 0.5)], None),  # rounded in a header
-        ([ROUND, ROUND, beam(0.506, 0.5)], 2),
-        ([ROUND, ROUND, beam(0.5, 0.494, 80)], 2),
-        # Beams of one area differ by their angle.
-        ([beam(1, 0.5, angle) for angle in (0, 180, 5)], 2),
-        ([beam(1, 0.5, angle) for angle in (0, 180, 0)], None),
-        ([], None),
-    ],
-)
-def test_beams_are_the_same_within_one_per_cent_in_any_direction(beams, expected):
-    assert different_beam(with_beams(*beams).beams) == expected
 
 
 def test_beams_that_differ_are_refused_until_that_is_stated():
@@ -98,8 +53,6 @@ def test_beams_that_differ_are_refused_until_that_is_stated():
         scc.match(cube)
     assert len(scc.match(cube.to_common_beam()).matches)
 
-
-# -- the beam of a channel -----------------------------------------------------
 
 CHANNELS = np.linspace(4.0, 1.0, 4)
 ONE = [{"CHAN": 0, "POL": 0, "BMAJ": 2.0}]
@@ -116,24 +69,18 @@ KINDS |= dict.fromkeys(("BMA", "BMI"), ("1E", "arcsec"))
 #: Rows of such a table (0.1 mas), changes of the header, and the major axis.
 BEAMS = [
     (ONE, {}, 2.0),
-    (ONE, {"CRPIX3": -1.0}, 2.0),
     (FOUR, {"CRPIX3": 0.0}, 3.0),
-    (FOUR, {"CRPIX3": -2.0}, 1.0),
     (FOUR, {"CRPIX3": -1.0, **VELOCITY}, 2.0),
     (FROM_1, {"CRPIX3": -2.0}, 1.0),
     (STOKES, {}, 4.0),
-    (STOKES, {"CRPIX4": -1.0}, 2.0),
-    (BOTH, {"CRPIX3": -2.0}, 1.0),
     (BOTH, {"CRPIX3": -2.0, "CRPIX4": 0.0}, 6.0),
     (SAME, {}, 2.0),
-    (SAME, {"CRPIX3": -7.0}, 2.0),
     (BLANK, {}, 2.0),
     # What the header says counts.
     (FOUR, {"BMAJ": 5 / 3.6e7, "BMIN": 1 / 3.6e7, "BPA": 0.0}, 5.0),
 ]
 UNKNOWN = [
     (FOUR, {}),
-    (FOUR, {"CRPIX3": 0.5}),
     (FOUR, {"CRPIX3": -7.0}),
     (FOUR, {"CTYPE3": None}),
     (BOTH, {}),
@@ -178,9 +125,6 @@ def test_which_channel_it_is_cannot_be_told(with_table, rows, changes):
     assert EpochCube.read(path, beams=given).beams == (given,)
 
 
-# -- a common beam ---------------------------------------------------------------
-
-
 def source(cube, covariance):
     """A Gaussian of peak 1 on the grid of a cube, from sky covariances."""
     e, n = (v.to_value(u.mas) for v in cube.offsets())
@@ -200,10 +144,9 @@ def point_sources(*beams, unit=JY_BEAM, turn=0.0, **fields):
     return EpochCube(data, dates, wcs, unit=unit, beams=beams, **fields)
 
 
-@pytest.mark.parametrize("turn", [0, 35])
-def test_point_sources_come_out_as_the_common_beam(turn):
+def test_point_sources_come_out_as_the_common_beam():
     cube = point_sources(beam(1, 0.6, -20), beam(0.9, 0.7, 40), beam(0.8, 0.55, 80),
-                         turn=turn)  # fmt: skip
+                         turn=35)  # fmt: skip
     result = common_beam(cube)
     expected = source(cube, result.beams[0].covariance)
     for image in result.data:
@@ -215,11 +158,6 @@ def test_point_sources_come_out_as_the_common_beam(turn):
     grown = common_beam(cube[:1], wider)
     assert_allclose(grown.data[0], source(cube, wider.covariance), atol=5e-6)
     assert np.abs(grown.data[0] - cube.data[0]).max() > 3e-4
-    # A kernel in one direction only.
-    image = np.eye(31)[[15]].T @ np.eye(31)[[15]]
-    smooth = gaussian_smooth(image, [[4, 0], [0, 0]])
-    assert_allclose(smooth[15].sum(), 1, atol=1e-6)
-    assert_allclose(np.delete(smooth, 15, axis=0), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("unit", [JY_BEAM, u.Jy / u.pix])
@@ -231,18 +169,6 @@ def test_flux_density_and_intensities_per_pixel_are_conserved(unit):
          for image, b in zip(c.data, c.beams, strict=True)] for c in (cube, result)
     )  # fmt: skip
     assert u.allclose(before, after, rtol=1e-6)
-
-
-def test_epochs_with_the_beam_stay_as_they_are():
-    value = float(np.float32(0.83))  # as in a header of single precision
-    cube = point_sources(beam(value, 0.8, 12), beam(0.7, 0.5), noise=[1, 1] * JY_BEAM)
-    result = common_beam(cube, beam(0.83, 0.8, 12))
-    assert_array_equal(result.data[0], cube.data[0])
-    assert np.any(result.data[1] != cube.data[1])
-    again = common_beam(result.with_step("noise", noise=[2, 3] * JY_BEAM))
-    assert_array_equal(again.data, result.data)
-    assert (result.noise, again.noise.value.tolist()) == (None, [2, 3])
-    assert "0 of 2" in again.meta["history"][-1]
 
 
 def test_bad_pixels_and_edges_do_not_darken():
@@ -295,28 +221,6 @@ def test_the_smallest_common_beam_contains_all(shapes):
     assert area <= least_area(beams) * (1 + 1e-5)
 
 
-@pytest.mark.parametrize("scale", [2e-5, 3.6e6])
-def test_common_beams_of_any_size(scale):
-    """Micro-arcseconds for the EHT, degrees for single dishes."""
-    beams = [beam(scale, 0.5 * scale, pa) for pa in (-20, 20)]
-    result = smallest_common_beam(beams)
-    assert all(contains(result, b) for b in beams)
-    # Of two equal ellipses the least one lies midway.
-    area = float(result.major * result.minor / (scale * u.mas) ** 2)
-    assert area == pytest.approx(least_area([beam(1, 0.5, p) for p in (-20, 20)]), 1e-5)
-    assert abs(result.pa.value) < 0.1
-
-
-@pytest.mark.parametrize("spread", [1e-7, 1e-3])
-def test_common_beams_of_nearly_equal_ones(spread):
-    steps = np.random.default_rng(0).uniform(-1, 1, (2, 12))
-    axes = zip(*(1 + spread * steps) * [[0.9], [0.6]], strict=True)
-    beams = [beam(*pair, 10) for pair in axes]
-    result = smallest_common_beam(beams)
-    assert all(contains(result, b, 2e-6) for b in beams)
-    assert result.major.value < 0.9 * (1 + spread) * 1.003
-
-
 CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
 
 
@@ -324,11 +228,12 @@ CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
     ("call", "words"),
     [
         *((lambda axes=axes: beam(*axes), "is finite with major >= minor > 0, got")
-          for axes in [(np.nan, 1), (np.inf, 1), (1, 1, np.nan), (1, 0), (1, 2)]),
+          for axes in [(np.nan, 1), (1, 1, np.nan), (1, 0), (1, 2)]),
         *((lambda text=text: parse_beam(text), "is no beam: .*; give major axis, min")
-          for text in ("1", "1 mas 0.5 mas", "1 1 1 1 mas", "1 mas 2 mas 0 deg")),
+          for text in ("1", "1 mas 0.5 mas", "1 mas 2 mas 0 deg")),
         (lambda: common_beam(CUBE, beam(0.9, 0.9)),
          r"2000-02-01: its beam 1 x 0.6 mas at .* fit"),
+        (lambda: Beam([1, 2] * u.mas, 1 * u.mas), "are single angles, got 2; make a"),
         (lambda: common_beam(CUBE, 3.0), "a beam has major, minor and pa, got float"),
         (lambda: common_beam(CUBE.with_step("", beams=None)), "have no beams"),
     ],

@@ -1,36 +1,22 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Regions, crops, rings, and parts of files that are read without the rest."""
 
-import tracemalloc
-
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.io import fits
 from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from regions import (
-    CirclePixelRegion,
-    CircleSkyRegion,
-    EllipseSkyRegion,
-    PixCoord,
-    PointPixelRegion,
-    RectanglePixelRegion,
-    RegionMeta,
-    Regions,
-)
+from regions import CirclePixelRegion, CircleSkyRegion, PixCoord, RegionMeta, Regions
 
 from astro_scc.epochs import Beam, EpochCube, write_epochs
 from astro_scc.exceptions import EpochWarning
-from astro_scc.images.fits import read_plane
 from astro_scc.images.positions import offset_wcs
 from astro_scc.images.regions import crop, distance_mask, region_mask
 
 SHAPE = (40, 50)
-MAS = u.mas.to(u.deg)
 EXCLUDED = RegionMeta({"include": False})
 
 
@@ -58,8 +44,6 @@ def circle(x, y, r, **meta):
     return CirclePixelRegion(PixCoord(x, y), r, **meta)
 
 
-# -- regions -----------------------------------------------------------------
-
 ONE, TWO, HOLE = circle(15, 20, 8), circle(25, 20, 8), circle(20, 20, 4, meta=EXCLUDED)
 UNION = disc(15, 20, 8) | disc(25, 20, 8)
 
@@ -73,7 +57,6 @@ UNION = disc(15, 20, 8) | disc(25, 20, 8)
         # Far larger than the images, whose memory suffices.
         (circle(20, 20, 1e7), np.ones(SHAPE, bool)),
         ((ONE, TWO), UNION),
-        ([HOLE, ONE, TWO], UNION & ~disc(20, 20, 4)),
         (Regions([ONE, HOLE, TWO]), UNION & ~disc(20, 20, 4)),
         (HOLE, ~disc(20, 20, 4)),
         (ONE & circle(22, 20, 8), disc(15, 20, 8) & disc(22, 20, 8)),
@@ -91,23 +74,6 @@ def test_regions_unite_and_exclusions_are_taken_away(tmp_path, region, expected)
     mask = region_mask(CUBE, region)
     assert_array_equal(mask, expected)
     assert mask is not region
-
-
-def test_sky_regions_of_milliarcseconds(tmp_path):
-    cube = make(25)
-    centre = cube.wcs.pixel_to_world(24, 18)
-    region = CircleSkyRegion(centre, 0.52 * u.mas)
-    Regions([region]).write(tmp_path / "jet.reg", format="ds9", precision=12)
-    for own in (region, tmp_path / "jet.reg"):
-        assert_array_equal(region_mask(cube, own), disc(24, 18, 5.2))
-    ellipse = EllipseSkyRegion(centre, 1.6 * u.mas, 0.6 * u.mas, 30 * u.deg)
-    at = u.Quantity(cube.pixel_to_offset(24, 18))
-    east, north = (u.Quantity(cube.offsets()) - at[:, None, None]).to_value(u.mas)
-    # The angle of a region is from west towards north.
-    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
-    along, across = -east * c + north * s, east * s + north * c
-    expected = (along / 0.8) ** 2 + (across / 0.3) ** 2 < 1
-    assert np.sum(region_mask(cube, ellipse) != expected) <= 2
 
 
 SKY = SkyCoord("12h30m49.423382s +12d23m28.0443217s")
@@ -128,12 +94,9 @@ ROUND = {
         # What regions and CARTA write as CRTF, and DS9 in degrees and in hours.
         (f"{CRTF}circle[[{LON:.6f}deg, {LAT:.6f}deg], 0.000001deg]", False),
         (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000000555556deg]", True),
-        (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000001deg]", False),
         (f'icrs\ncircle({LON:.7f},{LAT:.7f},0.0020")', False),
-        (f'icrs\ncircle({LON:.8f},{LAT:.8f},0.0020")', True),
         ('icrs\ncircle(12:30:49.4234,+12:23:28.044,0.0020")', False),
         ('icrs\ncircle(12:30:49.423382,+12:23:28.04432,0.0020")', True),
-        (f'icrs\nellipse({LON:.9f},{LAT:.9f},0.002",0.002",12.34567)', True),
         (f"icrs\npolygon({','.join(f'{v:.6f}' for v in SQUARE)})", False),
         (Regions([CircleSkyRegion(SKY, 2 * u.mas)]).serialize("ds9"), True),
         *((text, True) for text in ROUND),
@@ -152,24 +115,12 @@ def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
             region_mask(cube, tmp_path / "r.reg")
 
 
-def test_regions_on_the_sphere():
-    regions = pytest.importorskip("regions", minversion="0.12")
-    cube = make(25)
-    centre = cube.wcs.pixel_to_world(24.3, 18.2)
-    circle = regions.CircleSphericalSkyRegion(centre, 0.52 * u.mas)
-    assert_array_equal(region_mask(cube, circle), disc(24.3, 18.2, 5.2))
-    limits = {"longitude_range": [1, 2] * u.deg, "frame": "icrs"}
-    with pytest.raises(ValueError, match="a RangeSphericalSkyRegion has no inside"):
-        region_mask(cube, regions.RangeSphericalSkyRegion(**limits))
-
-
 @pytest.mark.parametrize(
     ("region", "message"),
     [
         (b"garbage\n", "r.reg: holds no region"),
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
-        (b"SIMPLE  =                    T", "r.reg: is not a text file"),
         (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
         (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
         # Its mask would need 30 TiB.
@@ -180,7 +131,6 @@ def test_regions_on_the_sphere():
         (np.zeros(SHAPE, dtype=bool), "no pixel"),
         (np.ones((3, 3), dtype=bool), r"array of bool of the images' shape"),
         (np.ones(SHAPE), "array of float64"),
-        (PointPixelRegion(PixCoord(3, 4)), "has no inside"),
         *((wrong, "region must be") for wrong in (3, [], [3])),
     ],
 )  # fmt: skip
@@ -193,10 +143,7 @@ def test_regions_that_cannot_be_used(tmp_path, region, message):
     assert "\n" not in str(caught.value)
 
 
-# -- crops --------------------------------------------------------------------
-
-
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.integers(0, 38), st.integers(1, 40), st.integers(0, 48), st.integers(1, 50))
 def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
     cube = make(25, epoch_wcs=[grid(25), grid(25, north=1e-7)])
@@ -208,23 +155,6 @@ def test_offsets_and_values_stay_where_they_are(y0, height, x0, width):
     before = cube.epoch_wcs[1].pixel_to_world(x0, y0)
     assert part.epoch_wcs[1].pixel_to_world(0, 0).separation(before) < 1e-4 * u.mas
     assert part.wcs.array_shape == part.shape[1:]
-
-
-def test_cropping_to_a_region_with_a_margin():
-    mask = np.zeros((2, *SHAPE), dtype=bool)
-    mask[1, 12, 21] = True
-    cube = make(mask=mask, beams=Beam(1 * u.mas, 1 * u.mas), noise=[1, 2] * u.one)
-    part = crop(cube, RectanglePixelRegion(PixCoord(22, 12), 8, 4), pad=2)
-    assert_array_equal(part.data, cube.data[:, 9:16, 17:28])
-    assert part.mask.sum() == 1
-    assert (part.noise is cube.noise, part.beams) == (True, cube.beams)
-    assert "cropped to pixels x 17 to 27" in part.meta["history"][-1]
-    # A margin ends at the edge, and negative slices count from the end.
-    part = crop(cube, (slice(-10, None), slice(3, -3)), pad=1)
-    assert_array_equal(part.data, cube.data[:, -11:, 2:-2])
-
-
-# -- rings ----------------------------------------------------------------------
 
 
 def test_rings_share_no_pixel_and_leave_none_out():
@@ -241,9 +171,8 @@ def test_rings_share_no_pixel_and_leave_none_out():
     ("function", "arguments", "words"),
     [
         *((distance_mask, limits * u.mas, "0 <= r_min < r_max")
-          for limits in ([1, 1], [-1, 1], [np.nan, 1])),
+          for limits in ([1, 1], [np.nan, 1])),
         (distance_mask, [1, 2] * u.arcsec, "no pixel is 1.0 arcsec to"),
-        (distance_mask, [0, 1] * u.s, "not convertible"),
         (crop, [(slice(40, 60), slice(None))], "holds no pixel of the 50 x 40 image"),
         (crop, [(slice(None, None, 2), slice(None))], "two, .y, x., without a step"),
         *((crop, [ONE, pad], "whole number") for pad in (-1, 1.5)),
@@ -254,13 +183,11 @@ def test_rings_and_crops_that_cannot_be_made(function, arguments, words):
         function(CUBE, *arguments)
 
 
-# -- parts of files --------------------------------------------------------------
-
 PART = slice(9, 30), slice(14, 50)
 
 
-def series(n=3, shape=(40, 60), **fields):
-    rng = np.random.default_rng(5)
+def series(n=3, **fields):
+    rng, shape = np.random.default_rng(5), (40, 60)
     options = {
         "times": Time("2001-01-01") + np.arange(n) * 30 * u.day,
         "pixel_scale": 0.1 * u.mas, "reference_pixel": (20, 15), "unit": u.Jy / u.beam,
@@ -303,14 +230,13 @@ def test_as_reading_all_and_cropping(paths, tmp_path):
     assert_array_equal(part.noise, cube.noise)
 
 
-@pytest.mark.parametrize("frame", ["offset", "absolute"])
-def test_images_that_lie_whole_pixels_aside(tmp_path, frame):
+def test_images_that_lie_whole_pixels_aside(tmp_path):
     cube = series(mask=None)
     # The second image has five rows and seven columns less.
     smaller = cube[[1]].crop((slice(5, 40), slice(7, 60)))
     paths = write_epochs(cube[[0]], tmp_path) + write_epochs(smaller, tmp_path / "b")
-    whole = EpochCube.read(paths, frame=frame)
-    part = EpochCube.read(paths, frame=frame, region=PART)
+    whole = EpochCube.read(paths)
+    part = EpochCube.read(paths, region=PART)
     same(part, whole.crop(PART))
     assert not part.mask.any()
     # Beyond the edge of one of them.
@@ -318,79 +244,3 @@ def test_images_that_lie_whole_pixels_aside(tmp_path, frame):
     same(EpochCube.read(paths, region=corner), EpochCube.read(paths).crop(corner))
     with pytest.raises(ValueError, match="nothing of the region lies in it; leave it"):
         EpochCube.read(paths, region=(slice(0, 4), slice(0, 20)))
-
-
-def test_images_of_other_pixels(tmp_path):
-    """They are resampled, which takes a little more of them than is asked for."""
-    y, x = np.mgrid[:40, :60]
-    paths = []
-    for scale, day in ((1, "2001-01-01"), (0.8, "2001-03-01")):
-        # The same hill on the sky.
-        r2 = ((x - 20) * scale - 15) ** 2 + ((y - 15) * scale - 3) ** 2
-        where = {"pixel_scale": 0.1 * scale * u.mas, "reference_pixel": (20, 15)}
-        cube = EpochCube.from_arrays(np.exp(-r2 / 60)[None], [day], **where)
-        paths += write_epochs(cube, tmp_path / day)
-    with pytest.warns(match="on another grid than the finest"):
-        part = EpochCube.read(paths, region=(slice(9, 28), slice(26, 45)))
-    # A little less, since edges are extrapolated.
-    inside = part.crop((slice(3, -3), slice(3, -3)))
-    assert 18 <= inside.shape[1] * 0.8 < 32
-    assert not inside.mask.any()
-    np.testing.assert_allclose(*inside.data, atol=2e-3)
-
-
-def test_what_a_part_has_not(paths):
-    for value, words in ((np.nan, "no valid pixel in this part, all are NaN"),
-                         (3, r"than two different values in this region")):  # fmt: skip
-        with fits.open(paths[1], mode="update") as hdus:
-            hdus[0].data[9:30, 14:50] = value
-        with pytest.raises(ValueError, match=words):
-            EpochCube.read(paths, region=PART)
-    fits.delval(paths[1], "DATE-OBS")
-    with pytest.raises(ValueError, match=f"{paths[1]}: no date of observation"):
-        EpochCube.read(paths, region=PART)
-    times = ["2001-03-01", "2001-02-01", None]
-    assert len(EpochCube.read(paths, region=PART, times=times, check=False)) == 3
-    # A part is smaller than the scatter of positions of VLBI, by which sources differ.
-    there = fits.getval(paths[1], "CRVAL1")
-    fits.setval(paths[1], "CRVAL1", value=there + 0.25 * MAS)
-    part = slice(30, 33), slice(10, 13)
-    assert len(EpochCube.read(paths, region=part, times=times)) == 3
-
-
-def test_parts_of_scaled_and_weighted_images_and_headers_alone(paths):
-    plane = read_plane(paths[0], pixels=False)
-    assert (plane.shape, plane.data) == ((40, 60), None)
-    assert plane.time.isot.startswith("2001-03-02")
-    counts = np.rint(1000 * np.nan_to_num(read_plane(paths[0]).data)).astype(np.int16)
-    scaled = fits.PrimaryHDU(counts, fits.getheader(paths[0]))
-    scaled.header.update({"BSCALE": 0.001, "BZERO": 5.0})
-    weight = fits.ImageHDU(np.ones(counts.shape), name="WHT")
-    weight.data[20, 30] = 0
-    fits.HDUList([scaled, weight]).writeto(paths[0], overwrite=True)
-    whole, part = read_plane(paths[0]), read_plane(paths[0], window=PART)
-    assert_array_equal(part.data, whole.data[PART])
-    assert_array_equal(part.mask, whole.mask[PART])
-    assert part.mask.sum() == 1
-
-
-@pytest.mark.slow
-def test_only_the_part_is_in_memory(tmp_path):
-    """Six images of 4 MB each, 8 as they are kept, of which a hundredth is wanted."""
-    rng = np.random.default_rng(1)
-    header = fits.getheader(write_epochs(series(n=1), tmp_path / "one")[0])
-    paths = []
-    for k in range(6):
-        header["DATE-OBS"] = f"200{k}-01-01"
-        paths.append(tmp_path / f"e{k}.fits")
-        image = rng.normal(size=(1024, 1024)).astype(">f4")
-        fits.PrimaryHDU(image, header).writeto(paths[-1])
-    tracemalloc.start()
-    try:
-        cube = EpochCube.read(paths, region=(slice(400, 500), slice(450, 550)))
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert cube.shape == (6, 100, 100)
-    assert_array_equal(cube.data[5], fits.getdata(paths[5])[400:500, 450:550])
-    assert peak < 6e6

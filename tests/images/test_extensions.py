@@ -50,20 +50,15 @@ ERR = ("ERR", np.full(SHAPE, 0.5), None, False)
 #: Images of a file; that of IMAGE is meant.
 FOUND = {
     "one": [("", IMAGE)],
-    "weight first, SCI": [("", WEIGHT, "s", True, {"BTYPE": "exposure"}), SCI],
     "weight first, no name": [("", WEIGHT, None), ("A", IMAGE)],
     "exposure first by its unit": [("", WEIGHT, "s"), ("A", IMAGE)],
-    "exposure first by its type": [
-        ("", WEIGHT, "JY/BEAM", True, {"BTYPE": "Weight"}), ("A", IMAGE)],
     "PSF first": [EMPTY, ("PSF", OTHER), ("IMAGE", IMAGE)],
     "Herschel": [EMPTY, ("coverage", WEIGHT, None), ("image", IMAGE),
                  ("stDev", WEIGHT)],
     "without coordinates": [("", OTHER, "JY/BEAM", False), ("A", IMAGE)],
     "another shape": [EMPTY, ("A", np.ones((5, *SHAPE))), ("B", IMAGE)],
-    "drizzled": [EMPTY, SCI, ("WHT", WEIGHT, None), ("CTX", OTHER, None)],
     "preview": [EMPTY, ("PREVIEW", SMALL, None, False), ("MAP", IMAGE)],
     "primary and others": [("", IMAGE), ("RESIDUAL", OTHER, None, False)],
-    "a name of science": [EMPTY, ("SCIENCE", IMAGE), ("RESID", OTHER)],
     "CCDData": [("", IMAGE), ("MASK", np.zeros(SHAPE, "u1"), None, False),
                 ("UNCERT", np.full(SHAPE, 2.0), None, False)],
     "HST": [EMPTY, SCI, ("ERR", WEIGHT), ("DQ", np.eye(24, 36, 99, int))],
@@ -88,7 +83,6 @@ TWO = [EMPTY, ("SCI", IMAGE), ("DQ", np.zeros(SHAPE, int)), ("SCI", OTHER),
     [
         (TWO, r"has 2 images, \[SCI,1\], \[SCI,2\]; choose one .*'a.fits\[SCI,1\]'"),
         ([("", IMAGE), ("RESIDUAL", OTHER)], r"\[PRIMARY\], \[RESIDUAL\]; choose one"),
-        ([EMPTY, *((name, IMAGE) for name in "ABC")], r"\[A\], \[B\], \[C\]; choose"),
     ],
 )
 def test_images_of_which_several_may_be_meant(tmp_path, images, words):
@@ -99,8 +93,7 @@ def test_images_of_which_several_may_be_meant(tmp_path, images, words):
 
 
 @pytest.mark.parametrize(
-    ("choice", "expected"),
-    [("SCI,2", OTHER), ("sci, 1", IMAGE), ("1", IMAGE), ("3", OTHER), ("SCI", IMAGE)],
+    ("choice", "expected"), [("SCI,2", OTHER), ("sci, 1", IMAGE), ("3", OTHER)]
 )
 @pytest.mark.parametrize("versions", [True, False])
 def test_an_image_is_chosen_behind_the_name(tmp_path, choice, expected, versions):
@@ -122,25 +115,13 @@ def test_an_image_is_chosen_behind_the_name(tmp_path, choice, expected, versions
     part = EpochCube.read(names, region=(slice(2, 9), slice(3, 30)))
     assert np.array_equal(part.mask, cube.mask[:, 2:9, 3:30])
     assert main(["inspect", names]) == 0
-
-
-@pytest.mark.parametrize(
-    ("choice", "words"),
-    [
-        ("SCI,3", r"\[SCI,3\]; its images are: \[SCI,1\], \[DQ,1\], \[SCI,2\]"),
-        *((name, rf"\[{name}\]") for name in ("0", "9", "ERR")),
-    ],
-)
-def test_what_cannot_be_chosen(tmp_path, choice, words):
-    path = write(tmp_path / "a.fits", *TWO)
-    with pytest.raises(ValueError, match=f"a.fits: has no image {words}"):
-        EpochCube.read(f"{path}[{choice}]")
+    for choice in ("SCI,3", "9", "ERR"):
+        with pytest.raises(ValueError, match=rf"1.fits: has no image \[{choice}\]"):
+            EpochCube.read(f"{paths[0]}[{choice}]")
     for name in (f"{tmp_path}/b.fits[1]", f"{tmp_path}/b*.fits[1]"):
         with pytest.raises(FileNotFoundError, match="no (such file|file matches)"):
             EpochCube.read(name)
 
-
-# -- pixels ----------------------------------------------------------------------
 
 BAD = np.zeros(SHAPE, dtype=bool)
 BAD[5, 7], BAD[:, 20] = True, True
@@ -157,21 +138,16 @@ GAP[18:22] = 0
 #: Pixels, extensions beside them, cards, and the pixels that are missing.
 MISSING = {
     "flags": (WILD, [("DQ", 4096 * BAD)], {}, BAD),
-    "flags of several bits": (WILD, [("DQ", np.where(BAD, 4 + 16, 0))], {}, BAD),
     "flags of no sign": (WILD, [("DQ", (4 * BAD).astype("u4"))], {}, BAD),
     "flags of JWST": (WILD, [("DQ", np.where(BAD, 5, 4))], {"TELESCOP": "JWST"}, BAD),
     "a mask": (WILD, [("MASK", BAD.astype("u1"))], {}, BAD),
-    "bad pixels": (WILD, [("BPM", BAD.astype("i2"))], {}, BAD),
     "a mask of good pixels": (LOST, [("MASK", (~BAD).astype("u1"))], {}, BAD),
     "weights": (WILD, [("WHT", np.where(BAD, 0.0, 7.0))], {}, BAD),
-    "inverse variances": (WILD, [("IVAR", np.where(BAD, 0.0, 7.0))], {}, BAD),
     "weights that are NaN": (WILD, [("WHT", np.where(BAD, np.nan, 7.0))], {}, BAD),
     "errors of 0": (WILD, [("ERR", np.where(BAD, 0.0, 0.5))], {}, BAD),
     "errors that are NaN": (WILD, [("ERR", np.where(BAD, np.nan, 0.5))], {}, BAD),
     "flags and errors": (WILD, [("ERR", np.full(SHAPE, 0.5)), ("DQ", 4 * BAD)], {},
                          BAD),
-    "quality": (WILD, [("DATA_QUALITY", 4 * BAD)], {}, BAD),
-    "bad mask": (WILD, [("BADMASK", BAD.astype("u1"))], {}, BAD),
     "huge errors": (2 * IMAGE + 9 * BAD, [("ERR", np.where(BAD, 1e30, 0.5))], {}, BAD),
     "-999": (np.where(BAD, -999.0, IMAGE), [], {}, BAD),
     "1e20": (np.where(BAD, 1e20, IMAGE), [], {}, BAD),
@@ -180,13 +156,10 @@ MISSING = {
     "zeros and 1e20": (np.where(HALF != HALF, 1e20, PADDED), [], {}, INSIDE),
     "zeros": (PADDED, [], {}, INSIDE),
     "zeros about a sky": (np.where(INSIDE, 0, PADDED + 20), [], {}, INSIDE),
-    "zeros about a negative sky": (np.where(INSIDE, 0, PADDED - 20), [], {}, INSIDE),
     "zeros and NaN": (HALF, [], {}, INSIDE),
     "a gap": (GAP, [], {}, GAP == 0),
     "most is padding": (np.pad(IMAGE, 40), [], {}, np.pad(~BAD & False, 40,
                         constant_values=True)),
-    "zeros and flags": (PADDED, [("DQ", np.where(PADDED > 2, 4, 0))], {},
-                        INSIDE | (PADDED > 2)),
 }  # fmt: skip
 
 
@@ -225,15 +198,11 @@ BLOB = np.exp(-((X - 20) ** 2 + (Y - 20) ** 2) / 8)
 VALUES = {
     "noise": np.where(NOISE[0] > 2, 0, NOISE[0]),
     "counts": np.random.default_rng(1).poisson(0.05, (40, 60)).astype(float),
-    "more counts": np.random.default_rng(1).poisson(0.8, (80, 80)).astype(float),
     "no noise": np.where(BLOB < 1e-30, 0, BLOB),
-    "single precision": np.float32(BLOB**9).astype(float),
     "above a threshold": np.where(BLOB < 0.1, 0, BLOB),
     "one component": np.where(BLOB == 1, 1.0, 0.0),
     "nothing": np.zeros((8, 8)),
     "a sky without noise": BLOB.clip(0.05) + 100,
-    "saturated": np.minimum(BLOB + 0.01 * np.resize(NOISE, (40, 60)), 0.6),
-    "counts on a bias": 100 + np.random.default_rng(1).poisson(0.1, (40, 60)),
     "two values": np.where(BLOB > 0.5, 7.0, 3.0),
 }
 
@@ -271,7 +240,6 @@ def test_extensions_that_cannot_be_right(tmp_path, pixels, beside, words):
         ("ERR", np.full(SHAPE, 500.0), "mJy/beam", 0.5),
         ("ERR", np.full(SHAPE, 0.5), "furlong", 0.5),
         ("VAR", np.full(SHAPE, 0.25), None, 0.5),
-        ("STDDEV", np.full(SHAPE, 0.5), None, 0.5),
         ("ERR", np.zeros(SHAPE), None, None),
         ("ERR", ERRORS, None, np.median(ERRORS)),
     ],
@@ -287,7 +255,7 @@ def test_errors_are_the_noise(tmp_path, name, values, unit, noise):
     assert not cube.mask.any()
 
 
-LOGS = "mag MAG mag/arcsec^2 mag(AB) dex dex(Jy) dB log(Jy)".split()
+LOGS = "mag mag(AB) dB log(Jy)".split()
 
 
 @pytest.mark.parametrize(
@@ -303,12 +271,12 @@ def test_brightness_that_does_not_add_up(tmp_path, unit, cards, words):
         EpochCube.read(path)
 
 
-@pytest.mark.parametrize("name", ["spots.csv", "spots.tbl", "spots.dat", "s.txt"])
+@pytest.mark.parametrize("name", ["spots.csv", "spots.dat"])
 def test_lists_of_spots_are_told_how_to_become_tables(tmp_path, name, capsys):
     (tmp_path / name).write_text("x,y,flux\n1,2,3\n")
     assert main(["measure", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     words = "is a table and no image; ", "lay the ReadMe of CDS beside it, or "
-    assert f"{words['d' in name or 'txt' in name]}a list of spots or components" in line
+    assert f"{words['d' in name]}a list of spots or components" in line
     assert "table.write('spots.ecsv')" in line
     assert "no image" in inspect_epochs(tmp_path / name)["problem"][0]

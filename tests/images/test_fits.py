@@ -10,38 +10,10 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import EpochCube
 from astro_scc.images.fits import looks_like_mask, read_plane
 
 PIXELS = np.random.default_rng(1).normal(size=(1, 1, 16, 32))
-
-
-def test_degenerate_axes_byte_order_and_facts(make_fits):
-    image = read_plane(make_fits())
-    assert (image.unit, image.wcs.naxis, image.notes) == (u.Jy / u.beam, 2, [])
-    assert (image.data.dtype, image.data.dtype.isnative) == (np.float64, True)
-    assert np.array_equal(image.data, PIXELS[0, 0])
-    assert not image.mask.any()
-    assert image.beam == Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
-    facts = {"object": "3C273", "telescope": "VLBA", "frequency": 15.4e9, "stokes": "I"}
-    assert image.facts == facts
-
-
-def test_pixel_types_scaled_blank_and_not_finite_pixels(make_fits):
-    stored = np.arange(16 * 32).reshape(16, 32) % 100
-    for kind in ("i2", "i4", "u1", "f4"):
-        assert np.array_equal(
-            read_plane(make_fits(data=stored.astype(kind))).data, stored
-        )
-    path = make_fits(data=stored.astype("i2"))
-    with fits.open(path, mode="update", do_not_scale_image_data=True) as hdus:
-        hdus[0].header.update({"BSCALE": 0.5, "BZERO": 10.0, "BLANK": 3})
-    expected = np.where(stored == 3, np.nan, 10 + stored / 2)
-    assert np.array_equal(read_plane(path).data, expected, equal_nan=True)
-    data = PIXELS.copy()
-    data[0, 0, :3, 0] = np.nan, np.inf, -np.inf
-    image = read_plane(make_fits(data=data))
-    assert image.mask.sum() == image.mask[:3, 0].sum() == 3
 
 
 def test_stokes_i_is_taken_from_several_planes(make_fits):
@@ -49,9 +21,6 @@ def test_stokes_i_is_taken_from_several_planes(make_fits):
     for plane, changes in ((0, {}), (3, {"CRVAL4": 4.0, "CDELT4": -1.0})):
         image = read_plane(make_fits(data=data, **changes))
         assert np.array_equal(image.data, data[plane, 0])
-
-
-# -- what is no image ------------------------------------------------------------
 
 
 def refused(path, words, error=OSError):
@@ -77,7 +46,6 @@ SIP = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "A_ORDER": 2, "B_ORDE
     [
         (broadcast(4, 1, 16, 32), {"CRVAL4": -4.0}, "4 planes .* STOKES and none of"),
         (broadcast(4, 1, 16, 32), {"CRVAL4": None}, "STOKES and none of them is I"),
-        (broadcast(1, 3, 16, 32), {}, "has 3 planes on axis FREQ"),
         (broadcast(5, 16, 32), {"CTYPE3": None}, "has 5 planes on axis 3 of the file"),
         (PIXELS[0, 0], SIP, "has distortions .SIP.; resample"),
         (PIXELS * np.nan, {}, "no valid pixel, all are NaN"),
@@ -96,7 +64,7 @@ def test_one_row_of_pixels_is_no_image(tmp_path):
 def test_truncated_files_and_headers_that_claim_too_much(make_fits):
     path = make_fits()
     content = path.read_bytes()
-    for keep in (1, 80, 2880, 2881, 5000, 6000, -3000):
+    for keep in (1, 2880, 6000, -3000):
         path.write_bytes(content[:keep])
         refused(path, r"truncated|broken|no image")
     old = b"NAXIS1  =                   32"
@@ -118,9 +86,7 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
             refused(path, "broken")
 
 
-@pytest.mark.parametrize(
-    "kind", ["RICE_1", "PLIO_1", pytest.param("GZIP_2", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["RICE_1", "PLIO_1"])
 def test_tile_compressed_images(make_fits, kind):
     y, x = np.mgrid[:128, :128]
     image = 1000 * np.exp(-((x - 62) ** 2 + (y - 65) ** 2) / 50)

@@ -24,8 +24,7 @@ from regions import (
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images import local
-from astro_scc.images.local import north_in, separation, turned
-from astro_scc.images.positions import offset_wcs
+from astro_scc.images.local import north_in, turned
 from astro_scc.images.regions import refuse_pixels, region_mask
 
 NY, NX = 24, 32
@@ -110,7 +109,7 @@ def step_on_sky(wcs, x, y, dx, dy):
 places = st.tuples(st.floats(0, 360), st.floats(-80, 80))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(
     code=st.sampled_from([*CYLINDERS, *OTHERS, *ZENITHAL]),
     place=places,
@@ -156,9 +155,10 @@ def assert_as_on_sky(cube, wcs, x, y, rtol=1e-3):
         assert abs((np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi) < rtol
 
 
-@pytest.mark.parametrize("kind", ["GLON", "CRLN", "HPLN"])
-@pytest.mark.parametrize("turn", [0.0, 130.0])
-@pytest.mark.parametrize("code", ["CAR", "TAN", "CEA"])
+@pytest.mark.parametrize(
+    ("kind", "turn", "code"),
+    [("GLON", 130.0, "CAR"), ("CRLN", 0.0, "CEA"), ("HPLN", 130.0, "TAN")],
+)
 def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
     head = header(code, (120.5, 55.0), 3e-4, turn, kind != "GLON", kind)
     cube = read(head)
@@ -166,60 +166,7 @@ def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
     assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2)
 
 
-@pytest.mark.parametrize("pole", [89.5, 89.9, -89.7])
-@pytest.mark.parametrize("code", ["TAN", "SIN", "ZEA", "CAR"])
-def test_images_near_a_pole(code, pole):
-    head = header(code, (200.0, pole), 5e-5)
-    head["CRVAL1"], head["CRVAL2"] = (120.0, 0.0 if code == "CAR" else 0.995 * pole)
-    head["CRPIX1"] = head["CRPIX2"] = 0.0
-    x, y = WCS(head).world_to_pixel_values(200.0, pole)
-    head["CRPIX1"], head["CRPIX2"] = (NX - 1) / 2 - x, (NY - 1) / 2 - y
-    cube = read(head)
-    assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2, 3e-3)
-
-
-@pytest.mark.parametrize("turns", [-1, 1, 2])
-@pytest.mark.parametrize("code", ["CAR", "CEA", "MER"])
-@pytest.mark.parametrize("lat", [0.0, -40.0, 60.0])
-def test_longitudes_that_were_counted_on_past_half_a_turn(code, turns, lat):
-    head = header(code, (100.0, lat), 1e-3)
-    straight = read(head)
-    wcs = WCS(head)
-    head["CRPIX1"] += turns * 360 / 1e-3
-    cube = read(head)
-    assert_allclose(cube.pixel_matrix.value, straight.pixel_matrix.value, atol=1)
-    there, here = (one.wcs.pixel_to_world_values(9, 9) for one in (straight, cube))
-    assert_allclose(here, there, atol=1e-5)
-    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
-
-
-def test_images_that_straddle_the_end_of_a_cylinder():
-    head = header("CAR", (120.0, 50.0), 0.001)
-    wcs = WCS(head)
-    # The meridian opposite to the reference point runs through the middle.
-    head["CRVAL1"] = 300.0
-    head["CRPIX1"] -= 180 / 0.001
-    assert_as_on_sky(read(head), wcs, (NX - 1) / 2, (NY - 1) / 2)
-
-
-def test_structure_far_from_the_reference_pixel_of_a_mosaic():
-    head = header("TAN", (120.0, 40.0), 0.03)
-    head.update({"CRPIX1": 150.0, "CRPIX2": 150.0, "CRVAL1": 120.0, "CRVAL2": 40.0})
-    wcs = WCS(head)
-    own = images((300, 300), (280, 275))
-    for x, y in ((280, 275), (150, 150)):
-        cube = read(head, images((300, 300), (x, y)))
-        assert_as_on_sky(cube, wcs, x, y, 3e-3)
-    # What is made of arrays has the same coordinates.
-    flat = read(head, own)
-    cube = EpochCube(np.array(own), DATES, wcs, "ct")
-    assert_allclose(cube.pixel_matrix.value, flat.pixel_matrix.value)
-    assert cube.reference_pixel == flat.reference_pixel
-    crop = flat.crop((slice(255, 300), slice(250, 300)))
-    assert_allclose(crop.pixel_matrix.value, flat.pixel_matrix.value)
-
-
-@pytest.mark.parametrize("code", ["CAR", "CEA", "MER", "HPX"])
+@pytest.mark.parametrize("code", ["CAR", "HPX"])
 def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     shape = (80, 60)
     # Beyond latitudes of 41 degrees, HPX has gaps.
@@ -236,7 +183,6 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     assert "north turns by" in said
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
-    refuse_pixels(tmp_path / "a.reg", cropped=False)
     with pytest.raises(ValueError, match="a.reg: is in pixels, .* that are resampled"):
         refuse_pixels(tmp_path / "a.reg", False, cube)
     assert "resampled onto a tangent plane" in cube.meta["history"][-1]
@@ -266,30 +212,8 @@ def test_structure_over_much_of_the_sky_is_refused():
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
         EpochCube(np.array(own), DATES, WCS(wide), "ct")
     flat = EpochCube.from_arrays(own, DATES, pixel_scale=1 * u.deg)
-    wide["CRVAL1"] = 180.0
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
         flat.reproject_to(WCS(wide), (NY, NX))
-
-
-def test_a_new_grid_has_the_scale_of_the_sky():
-    head = header("CAR", (180.0, 60.0), 1e-3)
-    wcs = WCS(head)
-    cube = read(header("TAN", (180.0, 60.0), 1e-3)).reproject_to(wcs, (NY, NX))
-    assert_as_on_sky(cube, wcs, (NX - 1) / 2, (NY - 1) / 2)
-
-
-@pytest.mark.parametrize("code", ["CAR", "CEA"])
-def test_coordinates_of_the_sun_that_follow_its_rotation(code):
-    """The reference point moves from epoch to epoch, the structure stays."""
-    head = header(code, (122.0, 40.0), 0.01, mirrored=True, kind="CRLN")
-    every = []
-    for i in range(3):
-        every.append(WCS(head))
-        head["CRVAL1"] += 0.5 * (i + 1)
-        head["CRPIX1"] += 0.5 * (i + 1) / 0.01
-    cube = stack(images(), every)
-    assert_allclose(cube.data, images(), atol=1e-6)
-    assert_as_on_sky(cube, every[0], (NX - 1) / 2, (NY - 1) / 2)
 
 
 def test_far_reference_pixels_are_no_origin(tmp_path):
@@ -312,28 +236,7 @@ def test_far_reference_pixels_are_no_origin(tmp_path):
         assert cube.align("wcs").meta["alignment"][-1]["shift_east_mas"] == 0
 
 
-@pytest.mark.parametrize("other", ["SIN", "CAR", "ZEA", "TPV", "HPX"])
-@pytest.mark.parametrize("turn", [0.0, 40.0])
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.filterwarnings("ignore:.*:astro_scc.exceptions.EpochWarning")
-def test_epochs_of_several_projections_lie_at_their_places(other, turn, mirrored):
-    place = (121.0, 35.0)
-    one = WCS(header("TAN", place, 2e-4))
-    two = WCS(header(other, place, 3e-4, turn, mirrored))
-    cube = stack([images()[0]] * 3, [one, two, two], frame="absolute")
-    x, y = np.ravel(cube.wcs.world_to_pixel(SkyCoord(*place, unit="deg")))
-    left, low = round(x) - 3, round(y) - 3
-    v, w = np.indices((7, 7))
-    for part in cube.data[:, low : low + 7, left : left + 7] ** 3:
-        centre = np.array([np.sum(part * w), np.sum(part * v)]) / part.sum()
-        assert_allclose(centre + [left, low], [x, y], atol=0.6)
-    assert_as_on_sky(cube, one, (NX - 1) / 2, (NY - 1) / 2)
-
-
-# -- equinoxes -----------------------------------------------------------------------
-
-
-def equinoxes(lat, frames=("B1950", "J2000")):
+def equinoxes(lat):
     """Return the WCS of one place in B1950 and in J2000."""
     place = SkyCoord(83.0, lat, unit="deg", frame="fk5")
     old = place.transform_to(FK4(equinox="B1950"))
@@ -344,21 +247,6 @@ def equinoxes(lat, frames=("B1950", "J2000")):
         head.update({"EQUINOX": equinox, "CRPIX1": 8.0, "CRPIX2": 12.0})
         made.append(WCS(head))
     return made
-
-
-@pytest.mark.parametrize("lat", [-70.0, 0.0, 62.0, 85.0])
-def test_one_place_is_one_place_in_either_equinox(lat):
-    old, new = equinoxes(lat)
-    assert separation(old, new) == separation(new, old) == 0
-    away = new.deepcopy()
-    away.wcs.crval = new.wcs.crval + [0, 0.01]
-    assert_allclose([separation(away, new), separation(old, away)], 0.01, rtol=0.01)
-    # The north of B1950 as J2000 has it, by two places on the sky.
-    turn = (north_in(old, new) + np.pi) % (2 * np.pi) - np.pi
-    step = SkyCoord(*old.wcs.crval, unit="deg", frame=FK4(equinox="B1950"))
-    ahead = step.directional_offset_by(0 * u.deg, 1 * u.arcmin)
-    wanted = step.icrs.position_angle(ahead.icrs).wrap_at(180 * u.deg).rad
-    assert_allclose(turn, wanted, atol=1e-5)
 
 
 @pytest.mark.filterwarnings("error", "ignore:.*on another grid")
@@ -385,16 +273,13 @@ def test_epochs_of_both_equinoxes_have_one_north():
     assert_allclose(*matrices, atol=1e-12)
 
 
-# -- regions -------------------------------------------------------------------------
-
 MAS = u.mas
 
 
 @pytest.mark.parametrize(
-    "drawn", "galactic fk4 fk5 icrs barycentricmeanecliptic".split()
+    ("drawn", "image", "mirrored"),
+    [("galactic", "RA", True), ("fk4", "RA", False), ("icrs", "GLON", False)],
 )
-@pytest.mark.parametrize("image", ["RA", "GLON"])
-@pytest.mark.parametrize("mirrored", [False, True])
 def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
     drawn, image, mirrored
 ):
@@ -437,14 +322,6 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
     assert not region_mask(cube, hollow)[39, 39]
 
 
-def test_places_of_no_frame_are_as_they_are():
-    """Coordinates of the Sun have no frame without sunpy."""
-    one, other = (WCS(header("TAN", (120.0, 10.0), 1e-3, kind="HPLN")) for _ in "ab")
-    other.wcs.crval = one.wcs.crval + [0, 0.5]
-    assert_allclose(separation(one, other), 0.5)
-    assert north_in(one, other) == 0
-
-
 def test_structure_is_where_most_bright_pixels_are():
     image = images((60, 90), (60, 40))[0]
     box, peak = local.structure(image)
@@ -461,15 +338,11 @@ def test_pixels_without_sky():
     assert local.unwrapped(wcs, (NY, NX)) is wcs
     with pytest.raises(ValueError, match="projection .SIN"):
         EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
-    flat = offset_wcs(1 * u.mas, (3, 3))
-    assert local.middle_area(flat, (6, 6)) == pytest.approx((1 / 3.6e6) ** 2)
-    assert local.middle_area(wcs, (NY, NX)) == pytest.approx(1)
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("code", ["TAN", "SIN"])
-def test_left_over_distortions_are_ignored(code, tmp_path, caplog, capfd):
-    head = header(code, (120.0, 30.0), 1e-5)
+def test_left_over_distortions_are_ignored(tmp_path, caplog, capfd):
+    head = header("TAN", (120.0, 30.0), 1e-5)
     plain = read(head)
     head.update({"A_ORDER": 2, "B_ORDER": 2, "A_2_0": 1e-5, "B_1_1": 7e-6})
     head.update({"AP_ORDER": 1, "A_DMAX": 1.0, "BP_1_0": 1e-4})

@@ -26,7 +26,6 @@ from astro_scc.kinematics import (
 from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
 
 MU, MPC = 1 * u.mas / u.yr, u.Mpc
-MASKED = MaskedColumn([0.1], mask=[True])
 
 
 def test_numbers_of_the_paper_and_of_a_curved_universe():
@@ -65,22 +64,19 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         ({}, "either a redshift, of which the cosmology may be given, or a distance"),
         ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
-        ({"redshift": np.nan}, "redshift = nan must be above 0"),
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
-        ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
-        ({"redshift": MASKED}, "must be a redshift"),
+        ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
         ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
+        ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
+        ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": 47367 * u.km / u.s},
          "redshift = 47367.0 km / s is a velocity, which may be defined in three "
          "ways; give the redshift, 0.158 if it is c z"),
         ({"redshift": 600 * MPC}, "redshift = 600.0 Mpc is a length; give it as the"),
         ({"redshift": 0.1, "cosmology": 0.27}, "cosmology = 0.27 is no cosmology;"),
-        ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
         *(({"redshift": 0.1, "cosmology": text}, "is no cosmology; give H0=71,.*Pla")
           for text in ("Planck", "H0=71", "H0=71,Om0", "H0=0,Om0=1", "H0=1e999,Om0=1")),
         ({"distance": 0 * MPC}, "distance = 0.0 Mpc must be finite and above 0"),
-        ({"distance": 16.7}, "distance = 16.7 must be a length with a unit, as"),
-        ({"distance": 1 * u.s}, "distance = 1.0 s must be a length"),
         ({"distance": 1 * MPC, "cosmology": "Planck18"}, "needs no cosmology"),
         ({"proper_motion": 1 * u.km / u.s, "distance": 1 * MPC},
          "proper_motion = 1.0 km / s must"),
@@ -119,9 +115,6 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     # astropy reads 16 x 7 Mpc.
     with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
         table_in_c(table, distance="16 7 Mpc")
-
-
-# -- flows behind apparent speeds -------------------------------------------------
 
 
 def test_numbers_at_15_degrees_and_speeds_that_are_none():

@@ -19,10 +19,7 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.kinematics.ridge import (
-    STEP,
-    _smoothed,
-)
+from astro_scc.kinematics.ridge import STEP, _smoothed
 
 OFFSET = st.floats(-50, 50)
 CENTRE, RADIUS = [3.0, -2.0] * u.arcsec, 20 * u.arcsec
@@ -82,9 +79,6 @@ def test_one_rate_is_one_velocity(angle, r, rate):
 def test_no_frame(frame, values, message):
     with pytest.raises(ValueError, match=message):
         frame(*values)
-
-
-# -- ridge lines ------------------------------------------------------------------
 
 
 BEND = 10.0
@@ -167,25 +161,6 @@ def bent_images(n=1, noise=0.002, turn=0.0):
     t = np.linspace(0, 1.0, 120)
     options = {"size": (140, 140), "reference": (25, 25), "noise": noise, "rms": noise}
     return along(*on_circle(t), 0.1 * np.exp(-t), 4.5, n, turn=turn, **options)
-
-
-def test_ridge_line_of_an_image():
-    line = find_ridge_line(bent_images(turn=0.5), position_angle=WEST, threshold=10)
-    s = np.linspace(1, 9, 30) * u.mas
-    east, north = line.at(s)
-    away = np.hypot(east.value, north.value - BEND) - BEND
-    assert np.abs(away).max() < 0.1
-    assert np.all(line.error.value < 0.05)
-    angle = line.position_angle(s).value
-    assert_allclose(angle, 270 + np.degrees(s.value / BEND), atol=6)
-
-
-def test_position_angle_and_end_of_a_line():
-    angle, error = fit_position_angle(bent_images(n=3))
-    # The chord weighted by brightness of an arc from 270 to 327 deg.
-    assert 285 < angle.value < 300
-    assert 0 < error.value < 1
-    assert fit_position_angle(bent_images())[1].value == np.inf
 
 
 LOUD, BENT = bent_images(noise=5.0), bent_images()

@@ -1,33 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Tables that keep their columns and units, on disk too, and adjusted p-values."""
 
-from dataclasses import replace
-
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable
 from astropy.time import Time
-from astropy.utils.masked import Masked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from astro_scc import StackedCrossCorrelation
-from astro_scc.columns import columns_of
-from astro_scc.decomposition import SSPs
+from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.measurement.tables import (
-    paper_table,
-    ssp_table,
-    stream_table,
-    velocity_columns,
-)
-from astro_scc.products.publication import latex_texts_of
+from astro_scc.measurement.tables import stream_table, velocity_columns
+from astro_scc.plan import alignment_errors
 from astro_scc.quantities import decimals
 from astro_scc.writing import versions
-
-PM = u.mas / u.yr
 
 
 def same(read, written):
@@ -40,20 +28,6 @@ def same(read, written):
         if isinstance(b, Time):
             a, b = a.isot, b.isot
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
-
-
-def test_streams_have_all_columns_with_units_and_descriptions():
-    row = dict.fromkeys(columns_of("streams"), 1.0)
-    row |= {"kind": "few", "caution": "-", "pm_from": "spectrum"}
-    for n in (0, 3):
-        table = stream_table([row] * n, meta={"seed": 1})
-        assert (len(table), table.meta) == (n, {"seed": 1})
-        assert all(table[name].info.description for name in table.colnames)
-        assert table["pm"].unit == table["pm_spectrum"].unit == PM
-        assert table["pm_pa"].unit == table["pm_pa_err"].unit == u.deg
-
-
-# Of a measurement ----------------------------------------------------------------
 
 
 def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_path):
@@ -72,58 +46,6 @@ def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_
     assert table["pm"].info.format == table["pm_err"].info.format == f".{digits}f"
     assert table["pm"][0].value != round(table["pm"][0].value, digits)
 
-
-def test_what_a_paper_table_cannot_know():
-    table = QTable(
-        {
-            "feature": ["2001_s2", "50% & more"],
-            "first": Time(["2001-01-01", "2002-05-01"]),
-            "pm": [2.128, np.nan] * PM,
-            "pm_err": [np.nan, np.nan] * PM,
-            "t_ej": Masked([2000.12, 0.0] * u.yr, mask=[False, True]),
-            "t_ej_err": Masked([0.1, 0.0] * u.yr, mask=[False, True]),
-            "r_min": [-3.14159, 20.0] * u.mas,
-        }
-    )
-    plain = paper_table(table)
-    assert plain.colnames == ["feature", "r_min", "first", "pm", "t_ej"]
-    assert list(plain["pm"]) == ["2.13 (error unknown)", "-"]
-    rows = latex_texts_of(table, "tracks")["aastex"].splitlines()
-    assert rows[rows.index(r"\startdata") + 1 : rows.index(r"\enddata")] == [
-        r"2001\_s2 & $-3.142$ & 2001-01-01 & $2.13 \pm \ldots$ & $2000.12 \pm 0.10$ \\",
-        r"50\% \& more & 20 & 2002-05-01 & \nodata & \nodata",
-    ]
-
-
-def test_ssp_table_has_sky_positions_with_thermal_errors(sky_result):
-    table, ssps, cube = sky_result.ssps, sky_result.decomposed.ssps, sky_result.cube
-    assert len(table) == len(ssps) > 0
-    x0, y0 = cube.reference_pixel
-    # The beam is 1 mas wide and round (Fomalont 1999).
-    error = 1.0 / (np.sqrt(2) * table["snr"])
-    for name, axis, origin in (("east", "x", x0), ("north", "y", y0)):
-        sign = -0.1 if name == "east" else 0.1
-        np.testing.assert_allclose(table[f"{name}_err"].to_value(u.mas), error)
-        for end in ("", "_centroid"):
-            expected = sign * (getattr(ssps, f"{axis}{end}") - origin)
-            found = table[f"{name}{end}"].to_value(u.mas)
-            np.testing.assert_allclose(found, expected, atol=1e-9)
-    sizes = np.unique(table["scale_size"].to_value(u.mas))
-    np.testing.assert_allclose(sizes, [0.2, 0.4, 0.8])
-    assert table["peak"].unit == table["coefficient_sum"].unit == cube.unit
-    assert np.all(table["date"] == cube.times[table["epoch"]])
-    np.testing.assert_array_equal(table["n_pixels"], np.diff(ssps.starts))
-    select = np.arange(len(ssps)) % 3 == 0
-    some = ssp_table(replace(sky_result.decomposed, select=select))
-    np.testing.assert_array_equal(some["in_region"], select)
-    none = {"ssps": SSPs.empty(), "select": np.zeros(0, bool)}
-    for of in (cube, replace(cube, beams=None)):
-        empty = ssp_table(replace(sky_result.decomposed, cube=of, **none))
-        assert len(empty) == 0
-        same(empty, table[:0])
-
-
-# Vectors -------------------------------------------------------------------------
 
 speeds, errors = st.floats(-5, 5), st.floats(0.01, 2)
 correlations = st.floats(-0.95, 0.95)
@@ -152,18 +74,6 @@ def test_on_the_sky_frame(east, north, err1, err2, correlation, pa):
         assert row["pm_err"] == pytest.approx(np.sqrt(unit @ covariance @ unit))
         sigma = np.sqrt(turned @ covariance @ turned) / speed
         assert row["pm_pa_err"] == pytest.approx(min(np.degrees(sigma), 180.0))
-
-
-@pytest.mark.parametrize("unknown", [np.inf, np.nan])
-def test_errors_that_are_not_known_are_nan_and_the_velocity_is_not(unknown):
-    covariance = np.diag([unknown, unknown])
-    row = velocity_columns(np.array([3.0, 4.0]), covariance, SkyFrame(), 65 * u.deg)
-    assert row["pm"] == pytest.approx(5.0)
-    for name, value in row.items():
-        assert np.isnan(value) == name.endswith("_err")
-
-
-# Adjusted p-values ----------------------------------------------------------------
 
 
 def table(p, **columns):
@@ -215,3 +125,28 @@ def test_empty_tables_are_searches_and_what_stands_still_is_none():
 def test_says_what_is_wrong(tables, words):
     with pytest.raises((TypeError, ValueError), match=words):
         false_discovery_rate(tables)
+
+
+def cube_of():
+    """Three epochs without anything in them, with the core in the middle."""
+    data, times = np.zeros((3, 81, 81)), Time("2010-01-01") + [0, 73, 292] * u.day
+    return EpochCube.from_arrays(data, times, pixel_scale=0.1 * u.mas)
+
+
+def test_errors_of_the_alignment_are_given_or_those_that_it_found():
+    cube = cube_of()
+    np.testing.assert_array_equal(alignment_errors(cube), np.zeros((3, 2)))
+    one = alignment_errors(cube, 0.2e-3 * u.arcsec)
+    np.testing.assert_allclose(one, np.full((3, 2), 0.2))
+    each = alignment_errors(cube, [0.1, 0.0, 0.3] * u.mas)
+    np.testing.assert_allclose(each, [[0.1, 0.1], [0, 0], [0.3, 0.3]])
+    with pytest.raises(ValueError, match="must be 1 or 3 angles, got 2"):
+        alignment_errors(cube, [0.1, 0.2] * u.mas)
+    columns = {"east": [0, 0, 0], "north": [0, 0, 0]}
+    columns |= {"east_err": [3, 1, 0], "north_err": [4, 1, 0]}
+    table = QTable({name: values * u.uas for name, values in columns.items()})
+    table["epoch"] = [time.isot[:10] for time in cube.times]
+    aligned = cube.align("table", table=table)
+    found = alignment_errors(aligned)
+    np.testing.assert_allclose(found[:, 0], [np.sqrt(12.5e-6), 1e-3, 0], atol=1e-9)
+    np.testing.assert_array_equal(alignment_errors(aligned[1:]), found[1:])

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -13,11 +13,7 @@ from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.zncc import correlate_windows, find_peaks
 from astro_scc.paper import Correlator, Matches, all_pairs
-from astro_scc.paper.correlate import (
-    COLUMNS,
-    TargetStack,
-    target_ssps,
-)
+from astro_scc.paper.correlate import COLUMNS, target_ssps
 from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 96, 128
@@ -35,9 +31,6 @@ def zncc(a, b):
 def same(one, other, names=COLUMNS):
     for name in names:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
-# -- coefficients and peaks ---------------------------------------------------------
 
 
 def double_loop(values, footprint, window, reach, valid, min_overlap):
@@ -128,9 +121,6 @@ def test_peaks_equal_brute_force(seed, n, ny, nx, smooth, threshold, ties, missi
         assert maps[map_, py, px] <= value[k] <= max(1, maps[map_, py, px])
 
 
-# -- matches against loops ----------------------------------------------------------
-
-
 def gaussian(x0, y0, fwhm=10.0, height=1.0, shape=(NY, NX)):
     y, x = np.mgrid[: shape[0], : shape[1]]
     sigma2 = fwhm**2 / (8 * np.log(2))
@@ -164,11 +154,6 @@ def masked():
         mask = rng.random(SHAPE) < 0.03 if k else None
         epochs.append(Decomposer(scales=(1, 2))(image, mask=mask))
     return epochs
-
-
-@pytest.fixture(scope="module")
-def matched(masked):
-    return Correlator()(masked, all_pairs(3), 6)
 
 
 def slow_matches(epochs, reach, target, min_overlap):
@@ -227,53 +212,6 @@ def test_matches_equal_the_papers_equation(masked, target, maps):
         )
 
 
-def sparse_epochs(seed, masked):
-    """Three images of few blobs, far from one another and from the edges or not."""
-    rng, shape = np.random.default_rng(seed), (70, 110)
-    y, x = np.indices(shape)
-    mask = (np.hypot(x - 60, y - 30) < 9) if masked else None
-    for k in range(3):
-        spots = rng.uniform([0, 0], [110, 70], size=(4, 2))
-        image = sum(
-            (gaussian(*xy, 6.2, shape=shape) for xy in spots), noise(k, 0.01, shape)
-        )
-        yield Decomposer(scales=[1, 2])(image, mask=mask)
-
-
-def everywhere(stack, box):
-    """All displacements, by their middle and half their range."""
-    return np.zeros(2, int), stack.margin
-
-
-@settings(max_examples=4)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    reach=st.tuples(st.integers(2, 40), st.integers(2, 40)),
-    masked=st.booleans(),
-)
-@example(seed=296373, reach=(3, 32), masked=True)
-def test_only_displacements_that_meet_nothing_are_left_out(seed, reach, masked):
-    epochs = list(sparse_epochs(seed, masked))
-    # A few pixels agree equally well with any one pixel: maxima that tie.
-    select = SSPs.of_epochs(epochs).n_pixels > 8
-    found = Correlator()(epochs, all_pairs(3), reach, select=select)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(TargetStack, "displacements", everywhere)
-        whole = Correlator()(epochs, all_pairs(3), reach, select=select)
-    same(found, whole, ("ssp", "target"))
-    for name in ("dy", "dx", "coefficient", "target_snr"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(whole, name), atol=2e-4, err_msg=name
-        )
-    # Of two pixels that tie, either may be the maximum, with an overlap of its own.
-    tie = [np.abs(np.abs(v - np.rint(v)) - 0.5) < 1e-3 for v in (found.dy, found.dx)]
-    limit = np.where(np.any(tie, axis=0), 0.1, 2e-4)
-    assert np.all(np.abs(found.overlap - whole.overlap) <= limit)
-
-
-# -- what matches tell --------------------------------------------------------------
-
-
 @settings(max_examples=15)
 @given(
     st.floats(-11, 11), st.floats(-11, 11), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5),
@@ -293,57 +231,6 @@ def test_shifted_gaussian_comes_back(dx, dy, x0, y0, scale, target):
     assert (back.dx[0], back.dy[0]) == pytest.approx((-dx, -dy), abs=0.06)
 
 
-def test_faint_feature_beside_a_core():
-    """A knot is found beside a core a hundred thousand times brighter."""
-    images = [
-        gaussian(30, 48, 6, 1e5) + gaussian(60 + 4.4 * k, 48, 6, 1.0) for k in (0, 1)
-    ]
-    # Far from the core its wavelets are exactly zero: any noise would do.
-    decompose = Decomposer(scales=[2], noise="propagated")
-    pair = [decompose(image, rms=0.05) for image in images]
-    knot = int(np.argmin(np.abs(pair[0].ssps.x - 60)))
-    matches = Correlator()(pair, [(0, 1)], (8, 34))
-    own = matches.select(matches.ssp == knot)
-    assert np.hypot(own.dx - 4.4, own.dy).min() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("target", "end"), [("segments", NX), ("segments", 118), ("plane", 118)]
-)
-def test_feature_that_leaves(target, end):
-    """Near the edge its place is right; beyond it there is no match."""
-    decompose = Decomposer(scales=[2])
-    first = decompose(gaussian(90, 48) + noise(1))
-    ssp = brightest(first, 2)
-    mask = np.zeros((NY, NX), dtype=bool)
-    mask[:, end:] = True
-
-    def matches_at(x):
-        second = decompose(gaussian(x, 48) + noise(2), mask=mask)
-        return Correlator(target=target)([first, second], [(0, 1)], 44)
-
-    for x, largest in ((end - 15.7, 0.05), (end - 9.7, 0.3), (end - 6.7, 1.0)):
-        best = best_match(matches_at(x), ssp)
-        assert best.dx[0] == pytest.approx(x - 90, abs=largest)
-        assert best.dy[0] == pytest.approx(0, abs=0.05)
-    for x in (end - 1.7, end + 5.3):
-        matches = matches_at(x)
-        # Not on the brink of the smallest overlap either.
-        own = matches.select((matches.ssp == ssp) & (np.abs(matches.dy) < 4))
-        assert not (own.dx > end - 90 - 15).any()
-
-
-def test_patterns_of_few_pixels_match_nothing(masked, matched, monkeypatch):
-    """With two pixels the coefficient is one or minus one, wherever they fall."""
-    number = SSPs.of_epochs(masked).n_pixels[matched.ssp]
-    least = int(np.sort(number)[len(number) // 2])
-    monkeypatch.setattr("astro_scc.paper.correlate.FEWEST_PIXELS", least)
-    same(Correlator()(masked, all_pairs(3), 6), matched.select(number >= least))
-
-
-# -- calls --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("target", ["segments", "plane"])
 def test_small_batches_and_processes_give_the_same_to_the_bit(
     masked, target, monkeypatch
@@ -356,20 +243,6 @@ def test_small_batches_and_processes_give_the_same_to_the_bit(
     found = correlate(masked, pairs, 6, n_workers=2, progress=done.append)
     np.testing.assert_equal(vars(found), vars(whole))
     assert done == [1] * 9
-
-
-def test_only_the_pairs_and_patterns_asked_for(masked, matched):
-    ssps = SSPs.of_epochs(masked)
-    pairs, done = [(2, 1), (0, 2), (2, 1)], []
-    found = Correlator()(masked, pairs, 6, progress=done.append)
-    epoch = ssps.epoch[matched.ssp]
-    wanted = [(a, b) in pairs for a, b in zip(epoch, matched.target, strict=True)]
-    same(found, matched.select(wanted))
-    assert done == [1, 1]
-    chosen = np.random.default_rng(2).random(len(ssps)) < 0.5
-    some = Correlator()(masked, all_pairs(3), 6, select=chosen)
-    assert 0 < len(some) < len(matched)
-    np.testing.assert_equal(vars(some), vars(matched.select(chosen[matched.ssp])))
 
 
 @pytest.mark.parametrize("target", ["segments", "plane"])
@@ -397,13 +270,11 @@ def test_nothing_to_correlate(masked, target):
         ({"target": "image"}, {}, "target = 'image' must be one of segments, plane"),
         ({"min_overlap": 0}, {}, "min_overlap = 0 must be above 0, up to 1"),
         ({}, {"pairs": [(0, 3)]}, "outside 0 to 2"),
-        ({}, {"pairs": [(-1, 2)]}, "outside 0 to 2"),
         *(
             ({}, {"search_radius": r}, "search radius must be one or two numbers of")
             for r in ((5, -1), (1, 2, 3), np.nan)
         ),
         ({}, {"other": ((1, 2), NY, NX)}, "one shape and the same scales"),
-        ({}, {"other": ((1, 3), *SHAPE)}, "one shape and the same scales"),
     ],
 )
 def test_what_is_refused(masked, own, call, message):
@@ -412,9 +283,6 @@ def test_what_is_refused(masked, own, call, message):
     epochs = [*masked[:2], Decomposer(scales=scales)(np.zeros(shape))]
     with pytest.raises(ValueError, match=message):
         Correlator(**own)(epochs, **options)
-
-
-# -- matches ------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,7 @@ from astropy.wcs import WCS
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
 from astro_scc.decomposition import SSPs
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.kinematics import (
-    PositionAngleFrame,
-    RadialFrame,
-    SkyFrame,
-)
+from astro_scc.kinematics import PositionAngleFrame, RadialFrame, SkyFrame
 from astro_scc.paper import Matches
 from astro_scc.paper.matching import SearchPlan, matched_displacements, pairs_of_dates
 

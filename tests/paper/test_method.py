@@ -8,10 +8,8 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement.result import map_hdus
-from astro_scc.paper.components import PaperComponent
-from astro_scc.paper.method import KINDS, component_row, measure_as_in_paper
+from astro_scc.paper.method import measure_as_in_paper
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.units import PM_UNIT
 
@@ -87,81 +85,11 @@ def test_maps_are_those_of_the_stack(found, tmp_path):
         world = [float(v) for v in wcs.wcs_pix2world(x, y, 0)]
         assert list(wcs.wcs.cunit) == [PM_UNIT] * 2
         assert world == pytest.approx([found.grid.v1[x], found.grid.v2[y]])
-    with pytest.raises(ValueError, match="unknown map 'mean': use 'coefficient'"):
-        found.velocity_map("mean")
-
-
-def test_the_figure_shows_the_level_of_the_trials(found):
     upper, lower, *_ = found.plot(unit="mas/yr").axes
-    assert len(upper.images) == 1
     (level,) = (line for line in lower.lines if line.get_gid() == "level")
     assert level.get_ydata()[0] == found.level
-    assert np.sum(np.array(found.stack.trial_z) > found.level) == 2
-
-
-def test_a_baseline_compares_epochs_that_are_farther_apart(cube, region):
-    """Twice the interval, and the same speed; with the paper's correction."""
-    days = u.Quantity([55, 65], u.day)
-    own = {"baseline": days, "max_speed": 12 * PM_UNIT}
-    shifted = settings(**own, small_displacement_correction=True)
-    found = measure_as_in_paper(cube, shifted, region=region, n_trials=40, rng=1)
-    assert found.meta["n_pairs"] == 8
-    assert found.components["pm_parallel"][0].value == pytest.approx(6.1, abs=1.0)
-    assert len(found.stack.trial_z) == 40
-    own = settings(**own)
-    plain = measure_as_in_paper(cube, own, region=region, n_trials=40, rng=1)
-    np.testing.assert_array_equal(found.coefficient, plain.coefficient)
-    assert np.abs(found.z_score - plain.z_score).max() > 0.1
-
-
-def test_radial_axes_have_no_direction_on_the_sky(jet_cube):
-    own = settings(position_angle="radial", max_speed=12 * PM_UNIT)
-    found = measure_as_in_paper(jet_cube, own, n_trials=20, rng=1)
-    assert np.isnan(found.components["pm_ra_cosdec"]).all()
-    assert np.isfinite(found.components["pm_parallel"]).all()
-    assert (found.grid.v1[-1], found.grid.v2[-1]) == pytest.approx((12.0, 12.0))
-
-
-@pytest.mark.parametrize(
-    ("speed", "p_global", "kind"),
-    [
-        (0.59, 0.01, "stationary"),
-        (0.61, 0.01, "moving"),
-        (0.61, 0.02, "not significant"),
-    ],
-)
-def test_what_is_within_three_errors_of_rest_is_stationary(speed, p_global, kind):
-    """Errors on both axes and their correlation give those on the sky."""
-    component = PaperComponent(
-        speed, 0.0, 0.2, 0.1, 0.5, 0.3, 6.0, p_global, 0.0, 0.0, 0.5, 1.0, 9, 3
-    )
-    frame = PositionAngleFrame(45 * u.deg)
-    row = component_row(component, frame, frame.pa, 0.01)
-    assert row["kind"] == kind
-    assert row["pm_parallel"] == pytest.approx(speed)
-    assert (row["pm_err"], row["pm_transverse_err"]) == pytest.approx((0.2, 0.1))
-    east = np.sqrt((0.2**2 + 0.1**2 + 2 * 0.5 * 0.2 * 0.1) / 2)
-    assert row["pm_ra_cosdec_err"] == pytest.approx(east)
-
-
-def test_rows_are_numbered_as_streams_are(jet_cube):
-    """By kind, and each kind from slow to fast."""
-    table = measure_as_in_paper(jet_cube, settings(), n_trials=20, rng=1).components
-    assert table["stream"].tolist() == [*range(1, len(table) + 1)]
-    order = [(KINDS.index(row["kind"]), row["pm"].value) for row in table]
-    assert len(order) > 1
-    assert order == sorted(order)
-
-
-def test_the_region_is_kept_and_a_seed_is_drawn(jet_cube):
-    region = np.ones(jet_cube.shape[1:], dtype=bool)
-    region[:, :3] = False
-    found = measure_as_in_paper(jet_cube, settings(), region=region, n_trials=2)
-    np.testing.assert_array_equal(found.matched.region, region)
-    again = measure_as_in_paper(
-        jet_cube, settings(), region=region, n_trials=2, rng=found.meta["seed"]
-    )
-    np.testing.assert_array_equal(again.z_score, found.z_score)
+    with pytest.raises(ValueError, match="unknown map 'mean': use 'coefficient'"):
+        found.velocity_map("mean")
 
 
 @pytest.mark.parametrize(

@@ -39,20 +39,6 @@ def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
     np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
 
 
-def test_fit_follows_the_high_values_under_noise():
-    """Weights f^2: errors of the logarithm of low values do not count."""
-    rng = np.random.default_rng(0)
-    x = y = np.linspace(-3, 3, 25)
-    errors = []
-    for _ in range(100):
-        centre = rng.uniform(-0.3, 0.3, 2)
-        f = np.exp(-0.5 * ((x - centre[0]) ** 2 + (y[:, None] - centre[1]) ** 2))
-        f = np.clip(f + rng.normal(scale=0.02, size=f.shape), 0, None)
-        errors.append(fit_gaussian(f, x, y)[:2] - centre)
-    assert np.abs(errors).max() < 0.1
-    assert np.std(errors) < 0.02
-
-
 @pytest.mark.parametrize(
     "surface",
     [
@@ -71,9 +57,8 @@ def test_no_maximum_no_fit(surface):
     assert fit_gaussian(surface, axis, axis) is None
 
 
-@pytest.mark.parametrize("box", [(4.0, 4.0), (6.0, 6.0), (10.0, 10.0)])
-@pytest.mark.parametrize("second", [1.0, 0.6])
-@pytest.mark.parametrize("separation", [5.0, 6.0, 8.0])
+@pytest.mark.parametrize("box", [(4.0, 4.0), (10.0, 10.0)])
+@pytest.mark.parametrize(("separation", "second"), [(5.0, 0.6), (8.0, 1.0)])
 def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     """Four widths and more apart; the box holds the neighbour too."""
     scc = gaussian(AXES, -0.4, 0.3, 1.2, 1.0)
@@ -88,17 +73,6 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
 def test_a_maximum_on_the_border_is_none(place):
     found = find_velocity_peaks(gaussian(AXES, *place, 1.0, 1.0), AXES, BOX)
     assert [len(part) for part in found] == [0, 0]
-
-
-def test_too_narrow_for_a_fit_the_quadratic_serves():
-    """A kernel below the grid's spacing: fewer than six points reach half."""
-    scc = gaussian(AXES, 0.1, 0.0, 0.25, 0.2)
-    ((v1, v2),), _ = find_velocity_peaks(scc, AXES, BOX)
-    assert abs(v1 - 0.1) < 0.25
-    assert abs(v2) < 0.2
-
-
-# -- errors from shifted positions ------------------------------------------------
 
 
 PAIRS = consecutive_pairs([0.0, 0.5])
@@ -156,14 +130,6 @@ def test_independent_ssps(n):
     assert abs(np.corrcoef(found.T)[0, 1]) < 0.15
     assert np.abs(found.mean(axis=0)).max() < 0.15 * largest
     assert normal_probability(found) > 0.01
-
-
-def test_one_ssp_that_all_matches_share():
-    """Its shift moves all of them: its half of the variance does not average out."""
-    found = jitter(clump(60, shared=True))
-    expected = expected_error(0.4, 60, shared=0.5)
-    assert expected > 0.4 / np.sqrt(2)
-    np.testing.assert_allclose(errors(found), expected, rtol=0.08)
 
 
 def chains(n, n_epochs):
@@ -224,10 +190,3 @@ def test_normal_values_look_normal_and_others_do_not(n):
     values = rng.normal(size=(n, 2))
     p = normal_probability(values)
     assert normal_probability(5 + 1e-3 * values) == pytest.approx(p)
-
-
-def test_too_few_values_or_a_line_have_no_distribution():
-    values = np.random.default_rng(4).normal(size=(9, 2))
-    assert np.isfinite(normal_probability(values))
-    assert np.isnan(normal_probability(values[:7]))
-    assert np.isnan(normal_probability(np.zeros((50, 2))))

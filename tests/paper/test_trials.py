@@ -7,12 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from astro_scc.paper import (
-    baseline_pairs,
-    consecutive_pairs,
-    draw_orders,
-    image_pairs,
-)
+from astro_scc.paper import baseline_pairs, consecutive_pairs, draw_orders, image_pairs
 from astro_scc.paper.stack import velocity_axes
 
 speed = st.floats(0.01, 100.0)
@@ -30,31 +25,9 @@ def test_covers_what_is_asked_symmetrically_with_a_point_at_zero(v1, v2, n1, n2)
         assert axis[1] - axis[0] <= largest * (1 + 1e-6)
 
 
-def test_small_and_large_grids():
-    # One speed and one step hold for both axes.
-    for axis in velocity_axes(2.0, 0.5):
-        np.testing.assert_array_equal(axis, np.linspace(-2, 2, 9))
-    # The spacing grows where there would be too many points.
-    assert [len(axis) for axis in velocity_axes((10.0, 1.0), 1e-6)] == [301, 301]
-    # A step beyond the largest velocity leaves three.
-    assert velocity_axes(1.0, 5.0)[0].tolist() == [-1.0, 0.0, 1.0]
-
-
 dates = st.lists(
     st.integers(0, 4000).map(lambda day: day / 365.25), min_size=1, max_size=12
 ).map(sorted)
-
-
-@given(dates)
-def test_consecutive_pairs_are_neighbours_of_different_date(years):
-    pairs = consecutive_pairs(years)
-    expected = [i for i in range(len(years) - 1) if years[i + 1] > years[i]]
-    assert pairs.first.tolist() == expected
-    assert pairs.second.tolist() == [i + 1 for i in expected]
-    assert np.all(pairs.interval > 0)
-    np.testing.assert_array_equal(pairs.weight, 1.0)
-    assert pairs.n_dates == len(years)
-    assert len(pairs) == len(expected)
 
 
 @example([0.0, 0.0, 1.0], 0.0, 2.0)
@@ -79,22 +52,6 @@ def test_baseline_pairs_are_all_whose_separation_lies_inside(years, shortest, wi
         # Inverse variances: a displacement error over the interval is one of velocity.
         ratio = pairs.weight / pairs.interval**2
         np.testing.assert_allclose(ratio, ratio[0])
-
-
-def test_edges_of_a_baseline_are_inside():
-    years = np.array([0.0, 0.25, 0.75, 1.75])
-    pairs = baseline_pairs(years, 0.5, 1.0)
-    assert list(zip(pairs.first, pairs.second, strict=True)) == [(0, 2), (1, 2), (2, 3)]
-    # Limits given in rounded days must not lose the pair that they mean.
-    month = 30 / 365.25
-    assert len(baseline_pairs([0.0, month], 0.082, 0.082)) == 1
-    assert len(baseline_pairs([0.0, month], 0.084, 1.0)) == 0
-    minute = 1 / (365.25 * 1440)
-    for limits in ((minute, 3 * minute), (1.9e-6, 5.7e-6)):
-        assert len(baseline_pairs(np.arange(10) * minute, *limits)) == 9 + 8 + 7
-
-
-# -- orders of the epochs ---------------------------------------------------------
 
 
 def test_all_orders_of_a_short_series_are_equally_likely():

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Decomposed epochs: noise and structure, and SSPs of a region."""
+"""Decomposed epochs: noise and structure."""
 
 import warnings
 from dataclasses import replace
@@ -16,9 +16,7 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import propagated_noise
 from astro_scc.epochs import Beam
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.patterns import allow_for_structure, centroids_inside
-
-# -- images without empty sky ------------------------------------------------------
+from astro_scc.patterns import allow_for_structure
 
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 SCALES = (1, 2, 3, 4)
@@ -69,9 +67,6 @@ def quiet(cube, decomposer):
 @pytest.mark.parametrize("kind", ["white", "beam that nobody knows"])
 def test_noise_is_noise(kind):
     assert quiet(noise_of(kind), Decomposer(scales=SCALES))
-    # On scales as large as the image, epochs share more than half of it by chance.
-    small = cube_of(np.random.default_rng(1).normal(size=(2, 48, 48)))
-    assert quiet(small, Decomposer(scales=(2, 3, 4)))
     # What is not measured in the planes, or has no other epoch, is as it was.
     cube = textured(None)
     assert quiet(cube, Decomposer(scales=[1, 2], noise="propagated"))
@@ -95,15 +90,6 @@ def test_the_noise_of_a_texture_is_what_its_epochs_do_not_share(kind, noise):
     assert len(found.ssps) > 20 * len(Decomposer(scales=[1, 2, 3])(cube.data[0]).ssps)
 
 
-def test_only_scales_that_are_full_of_structure_are_changed():
-    """A wide texture below noise that hides its finer parts."""
-    wide = textured(3, noise=5.0, shape=(256, 256))
-    with pytest.warns(MeasurementWarning, match="full of structure on scale 4: "):
-        allowed = allow_for_structure(wide, Decomposer(scales=SCALES))
-    assert allowed.noise_factors[:3] == (1, 1, 1)
-    assert 0.3 < allowed.noise_factors[3] < 0.8
-
-
 @pytest.mark.slow
 def test_a_texture_is_measured_and_said():
     cube = textured(3, shape=(64, 96), n_epochs=6)
@@ -116,17 +102,3 @@ def test_a_texture_is_measured_and_said():
     assert row["kind"] == "moving"
     # 2.3 px of 0.1 mas in 0.2 yr to the right, which is west.
     assert abs(row["pm_ra_cosdec"].value + 1.15) < 3 * row["pm_err"].value < 0.2
-
-
-# -- regions ------------------------------------------------------------------------
-
-
-def test_ssps_are_inside_if_their_centroid_is(matched):
-    ssps, cube = matched.ssps, matched.cube
-    assert centroids_inside(ssps, cube, None).all()
-    region = np.zeros(cube.shape[1:], bool)
-    region[:, 60:160] = True
-    inside = centroids_inside(ssps, cube, region)
-    x = np.rint(ssps.x_centroid)
-    np.testing.assert_array_equal(inside, (x >= 60) & (x < 160))
-    assert 0 < inside.sum() < len(ssps)

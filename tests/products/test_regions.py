@@ -38,18 +38,6 @@ def test_outlines_hold_the_pixels(matched, tmp_path):
         assert np.array_equal(inside, np.sort(ssps.pixels_of(index)))
 
 
-def test_frame_of_the_file(matched):
-    cube = matched.cube
-    moved = cube.wcs.deepcopy()
-    moved.wcs.crval = moved.wcs.crval + [0, 1e-7]
-    moved.wcs.set()
-    own = replace(cube, epoch_wcs=[cube.wcs, moved, *[cube.wcs] * (len(cube) - 2)])
-    (one, *_), (other, *_) = (
-        ssp_regions(matched.ssps, own, 1, frame=frame) for frame in ("cube", "epoch")
-    )
-    assert np.allclose((other.vertices.dec - one.vertices.dec).deg, 1e-7, atol=1e-12)
-
-
 def test_segmentation(matched):
     image = ssp_segmentation(matched.ssps, matched.cube, -1, 2)
     here = indices(matched.ssps, len(matched.cube) - 1, 2)
@@ -66,7 +54,6 @@ def test_segmentation(matched):
         (lambda *of: ssp_regions(*of, 0, frame="sky"), ValueError, "frame must be"),
         (lambda *of: ssp_regions(*of, 0, frame="epoch"), ValueError, "was not read fr"),
         (lambda *of: ssp_regions(*of, 2), IndexError, "epoch 2 of a cube with 2"),
-        (lambda *of: ssp_segmentation(*of, 2, 1), IndexError, "epoch 2 of a cube"),
     ],
 )
 def test_what_is_refused(call, error, words):

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Files, options and memory as they are in practice, see ``tools/inputs.py``."""
 
-import io
 import os
 import resource
 import signal
@@ -11,6 +10,8 @@ import pytest
 from astropy.table import QTable
 
 from astro_scc.cli import main
+from astro_scc.cli.survey import run_survey
+from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import EpochCube, read_components
 
 
@@ -49,16 +50,6 @@ def test_a_disk_that_is_full_in_the_middle(epochs, measure, tmp_path, limit):
     assert set(tmp_path.rglob("*")) == before
 
 
-def test_output_that_nobody_can_print(inputs, epochs, tmp_path, monkeypatch):
-    """Terminals without Unicode get the answer too."""
-    text = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
-    monkeypatch.setattr("sys.stdout", text)
-    words = ["measure", *map(str, epochs), "-o", str(tmp_path / "ö"), *inputs.QUICK]
-    assert main([*words, "--no-report"]) == 0
-    text.flush()
-    assert b"\\xf6" in text.buffer.getvalue()
-
-
 @pytest.mark.slow
 def test_a_part_is_measured(inputs, epochs, measure, tmp_path):
     part, region = tmp_path / "part.reg", tmp_path / "jet.reg"
@@ -79,12 +70,6 @@ def test_a_part_is_measured(inputs, epochs, measure, tmp_path):
     assert table.meta["configuration"]["crop"] == str(part)
     (line,) = (text for text in table.meta["history"] if "cropped" in text)
     assert line == "cropped to pixels x 5 to 41, y 6 to 34"
-    # The settings do it again.
-    config = tmp_path / "out" / "config.toml"
-    assert main(["measure", "--config", str(config), "-o", str(tmp_path / "again"),
-                 "--no-report", "--quiet"]) == 0  # fmt: skip
-    same = [(tmp_path / name / "ssps.ecsv").read_bytes() for name in ("out", "again")]
-    assert same[0] == same[1]
 
 
 def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsys):
@@ -100,3 +85,45 @@ def test_more_than_the_machine_has(epochs, measure, tmp_path, monkeypatch, capsy
     out = capsys.readouterr().out
     assert "as one series: 6 images of 48 x 40 pixels are 0.000104 GB" in out
     assert EpochCube.read(epochs, region=(slice(5, 9), slice(5, 9))).shape == (6, 4, 4)
+
+
+def rewrite(path, old, new):
+    """Other content of the same size, with the time of the last change put back."""
+    state = path.stat()
+    path.write_bytes(path.read_bytes().replace(old, new))
+    os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+@pytest.mark.slow
+def test_sources_of_a_survey_that_are_no_longer_finished(inputs, tmp_path, monkeypatch):
+    (tmp_path / "jet").mkdir()
+    inputs.series(tmp_path / "jet")
+    (tmp_path / "s.toml").write_text(
+        '[sources.Jet]\nepochs = "jet/*.fits"\nscales = [2]\nn_trials = 119\n'
+        'max_speed = "5 mas/yr"\nalign = "t.csv"\nregions = {r = "r.reg"}\n'
+    )
+    (tmp_path / "r.reg").write_text("image\ncircle(24,20,20)\n")
+    days = "".join(f"{day},0.0,0.0\n" for day in inputs.DAYS)
+    (tmp_path / "t.csv").write_text(f"date,east_mas,north_mas\n{days}")
+
+    def finished():
+        told, plan = [], read_survey(tmp_path / "s.toml")
+        run_survey(plan, tmp_path / "out", done=lambda *args: told.append(args[1]))
+        return told[0]
+
+    assert [finished(), finished()] == [False, True]
+    for name, old, new in (
+        ("jet/e1.fits", b"2001-01-31", b"2001-01-30"),
+        ("r.reg", b"24", b"25"),
+        ("t.csv", b"0.0,0.0\n", b"0.0,0.1\n"),
+        ("s.toml", b"n_trials = 119", b"n_trials = 120"),
+    ):
+        rewrite(tmp_path / name, old, new)
+        assert [finished(), finished()] == [False, True], name
+    (state,) = (tmp_path / "out").rglob("part.json")
+    for content in ("", "{}", '{"key": 1}', "[]", "nothing"):
+        state.write_text(content)
+        assert not finished(), content
+    name = "astro_scc.cli.survey_sources.versions"
+    monkeypatch.setattr(name, lambda: {"astro_scc": "0"})
+    assert not finished()

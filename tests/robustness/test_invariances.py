@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
-from hypothesis import HealthCheck, Phase, example, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
@@ -19,8 +19,6 @@ few = settings(
 )
 SHAPE = (40, 48)
 STEP = (1.6, -0.7)
-YEAR = 365.25
-PIXEL = 0.1 * u.mas
 TIMES = Time(2451910.5 + 30.0 * np.arange(6), format="jd", scale="tai")
 
 
@@ -39,10 +37,11 @@ def images(step=STEP, *, corner=(0, 0)):
     return np.array(found)
 
 
-def velocity(data, *, times=TIMES, pixel=PIXEL, speed=5):
+def velocity(data, times=TIMES):
     """Of the strongest component: east, north and error, in mas/yr."""
-    cube = EpochCube.from_arrays(data, times=times, pixel_scale=pixel)
-    scc = StackedCrossCorrelation(scales=[1, 2], max_speed=speed * u.mas / u.yr)
+    cube = EpochCube.from_arrays(data, times=times, pixel_scale=0.1 * u.mas)
+    how = {"max_speed": 5 * u.mas / u.yr, "baseline": [0, 1] * u.yr}
+    scc = StackedCrossCorrelation(scales=[1, 2], **how)
     row = scc(cube, n_trials=119, rng=1).components[0]
     assert row["n_features"] > 0
     unit = u.mas / u.yr
@@ -61,7 +60,7 @@ def test_intensities_are_scaled_and_offset_and_epochs_sorted(
     usual, exponent, offset, order
 ):
     data = (images() + offset) * 10**exponent
-    found, _ = velocity(data[list(order)], times=TIMES[list(order)])
+    found, _ = velocity(data[list(order)], TIMES[list(order)])
     assert found == pytest.approx(usual[0], abs=1e-3)
 
 
@@ -86,12 +85,6 @@ def test_turning_all_epochs_turns_velocities(usual, quarters):
 
 
 @pytest.mark.slow
-def test_reversing_time_changes_the_sign(usual):
-    found, error = velocity(images()[::-1])
-    assert np.hypot(*(found + usual[0])) < 3 * np.hypot(error, usual[1])
-
-
-@pytest.mark.slow
 @few
 @given(st.tuples(*[st.integers(0, 9)] * 4), st.sampled_from([0.0, np.nan]))
 def test_empty_margins_change_nothing(usual, widths, value):
@@ -101,38 +94,3 @@ def test_empty_margins_change_nothing(usual, widths, value):
     )
     found, error = velocity(data)
     assert np.hypot(*(found - usual[0])) < 3 * np.hypot(error, usual[1])
-
-
-@pytest.mark.slow
-@few
-@example(1.5, 0.7)
-@given(st.floats(1.5, 3.0), st.floats(-np.pi, np.pi))
-def test_any_shift_comes_back_within_its_error(size, angle):
-    x, y = size * np.cos(angle), size * np.sin(angle)
-    found, error = velocity(images((x, y)))
-    # Displacements that are all alike are drawn towards whole pixels, by less than
-    # a hundredth of the width of the features, which no error knows of.
-    error = np.hypot(error, 0.04 / 3 * 0.1 / 30 * YEAR)
-    true = np.array([-x, y]) * 0.1 / 30 * YEAR
-    assert np.hypot(*(found - true)) < 4 * error
-
-
-@pytest.mark.slow
-@few
-@given(st.floats(-3, 9), st.sampled_from([u.deg, u.arcsec, u.mas, u.uas]))
-def test_velocities_scale_with_pixels_in_any_unit(usual, exponent, unit):
-    factor = 10**exponent
-    pixel = (PIXEL * factor).to(unit)
-    found, _ = velocity(images(), pixel=pixel, speed=5 * factor)
-    assert found / factor == pytest.approx(usual[0], rel=1e-3, abs=1e-3)
-
-
-@pytest.mark.slow
-@few
-@given(st.floats(-3, 3))
-def test_velocities_scale_with_time(usual, exponent):
-    factor = 10**exponent
-    times = TIMES[0] + (TIMES - TIMES[0]) * factor
-    found, _ = velocity(images(), times=times, speed=5 / factor)
-    # The fits of the mixture end at other last digits.
-    assert np.hypot(*(found * factor - usual[0])) < 0.05 * usual[1]

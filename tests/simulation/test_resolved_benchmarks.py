@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What the benchmarks of resolved jets and of the level simulate, and their score."""
+"""What the benchmarks of resolved jets and of the level simulate."""
 
 import importlib
 from pathlib import Path
@@ -34,16 +34,6 @@ def test_movies_in_true_and_in_scrambled_order(script):
     assert cube.beams == jet.cube.beams
     assert_allclose(cube.noise, jet.cube.noise)
     assert resolved.true_speeds(resolved.simulate("static", "11x21d", 1)) == []
-
-
-def test_score_of_movies(script):
-    two = [1.0, 8.0], np.array([1.1, 7.0]), None, 2.0
-    between = [1.0, 8.0], np.array([1.1, 3.0, 4.0]), None, 4.0
-    nothing = [1.0, 8.0], np.array([]), None, 6.0
-    still = [], np.array([5.0]), None, 3.0
-    score = script("resolved").score
-    assert score([two, between, nothing]) == [3, 2, 2, 1, 1, 5, 2, "4.0"]
-    assert score([still]) == [1, 1, 0, 0, 1, 1, 1, "3.0"]
 
 
 def test_static_series_of_each_kind(script):

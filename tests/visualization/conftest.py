@@ -21,13 +21,6 @@ def result(jet_results):
 
 
 @pytest.fixture(scope="session")
-def still():
-    """A result in which nothing moves."""
-    cube = simulate_static(n_epochs=8, rng=1).cube
-    return StackedCrossCorrelation(scales=[1, 2])(cube, n_trials=99, rng=1)
-
-
-@pytest.fixture(scope="session")
 def bare():
     """A result without features and patterns, of images of no beam."""
     cube, rng = simulate_static(n_epochs=8, rng=1).cube, np.random.default_rng(1)

@@ -13,14 +13,12 @@ import pytest
 from astro_scc.measurement.result import velocity_hdus
 from astro_scc.streams.spread import mean_speed
 from astro_scc.visualization import explore, images
-from astro_scc.visualization.velocity import axis_columns
 
 pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 DOCUMENT = "Bokeh.documents[0]"
 SOURCE = f"{DOCUMENT}.get_model_by_name('table').source"
-SHOWN = f"{DOCUMENT}.get_model_by_name('sky').children[0].renderers[0].view.indices"
 #: Pixel on the screen of a point of the data of a plot.
 PLACE = """([name, x, y]) => {
   let plot = Bokeh.documents[0].get_model_by_name(name)
@@ -99,10 +97,6 @@ def test_a_reader_selects_and_looks(path, page, result):
         )
         assert mean == pytest.approx(model.mean, rel=0.01)
         assert spread == pytest.approx(model.dispersion, rel=0.05, abs=0.01)
-        # A button does it too, by the keyboard.
-        for name, wanted in (("all features", []), ("1: ", rows)):
-            tab.get_by_role("button", name=name).press("Enter")
-            assert selected(tab, wanted)
         # A box on the sky.
         x, y, row = (page.points.data[name] for name in ("x", "y", "row"))
         inside = (x > -4.5) & (x < -2.5) & (np.abs(y) < 1)
@@ -113,59 +107,6 @@ def test_a_reader_selects_and_looks(path, page, result):
         tab.mouse.up()
         assert selected(tab, np.unique(row[inside]).tolist())
         assert 0 < len(np.unique(row[inside])) < len(own)
-
-
-@pytest.mark.slow
-def test_a_reader_steps_through_epochs_by_keyboard(path, page):
-    with browser(path, width=800) as tab:
-        first, _ = tab.get_by_role("slider").all()
-        first.press("ArrowRight")
-        assert tab.evaluate(f"() => [...{SHOWN}]") == [1]
-        tab.get_by_role("button", name="blink").press("Enter")
-        for epoch in (len(page.dates) - 1, 1):
-            tab.wait_for_function(f"[...{SHOWN}][0] === {epoch}")
-        # Nothing is wider than the window.
-        assert tab.evaluate("() => document.documentElement.scrollWidth") == 800
-        # Features are ticked in the table with arrows and space.
-        table = tab.locator(".slick-viewport").first
-        table.click(position={"x": 200, "y": 10})
-        for key in ("Home", "Space", "ArrowDown", "Space"):
-            tab.keyboard.press(key)
-        assert selected(tab, [0, 1])
-
-
-# -- the content -------------------------------------------------------------------
-
-
-def test_features_are_those_of_the_tables(page, result):
-    features, points = page.features.data, page.points.data
-    assert list(features["feature"]) == list(result.features["feature"])
-    np.testing.assert_allclose(features["pm"], result.features["pm"].value)
-    for k, positions in enumerate(result.feature_positions.group_by("feature").groups):
-        own = points["row"] == k
-        np.testing.assert_allclose(points["x"][own], positions["ra_offset"].value)
-        np.testing.assert_allclose(points["y"][own], positions["dec_offset"].value)
-        dates = [str(date) for date in np.array(points["date"])[own]]
-        assert dates == [date[:10] for date in positions["date"].isot]
-        # The line passes through the middle of the points.
-        line = np.interp(points["t"][own], features["ts"][k], features["ld"][k])
-        assert np.median(line - points["d"][own]) == pytest.approx(0, abs=0.02)
-
-
-@pytest.mark.parametrize("name", ["sky", "radial"])
-def test_features_lie_around_their_stream(name, jet_results):
-    result = jet_results[name]
-    page = explore.Page(*parts(result), result.cube)
-    columns, own = page.features.data, np.asarray(result.features["stream"]) == 1
-    axes = axis_columns(result.streams, on_sky=name == "sky")
-    for k, axis in enumerate(axes, 1):
-        speeds = columns[f"pm_axis{k}"][own]
-        speed = result.streams[0][axis].to_value(page.pm_unit)
-        assert speeds.min() - 0.1 <= speed <= speeds.max() + 0.1
-    # Their rays lie on the side of the diagram on which the stream's is.
-    ends = np.array([y[-1] for y in columns["ry"]])[own]
-    assert np.all(np.sign(ends) == np.sign(page.slopes[0]))
-    assert page._velocity().x_range.flipped == (name == "sky")
 
 
 def test_large_images_are_binned_and_there_may_be_no_features(bare, monkeypatch):
@@ -215,14 +156,3 @@ def test_planes_are_the_images(cube, turned):
         image = cube.data[2][:, ::-1][: planes.shape[1], : planes.shape[2]]
         order = np.argsort(image, axis=None)
         assert np.all(np.diff(planes[2].ravel()[order].astype(int)) >= 0)
-
-
-def test_planes_are_binned_and_masked(cube):
-    mask = np.zeros(cube.shape, bool)
-    mask[1, :, :60] = True
-    limits = images.image_limits(cube)
-    planes, _, n_bins = images.image_planes(replace(cube, mask=mask), limits, 20_000)
-    assert planes.size <= 20_000
-    assert n_bins == np.ceil(np.sqrt(cube.data.size / 20_000))
-    assert np.all(planes[0] > 0)
-    assert np.mean(planes[1] == 0) == pytest.approx(60 / cube.shape[2], abs=0.05)

