@@ -118,7 +118,7 @@ def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
     monkeypatch.setattr("astro_scc.cli.measure.N_TRIALS", 20)
     monkeypatch.setattr("astro_scc.cli.measure.LAST", 110)
     monkeypatch.setattr(
-        "astro_scc.cli.measure.simulate_two_fluid", lambda rng: make_jet(6)
+        "astro_scc.simulation.simulate_two_fluid", lambda rng: make_jet(6)
     )
     out, err = done("demo")
     assert out.startswith("Simulated:\nstream")
