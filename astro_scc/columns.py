@@ -184,12 +184,14 @@ def cell(row, name, sign="±", form=None):
     value = _plain(value)
     if not np.isfinite(value):
         return "-"
-    if f"{name}_err" in names:
-        error = _plain(row[f"{name}_err"])
-        if name.startswith("p_") and error >= value:
-            return f"<{value + error:.1g}"
-        if form is None:
-            return with_error(value, error, sign)
+    # The adjusted probability has the relative error of that of the trials.
+    counted = "p_global" if name == "p_fdr" else name
+    if counted.startswith("p_") and f"{counted}_err" in names:
+        p, error = _plain(row[counted]), _plain(row[f"{counted}_err"])
+        if error >= p:
+            return f"<{value * (1 + error / p) if p > 0 else error:.1g}"
+    if form is None and f"{name}_err" in names:
+        return with_error(value, _plain(row[f"{name}_err"]), sign)
     return f"{value:{form or row.table[name].info.format or ''}}"
 
 

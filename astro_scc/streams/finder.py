@@ -142,9 +142,9 @@ class SearchSettings:
     intervals : (float, float)
         Shortest and longest interval that is used, in years.
     whole : bool
-        Whether a single stream whose Gaussian is not well known has the harmonic mean
-        of the spectrum, and others the error of few patterns; parts of a flow have the
-        speeds of Gaussians, whose covariance is known.
+        Whether a single stream has the error of few patterns, and the harmonic mean of
+        the spectrum where its Gaussian is not well known; parts of a flow have the
+        speeds of Gaussians, whose covariance is known, unless their errors are larger.
     """
 
     n_trials: int
@@ -432,12 +432,12 @@ def _of_spectrum(search, equations, whole):
     if fit is None:
         return [(test.speed[test.best[1]] * beam, *[np.nan] * 4)]
     speed, error, spread = fit.mean * beam, errors.mean * beam, fit.sd * beam
-    if len(speed) == 1 and whole:
+    largest = WELL_KNOWN if whole else 1.0
+    if len(speed) == 1 and not error[0] < largest * abs(speed[0]):
+        speed, error = np.reshape(_harmonic(search, equations), (2, 1))
+    elif len(speed) == 1 and whole:
         # Few patterns are a small sample of the speeds of one stream.
-        found = speed, np.hypot(error, unknown_scatter(speed, errors.number))
-        if not error[0] < WELL_KNOWN * abs(speed[0]):
-            found = np.reshape(_harmonic(search, equations), (2, 1))
-        speed, error = found
+        error = np.hypot(error, unknown_scatter(speed, errors.number))
     spread_err = spread / np.sqrt(2 * np.maximum(errors.number, 1))
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 
