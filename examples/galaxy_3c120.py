@@ -19,6 +19,8 @@ from astro_scc.kinematics import apparent_speed, beta_intrinsic, lorentz_factor
 #: The jet's direction, its angle to the line of sight, and c of 1 mas/yr.
 DIRECTION, VIEW = -112 * u.deg, 15 * u.deg
 PER_C = apparent_speed(1 * u.mas / u.yr, redshift=0.033)
+#: Distances in mas and speeds in c of the paper, and their errors.
+PAPER = (1, 7), (4.0, 6.0), (0.2, 0.4)
 
 
 def gamma_of(beta_app):
@@ -89,20 +91,20 @@ def measure(table, before="2011-01-01", n_trials=200):
             "beta_app_err": error,
             "features": feature_speed * PER_C.value,
             "features_err": feature_err * PER_C.value,
-            "n": n.astype(int),
+            "n_features": n.astype(int),
             "gamma": gamma,
             "gamma_err": gamma_err,
         }
     )
-    columns = [name for name in found.colnames if name not in ("r", "n")]
-    found = brief(found, "r", *columns[:4], "n", *columns[4:], digits=1)
+    columns = [name for name in found.colnames if name not in ("r", "n_features")]
+    found = brief(found, "r", *columns[:4], "n_features", *columns[4:], digits=1)
     found.meta["notes"] = [
         f"{profile.acceleration}",
-        f"beta_app: {line.parameters['gradient'].value:.2f} +- "
+        f"slope: {line.parameters['gradient'].value:.2f} +- "
         f"{line.errors['gradient'].value:.2f} c/mas",
-        f"features: {known.parameters['gradient'].value:.2f} +- "
+        f"slope of features: {known.parameters['gradient'].value:.2f} +- "
         f"{known.errors['gradient'].value:.2f} c/mas",
-        f"gamma = a z^k: k {power.parameters['index'].value:.2f} +- "
+        f"gamma as r^k: k {power.parameters['index'].value:.2f} +- "
         f"{power.errors['index'].value:.2f}, p {power.p_constant:.2g}",
     ]
     figure, (above, below) = plt.subplots(
@@ -114,14 +116,19 @@ def measure(table, before="2011-01-01", n_trials=200):
         beside[0].value, *beside[1:], fmt="D", ms=4, color="0.5", label="features"
     )
     z = np.linspace(0.5, 10.5) * u.mas
-    above.plot(z, line(z), color="C0", lw=1)
+    above.plot(z, line(z), color="C0", lw=1, label="line through the bins")
+    above.errorbar(*PAPER, fmt="s", mfc="none", color="C1", label="Mertens & Lobanov")
     above.set_ylabel("Apparent speed (c)")
     above.legend(loc="lower right")
     below.errorbar(r.value, gamma, gamma_err, fmt="o")
-    below.plot(z, power(z), color="C0", lw=1)
+    below.plot(z, power(z), color="C0", lw=1, label="power law")
+    index = np.log(gamma_of(PAPER[1][1]) / gamma_of(PAPER[1][0])) / np.log(7)
+    of_paper = gamma_of(PAPER[1][0]) * z.value**index
+    below.plot(z, of_paper, ":", color="C1", label="Mertens & Lobanov")
+    below.legend(loc="upper left")
     below.set(xlabel="Core separation (mas)", ylabel=f"Lorentz factor at {VIEW:g}")
-    for ax, values in ((above, beta_app), (below, gamma)):
-        ax.set_ylim(0, 1.6 * np.max(values))
+    for ax, values, errors in ((above, beta_app, error), (below, gamma, gamma_err)):
+        ax.set_ylim(0, 1.1 * np.max(values + np.array(errors)))
     return found, figure
 
 

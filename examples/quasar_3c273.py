@@ -19,6 +19,8 @@ from astro_scc.kinematics import apparent_speed
 GROUPS = {"1, 2": [1, 2], "3, 4": [3, 4]}
 #: The speed in c of 1 mas/yr.
 PER_C = apparent_speed(1 * u.mas / u.yr, redshift=0.158).value
+#: Speeds in c of the paper, of both groups at 1 to 6 mas.
+PAPER = 7.5, 9.0
 
 
 def position_angles(ssps, scales, inner, outer):
@@ -75,6 +77,8 @@ def plot(found, ssps):
         # The regions are the same; their points stand side by side.
         middle = (low + high) / 2 + 0.3 * (k - 0.5)
         above.errorbar(middle, speed, error, fmt="o", label=f"scales {name}")
+        label = None if k else "Mertens & Lobanov"
+        above.plot((1, 6), [PAPER[k]] * 2, "--", color=f"C{k}", lw=1, label=label)
         angles = position_angles(ssps, scales, *([1, 6] * u.mas))
         below.hist(
             angles,
@@ -85,7 +89,7 @@ def plot(found, ssps):
             label=f"scales {name}",
         )
     above.set(xlabel="Core separation (mas)", ylabel="Apparent speed (c)", ylim=(0, 13))
-    below.set(xlabel="Position angle (deg)", ylabel="Share of the patterns, 1 to 6 mas")
+    below.set(xlabel="Position angle (deg)", ylabel="Share of patterns at 1-6 mas")
     for edge in (1, 6, 11, 16):
         above.axvline(edge, color="0.8", lw=0.8, zorder=0)
     above.legend(loc="lower right")

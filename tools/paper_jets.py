@@ -28,7 +28,7 @@ IMAGES = DOCS / "images" / "paper"
 #: The table as a reader of the page has it.
 TABLE = "apjac230ft4_mrt.txt"
 #: Colours and width in pixels of a figure.
-COLORS, WIDTH = 128, 600
+COLORS, WIDTH = 256, 900
 
 
 def commands(table=TABLE):
