@@ -54,7 +54,7 @@ PAPER_EXPLANATION = (
     "with those of other epochs, and its excess in standard deviations of shuffled "
     "epochs",
     "p_global: share of shuffled series of epochs with as large a z-score at any "
-    "velocity",
+    "velocity; n_ssp, n_pairs: patterns and pairs of epochs with a match there",
 )
 
 
@@ -193,12 +193,14 @@ def scale_lines(of_scales):
         if np.isfinite(row["r_max"]):
             where = f"{row['r_min'].value:g} to {row['r_max'].value:g} {far}: "
         first, second = (
-            f"{cell(row, f'{k}_speed', '+-')} {unit} on "
+            f"{row[f'{k}_speed'].value:.3g} on "
             f"{'scales' if ',' in row[k] else 'scale'} {row[k]}"
             for k in ("first", "second")
         )
-        p = row["p_value"]
-        lines.append(f"{where}{first}, {second}; p of equal speeds {p:.2g}")
+        apart, p = cell(row, "difference", "+-"), row["p_value"]
+        lines.append(
+            f"{where}{first}, {second}: {apart} {unit} apart; p of equal speeds {p:.2g}"
+        )
     return lines
 
 
