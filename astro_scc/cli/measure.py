@@ -53,7 +53,9 @@ def measure(args, reporter):
             reporter.say(*lines, *epochs.found, f"\nTables and maps: {output}")
             return
         result = _measured(epochs, reporter)
-        flow = flow_lines(result)
+        # Nobody reads them otherwise.
+        told = not (reporter.quiet and args.no_report)
+        flow = flow_lines(result) if told else []
         streams = write_measurement(
             result, epochs, folder, output=output, report=not args.no_report,
             warnings=reporter.warnings, pdf=args.pdf, all_figures=args.all_figures,
