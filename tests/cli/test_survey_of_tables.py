@@ -31,7 +31,7 @@ def table(shared_data, here):
 def test_without_options(table, done, here, astro_scc, monkeypatch):
     """Beam, pixels and noise suit the table; archives read the catalogues."""
     (here / "z.csv").write_text("Name,z\n0003+380,0.229\n0010+405,\nelsewhere,1\n")
-    _, said = done("survey", table, "-o", "out", "--redshifts", "z.csv")
+    _, said = done("survey", table, "-o", "out", "--redshifts", "z.csv", "--seed", "1")
     (beam,) = re.findall("restored with one of (.*), the median", said)
     assert "pixels and noise that suit" in said
     assert "z.csv: 1 source is not of the survey" in said
