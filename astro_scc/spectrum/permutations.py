@@ -308,12 +308,16 @@ def permutation_test(
 
 def standardised(scores, floor=0.1):
     """
-    Return scores in standard deviations of those of the permutations.
+    Return scores in standard deviations of those of all other orders.
 
-    To each standard deviation a part of the mean is added, the ``floor``.
+    The observed order is one of equals only if each is compared with the others; left
+    out of its own scatter alone, it would seem too large.  To each standard deviation a
+    part of the mean over the speeds is added, the ``floor``.
     """
-    scatter = np.sqrt((scores[1:] ** 2).mean(axis=0))
-    scatter = scatter + floor * scatter.mean()
+    square = scores**2
+    others = np.maximum(square.sum(axis=0) - square, 0.0)
+    scatter = np.sqrt(others / (len(scores) - 1))
+    scatter += floor * scatter.mean(axis=1, keepdims=True)
     return scores / np.where(scatter > 0, scatter, 1.0)
 
 
