@@ -20,6 +20,8 @@ from astro_scc.spectrum.planes import REACH, FlowPlanes, flow_planes
 #: Part of the flow on the other side of the core that makes a counter-jet, and the gap
 #: between both halves of the grid, in beams.
 COUNTER, GAP = 0.02, 2.0
+#: Smallest radius of an expansion, relative to the distance of what is seen.
+SMALLEST = 0.1
 #: Margin around what is seen, in beams.
 MARGIN = 0.5
 #: Margin around the grid, in sizes of the largest scale.
@@ -41,6 +43,8 @@ class FlowGrid:
         first the points of the jet, then those of the counter-jet.
     counter : `~numpy.ndarray` of bool, shape (n_across,)
         Which are those of the counter-jet.
+    distance : `~numpy.ndarray`, shape (n_along,)
+        From the origin of the flow, in beams: ``along`` of a shell is its logarithm.
     weight : `~numpy.ndarray`, shape (n_along, 1)
         Area that a point stands for.
     beam : float
@@ -56,6 +60,7 @@ class FlowGrid:
     along: np.ndarray
     across: np.ndarray
     counter: np.ndarray
+    distance: np.ndarray
     weight: np.ndarray
     beam: float
     angle: float = np.nan
@@ -149,7 +154,9 @@ def straight_grid(cube, angle, east, north, step, beam, *, core=False):
     # Nothing is seen in the gap between both halves.
     x, y = (np.where(sense == 0, -1e9, pixel) for pixel in (x, y))
     weight = np.ones((len(along), 1))
-    return FlowGrid(x, y, along, across, sense < 0, weight, beam, angle, core)
+    return FlowGrid(
+        x, y, along, across, sense < 0, np.abs(along), weight, beam, angle, core
+    )
 
 
 def ridge_grid(cube, line, east, north, step, beam):
@@ -167,13 +174,13 @@ def ridge_grid(cube, line, east, north, step, beam):
     x, y = cube.offset_to_pixel(*(np.moveaxis(place, -1, 0) * u.mas))
     counter = np.zeros(len(across), dtype=bool)
     weight = np.ones((len(along), 1))
-    return FlowGrid(x, y, along, across, counter, weight, beam, outward=True)
+    return FlowGrid(x, y, along, across, counter, along, weight, beam, outward=True)
 
 
 def radial_grid(cube, frame, east, north, step, beam):
     """Return the grid in distance, or its logarithm, and angle; see `straight_grid`."""
     shell = isinstance(frame, kinematics.ExpansionFrame)
-    origin = (frame.centre if shell else frame.origin).to_value(u.mas)
+    origin = frame.origin.to_value(u.mas)
     dx, dy = east - origin[0], north - origin[1]
     r = np.maximum(np.hypot(dx, dy), 1e-3 * beam)
     unit = frame.radius.to_value(u.mas) if shell else float(np.mean(r))
@@ -184,6 +191,11 @@ def radial_grid(cube, frame, east, north, step, beam):
     gaps = np.diff(np.append(middle, middle[0] + 2 * np.pi))
     start = middle[(gaps.argmax() + 1) % len(middle)]
     turned = np.mod(angle - start, 2 * np.pi)
+    if shell and not unit > SMALLEST * np.median(r):
+        raise ValueError(
+            f"the radius of the ExpansionFrame, {unit:.4g} mas, is far below the "
+            f"distance of what is seen, {np.median(r):.4g} mas: give that of the shell"
+        )
     across = _covering(0.0, turned.max() * unit / beam, step)
     theta = start + across * beam / unit
     if shell:
@@ -200,7 +212,8 @@ def radial_grid(cube, frame, east, north, step, beam):
     north = origin[1] + radius[:, None] * np.cos(theta)
     x, y = cube.offset_to_pixel(*_mas(east, north))
     counter = np.zeros(len(across), dtype=bool)
-    return FlowGrid(x, y, along, across, counter, weight[:, None], beam, outward=True)
+    distance, weight = radius / beam, weight[:, None]
+    return FlowGrid(x, y, along, across, counter, distance, weight, beam, outward=True)
 
 
 def _mas(*values):

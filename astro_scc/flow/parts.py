@@ -42,7 +42,7 @@ def place_of(flow):
     weight = weight_of(flow).sum(axis=1)
     if not weight.sum() > 0:
         return np.nan
-    return float(weight @ np.abs(flow.grids[0].along) / weight.sum())
+    return float(weight @ flow.grids[0].distance / weight.sum())
 
 
 def speeds_in_parts(fits, places, *, stream=0):

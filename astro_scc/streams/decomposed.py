@@ -182,7 +182,7 @@ def _reach(cube, max_speed, beam):
 
 def distances(grid):
     """Return the distance of each point from the origin along the flow, in beams."""
-    return np.abs(grid.along)[:, None] * np.ones(len(grid.across))
+    return grid.distance[:, None] * np.ones(len(grid.across))
 
 
 def decompose_flow(

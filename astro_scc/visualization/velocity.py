@@ -19,9 +19,11 @@ AXIS_LABELS = {
     "parallel": "Proper motion parallel to the jet",
     "transverse": "Transverse proper motion",
     "radial": "Radial proper motion",
+    "expansion": "Expansion speed at the radius",
+    "rotation": "Rotation speed at the radius",
 }
-#: First axes of velocities on the sky.
-SKY = "east", "lon"
+#: First axes of velocities on the sky, and of those that point away from a centre.
+SKY, OUTWARD = ("east", "lon"), ("radial", "expansion")
 MAP_LABELS = {"coefficient": "Correlation", "z_score": "z-score"}
 #: What the correlation of a map of the velocity spectrum is.
 EXCESS = "Mean correlation, less that of permuted epochs"
@@ -187,7 +189,7 @@ def _draw_jet(scene, corner):
         direction = np.array([side * np.sin(angle), np.cos(angle)])
     centre = 0.17 + 0.66 * np.array(corner)
     scene.ax.annotate(
-        "outward" if scene.result.frame.axis_names[0] == "radial" else "jet",
+        "outward" if scene.result.frame.axis_names[0] in OUTWARD else "jet",
         centre + 0.09 * direction, centre - 0.09 * direction,
         xycoords="axes fraction", textcoords="axes fraction", color="white",
         fontsize="small", ha="center", va="center", gid="jet",
