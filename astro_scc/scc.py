@@ -10,7 +10,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
     flow       = scc.flow(decomposed)              # planes along the flow, on its grid
     search     = find_streams(flow, features, settings, rng=rng)
       flow, test = find_motion(flow, settings, rng)  # does anything move along it?
-      diagrams   = correlate_aside(planes, lags)     # all pairs of dates, displacements
+      diagrams   = correlate_aside(planes, aside)    # all pairs of dates, displacements
       spectrum   = deconvolve(set_up(diagram))       # share of the flow at each speed
     result     = SCCResult(decomposed, search, ...)  # streams as tables, figures, files
     paper      = measure_as_in_paper(cube, scc)    # the paper's own method, instead
@@ -59,8 +59,9 @@ class StackedCrossCorrelation(MeasurementSettings):
         (2016): then a call returns an `~astro_scc.paper.method.PaperMeasurement`.
     scales : sequence of float or str, optional
         Wavelet scales, by number (j means 2^j pixels, j + 1/2 means
-        1.5 x 2^j) or by size, as angles; by default from a quarter of the beam
-        to two beams or, without a beam, up to half of the size of structures.
+        1.5 x 2^j) or by size, as angles; by default the three up to 0.55 beams for
+        the velocity spectrum and, for SSPs, from a quarter of the beam to two beams
+        or, without a beam, up to half of the size of structures.
     max_speed : `~astropy.units.Quantity`, optional
         Largest proper motion, by default two beams in the shorter quarter of the
         intervals between consecutive epochs.
@@ -143,7 +144,7 @@ class StackedCrossCorrelation(MeasurementSettings):
 
     def plan(self, cube: EpochCube) -> SearchPlan:
         """
-        Return what the settings mean for the pixels, beams and dates of a cube.
+        Return what the settings mean for matches of SSPs in a cube.
 
         Parameters
         ----------

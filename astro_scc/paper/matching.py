@@ -27,7 +27,7 @@ __all__ = ["MatchedEpochs", "SearchPlan"]
 @dataclass(frozen=True, eq=False)
 class SearchPlan:
     """
-    What settings mean for the pixels, beams and dates of a cube.
+    What settings mean for matches of SSPs in a cube.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class SearchPlan:
     fwhm : float
         The beam, or the mean size of the scales without one, in mas.
     max_speed : float
-        The largest speed that is searched, in mas/yr.
+        The largest speed of a match, in mas/yr.
     reach : tuple of int
         The largest displacement to match between any two epochs, along (y, x) in
         pixels.

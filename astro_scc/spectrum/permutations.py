@@ -52,6 +52,9 @@ class MotionTest:
         The largest z of 99% of the permutations, which figures show.
     amplitude : `~numpy.ndarray`, shape (n_directions, n_v)
         Share of the variance of the images that moves with each speed.
+    gram, scores : `~numpy.ndarray`, shapes (n_v, n_v) and (n_orders, n_v)
+        Products of the filters of two speeds, and sums over the filters for each order,
+        in the direction of the largest z.
     memory, white : float
         Time over which the images are correlated, in years, and the share of their
         variance without memory, in the direction of the largest z.

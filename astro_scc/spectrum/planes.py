@@ -92,8 +92,8 @@ def flow_planes(
     With the plane w_a of epoch a, its mean over the epochs, its variance over time V,
     averaged in a Gaussian window, and its noise s,
 
-    .. math:: q_a = \\min(|w_a - \\bar w| / \\sqrt{V}, 4)\\,
-              \\sqrt{V / (V + (4 s)^2)}.
+    .. math:: q_a = \\mathrm{sgn}(w_a - \\bar w)\\,
+              \\min(|w_a - \\bar w| / \\sqrt{V}, 4)\\, \\sqrt{V / (V + (4 s)^2)}.
 
     Parameters
     ----------
