@@ -16,9 +16,14 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.acceleration import FlowAcceleration, acceleration_of
+from astro_scc.flow.acceleration import (
+    FlowAcceleration,
+    PartSpeeds,
+    acceleration_of,
+    place_of,
+    speeds_in_parts,
+)
 from astro_scc.flow.models import fit_profile
-from astro_scc.flow.parts import PartSpeeds, place_of, speeds_in_parts
 from astro_scc.flow.speeds import feature_distances, flows_by_scale, halves
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine

@@ -20,8 +20,8 @@ from astro_scc.flow import (
     measure_field,
     measure_profile,
 )
+from astro_scc.flow.acceleration import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.field import cell_coordinates
-from astro_scc.flow.parts import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import feature_distances
 from astro_scc.kinematics import RadialFrame, RidgeLine
