@@ -119,9 +119,7 @@ def _of_feature(features, number):
     d, motion = features.detections, features.motions[found[0]]
     first, last = d.epoch[features.tracks[found[0]].detection[[0, -1]]]
     epoch = np.arange(first, last + 1)
-    dt = (d.years[epoch] - motion.date)[:, None]
-    bend = np.nan_to_num(motion.acceleration)
-    return epoch, motion.place + motion.velocity * dt + bend * dt**2 / 2
+    return epoch, motion.at(d.years[epoch])
 
 
 # -- is it detected? -----------------------------------------------------------------

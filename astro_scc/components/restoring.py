@@ -250,13 +250,10 @@ def _grid(x, y, border, most=20000):
 
 def _covariances(components):
     """Return the covariances over (x, y) in mas^2, shape (n, 2, 2)."""
-    pa = components.pa.to_value(u.rad)
-    along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
-    across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
-    major = (FWHM_TO_SIGMA * components.major.value[:, None, None]) ** 2
-    minor = (FWHM_TO_SIGMA * components.minor.value[:, None, None]) ** 2
-    of_major = major * along[:, :, None] * along[:, None, :]
-    return of_major + minor * across[:, :, None] * across[:, None, :]
+    sin, cos = np.sin(components.pa).value, np.cos(components.pa).value
+    axes = np.array([[-sin, cos], [-cos, -sin]])
+    fwhm = np.stack([components.major.value, components.minor.value])
+    return np.einsum("ain,ajn,an->nij", axes, axes, (FWHM_TO_SIGMA * fwhm) ** 2)
 
 
 def add_gaussians(image, x, y, peak, covariance, reach=7.0):
