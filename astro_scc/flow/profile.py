@@ -385,8 +385,8 @@ def write_profile(profile, streams, directory, **settings):
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'citations.bib', 'profile.png', 'position_angles.png']
     """
-    tables = {"profile": streams}
-    _, paths = write_tables(tables, directory, streams.meta, **settings)
+    tables, cube = {"profile": streams}, profile.flow.cube
+    _, paths = write_tables(tables, directory, streams.meta, cube, **settings)
     result = next(one for found in profile.results.values() for one in found if one)
 
     def draw(name):
@@ -394,7 +394,7 @@ def write_profile(profile, streams, directory, **settings):
             return speeds.plot_position_angles(angles_by_scale(profile, result))
         return speeds.plot_profile(
             streams, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
-            cube=result.cube, beta_per_pm=beta_per_pm(streams),
+            cube=cube, beta_per_pm=beta_per_pm(streams),
         )  # fmt: skip
 
     files = style.figure_files(("profile", "position_angles"), draw)
