@@ -338,13 +338,8 @@ def correlated_noise(
     padding = int(np.ceil(6 * np.sqrt(np.trace(covariance))))
     padded = tuple(scipy.fft.next_fast_len(n + padding, real=True) for n in shape)
     transfer = gaussian_transfer(covariance, padded)
-    # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)
-    # over the whole plane, of which rfft keeps one half.
-    weight = np.full(transfer.shape[1], 2.0)
-    weight[0] = 1.0
-    if padded[1] % 2 == 0:
-        weight[-1] = 1.0
-    gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
+    # A kernel h gives unit white noise the variance sum h^2.
+    gain = np.linalg.norm(scipy.fft.irfft2(transfer, s=padded))
     white = random_generator(rng).standard_normal(padded)
     noise = scipy.fft.irfft2(scipy.fft.rfft2(white) * transfer, s=padded)
     return rms * (noise[: shape[0], : shape[1]] / gain)
