@@ -24,13 +24,13 @@ from astro_scc.flow.acceleration import (
     speeds_in_parts,
 )
 from astro_scc.flow.models import fit_profile
-from astro_scc.flow.speeds import feature_distances, flows_by_scale, halves
+from astro_scc.flow.speeds import distances_along, flows_by_scale, halves
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
-from astro_scc.patterns import DecomposedEpochs, ssp_distances
+from astro_scc.patterns import DecomposedEpochs
 from astro_scc.plan import flow_direction, scale_numbers, search_settings
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
@@ -338,7 +338,7 @@ def _sign_of(searches, bins):
 
 def _search_bins(flow, limits, features, settings, generator, *, root, done):
     """Return the search of each bin, or None; groups of scales have no features."""
-    distance, found = feature_distances(flow, features), []
+    distance, found = distances_along(flow, features.places), []
     for (low, high), rng in zip(limits, generator.spawn(len(limits)), strict=True):
         part, search = flow.between(low, high), None
         if has_flow(part):
@@ -417,11 +417,14 @@ def angles_by_scale(profile, result):
     -------
     dict of `~astropy.units.Quantity`
     """
-    decomposed, frame = result.decomposed, profile.flow.frame
-    ridge = frame if profile.along == "ridge" else None
-    r = ssp_distances(decomposed, ridge=ridge)
-    inside = decomposed.select & (r >= profile.bins.min()) & (r < profile.bins.max())
-    angle, scale = ssp_angles(decomposed, result.position_angle), decomposed.ssps.scale
+    decomposed, jet = result.decomposed, result.position_angle.to_value(u.deg)
+    offsets = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
+    low, high = profile.bins.min().value, profile.bins.max().value
+    r = distances_along(profile.flow, np.stack(offsets, axis=1))
+    inside = decomposed.select & (r >= low) & (r < high)
+    # Angles within half a turn of the jet's.
+    angle = (np.degrees(np.arctan2(*offsets)) - jet + 180) % 360 - 180 + jet
+    scale = decomposed.ssps.scale
     if profile.groups == (ALL,):
         groups = halves(np.intersect1d(scale[inside], profile.flow.planes[0].scales))
     else:
@@ -430,30 +433,10 @@ def angles_by_scale(profile, result):
             for name, fits in profile.fits.items()
         }
     return {
-        f"scales {name}": angle[inside & np.isin(scale, scales)]
+        f"scales {name}": angle[inside & np.isin(scale, scales)] * u.deg
         for name, scales in groups.items()
         if len(scales)
     }
-
-
-def ssp_angles(decomposed, jet):
-    """
-    Return the position angles of the centroids of SSPs from the reference pixel.
-
-    Parameters
-    ----------
-    decomposed : `~astro_scc.patterns.DecomposedEpochs`
-    jet : `~astropy.units.Quantity`
-        Direction of the jet.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`, shape (n_ssps,)
-        Within half a turn of the jet's.
-    """
-    east, north = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
-    angle, jet = np.degrees(np.arctan2(east, north)), jet.to_value(u.deg)
-    return (jet + (angle - jet + 180) % 360 - 180) * u.deg
 
 
 def _line_of(result, length):

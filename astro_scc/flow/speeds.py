@@ -66,7 +66,7 @@ def feature_profile(result: SCCResult) -> QTable:
     True
     """
     features, frame = result.tracked_features, result.frame
-    distance = feature_distances(result.flow, features)
+    distance = distances_along(result.flow, features.places)
     rows = []
     for number, stream in enumerate(result.search.streams, 1):
         members = np.isin(np.arange(len(features.tracks)), stream.members)
@@ -83,21 +83,21 @@ def feature_profile(result: SCCResult) -> QTable:
     return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)
 
 
-def feature_distances(flow, features):
+def distances_along(flow, place):
     """
-    Return the distances of features along a flow, as its bins have them, in mas.
+    Return the distances of places along a flow, as its bins have them, in mas.
 
     Parameters
     ----------
     flow : ``DecomposedFlow``
         Along one direction.
-    features : `~astro_scc.features.Features`
+    place : `~numpy.ndarray`, shape (n, 2)
+        East and north from the reference pixel.
 
     Returns
     -------
-    `~numpy.ndarray`, shape (n_features,)
+    `~numpy.ndarray`, shape (n,)
     """
-    place = np.reshape([motion.place for motion in features.motions], (-1, 2))
     grid, frame = flow.grids[0], flow.frame
     if np.isfinite(grid.angle):
         return np.abs(place @ grid.axes[0])

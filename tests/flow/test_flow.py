@@ -23,7 +23,7 @@ from astro_scc.flow import (
 from astro_scc.flow.acceleration import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.field import cell_coordinates
 from astro_scc.flow.profile import bins_of
-from astro_scc.flow.speeds import feature_distances
+from astro_scc.flow.speeds import distances_along
 from astro_scc.kinematics import RadialFrame, RidgeLine
 from astro_scc.measurement.tables import stream_table
 from astro_scc.simulation import simulate_jet
@@ -94,7 +94,7 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
     # Features belong to the bin of their mean place.
     features = decomposed.features
-    distance = feature_distances(profile.flow, features)
+    distance = distances_along(profile.flow, features.places)
     for (low, high), found in zip(
         profile.bins.value, profile.results["all"], strict=True
     ):
