@@ -98,7 +98,7 @@ def feature_rows(features, most=MOST):
 
     Of more than ``most`` secure features, the first are those seen in most epochs.
     """
-    columns = headed(features, FEATURES, own="features").values()
+    columns = headed(features, FEATURES, of_table="features").values()
     heads, _, columns = zip(*columns, strict=True)
     rows = [*zip(zip(*columns, strict=True), features["secure"], strict=True)]
     first = answer.longest(features, most)
