@@ -34,7 +34,7 @@ from astro_scc.patterns import DecomposedEpochs
 from astro_scc.plan import flow_direction, scale_numbers, search_settings
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator, seeded
+from astro_scc.quantities import seeded
 from astro_scc.scc import StackedCrossCorrelation, meta_of
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
@@ -285,8 +285,7 @@ def measure_profile(
         decomposed = scc.decompose(decomposed, progress_bar=progress_bar)
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
     cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
-    rng, seed = seeded(rng)
-    generator, root = random_generator(rng), groups is None
+    (generator, seed), root = seeded(rng), groups is None
     # Bins have the speeds of Gaussians, whose covariance is known.
     settings = replace(search_settings(scc, cube, n_trials), whole=False)
     limits = bins.to_value(u.mas)

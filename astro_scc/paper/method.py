@@ -22,7 +22,7 @@ from astro_scc.parallel import Workers
 from astro_scc.patterns import check_cube, empty_region
 from astro_scc.plan import flow_direction, velocity_frame
 from astro_scc.progress import progress
-from astro_scc.quantities import Seed, random_generator, seeded
+from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.units import in_speed_unit
@@ -217,8 +217,7 @@ def measure_as_in_paper(
     """
     n_trials = require("n_trials", n_trials)
     _check(cube, settings)
-    rng, seed = seeded(rng)
-    generator = random_generator(rng)
+    generator, seed = seeded(rng)
     plan = matching.SearchPlan.of(cube, settings)
     orders = draw_orders(plan.pairs, n_trials, generator)
     matched = matching.match_epochs(
