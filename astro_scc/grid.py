@@ -173,7 +173,7 @@ def ridge_grid(cube, line, east, north, step, beam):
 def radial_grid(cube, frame, east, north, step, beam):
     """Return the grid in distance, or its logarithm, and angle; see `straight_grid`."""
     shell = isinstance(frame, kinematics.ExpansionFrame)
-    origin = (frame.centre if shell else frame.origin).to_value(u.mas)
+    origin = frame.origin.to_value(u.mas)
     dx, dy = east - origin[0], north - origin[1]
     r = np.maximum(np.hypot(dx, dy), 1e-3 * beam)
     unit = frame.radius.to_value(u.mas) if shell else float(np.mean(r))

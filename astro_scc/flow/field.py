@@ -12,7 +12,7 @@ from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
 
-from astro_scc.kinematics import ExpansionFrame, RidgeLine
+from astro_scc.kinematics import RidgeLine
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
@@ -217,10 +217,8 @@ def cell_coordinates(flow):
     distance = np.broadcast_to(np.abs(grid.along)[:, None] * beam, shape)
     if np.isfinite(grid.angle) or isinstance(frame, RidgeLine):
         return distance, np.broadcast_to(grid.across * beam, shape), u.mas
-    shell = isinstance(frame, ExpansionFrame)
-    origin = frame.centre if shell else frame.origin
-    place = flow.cube.pixel_to_offset(grid.x, grid.y)
-    east, north = ((p - o).to_value(u.mas) for p, o in zip(place, origin, strict=True))
+    places = zip(flow.cube.pixel_to_offset(grid.x, grid.y), frame.origin, strict=True)
+    east, north = ((place - origin).to_value(u.mas) for place, origin in places)
     # The last row, as a radial grid begins at the origin.  Angles do not jump at north.
     angle = np.degrees(np.unwrap(np.arctan2(east[-1], north[-1])))
     angle -= np.floor(angle.min() / 360) * 360

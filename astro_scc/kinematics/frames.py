@@ -244,6 +244,11 @@ class ExpansionFrame:
         radius = named("radius", one_quantity, self.radius, "an angle", "100 arcsec")
         self.centre, self.radius = RadialFrame(self.centre).origin, radius.to(u.mas)
 
+    @property
+    def origin(self) -> u.Quantity:
+        """The centre, as other radial axes call it."""
+        return self.centre
+
     def matrix(self, east: ArrayLike, north: ArrayLike) -> np.ndarray:
         """
         Return matrices that turn (east, north) into the axes of the frame.

@@ -24,7 +24,7 @@ from astro_scc.flow.acceleration import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.field import cell_coordinates
 from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import distances_along
-from astro_scc.kinematics import RadialFrame, RidgeLine
+from astro_scc.kinematics import ExpansionFrame, RadialFrame, RidgeLine
 from astro_scc.measurement.tables import stream_table
 from astro_scc.simulation import simulate_jet
 from astro_scc.streams.decomposed import decompose_flow
@@ -278,3 +278,9 @@ REFUSED = [
 def test_what_makes_no_sense_is_refused(decomposed, result, call, words):
     with pytest.raises(ValueError, match=words):
         call(decomposed, result)
+
+
+def test_distances_in_an_expansion_are_from_its_centre():
+    frame = ExpansionFrame([3, 4] * u.mas, 10 * u.mas)
+    flow = SimpleNamespace(grids=[SimpleNamespace(angle=np.nan)], frame=frame)
+    assert distances_along(flow, np.array([[0.0, 0.0], [3.0, 2.0]])).tolist() == [5, 2]
