@@ -71,9 +71,9 @@ def _tables():
     return dict(found)
 
 
-def columns_of(own):
+def columns_of(of_table):
     """Return the columns of a table in ``columns.csv`` by their names."""
-    return _tables()[own]
+    return _tables()[of_table]
 
 
 @cache
@@ -83,25 +83,25 @@ def column_of(name):
     return next(every, Column())
 
 
-def describe(table, own):
+def describe(table, of_table):
     """Set the meanings of the columns of a table in ``columns.csv``; return it."""
-    for name in columns_of(own).keys() & set(table.colnames):
-        table[name].info.description = columns_of(own)[name].meaning
+    for name in columns_of(of_table).keys() & set(table.colnames):
+        table[name].info.description = columns_of(of_table)[name].meaning
     return table
 
 
-def build_table(own, rows=(), **columns):
+def build_table(of_table, rows=(), **columns):
     """
     Build a table in ``columns.csv`` from dicts of plain values and whole columns.
 
     Values that are None are masked.
     """
     table = QTable()
-    for name, column in columns_of(own).items():
+    for name, column in columns_of(of_table).items():
         if name not in columns:
             columns[name] = column.values([row[name] for row in rows])
         table[name] = columns[name]
-    return describe(table, own)
+    return describe(table, of_table)
 
 
 def with_errors(**pairs):
@@ -215,25 +215,25 @@ def _says_something(table, name):
     return not name.startswith("acc_") or bool(np.any(np.isfinite(table[name])))
 
 
-def headed(table, names, *, own=None, terminal=False, forms=None):
+def headed(table, names, *, of_table=None, terminal=False, forms=None):
     """
     Return heading, meaning and cells of those columns that a table has, by their names.
 
-    Headings are those of the table ``own`` in ``columns.csv``, or else of any; on the
+    Headings are those of a table in ``columns.csv``, or else of any; on the
     ``terminal`` they may be others.  See `cells` on ``forms``.
     """
     found, sign = {}, "+-" if terminal else "±"
     for name, texts in cells(table, names, sign=sign, forms=forms).items():
         about = table[name].info
         unit = about.unit if terminal else unit_name(about.unit or "")
-        text = heading_of(name, unit, own, terminal=terminal)
+        text = heading_of(name, unit, of_table, terminal=terminal)
         found[name] = text, about.description or "", texts
     return found
 
 
-def heading_of(name, unit, own=None, *, terminal=False):
+def heading_of(name, unit, of_table=None, *, terminal=False):
     """Return the heading of a column, see `headed`."""
-    known = _tables().get(own, {}).get(name) or column_of(name)
+    known = _tables().get(of_table, {}).get(name) or column_of(name)
     heading = (terminal and known.terminal) or known.heading or name
     return heading.format(unit=unit)
 

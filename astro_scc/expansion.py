@@ -118,18 +118,21 @@ def fit_shell(
     max_rate = limit / np.median(np.hypot(*(x - x.mean(axis=0)).T))
     start = start_of(samples, weight, max_rate=max_rate, centre=given)
     area = (2 * limit * samples.interval) ** 2
-    fit = fit_mixture(samples, start, area, fixed=given is not None)
-    covariance, errors = fit.covariance, alignment_errors(cube, scc.alignment_error)
+    place, covariance, response, *_ = fit_mixture(
+        samples, start, area, fixed=given is not None
+    )
+    errors = alignment_errors(cube, scc.alignment_error)
     if errors.any():
         years = cube.years.to_value(u.yr)
-        covariance = _with_alignment(fit, first, samples.interval, years, errors)
+        more = _of_alignment(response, first, samples.interval, years, errors)
+        covariance = covariance + more
     error = np.sqrt(np.diag(covariance))
     per_year = 100 * u.percent / u.yr
     return ShellFit(
-        groups=tuple(parts), rate=fit.place[:-2] * per_year,
-        rate_err=error[:-2] * per_year, centre=fit.place[-2:] * u.mas,
+        groups=tuple(parts), rate=place[:-2] * per_year,
+        rate_err=error[:-2] * per_year, centre=place[-2:] * u.mas,
         centre_err=error[-2:] * u.mas, covariance=covariance,
-        radius=float(np.mean(np.hypot(*(x - fit.place[-2:]).T))) * u.mas,
+        radius=float(np.mean(np.hypot(*(x - place[-2:]).T))) * u.mas,
     )  # fmt: skip
 
 
@@ -196,15 +199,14 @@ def _kinds(group, scale, snr):
     return np.unique(kind, return_inverse=True)[1]
 
 
-def _with_alignment(fit, first, interval, years, errors):
-    """Return the covariance of a fit, plus the one due to shifts of whole epochs."""
-    covariance = fit.covariance
+def _of_alignment(response, first, interval, years, errors):
+    """Return the covariance of a fit that is due to shifts of whole epochs."""
+    changes = []
     second = np.abs(np.subtract.outer(years[first] + interval, years)).argmin(axis=1)
     for k in np.flatnonzero(errors.any(axis=1)):
         moved = ((second == k) * 1.0 - (first == k)) / interval
-        change = np.einsum("i,iaj->aj", moved, fit.response) * errors[k][:, None]
-        covariance = covariance + change.T @ change
-    return covariance
+        changes.append(np.einsum("i,iaj->aj", moved, response) * errors[k][:, None])
+    return np.einsum("kai,kaj->ij", changes, changes)
 
 
 def start_of(samples, weight, *, max_rate, centre=None):
@@ -227,21 +229,6 @@ def start_of(samples, weight, *, max_rate, centre=None):
     return np.array([*rates, *start])
 
 
-class Mixture(NamedTuple):
-    """
-    The most likely mixture of expansion and chance.
-
-    ``place`` holds the rates and the centre; ``response``, shape (n, 2, n_groups + 2),
-    their derivatives by each velocity; ``scatter`` and ``share`` are given per kind.
-    """
-
-    place: np.ndarray
-    covariance: np.ndarray
-    response: np.ndarray
-    scatter: np.ndarray
-    share: np.ndarray
-
-
 def fit_mixture(samples, start, area, *, fixed=False, n_sectors=24):
     r"""
     Fit rates and centre of the most likely mixture of expansion and chance.
@@ -258,6 +245,10 @@ def fit_mixture(samples, start, area, *, fixed=False, n_sectors=24):
     J. R. Stat. Soc. B 39, 1) begins at ``start``; with ``fixed`` the centre is kept.
     Errors are those of a jackknife over ``n_sectors`` of azimuth, each with all epochs
     of its features.
+
+    Returns the place, that is, the rates and the centre; its covariance; its
+    derivatives by each velocity, shape (n, 2, n_groups + 2); and scatter and share of
+    each kind.
     """
     n_groups = len(start) - 2
     kinds = range(int(samples.kind.max()) + 1)
@@ -277,7 +268,7 @@ def fit_mixture(samples, start, area, *, fixed=False, n_sectors=24):
     covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
     response = weight[:, None, None] * _design(samples, place, fixed) @ inverse
-    return Mixture(place, covariance, response, scatter, share)
+    return place, covariance, response, scatter, share
 
 
 def _climb(samples, place, scatter, share, area, widest, fixed):

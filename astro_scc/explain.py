@@ -9,6 +9,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
+from scipy.ndimage import map_coordinates
 
 from astro_scc.features import Features, TrackSettings, trust
 from astro_scc.features.motion import SIGNIFICANT
@@ -119,9 +120,7 @@ def _of_feature(features, number):
     d, motion = features.detections, features.motions[found[0]]
     first, last = d.epoch[features.tracks[found[0]].detection[[0, -1]]]
     epoch = np.arange(first, last + 1)
-    dt = (d.years[epoch] - motion.date)[:, None]
-    bend = np.nan_to_num(motion.acceleration)
-    return epoch, motion.place + motion.velocity * dt + bend * dt**2 / 2
+    return epoch, motion.at(d.years[epoch])
 
 
 # -- is it detected? -----------------------------------------------------------------
@@ -130,7 +129,7 @@ def _of_feature(features, number):
 def _detected(features, epoch, place):
     """Return the detections at places, whether all are bright, and lines on them."""
     cube, d = features.cube, features.detections
-    signal = _signal(cube, d, epoch, place)
+    signal = _signal(cube, epoch, place)
     nearest, away, beside = np.full((3, len(epoch)), np.inf)
     for i, (one, there) in enumerate(zip(epoch, d.to_beams(place), strict=True)):
         here = np.flatnonzero(d.epoch == one)
@@ -167,17 +166,14 @@ def _number(value):
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
 
 
-def _signal(cube, d, epoch, place):
-    """Return the brightest pixel in a quarter of a beam about places over the noise."""
-    places = np.transpose(cube.offset_to_pixel(*(place.T * u.mas)))
-    reach = 0.25 * d.fwhm / cube.pixel_scale.to_value(u.mas)
-    low = np.maximum(np.ceil(places - reach), 0).astype(int)
-    high = np.maximum(places + reach + 1, 0).astype(int)
-    signal, noise = np.full(len(epoch), np.nan), cube.noise_rms().value
+def _signal(cube, epoch, place):
+    """Return the brightness of the images at places over the noise."""
+    x, y = cube.offset_to_pixel(*(place.T * u.mas))
+    signal, noise = np.empty(len(epoch)), cube.noise_rms().value
     for i, one in enumerate(epoch):
-        (x0, y0), (x1, y1) = low[i], high[i]
-        if (there := cube.data[one][y0:y1, x0:x1]).size:
-            signal[i] = np.nanmax(there) / noise[one]
+        there = [y[i : i + 1], x[i : i + 1]]
+        image = cube.data[one] / noise[one]
+        signal[i : i + 1] = map_coordinates(image, there, order=1, cval=np.nan)
     return signal
 
 

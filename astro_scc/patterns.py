@@ -7,7 +7,6 @@ import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import astropy.units as u
 import numpy as np
 
 from astro_scc.alignment.registration import warn_of_misalignment
@@ -16,7 +15,6 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.beam import require_common_beam
-from astro_scc.images.positions import ssp_offsets
 from astro_scc.parallel import Workers, in_order
 from astro_scc.progress import progress
 
@@ -254,22 +252,3 @@ def centroids_inside(ssps, cube, region):
     inside, centroid = cube.region_mask(region), (ssps.y_centroid, ssps.x_centroid)
     pixel = np.rint(centroid).astype(int).T
     return inside[tuple(np.clip(pixel, 0, np.array(inside.shape) - 1).T)]
-
-
-def ssp_distances(decomposed, *, ridge=None):
-    """
-    Return the distances of the centroids of SSPs from the reference pixel.
-
-    Parameters
-    ----------
-    decomposed : `DecomposedEpochs`
-    ridge : `~astro_scc.kinematics.RidgeLine`, optional
-        Measure along this line instead.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`, shape (n_ssps,)
-        In mas.
-    """
-    east, north = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True) * u.mas
-    return np.hypot(east, north) if ridge is None else ridge.coordinates(east, north)[0]

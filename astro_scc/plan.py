@@ -14,7 +14,7 @@ from astro_scc import kinematics
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
-from astro_scc.images.positions import PIXELS_RESOLVED, beam_fwhm, ssp_offsets
+from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import EVERY, within
 from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
@@ -288,28 +288,6 @@ def choose_alignment(cube):
     return "core", f"{reason}{on_core:.2f} on the core"
 
 
-def each_fwhm(cube, scales=(1,), axes=None):
-    """
-    Return the resolution at all epochs and scales, as FWHM in mas.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    scales : sequence of float, optional
-        Numbers of the scales whose sizes are the resolution if there are no beams.
-    axes : `~numpy.ndarray`, shape (2, 2), optional
-        See ``beam_fwhm``; by default east and north.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n, 2)
-        Along both axes.
-    """
-    epoch, level = np.indices((len(cube), len(scales))).reshape(2, -1)
-    axes = np.eye(2) if axes is None else axes
-    return beam_fwhm(cube, epoch, np.array(scales)[level], axes)
-
-
 def flow_beam(cube):
     """
     Return the length in which the flow is measured, in mas.
@@ -366,7 +344,7 @@ def choose_scales(cube, *, octaves=4):
         scales = range(max(1, last - octaves + 1), last + 1)
         reason = f"up to half of the size of the structures ({size:.1f} px)"
     else:
-        size = each_fwhm(cube).mean() / cube.pixel_scale.to_value(u.mas)
+        size = (cube.resolution / cube.pixel_scale).to_value(u.one)
         first = round(np.log2(size / 4))
         scales = range(max(1, first), min(most, max(1, first + octaves - 1)) + 1)
         reason = f"from a quarter of the beam ({size:.1f} px) to two beams"

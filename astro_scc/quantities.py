@@ -355,12 +355,13 @@ def check_choice(value, *choices):
 
 
 def seeded(rng):
-    """Return ``rng``, or a random seed for None, and the seed if it is an integer."""
+    """Return a generator, of a random seed for None, and its seed if it is known."""
     import numpy as np
 
     if rng is None:
         rng = int(np.random.SeedSequence().entropy % 2**63)
-    return rng, int(rng) if isinstance(rng, (int, np.integer)) else None
+    seed = int(rng) if isinstance(rng, int | np.integer) else None
+    return random_generator(rng), seed
 
 
 def random_generator(rng):

@@ -333,8 +333,8 @@ def completeness(
     q.named("n_features", q.check_number, n_features, 0, np.inf, "must be above 0")
     if not 0 <= scatter < np.inf:
         raise ValueError(f"scatter must be zero or positive, got {scatter}")
-    rng, seed = seeded(rng)
-    bare_rng, root = random_generator(rng).spawn(2)
+    generator, seed = seeded(rng)
+    bare_rng, root = generator.spawn(2)
     area, bare = _bare(cube, scc, region, n_trials, bare_rng)
     axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
 

@@ -35,7 +35,7 @@ from astro_scc.measurement.parts import parts_of
 from astro_scc.paper.matching import SearchPlan, match
 from astro_scc.parallel import Workers
 from astro_scc.progress import progress
-from astro_scc.quantities import Seed, random_generator, seeded
+from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import MeasurementSettings, Settings, require
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import find_streams
@@ -289,8 +289,7 @@ class StackedCrossCorrelation(MeasurementSettings):
                 "method = 'paper' measures images, not decomposed epochs: call the "
                 "settings with a cube, or use method='spectrum'"
             )
-        rng, seed = seeded(rng)
-        generator, cube = random_generator(rng), decomposed.cube
+        (generator, seed), cube = seeded(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
         settings = plan.search_settings(self, cube, n_trials)
         # The matrix products are small: threads would wait for one another.

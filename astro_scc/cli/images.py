@@ -313,11 +313,10 @@ def _cores(cube, angle):
         found = core_positions(cube)
     except ValueError:
         return {}, 0.0
-    east, north = found["east"].value, found["north"].value
-    width = cube.resolution.to_value(u.mas)
-    offsets = (u.Quantity(v, u.mas).to_value(angle) for v in (east, north))
-    cores = dict(zip(cube.labels, map(_offset, *offsets), strict=True))
-    return cores, max(east.std(), north.std()) / width
+    offsets = [found[name].to(angle) for name in ("east", "north")]
+    texts = map(_offset, *(offset.value for offset in offsets))
+    scatter = max(offset.std() for offset in offsets) / cube.resolution
+    return dict(zip(cube.labels, texts, strict=True)), scatter.to_value(u.one)
 
 
 def _offset(east, north):

@@ -179,7 +179,6 @@ def _profile(epochs, folder, reporter):
     )  # fmt: skip
     streams = inputs.with_speeds_in_c(found.components, settings)
     streams.meta |= cube.facts
-    streams.meta["history"] = list(cube.meta.get("history", ()))
     several = len(found.groups) > 1
     lines = [
         f"scales {name}: {line}" if several else str(line)

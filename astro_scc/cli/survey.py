@@ -11,7 +11,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +58,11 @@ def survey(args, reporter):
     reporter.resumes = True
     plan, report = sources.survey_of(args, output, reporter)
 
-    def done(outcome, before):
-        if outcome.status == "failed":
-            reporter.warn(f"{outcome.source}: {outcome.message}")
+    def done(part, before):
+        if part.status == "failed":
+            reporter.warn(f"{part.source}: {part.message}")
         elif not sys.stderr.isatty():
-            reporter.say(f"{outcome.title}: {'finished before' if before else 'done'}")
+            reporter.say(f"{part.title}: {'finished before' if before else 'done'}")
 
     with parallel.workers_of(n_workers) as workers:
         if workers is not n_workers:
@@ -118,8 +118,8 @@ def run_survey(
     report : bool, optional
         Write a report for each region and scale group.
     done : callable, optional
-        Called for each region and scale group of a source that is done, with its
-        outcome and whether it was finished before.
+        Called for each region and scale group of a source that is done, with the part
+        and whether it was finished before.
     progress_bar : bool, optional
 
     Returns
@@ -157,7 +157,7 @@ def run_survey(
     >>> set(table["source"].tolist()), set(table["status"].tolist())
     ({'Jet'}, {'measured'})
     """
-    output, outcomes = Path(output).absolute(), {}
+    output, measured = Path(output).absolute(), {}
     plan = output / sources.PLAN
     if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
@@ -178,17 +178,17 @@ def run_survey(
                 if isinstance(result, Exception):
                     # The worker failed, not the measurement: it died, say.
                     result = _failed(order[k], result), False
-                outcomes[order[k]] = result[0]
+                measured[order[k]] = result[0]
                 step(1)
                 if done is not None:
                     done(*result)
-        outcomes = [outcomes[part] for part in survey.parts]
-        return _write_catalogues(outcomes, survey, output, folder)
+        parts = [measured[part] for part in survey.parts]
+        return _write_catalogues(parts, output, folder)
 
 
-def _write_catalogues(outcomes, survey, output, folder):
+def _write_catalogues(parts, output, folder):
     """Write the streams and features of all parts, and return the streams."""
-    table, features = catalogues(outcomes, survey, output)
+    table, features = catalogues(parts, output)
     for name, catalogue in ((TABLE, table), (FEATURES, features)):
         with writing.replace_when_complete(output / name, overwrite=True) as file:
             catalogue.write(file, format="ascii.ecsv")
@@ -197,17 +197,15 @@ def _write_catalogues(outcomes, survey, output, folder):
     printed = {"streams": measured, "features": features}
     publication.write_publication(printed, folder)
     _replace(output / publication.FOLDER, folder / publication.FOLDER)
-    published = {part.source: part.published for part in survey.parts}
-    write_overview(table, features, outcomes, output, published=published)
+    write_overview(table, features, parts, output)
     return table
 
 
 def _once(task):
-    """Return the outcome of a part, and whether an earlier run has measured it."""
+    """Return a part with its outcome, and whether an earlier run has measured it."""
     part, output, report, folder = task
-    finished = sources.finished_outcome(part, output, report)
-    if finished is not None:
-        return finished, True
+    if found := sources.finished(part, output, report):
+        return found, True
     return measure_part(part, output, report=report, partial=folder), False
 
 
@@ -236,7 +234,8 @@ def measure_part(part, output, report=False, partial=None):
 
     Returns
     -------
-    Outcome
+    Part
+        With its outcome.
     """
     output, key = Path(output), part.key()
     with (
@@ -245,46 +244,43 @@ def measure_part(part, output, report=False, partial=None):
     ):
         warnings.simplefilter("always")
         try:
-            outcome = _measured(part, folder, output, report, said)
+            found = _measured(part, folder, output, report, said)
         except Exception as error:
             for path in folder.iterdir():
                 path.unlink() if path.is_file() else shutil.rmtree(path)
             (folder / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
-            outcome = _failed(part, error)
-        state = {"key": key, "outcome": asdict(outcome), "warnings": _lines(said)}
+            found = _failed(part, error)
+        state = {"key": key, "outcome": found.outcome, "warnings": _lines(said)}
         (folder / STATE).write_text(json.dumps(state, indent=1) + "\n", "utf-8")
         _replace(output / part.folder, folder)
-    return outcome
+    return found
 
 
 def _measured(part, folder, output, report, said):
-    """Measure a part into a folder; return its outcome."""
+    """Measure a part into a folder; return it with its outcome."""
     epochs = inputs.read_epochs(part.settings, moving=True)
     inputs.refuse_paper(epochs.settings)
     cube, settings = epochs.cube, epochs.settings
     epochs = epochs._replace(published=inputs.published_of(part.compare, cube))
     first, last = cube.times.isot[[0, -1]].tolist()
-    outcome = replace(
-        part.outcome, status="empty", message=NO_PATTERN, n_epochs=len(cube),
-        first=first, last=last,
-    )  # fmt: skip
+    known = {"n_epochs": len(cube), "first": first, "last": last}
     scc = StackedCrossCorrelation.from_settings(settings)
     decomposed = scc.decompose(cube, region=settings.region)
     if not decomposed.select.any():
-        return outcome
+        return replace(part, status="empty", message=NO_PATTERN, **known)
     result = scc.measure(decomposed, n_trials=settings.n_trials, rng=settings.seed)
     write_measurement(
         result, epochs, folder, output=output / part.folder, report=report,
-        archives=report, title=outcome.title, warnings=_lines(said),
+        archives=report, title=part.title, warnings=_lines(said),
     )  # fmt: skip
-    return replace(outcome, status="measured", message="", folder=part.folder)
+    return replace(part, status="measured", **known)
 
 
 def _failed(part, error):
-    """Return the outcome of a part with an error as one line."""
+    """Return a part whose outcome is an error, as one line."""
     known = isinstance(error, ValueError | OSError | Warning) and str(error)
     name = "" if known else f"{type(error).__name__}: "
-    return replace(part.outcome, status="failed", message=f"{name}{one_line(error)}")
+    return replace(part, status="failed", message=f"{name}{one_line(error)}")
 
 
 def _lines(said):
@@ -295,15 +291,14 @@ def _lines(said):
 # -- the catalogues -------------------------------------------------------------------
 
 
-def catalogues(outcomes, survey, output):
+def catalogues(parts, output):
     """
     Return the streams and the features of all sources.
 
     Parameters
     ----------
-    outcomes : sequence of Outcome
-        Of the parts of the survey.
-    survey : Survey
+    parts : sequence of Part
+        With their outcomes.
     output : path
         Folder of the survey.
 
@@ -315,17 +310,16 @@ def catalogues(outcomes, survey, output):
         The tables of features of all sources, with the columns of ``HEAD`` that
         identify them.
     """
-    empty, numbers = stream_table([]), set(range(len(outcomes)))
-    found = _stacked(outcomes, output, "streams.ecsv", empty.copy())
-    features = _stacked(outcomes, output, FEATURES, QTable())
-    searched = {k for k in numbers if outcomes[k].status != "failed"}
-    nothing = dict.fromkeys(searched - set(found["outcome"]), empty)
+    empty, numbers = stream_table([]), set(range(len(parts)))
+    found = _stacked(parts, output, "streams.ecsv", empty.copy())
+    features = _stacked(parts, output, FEATURES, QTable())
+    searched = {k for k in numbers if parts[k].status != "failed"}
+    nothing = dict.fromkeys(searched - set(found["part"]), empty)
     tested = false_discovery_rate({"all": found} | nothing)
-    rest = np.array(sorted(numbers - set(found["outcome"])), dtype=int)
-    table = vstack([tested["all"], QTable({"outcome": rest})], "outer", "silent")
-    settings = [part.settings for part in survey.parts]
-    table, features = (_with_head(t, outcomes, settings) for t in (table, features))
-    in_c = {outcomes[k].source: settings[k].in_c for k in sorted(searched)}
+    rest = np.array(sorted(numbers - set(found["part"])), dtype=int)
+    table = vstack([tested["all"], QTable({"part": rest})], "outer", "silent")
+    table, features = (_with_head(t, parts) for t in (table, features))
+    in_c = {parts[k].source: parts[k].settings.in_c for k in sorted(searched)}
     table.meta = {
         "versions": writing.versions(),
         "false_discovery": {"method": "bh", "n_tests": len(found) + len(nothing)},
@@ -339,43 +333,43 @@ def catalogues(outcomes, survey, output):
     return table, features
 
 
-def _stacked(outcomes, output, name, empty):
+def _stacked(parts, output, name, empty):
     """
     Return a table of all parts with their numbers.
 
     Most of the time to read an ECSV file is that for its header.  The rows of files
     with the same columns are therefore read together, below the header of the first.
     """
-    parts, tables = {}, [empty]
-    empty["outcome"] = np.zeros(0, dtype=int)
-    for number, outcome in enumerate(outcomes):
-        if outcome.folder:
-            path = Path(output, outcome.folder, name)
+    alike, tables = {}, [empty]
+    empty["part"] = np.zeros(0, dtype=int)
+    for number, part in enumerate(parts):
+        if part.status == "measured":
+            path = Path(output, part.folder, name)
             # Numbers of digits are those of the source.
             text = re.sub(r", format: [^,}]*", "", path.read_text(encoding="utf-8"))
             lines = text.splitlines()
             start = sum(line.startswith("#") for line in lines) + 1
             kind = text.partition("\n# meta:")[0], *re.findall("__class__: .*", text)
-            _, every, numbers = parts.setdefault(kind, (path, lines[:start], []))
+            _, every, numbers = alike.setdefault(kind, (path, lines[:start], []))
             every += lines[start:]
             numbers += [number] * len(lines[start:])
-    for path, lines, numbers in parts.values():
+    for path, lines, numbers in alike.values():
         table = inputs.read_table(lines, name=path)
         table.meta.clear()
-        table["outcome"] = numbers
+        table["part"] = numbers
         tables.append(table)
     return round_to_errors(vstack(tables, metadata_conflicts="silent"))
 
 
-def _with_head(table, outcomes, settings):
+def _with_head(table, parts):
     """Return rows in the order of their parts, after the columns of ``HEAD``."""
-    table = table[np.argsort(table["outcome"], kind="stable")]
-    rows = np.asarray(table["outcome"], dtype=int).tolist()
-    table.remove_column("outcome")
+    table = table[np.argsort(table["part"], kind="stable")]
+    rows = [parts[k] for k in np.asarray(table["part"], dtype=int)]
+    table.remove_column("part")
     for k, (name, text) in enumerate(HEAD.items()):
-        values = np.array([getattr(outcomes[row], name) for row in rows], dtype=str)
+        values = np.array([getattr(row, name) for row in rows], dtype=str)
         table.add_column(Column(values, description=text), index=k, name=name)
-    z = np.array([settings[row].redshift or np.nan for row in rows], dtype=float)
+    z = np.array([row.settings.redshift or np.nan for row in rows], dtype=float)
     column = MaskedColumn(z, mask=np.isnan(z), format="g")
     column.description = "redshift of the source, if it was given"
     table.add_column(column, index=1, name="redshift")

@@ -9,7 +9,7 @@ import re
 import shutil
 from collections import Counter
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -34,6 +34,8 @@ __all__ = ["read_survey"]
 
 #: What a survey's folder has: a folder of sources, with a file of state in each part.
 SOURCES, STATE, FEATURES = "sources", "part.json", "features.ecsv"
+#: Fields of a part that are its outcome.
+OUTCOME = "status", "message", "n_epochs", "first", "last"
 #: Name of the part without a region, or without scale groups.
 WHOLE = "all"
 ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
@@ -61,16 +63,19 @@ COMPONENTS = "streams.ecsv"
 NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a part of a survey; ``folder`` has its products."""
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A region and scale group of a source, its settings and, once known, outcome."""
 
     source: str
     region: str
     scale_group: str
+    folder: str
+    settings: Settings
+    published: u.Quantity | None = None
+    compare: str | None = None
     status: str = ""
     message: str = ""
-    folder: str = ""
     n_epochs: int = 0
     first: str = ""
     last: str = ""
@@ -81,21 +86,10 @@ class Outcome:
         names = self.source, self.region, self.scale_group
         return ", ".join(name for name in names if name != WHOLE)
 
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A region and scale group of a source, with all settings of a measurement."""
-
-    outcome: Outcome
-    folder: str
-    settings: Settings
-    published: u.Quantity | None = None
-    compare: str | None = None
-
     @property
-    def source(self):
-        """Name of the source."""
-        return self.outcome.source
+    def outcome(self):
+        """What is known of it once it is measured, by the names of the fields."""
+        return {name: getattr(self, name) for name in OUTCOME}
 
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
@@ -124,13 +118,13 @@ def _facts(path):
     return [str(path), 0]
 
 
-def finished_outcome(part, output, report):
-    """Return the outcome of a part whose products are complete, else None."""
+def finished(part, output, report):
+    """Return a part with its outcome if its products are complete, else None."""
     folder = Path(output, part.folder)
     needed = ["streams.ecsv", FEATURES, "report.html"][: 2 + report]
     with suppress(OSError, ValueError, KeyError, TypeError):
         state = json.loads((folder / STATE).read_text(encoding="utf-8"))
-        found = Outcome(**state["outcome"])
+        found = replace(part, **state["outcome"])
         complete = all((folder / name).is_file() for name in needed)
         complete = complete and found.status == "measured" or found.status == "empty"
         if complete and state["key"] == part.key():
@@ -213,7 +207,7 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     ... redshift = 0.158
     ... ''')
     >>> survey = read_survey("survey.toml")
-    >>> [part.outcome.title for part in survey.parts]
+    >>> [part.title for part in survey.parts]
     ['3C 273, fine', '3C 273, coarse']
     """
     path = Path(path)
@@ -305,7 +299,7 @@ def _parts(name, folder, given, base):
     of_region, of_group = folder_names(list(regions)), folder_names(list(groups))
     for (region, file), (group, scales) in product(regions.items(), groups.items()):
         yield Part(
-            Outcome(name, region, group),
+            name, region, group,
             f"{SOURCES}/{folder}/{of_region[region]}/{of_group[group]}",
             settings.changed(region=of_base(file), scales=scales),
             published, of_base(compare),

@@ -80,13 +80,11 @@ def _write(features, epochs, folder):
     cube = features.cube
     table = with_published(features.table, features, epochs.published)
     table = inputs.with_speeds_in_c(table, epochs.settings)
-    meta = {"configuration": epochs.settings.to_dict("track"), **table.meta}
-    meta |= {"epochs": list(cube.labels), "versions": versions()}
-    meta["history"] = list(cube.meta.get("history", ()))
-    if epochs.published is not None:
-        meta["history"].append(f"compared with {epochs.published.meta['survey']}")
-    tables = {"features": table, "positions": features.positions}
-    tables, _ = write_tables(tables, folder, meta)
+    meta = table.meta | {"epochs": list(cube.labels), "versions": versions()}
+    tables, _ = write_tables(
+        {"features": table, "positions": features.positions}, folder, meta, cube,
+        configuration=epochs.settings.to_dict("track"), published=epochs.published,
+    )  # fmt: skip
     write_publication(tables, folder)
     return tables["features"]
 

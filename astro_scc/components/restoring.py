@@ -250,13 +250,10 @@ def _grid(x, y, border, most=20000):
 
 def _covariances(components):
     """Return the covariances over (x, y) in mas^2, shape (n, 2, 2)."""
-    pa = components.pa.to_value(u.rad)
-    along = np.stack([-np.sin(pa), np.cos(pa)], axis=-1)
-    across = np.stack([-np.cos(pa), -np.sin(pa)], axis=-1)
-    major = (FWHM_TO_SIGMA * components.major.value[:, None, None]) ** 2
-    minor = (FWHM_TO_SIGMA * components.minor.value[:, None, None]) ** 2
-    of_major = major * along[:, :, None] * along[:, None, :]
-    return of_major + minor * across[:, :, None] * across[:, None, :]
+    sin, cos = np.sin(components.pa).value, np.cos(components.pa).value
+    axes = np.array([[-sin, cos], [-cos, -sin]])
+    fwhm = np.stack([components.major.value, components.minor.value])
+    return np.einsum("ain,ajn,an->nij", axes, axes, (FWHM_TO_SIGMA * fwhm) ** 2)
 
 
 def add_gaussians(image, x, y, peak, covariance, reach=7.0):
@@ -341,13 +338,8 @@ def correlated_noise(
     padding = int(np.ceil(6 * np.sqrt(np.trace(covariance))))
     padded = tuple(scipy.fft.next_fast_len(n + padding, real=True) for n in shape)
     transfer = gaussian_transfer(covariance, padded)
-    # A kernel h gives unit white noise the variance sum h^2 = mean |H|^2 (Parseval)
-    # over the whole plane, of which rfft keeps one half.
-    weight = np.full(transfer.shape[1], 2.0)
-    weight[0] = 1.0
-    if padded[1] % 2 == 0:
-        weight[-1] = 1.0
-    gain = np.sqrt(np.sum(weight * transfer**2) / np.prod(padded))
+    # A kernel h gives unit white noise the variance sum h^2.
+    gain = np.linalg.norm(scipy.fft.irfft2(transfer, s=padded))
     white = random_generator(rng).standard_normal(padded)
     noise = scipy.fft.irfft2(scipy.fft.rfft2(white) * transfer, s=padded)
     return rms * (noise[: shape[0], : shape[1]] / gain)

@@ -128,6 +128,11 @@ class Features:
         """One row a feature, a `~astropy.table.QTable`; without any, all columns."""
         return feature_table(self)
 
+    @property
+    def places(self) -> np.ndarray:
+        """Places of the motions at their dates, shape (n, 2) in mas."""
+        return np.reshape([motion.place for motion in self.motions], (-1, 2))
+
     @cached_property
     def positions(self) -> QTable:
         """One row for each feature and epoch, a `~astropy.table.QTable`."""

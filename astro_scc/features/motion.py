@@ -87,6 +87,12 @@ class Motion:
         """Whether a parabola is better than a straight line."""
         return bool(np.isfinite(self.acceleration).all())
 
+    def at(self, years: np.ndarray) -> np.ndarray:
+        """Return the places at dates in years, shape (n, 2) in mas."""
+        dt = (years - self.date)[:, None]
+        bend = np.nan_to_num(self.acceleration)
+        return self.place + self.velocity * dt + bend * dt**2 / 2
+
     def error_along(self, direction: np.ndarray) -> float:
         """
         Return the standard error of the velocity along a direction.

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Acceleration of a flow: the slope of its speeds in parts along it."""
+"""Speeds of one stream in parts of a flow, and their slope, its acceleration."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,6 @@ import astropy.units as u
 import numpy as np
 import scipy
 
-from astro_scc.flow.parts import place_of, slope_of, speeds_in_parts
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import with_error
 from astro_scc.streams.parts import fit_part, weight_of
@@ -18,6 +17,114 @@ from astro_scc.units import PM_UNIT, offset_unit
 CORE, LENGTH = 2.0, 2.0
 #: Fewest and most parts.
 FEWEST, MOST = 3, 10
+
+
+@dataclass(frozen=True, eq=False)
+class PartSpeeds:
+    """
+    Mean speeds of a stream in parts of a flow, in beams and years.
+
+    Attributes
+    ----------
+    place : `~numpy.ndarray`, shape (n,)
+        Mean distance of each part.
+    speed : `~numpy.ndarray`, shape (n,)
+        NaN where it is not known.
+    covariance : `~numpy.ndarray`, shape (n, n)
+    """
+
+    place: np.ndarray
+    speed: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """Standard errors of the speeds."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def place_of(flow):
+    """Return the mean distance of what is seen, in beams, or NaN."""
+    weight = weight_of(flow).sum(axis=1)
+    if not weight.sum() > 0:
+        return np.nan
+    return float(weight @ flow.grids[0].distance / weight.sum())
+
+
+def speeds_in_parts(fits, places, *, stream=0):
+    """
+    Return the speeds of a stream in several parts, with their covariance.
+
+    What a cluster of ejection adds to the speeds of several parts, it adds to all: the
+    clusters move at one speed, the median of the parts, from one beginning.  The same
+    holds for what each epoch adds.
+
+    Parameters
+    ----------
+    fits : sequence of `PartFit` or None
+        Of parts of the same flow.
+    places : sequence of float
+    stream : int, optional
+        Number of the stream, from 0.
+
+    Returns
+    -------
+    `PartSpeeds`
+    """
+    n = len(fits)
+    speed, covariance = np.full(n, np.nan), np.full((n, n), np.nan)
+    known = [k for k, fit in enumerate(fits) if fit is not None and fit.knows(stream)]
+    if not known:
+        return PartSpeeds(np.array(places), speed, covariance)
+    means = np.array([fits[k].fit.mean[stream] for k in known])
+    errors = [fits[k].errors(np.median(means)) for k in known]
+    epochs = np.array([error.epochs[stream] for error in errors])
+    total = epochs @ epochs.T
+    for half in (0, 1):
+        clusters = np.array([error.clusters[stream][half] for error in errors])
+        m = np.count_nonzero(clusters.any(axis=0))
+        total += clusters @ clusters.T * m / max(m - 1, 1) / 2
+    speed[known] = np.abs(means)
+    covariance[np.ix_(known, known)] = total
+    return PartSpeeds(np.array(places), speed, covariance)
+
+
+def slope_of(parts):
+    """
+    Return the slope of speeds with distance by weighted least squares.
+
+    Weights are the inverse variances; the error follows from the whole covariance,
+    which is not inverted, as it has few clusters.  Speeds that scatter by more than
+    their errors about the line, as where two streams are seen as one, enlarge it.
+
+    Parameters
+    ----------
+    parts : `PartSpeeds`
+
+    Returns
+    -------
+    centre, speed, slope, error : float
+        Mean distance and the speed there; NaN with fewer than three speeds.
+    number : int
+        Speeds that are known.
+    """
+    use = np.isfinite(parts.speed) & np.isfinite(np.diag(parts.covariance))
+    number = int(use.sum())
+    if number < 3:
+        return np.nan, np.nan, np.nan, np.nan, number
+    square = parts.covariance[np.ix_(use, use)]
+    x, y, weight = parts.place[use], parts.speed[use], 1 / np.diag(square)
+    centre = float(np.average(x, weights=weight))
+    design = np.stack([np.ones(number), x - centre], axis=1)
+    gain = np.linalg.solve(design.T @ (weight[:, None] * design), design.T * weight)
+    speed, slope = gain @ y
+    rest = np.eye(number) - design @ gain
+    scatter = weight @ (rest @ y) ** 2 / (weight @ np.diag(rest @ square @ rest.T))
+    error = np.sqrt(max(scatter, 1.0) * (gain @ square @ gain.T)[1, 1])
+    return centre, float(speed), float(slope), float(error), number
+
+
+# -- acceleration ------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -74,7 +181,7 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
 
     Parameters
     ----------
-    parts : `~astro_scc.flow.parts.PartSpeeds`
+    parts : `PartSpeeds`
     beam : float
         In mas.
     unit : `~astropy.units.Unit`, optional

@@ -16,20 +16,25 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.acceleration import FlowAcceleration, acceleration_of
+from astro_scc.flow.acceleration import (
+    FlowAcceleration,
+    PartSpeeds,
+    acceleration_of,
+    place_of,
+    speeds_in_parts,
+)
 from astro_scc.flow.models import fit_profile
-from astro_scc.flow.parts import PartSpeeds, place_of, speeds_in_parts
-from astro_scc.flow.speeds import feature_distances, flows_by_scale, halves
+from astro_scc.flow.speeds import distances_along, flows_by_scale, halves
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
-from astro_scc.patterns import DecomposedEpochs, ssp_distances
+from astro_scc.patterns import DecomposedEpochs
 from astro_scc.plan import flow_direction, scale_numbers, search_settings
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.progress import progress
-from astro_scc.quantities import random_generator, seeded
+from astro_scc.quantities import seeded
 from astro_scc.scc import StackedCrossCorrelation, meta_of
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
@@ -280,8 +285,7 @@ def measure_profile(
         decomposed = scc.decompose(decomposed, progress_bar=progress_bar)
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
     cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
-    rng, seed = seeded(rng)
-    generator, root = random_generator(rng), groups is None
+    (generator, seed), root = seeded(rng), groups is None
     # Bins have the speeds of Gaussians, whose covariance is known.
     settings = replace(search_settings(scc, cube, n_trials), whole=False)
     limits = bins.to_value(u.mas)
@@ -333,7 +337,7 @@ def _sign_of(searches, bins):
 
 def _search_bins(flow, limits, features, settings, generator, *, root, done):
     """Return the search of each bin, or None; groups of scales have no features."""
-    distance, found = feature_distances(flow, features), []
+    distance, found = distances_along(flow, features.places), []
     for (low, high), rng in zip(limits, generator.spawn(len(limits)), strict=True):
         part, search = flow.between(low, high), None
         if has_flow(part):
@@ -380,8 +384,8 @@ def write_profile(profile, streams, directory, **settings):
     >>> [path.name for path in write_profile(profile, profile.components, "out")]
     ['profile.ecsv', 'citations.bib', 'profile.png', 'position_angles.png']
     """
-    tables = {"profile": streams}
-    _, paths = write_tables(tables, directory, streams.meta, **settings)
+    tables, cube = {"profile": streams}, profile.flow.cube
+    _, paths = write_tables(tables, directory, streams.meta, cube, **settings)
     result = next(one for found in profile.results.values() for one in found if one)
 
     def draw(name):
@@ -389,7 +393,7 @@ def write_profile(profile, streams, directory, **settings):
             return speeds.plot_position_angles(angles_by_scale(profile, result))
         return speeds.plot_profile(
             streams, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
-            cube=result.cube, beta_per_pm=beta_per_pm(streams),
+            cube=cube, beta_per_pm=beta_per_pm(streams),
         )  # fmt: skip
 
     files = style.figure_files(("profile", "position_angles"), draw)
@@ -412,11 +416,14 @@ def angles_by_scale(profile, result):
     -------
     dict of `~astropy.units.Quantity`
     """
-    decomposed, frame = result.decomposed, profile.flow.frame
-    ridge = frame if profile.along == "ridge" else None
-    r = ssp_distances(decomposed, ridge=ridge)
-    inside = decomposed.select & (r >= profile.bins.min()) & (r < profile.bins.max())
-    angle, scale = ssp_angles(decomposed, result.position_angle), decomposed.ssps.scale
+    decomposed, jet = result.decomposed, result.position_angle.to_value(u.deg)
+    offsets = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
+    low, high = profile.bins.min().value, profile.bins.max().value
+    r = distances_along(profile.flow, np.stack(offsets, axis=1))
+    inside = decomposed.select & (r >= low) & (r < high)
+    # Angles within half a turn of the jet's.
+    angle = (np.degrees(np.arctan2(*offsets)) - jet + 180) % 360 - 180 + jet
+    scale = decomposed.ssps.scale
     if profile.groups == (ALL,):
         groups = halves(np.intersect1d(scale[inside], profile.flow.planes[0].scales))
     else:
@@ -425,30 +432,10 @@ def angles_by_scale(profile, result):
             for name, fits in profile.fits.items()
         }
     return {
-        f"scales {name}": angle[inside & np.isin(scale, scales)]
+        f"scales {name}": angle[inside & np.isin(scale, scales)] * u.deg
         for name, scales in groups.items()
         if len(scales)
     }
-
-
-def ssp_angles(decomposed, jet):
-    """
-    Return the position angles of the centroids of SSPs from the reference pixel.
-
-    Parameters
-    ----------
-    decomposed : `~astro_scc.patterns.DecomposedEpochs`
-    jet : `~astropy.units.Quantity`
-        Direction of the jet.
-
-    Returns
-    -------
-    `~astropy.units.Quantity`, shape (n_ssps,)
-        Within half a turn of the jet's.
-    """
-    east, north = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
-    angle, jet = np.degrees(np.arctan2(east, north)), jet.to_value(u.deg)
-    return (jet + (angle - jet + 180) % 360 - 180) * u.deg
 
 
 def _line_of(result, length):

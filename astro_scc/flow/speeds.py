@@ -10,10 +10,11 @@ from typing import Any
 
 import astropy.units as u
 import numpy as np
+import scipy
 from astropy.table import QTable
 
-from astro_scc.flow.parts import difference, two_sided
 from astro_scc.measurement import SCCResult
+from astro_scc.spectrum.errors import ONE_SIGMA
 from astro_scc.streams.members import moving_features
 from astro_scc.streams.parts import fit_part
 from astro_scc.streams.spread import mean_speed
@@ -23,6 +24,8 @@ from astro_scc.units import PM_UNIT
 LEAST = 5
 #: Most bins.
 MOST_BINS = 8
+#: Errors of differences of scales are too small by this factor in simulated jets.
+DIFFERENCES = 1.5
 #: Columns of the bins: numbers, distances and speeds.
 BINS = ("stream", "n_features", "r_min", "r_max", "r_mid", "pm_parallel",
         "pm_parallel_err", "dispersion", "dispersion_err")  # fmt: skip
@@ -63,7 +66,7 @@ def feature_profile(result: SCCResult) -> QTable:
     True
     """
     features, frame = result.tracked_features, result.frame
-    distance = feature_distances(result.flow, features)
+    distance = distances_along(result.flow, features.places)
     rows = []
     for number, stream in enumerate(result.search.streams, 1):
         members = np.isin(np.arange(len(features.tracks)), stream.members)
@@ -80,21 +83,21 @@ def feature_profile(result: SCCResult) -> QTable:
     return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)
 
 
-def feature_distances(flow, features):
+def distances_along(flow, place):
     """
-    Return the distances of features along a flow, as its bins have them, in mas.
+    Return the distances of places along a flow, as its bins have them, in mas.
 
     Parameters
     ----------
     flow : ``DecomposedFlow``
         Along one direction.
-    features : `~astro_scc.features.Features`
+    place : `~numpy.ndarray`, shape (n, 2)
+        East and north from the reference pixel.
 
     Returns
     -------
-    `~numpy.ndarray`, shape (n_features,)
+    `~numpy.ndarray`, shape (n,)
     """
-    place = np.reshape([motion.place for motion in features.motions], (-1, 2))
     grid, frame = flow.grids[0], flow.frame
     if np.isfinite(grid.angle):
         return np.abs(place @ grid.axes[0])
@@ -208,7 +211,46 @@ def _compared(fits, beam):
     rows = []
     for (one, first), (other, second) in combinations(fits.items(), 2):
         speeds, errors, off, error = difference(first, second)
-        p = two_sided(off / error) if error > 0 else np.nan
+        p = 2 * scipy.special.ndtr(-abs(off / error)) if error > 0 else np.nan
         v, e = beam * np.array(speeds), beam * np.array(errors)
         rows.append((one, v[0], e[0], other, v[1], e[1], beam * off, beam * error, p))
     return rows
+
+
+def difference(first, second):
+    """
+    Return the difference of the speeds of two groups of scales, and its error.
+
+    What the same clusters and epochs add to both cancels.
+
+    Parameters
+    ----------
+    first, second : `PartFit`
+        Of the same places.
+
+    Returns
+    -------
+    speeds, errors : (float, float)
+        Of both groups.
+    difference, error : float
+        All in beams/yr; NaN where a speed is not known.
+    """
+    if not all(part is not None and part.knows(0) for part in (first, second)):
+        return (np.nan, np.nan), (np.nan, np.nan), np.nan, np.nan
+    travel = (first.fit.mean[0] + second.fit.mean[0]) / 2
+    both = first.errors(travel), second.errors(travel)
+    speeds = abs(first.fit.mean[0]), abs(second.fit.mean[0])
+    factors = [
+        scipy.special.stdtrit(max(error.number[0] - 1, 1.0), ONE_SIGMA)
+        for error in both
+    ]
+    variance = ((both[1].epochs[0] - both[0].epochs[0]) ** 2).sum()
+    for half in (0, 1):
+        one, other = (both[k].clusters[0][half] / factors[k] for k in (0, 1))
+        apart = other - one
+        used = apart[apart != 0]
+        m = len(used)
+        square = ((used - used.mean()) ** 2).sum() if m else 0.0
+        variance += max(factors) ** 2 * square * m / max(m - 1, 1) / 2
+    errors = both[0].mean[0], both[1].mean[0]
+    return speeds, errors, speeds[1] - speeds[0], DIFFERENCES * np.sqrt(variance)

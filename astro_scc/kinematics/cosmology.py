@@ -249,7 +249,7 @@ def table_in_c_as(table, other):
         The same table if the meta of the other has neither a redshift nor a distance,
         see `table_in_c`.
     """
-    given = {name: other.meta[name] for name in SOURCE if name in other.meta}
+    given = _given(other.meta)
     return table_in_c(table, **given) if given else table
 
 
@@ -266,8 +266,22 @@ def beta_per_pm(table):
     float or None
         None if its meta has neither a redshift nor a distance, see `table_in_c`.
     """
-    given = {k: table.meta[k] for k in SOURCE if table.meta.get(k) is not None}
+    given = _given(table.meta)
     return float(apparent_speed(1 * PM_UNIT, **given)) if given else None
+
+
+def _given(meta):
+    """Return what apparent speeds follow from, of the meta of a table."""
+    return {k: meta[k] for k in SOURCE if meta.get(k) is not None}
+
+
+def source_text(meta):
+    """Return what apparent speeds follow from as text, empty if there are none."""
+    if "distance" in meta:
+        return f"distance {meta['distance']:g}"
+    if "redshift" in meta:
+        return f"redshift {meta['redshift']:g}, {cosmology_text(meta['cosmology'])}"
+    return ""
 
 
 def _source(redshift, cosmology, distance):

@@ -6,7 +6,6 @@ The stacked cross-correlation of Mertens & Lobanov (2016), as the paper has it.
 arrays.
 """
 
-from astro_scc.paper.components import stack_patterns
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs
 from astro_scc.paper.stack import (
     Displacements,
@@ -14,6 +13,7 @@ from astro_scc.paper.stack import (
     consecutive_pairs,
     draw_orders,
     image_pairs,
+    stack_patterns,
 )  # fmt: skip
 
 __all__ = [

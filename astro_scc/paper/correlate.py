@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition import SSPs
@@ -19,8 +18,6 @@ from astro_scc.images.zncc import Template, find_peaks
 from astro_scc.parallel import Workers, in_order
 from astro_scc.quantities import CORRELATION, named
 
-#: Pixels of windows transformed at once; more would not fit into the processor's cache.
-BATCH_PIXELS = 150_000
 #: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
 #: Columns of matches, and their types.
@@ -336,72 +333,33 @@ class TargetStack:
             y, x = np.divmod(segments.pixels, self.shape[1])
             values[y + self.margin[0], x + self.margin[1]] = segments.values
 
-    def displacements(self, box):
-        """
-        Return the displacements at which an SSP may overlap what is not zero.
-
-        They are given by their middle and half their range, which is None if there
-        are none.  Coefficients are zero at all other displacements.  One more of
-        these is included on every side, so that no maximum lies at the border.
-        """
-        (y0, x0), (y1, x1) = box[:2], box[2:] + 2 * self.margin
-        some = self.values[:, y0:y1, x0:x1].any(axis=0)
-        if not some.any():
-            return None, None
-        places = np.argwhere(some) - self.margin
-        low = places.min(axis=0) - (box[2:] - box[:2])
-        high = places.max(axis=0) + 1
-        low, high = np.maximum(low, -self.margin), np.minimum(high, self.margin)
-        half = (high - low + 1) // 2
-        # If their number is even, one more is added, but not beyond the largest.
-        return np.minimum(low + half, self.margin - half), half
-
     def matches_of(self, ssps, i):
         """Yield columns of the matches of one SSP: all but the last, in places here."""
         box = ssps.bbox[i]
-        middle, half = self.displacements(box)
-        if half is None:
-            return
         rows, columns = np.divmod(ssps.pixels_of(i), self.shape[1])
         inside = rows - box[0], columns - box[1]
         values = np.zeros(box[2:] - box[:2])
         footprint = np.zeros(values.shape, dtype=bool)
         values[inside] = ssps.values[ssps.starts[i] : ssps.starts[i + 1]]
         footprint[inside] = True
-        template = Template(values, footprint, half)
+        template = Template(values, footprint, self.margin)
         if template.energy == 0:
             return
-        corner = box[:2] + self.margin + middle - half
-        for targets, coefficient, overlap in self.coefficients(corner, template):
-            which, y, x, value = find_peaks(coefficient, self.settings.kappa)
-            share = np.ones(len(which))
+        # The margin of the planes is that of the window around the SSP.
+        start, (ny, nx) = box[:2], template.window_shape
+        window = np.s_[start[0] : start[0] + ny, start[1] : start[1] + nx]
+        for k in np.flatnonzero(self.values[:, *window].any(axis=(1, 2))):
+            valid, overlap = self.valid[k][window], None
+            if not valid.all():
+                overlap = template.overlap(valid, self.settings.min_overlap)
+            pixels = self.values[k][window].astype(float)
+            coefficient = template.of_windows(pixels, overlap)
+            _, y, x, value = find_peaks(coefficient[None], self.settings.kappa)
+            share = np.ones(len(value))
             if overlap is not None:
                 share = overlap.share[np.rint(y).astype(int), np.rint(x).astype(int)]
-            dy, dx = y + (middle[0] - half[0]), x + (middle[1] - half[1])
-            yield np.full(len(which), i), targets[which], dy, dx, value, share
-
-    def coefficients(self, corner, template):
-        """
-        Yield targets in batches, with their coefficients and `Overlap`.
-
-        Those of a batch miss the same pixels; without an overlap they miss none.
-        """
-        (y, x), (h, w), (ny, nx) = corner, template.fft_shape, template.window_shape
-        pixels = self.valid[:, y : y + ny, x : x + nx]
-        used = self.values[:, y : y + ny, x : x + nx].any(axis=(1, 2))
-        whole, batch = pixels.all(axis=(1, 2)), max(BATCH_PIXELS // (h * w), 1)
-        alike = {None: list(np.flatnonzero(used & whole))}
-        for k in np.flatnonzero(used & ~whole):
-            alike.setdefault(pixels[k].tobytes(), []).append(k)
-        for key, targets in alike.items():
-            overlap, targets = None, np.array(targets, dtype=int)
-            if key is not None:
-                least = self.settings.min_overlap
-                overlap = template.overlap(pixels[targets[0]], least)
-            for start in range(0, len(targets), batch):
-                some = targets[start : start + batch]
-                windows = self.values[some, y : y + h, x : x + w].astype(float)
-                yield some, template.of_windows(windows, overlap), overlap
+            here = np.full((2, len(value)), [[i], [k]])
+            yield *here, y - self.margin[0], x - self.margin[1], value, share
 
     def snr(self, target, y, x):
         """Return the largest value in 3 x 3 pixels around positions, over the noise."""
@@ -413,6 +371,6 @@ class TargetStack:
         for k in np.unique(target):
             here = target == k
             sigma[here] = np.broadcast_to(self.noise[k], self.shape)[y[here], x[here]]
-        around = sliding_window_view(self.values, (3, 3), axis=(1, 2))
-        around = around[target, y + self.margin[0] - 1, x + self.margin[1] - 1]
-        return np.maximum(around.max(axis=(1, 2)), 0) / sigma
+        highest = scipy.ndimage.maximum_filter(self.values, (1, 3, 3))
+        highest = highest[target, y + self.margin[0], x + self.margin[1]]
+        return np.maximum(highest, 0) / sigma

@@ -16,7 +16,7 @@ from astro_scc.images.positions import beam_fwhm, position_errors, ssp_offsets
 from astro_scc.paper import stack
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs, target_ssps
 from astro_scc.parallel import Workers, workers_of
-from astro_scc.plan import each_fwhm, motion_of, require_pairs, scale_numbers
+from astro_scc.plan import flow_beam, motion_of, require_pairs, scale_numbers
 from astro_scc.progress import progress
 from astro_scc.settings import MeasurementSettings
 from astro_scc.units import PM_UNIT
@@ -35,8 +35,6 @@ class SearchPlan:
         Numbers of the scales.
     pairs : ``DatePairs``
         Pairs of dates that are compared.
-    fwhm : float
-        The beam, or the mean size of the scales without one, in mas.
     max_speed : float
         The largest speed of a match, in mas/yr.
     reach : tuple of int
@@ -54,7 +52,6 @@ class SearchPlan:
 
     scales: tuple[float, ...]
     pairs: stack.DatePairs
-    fwhm: float
     max_speed: float
     reach: tuple[int, int]
 
@@ -81,9 +78,9 @@ class SearchPlan:
         """
         pairs = pairs_of_dates(cube, settings.baseline)
         scales = scale_numbers(cube, settings.scales)
-        fwhm = float(each_fwhm(cube, scales).mean())
+        beam = flow_beam(cube)
         # Four beams in the longest interval, as in the simulated jets of the paper.
-        speed = 4 * fwhm / pairs.interval.max()
+        speed = 4 * beam / pairs.interval.max()
         if settings.max_speed is not None:
             speed = settings.max_speed.to_value(PM_UNIT)
         moved, most = motion_of(cube, speed, pairs.interval)
@@ -97,9 +94,9 @@ class SearchPlan:
                 MeasurementWarning,
             )
         # Matches a little beyond the largest speed still reach into its map.
-        reach = np.ceil((most + fwhm) / side).astype(int)[::-1]
+        reach = np.ceil((most + beam) / side).astype(int)[::-1]
         reach = tuple(np.minimum(reach, shape - 1).tolist())
-        return cls(scales, pairs, fwhm, speed, reach)
+        return cls(scales, pairs, speed, reach)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -14,16 +14,15 @@ from threadpoolctl import threadpool_limits
 from astro_scc.columns import build_table, round_to_errors
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
-from astro_scc.images.positions import name_by_frame
+from astro_scc.images.positions import beam_fwhm, name_by_frame
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
 from astro_scc.paper import matching
-from astro_scc.paper.components import PaperStack, stack_patterns
-from astro_scc.paper.stack import draw_orders, image_pairs
+from astro_scc.paper.stack import PaperStack, draw_orders, image_pairs, stack_patterns
 from astro_scc.parallel import Workers
 from astro_scc.patterns import check_cube, empty_region
-from astro_scc.plan import each_fwhm, flow_direction, velocity_frame
+from astro_scc.plan import flow_direction, velocity_frame
 from astro_scc.progress import progress
-from astro_scc.quantities import Seed, random_generator, seeded
+from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import MeasurementSettings, require
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.units import in_speed_unit
@@ -218,8 +217,7 @@ def measure_as_in_paper(
     """
     n_trials = require("n_trials", n_trials)
     _check(cube, settings)
-    rng, seed = seeded(rng)
-    generator = random_generator(rng)
+    generator, seed = seeded(rng)
     plan = matching.SearchPlan.of(cube, settings)
     orders = draw_orders(plan.pairs, n_trials, generator)
     matched = matching.match_epochs(
@@ -234,7 +232,8 @@ def measure_as_in_paper(
         matched, frame, min_error_beams=settings.min_error_beams
     )
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
-    fwhm = each_fwhm(cube, plan.scales, axes).mean(axis=0)
+    epoch, level = np.indices((len(cube), len(plan.scales))).reshape(2, -1)
+    fwhm = beam_fwhm(cube, epoch, np.array(plan.scales)[level], axes).mean(axis=0)
     with (
         progress(n_trials, "Permuting", show=progress_bar) as done,
         # The matrix products are small: threads would wait for one another.

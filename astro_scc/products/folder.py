@@ -204,9 +204,6 @@ def write_products(
     features = table_in_c_as(result.features, streams)
     features = with_published(features, result.tracked_features, published)
     meta = {**result.meta, **streams.meta}
-    meta["history"] = list(result.cube.meta.get("history", ()))
-    if published is not None and "survey" in published.meta:
-        meta["history"].append(f"compared with {published.meta['survey']}")
     epochs, used = result.cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
     epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
     tables = {
@@ -215,9 +212,9 @@ def write_products(
         "positions": result.feature_positions, "sensitivity": result.sensitivity,
         "epochs": describe(epochs, "epochs"), "ssps": result.ssps,
     }  # fmt: skip
-    settings = {"configuration": configuration, "text": text}
     hdus, printed = velocity_hdus(result, text=text), PRINTED if archives else ()
-    return _write_all(tables, hdus, directory, meta, printed, **settings)
+    given = {"configuration": configuration, "text": text, "published": published}
+    return _write_all(tables, hdus, directory, meta, result.cube, printed, **given)
 
 
 def write_paper_products(result, streams, directory, *, configuration=None, text=None):
@@ -241,13 +238,13 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
     """
     tables = {"streams": streams, "components": streams, "ssps": result.ssps}
     meta, hdus = {**result.meta, **streams.meta}, map_hdus(result, text=text)
-    settings = {"configuration": configuration, "text": text}
-    return _write_all(tables, hdus, directory, meta, ("streams",), **settings)
+    given = {"configuration": configuration, "text": text}
+    return _write_all(tables, hdus, directory, meta, result.cube, ("streams",), **given)
 
 
-def _write_all(tables, hdus, directory, meta, printed, **settings):
+def _write_all(tables, hdus, directory, meta, cube, printed, **given):
     """Write tables, maps, and some of the tables in forms of journals and archives."""
-    written, paths = write_tables(tables, directory, meta, **settings)
+    written, paths = write_tables(tables, directory, meta, cube, **given)
     paths.append(Path(directory, "scc.fits"))
     hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
     if printed:
@@ -256,7 +253,9 @@ def _write_all(tables, hdus, directory, meta, printed, **settings):
     return paths
 
 
-def write_tables(tables, folder, meta, *, configuration=None, text=None):
+def write_tables(
+    tables, folder, meta, cube, *, configuration=None, text=None, published=None
+):
     """
     Write tables by their names with one meta and their notes, settings and citations.
 
@@ -265,7 +264,9 @@ def write_tables(tables, folder, meta, *, configuration=None, text=None):
     tables : dict of `~astropy.table.QTable`
     folder : path
     meta : dict
-    configuration, text : optional
+    cube : `~astro_scc.epochs.EpochCube`
+        The meta gets its history.
+    configuration, text, published : optional
         See `write_products`.
 
     Returns
@@ -277,7 +278,10 @@ def write_tables(tables, folder, meta, *, configuration=None, text=None):
     if configuration is not None:
         kept = {key: value for key, value in meta.items() if key != "settings"}
         meta = {"configuration": configuration, **kept}
-    written, paths = {}, []
+    history = list(cube.meta.get("history", ()))
+    if published is not None and "survey" in published.meta:
+        history.append(f"compared with {published.meta['survey']}")
+    meta, written, paths = meta | {"history": history}, {}, []
     for name, table in tables.items():
         written[name] = copy = table.copy(copy_data=False)
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
@@ -287,7 +291,7 @@ def write_tables(tables, folder, meta, *, configuration=None, text=None):
             shutil.copyfile(Path(folder, "streams.ecsv"), paths[-1])
         else:
             copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
-    texts = {"citations.bib": citations_of(meta.get("history", ()), meta)}
+    texts = {"citations.bib": citations_of(history, meta)}
     if text is not None:
         texts["config.toml"] = text
     for name, content in texts.items():

@@ -25,7 +25,7 @@ from astro_scc import writing
 from astro_scc.columns import column_of, describe, round_to_errors
 from astro_scc.epochs import read_components
 from astro_scc.exceptions import warn
-from astro_scc.kinematics.cosmology import cosmology_text
+from astro_scc.kinematics.cosmology import source_text
 from astro_scc.measurement.tables import paper_table
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import ascii_line
@@ -128,12 +128,8 @@ def facts_of(meta):
         facts.append(f"{meta['n_epochs']} epochs from {first} to {last}.")
     if "beam" in meta:
         facts.append(f"Beam {meta['beam']}.")
-    speeds = "Apparent speeds are for a"
-    if "distance" in meta:
-        facts.append(f"{speeds} distance of {meta['distance']:g}.")
-    elif "redshift" in meta:
-        cosmology = cosmology_text(meta["cosmology"])
-        facts.append(f"{speeds} redshift of {meta['redshift']:g} and {cosmology}.")
+    if source := source_text(meta):
+        facts.append(f"Apparent speeds are for {source}.")
     return facts
 
 

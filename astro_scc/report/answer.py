@@ -6,7 +6,7 @@ import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
 from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
-from astro_scc.kinematics.cosmology import cosmology_text, table_in_c_as
+from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.units import offset_unit, unit_name
 
 #: Most features that are named in a sentence, and that the terminal shows.
@@ -454,9 +454,5 @@ def speed_lines(meta):
     >>> speed_lines({"redshift": 0.158, "cosmology": "H0=71,Om0=0.27"})[0]
     'speeds in c: redshift 0.158, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27'
     """
-    if "distance" in meta:
-        return [f"speeds in c: distance {meta['distance']:g}"]
-    if "redshift" in meta:
-        how = cosmology_text(meta["cosmology"])
-        return [f"speeds in c: redshift {meta['redshift']:g}, {how}"]
-    return []
+    source = source_text(meta)
+    return [f"speeds in c: {source}"] if source else []

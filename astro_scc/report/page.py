@@ -98,7 +98,7 @@ def feature_rows(features, most=MOST):
 
     Of more than ``most`` secure features, the first are those seen in most epochs.
     """
-    columns = headed(features, FEATURES, own="features").values()
+    columns = headed(features, FEATURES, of_table="features").values()
     heads, _, columns = zip(*columns, strict=True)
     rows = [*zip(zip(*columns, strict=True), features["secure"], strict=True)]
     first = answer.longest(features, most)
@@ -152,13 +152,13 @@ def setting_text(value):
 # -- surveys ---------------------------------------------------------------------
 
 
-def overview(table, features, parts, folder, published):
+def overview(table, features, parts, folder):
     """
     Return what the page of a survey shows.
 
     Parameters
     ----------
-    table, features, parts, folder, published
+    table, features, parts, folder
         See `~astro_scc.report.page.write_overview`.
 
     Returns
@@ -180,9 +180,8 @@ def overview(table, features, parts, folder, published):
     rows = []
     for part in parts:
         names = tuple(getattr(part, name) for name in PART)
-        row, known = first[names], published[part.source]
-        part_features = features[of_part[names]]
-        rows.append(_part_cells(part, row, part_features, unit, known, folder))
+        of_features = features[of_part[names]]
+        rows.append(_part_cells(part, first[names], of_features, unit, folder))
     moving = [cells for cells in rows if cells["kind"] == "moving"]
     if speeds := [cells["speed"] for cells in moving if "speed" in cells]:
         low, middle, high = (f"{v:.2g}" for v in np.quantile(speeds, [0, 0.5, 1]))
@@ -197,7 +196,7 @@ def overview(table, features, parts, folder, published):
     }
 
 
-def _part_cells(part, row, features, unit, published, folder):
+def _part_cells(part, row, features, unit, folder):
     """Return the text of a region and scale group, its profile and its speed."""
     more = defaultdict(str, kind=part.message)
     cells = dict.fromkeys(OVERVIEW, "")
@@ -208,8 +207,9 @@ def _part_cells(part, row, features, unit, published, folder):
         cells["n_epochs"] = str(part.n_epochs)
         cells["span"], more["span"] = _span(*Time([part.first, part.last]))
     known = known_error = np.nan
-    if published is not None:
-        known, known_error, *_ = *np.atleast_1d(published.to_value(unit)), np.nan
+    if part.published is not None:
+        numbers = np.atleast_1d(part.published.to_value(unit))
+        known, known_error, *_ = *numbers, np.nan
         exact = np.isnan(known_error)
         cells["published"] = f"{known:g}" if exact else with_error(known, known_error)
     if part.status != "measured":
@@ -398,7 +398,7 @@ def _template(name):
     return environment.get_template(name)
 
 
-def write_overview(table, features, parts, folder, *, published):
+def write_overview(table, features, parts, folder):
     """
     Write ``overview.html``, a page with a row for each source of a survey.
 
@@ -408,12 +408,11 @@ def write_overview(table, features, parts, folder, *, published):
         Of `~astro_scc.cli.survey.run_survey`, which is in this folder too.
     features : `~astropy.table.QTable`
         The features of all sources.
-    parts : sequence of Outcome
-        Of the regions and scale groups of the sources; their products are read.
+    parts : sequence of Part
+        Regions and scale groups of the sources, with their outcomes and published
+        speeds; their products are read.
     folder : path
         Folder of the survey.
-    published : dict of str to `~astropy.units.Quantity` or None
-        Published speed of each source, with its error if there are two numbers.
 
     Returns
     -------
@@ -427,7 +426,7 @@ def write_overview(table, features, parts, folder, *, published):
         files = style.figure_files(("population",), lambda _: draw(features))
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
-        **overview(table, features, parts, folder, published),
+        **overview(table, features, parts, folder),
         title="Survey of proper motions",
         population={name: int(use.sum()) for name, use in found.items()},
         figure=files.get("population.png"),

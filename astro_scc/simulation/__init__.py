@@ -2,17 +2,18 @@
 """Simulation: images of jets and shells with known velocities."""
 
 from astro_scc.simulation.jets import JetSimulation, write_simulation
-from astro_scc.simulation.resolved import Layer, m87_layers, simulate_resolved_jet
 from astro_scc.simulation.simulators import (
+    m87_layers,
     simulate_ballistic,
     simulate_jet,
     simulate_random_velocity,
+    simulate_resolved_jet,
     simulate_shell,
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
 )
-from astro_scc.simulation.streams import Flow, Stream
+from astro_scc.simulation.streams import Flow, Layer, Stream
 
 __all__ = [
     "Flow", "JetSimulation", "Layer", "Stream", "m87_layers", "simulate_ballistic",

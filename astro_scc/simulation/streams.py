@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.quantities import check_choice, named
 
 # Length in beams over which features move off the axis, and fade at the end.
@@ -372,3 +373,156 @@ class Flow:
         s = start * np.expm1(growth * path) / growth if growth else path
         s = np.where(s < length, s, np.nan)
         return s[np.isfinite(s).any(axis=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """
+    Clumps of a resolved jet that have one speed at each distance from the core.
+
+    ``distance``, ``speed``, ``half_width`` and ``brightness`` are the columns of a
+    table, linear between its rows.  Clumps appear anywhere between the first and the
+    last distance, at all times, and keep their place across the jet in units of its
+    half width, so that they follow its shape.
+
+    Parameters
+    ----------
+    name : str
+    distance : `~astropy.units.Quantity`
+        Distances from the core along the axis, zero or positive and increasing.
+    speed : `~astropy.units.Quantity`
+        Speeds along the axis as proper motions, all positive, or all zero.
+    half_width : `~astropy.units.Quantity`
+        Half widths of the jet.
+    brightness : `~astropy.units.Quantity`
+        Median peak of a clump in the image, per beam.
+    across : sequence of float, optional
+        Places across the jet in half widths, such as (-1, 1) for its two limbs and
+        (0,) for a spine.
+    scatter : float, optional
+        Standard deviation of the clumps' places about these, in half widths.
+    n_clumps : float, optional
+        Mean number of clumps at a time.
+    size : `~astropy.units.Quantity`, shape (2,), optional
+        Limits of the clumps' full widths at half maximum, uniform.
+    life : `~astropy.units.Quantity`, optional
+        Time from the appearance of a clump to its end; it brightens in the first
+        quarter and fades in the last.  Infinite for a layer that does not move: its
+        clumps are there at all epochs.
+    flux_scatter : float, optional
+        Standard deviation of the logarithm of the flux densities between clumps.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range, the columns differ in length, or a layer
+        that moves has clumps without an end.
+    `~astropy.units.UnitConversionError`
+        If a unit does not fit.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astro_scc.simulation import Layer
+    >>> spine = Layer("spine", distance=[0, 2, 8] * u.mas,
+    ...               speed=[1, 8, 10] * u.mas / u.yr,
+    ...               half_width=[0.1, 0.4, 0.9] * u.mas,
+    ...               brightness=[50, 20, 5] * u.mJy / u.beam)
+    >>> spine.n_clumps, spine.across
+    (100, (0.0,))
+    """
+
+    name: str
+    distance: u.Quantity
+    speed: u.Quantity
+    half_width: u.Quantity
+    brightness: u.Quantity
+    across: Sequence[float] = (0.0,)
+    scatter: float = 0.1
+    n_clumps: float = 100
+    size: u.Quantity = (0.1, 0.3) * u.mas
+    life: u.Quantity = 0.5 * u.yr
+    flux_scatter: float = 0.5
+
+    def __post_init__(self):
+        whose, life = f"layer {self.name!r}: ", u.Quantity(self.life).to_value(u.yr)
+        size = u.Quantity(self.size).to_value(u.mas)
+        units = {
+            "distance": u.mas, "speed": u.mas / u.yr, "half_width": u.mas,
+            "brightness": u.Jy / u.beam,
+        }  # fmt: skip
+        columns = {k: u.Quantity(getattr(self, k)).to_value(units[k]) for k in units}
+        numbers = "scatter n_clumps flux_scatter size"
+        check_not_negative(self, f"{numbers} {' '.join(columns)}", whose)
+        distance, speed = columns["distance"], columns["speed"]
+        if any(column.shape != (distance.size,) for column in columns.values()):
+            raise ValueError(f"{whose}{', '.join(columns)} must have one length")
+        if distance.size < 2 or not np.all(np.diff(distance) > 0):
+            raise ValueError(f"{whose}distance must increase, got {self.distance}")
+        if speed.min() == 0 < speed.max():
+            raise ValueError(f"{whose}speed must be positive, or zero everywhere")
+        if size.shape != (2,) or np.diff(size) < 0:
+            raise ValueError(f"{whose}size must be two limits, got {self.size}")
+        if len(self.across) == 0:
+            raise ValueError(f"{whose}across needs one place or more")
+        if life.shape or not 0 < life or (np.isinf(life) and speed.any()):
+            wanted = "life must be positive, and finite for a layer that moves"
+            raise ValueError(f"{whose}{wanted}, got {self.life}")
+
+    def features(self, jet: Any, rng: np.random.Generator) -> Features:
+        """
+        Draw the clumps and follow them over the epochs.
+
+        Parameters
+        ----------
+        jet : `JetSimulation`
+        rng : `numpy.random.Generator`
+
+        Returns
+        -------
+        Features
+        """
+        scale, interval = jet.pixel_scale.to_value(u.mas), jet.interval.to_value(u.yr)
+        table = self.distance.to_value(u.mas)
+        times, life = jet.times * interval, self.life.to_value(u.yr)
+        span = times[-1] if np.isfinite(life) else 0.0
+        # Clumps are born in the series of epochs, and in a life before it.
+        share = 1 + span / life
+        n = rng.poisson(self.n_clumps * share)
+        age = np.zeros((n, times.size))
+        if np.isfinite(life):
+            age = times - rng.uniform(-1, span / life, (n, 1)) * life
+        r = self._moved(rng.uniform(table[0], table[-1], (n, 1)), age)
+        if np.isfinite(life):
+            r = np.where((age > 0) & (age < life), r, np.nan)
+        place = rng.choice(self.across, (n, 1)) + self.scatter * rng.normal(size=(n, 1))
+        fwhm = rng.uniform(*self.size.to_value(u.mas), (n, 1))
+        fading = RAMP * jet.beam_length * scale
+        there = raised_cosine((table[-1] - r) / fading)
+        if np.isfinite(life):
+            # It appears in the first quarter of its life, and fades in the last.
+            part = np.minimum(age, life - age) / (0.25 * life)
+            there = there * raised_cosine(part)
+        peak = np.interp(r, table, self.brightness.to_value(u.Jy / u.beam)) * there
+        peak = peak * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
+        beams = np.mean([b.covariance.to_value(u.mas**2) for b in jet.beams], axis=0)
+        total = beams + (FWHM_TO_SIGMA * fwhm)[..., None, None] ** 2 * np.eye(2)
+        flux = peak * np.sqrt(np.linalg.det(total) / np.linalg.det(beams))
+        y = place * np.interp(r, table, self.half_width.to_value(u.mas))
+        flux = np.nan_to_num(flux)
+        seen = (flux > 0).any(axis=1)
+        x, y = jet.extent[0] + r / scale, jet.axis + y / scale
+        return in_view(self.name, seen, x, y, flux, fwhm / scale)
+
+    def _moved(self, start, age):
+        """Return distances at ages in years of clumps that were born at ``start``."""
+        table, speed = self.distance.to_value(u.mas), self.speed.to_value(u.mas / u.yr)
+        if not speed.any():
+            return start + np.zeros_like(age)
+        rows = np.arange(len(table))
+        # Steps in which clumps move, 50 for each interval of the table.
+        grid = np.interp(np.linspace(0, rows[-1], 50 * rows[-1] + 1), rows, table)
+        slowness = 1 / np.interp(grid, table, speed)
+        steps = 0.5 * (slowness[1:] + slowness[:-1]) * np.diff(grid)
+        passed = np.concatenate([[0], np.cumsum(steps)])
+        return np.interp(np.interp(start, grid, passed) + age, passed, grid)

@@ -8,6 +8,7 @@ import numpy as np
 
 from astro_scc.decomposition import SSPs
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.images.dates import date_labels
 from astro_scc.images.positions import axis_words, ssp_offsets
 from astro_scc.images.series import epoch_index
 from astro_scc.units import offset_unit, unit_name
@@ -281,15 +282,10 @@ def image_planes(cube, limits, most):
 
 
 def epoch_names(times):
-    """Return the shortest date of each epoch that no other epoch has."""
-    dates = [date.replace("T", " ") for date in times.isot]
-    names = [f"{date} ({k})" for k, date in enumerate(dates)]
-    # To the millisecond, the second, the minute and the day.
-    for length in (23, 19, 16, 10):
-        short = [date[:length] for date in dates]
-        own = [short.count(name) == 1 for name in short]
-        names = np.where(own, short, names).tolist()
-    return names
+    """Return the date of each epoch as text that no other epoch has."""
+    dates = [date.replace("T", " ") for date in date_labels(times)]
+    twice = {date for date in dates if dates.count(date) > 1}
+    return [f"{d} ({k})" if d in twice else d for k, d in enumerate(dates)]
 
 
 def sky_place(table):

@@ -35,8 +35,7 @@ class Speeds:
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
         features = result.tracked_features
         velocity, covariance = frame_velocities(result.frame, features)
-        place = np.reshape([motion.place for motion in features.motions], (-1, 2))
-        self.distance = np.hypot(*place.T)
+        self.distance = np.hypot(*features.places.T)
         self.feature = self.factor * velocity @ along
         self.feature_err = self.factor * np.sqrt(along @ covariance @ along)
         rows = [

@@ -104,10 +104,10 @@ def _draw_separations(ax, lower, features, on_axis, unit, stream, given):
         time = d.time[k]
         ax.errorbar(on_axis(time), factor * distance[k], factor * error[k], **dots)
         t = np.linspace(*time[[0, -1]], 50)
-        fitted = factor * np.hypot(*_fitted(motion, t).T)
+        fitted = factor * np.hypot(*motion.at(t).T)
         ax.plot(on_axis(t), fitted, **{"linewidth": 1.2, **look})
         if lower is not None:
-            left = distance[k] - np.hypot(*_fitted(motion, time).T)
+            left = distance[k] - np.hypot(*motion.at(time).T)
             lower.errorbar(on_axis(time), factor * left, factor * error[k], **dots)
         places = zip(on_axis(time[[0, -1]]), fitted[[0, -1]], strict=True)
         ends.append((*places, look["color"]))
@@ -159,13 +159,6 @@ def _draw_published(ax, published, cube, place):
         same = published[published["published"] == number]
         line = {"alpha": 0.6, "zorder": 1, "label": "published"}
         ax.plot(*place(same), gid=f"published {number}", **look, **line)
-
-
-def _fitted(motion, time):
-    """Return the places of a fitted motion, shape (n, 2) in mas."""
-    dt = (time - motion.date)[:, None]
-    bend = np.nan_to_num(motion.acceleration)
-    return motion.place + motion.velocity * dt + bend * dt**2 / 2
 
 
 def feature_look(features, number, stream=None):

@@ -11,7 +11,7 @@ from astropy.table import QTable
 
 from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_part, run_survey
-from astro_scc.cli.survey_sources import Outcome, alone, folder_names, read_survey
+from astro_scc.cli.survey_sources import Part, alone, folder_names, read_survey
 from astro_scc.report.page import write_overview
 
 TEXT = """
@@ -112,9 +112,12 @@ def test_the_overview_counts_sources(tmp_path):
     table["pm_err"] = np.full(9, 0.1) * u.mas / u.yr
     table["p_global"], table["p_fdr"] = 0.01, 0.02
     table["n_features"] = [3] * 8 + [0]
-    parts = [Outcome(row[0], "all", row[1], row[2]) for row in rows]
     known = {"A": [1.9] * u.mas / u.yr} | {k: [np.nan] * u.mas / u.yr for k in "BCDEFG"}
-    path = write_overview(table, QTable(), parts, tmp_path, published=known)
+    parts = [
+        Part(name, "all", group, "", None, known[name], status=status)
+        for name, group, status, _ in rows
+    ]
+    path = write_overview(table, QTable(), parts, tmp_path)
     page = path.read_text(encoding="utf-8")
     for words in (
         "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "

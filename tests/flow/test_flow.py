@@ -20,11 +20,11 @@ from astro_scc.flow import (
     measure_field,
     measure_profile,
 )
+from astro_scc.flow.acceleration import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.field import cell_coordinates
-from astro_scc.flow.parts import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.profile import bins_of
-from astro_scc.flow.speeds import feature_distances
-from astro_scc.kinematics import RadialFrame, RidgeLine
+from astro_scc.flow.speeds import distances_along
+from astro_scc.kinematics import ExpansionFrame, RadialFrame, RidgeLine
 from astro_scc.measurement.tables import stream_table
 from astro_scc.simulation import simulate_jet
 from astro_scc.streams.decomposed import decompose_flow
@@ -94,7 +94,7 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     assert windows.value.tolist() == [[0, 4.5], [6.5, 11.5]]
     # Features belong to the bin of their mean place.
     features = decomposed.features
-    distance = feature_distances(profile.flow, features)
+    distance = distances_along(profile.flow, features.places)
     for (low, high), found in zip(
         profile.bins.value, profile.results["all"], strict=True
     ):
@@ -278,3 +278,9 @@ REFUSED = [
 def test_what_makes_no_sense_is_refused(decomposed, result, call, words):
     with pytest.raises(ValueError, match=words):
         call(decomposed, result)
+
+
+def test_distances_in_an_expansion_are_from_its_centre():
+    frame = ExpansionFrame([3, 4] * u.mas, 10 * u.mas)
+    flow = SimpleNamespace(grids=[SimpleNamespace(angle=np.nan)], frame=frame)
+    assert distances_along(flow, np.array([[0.0, 0.0], [3.0, 2.0]])).tolist() == [5, 2]

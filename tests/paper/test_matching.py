@@ -42,8 +42,8 @@ def test_the_largest_displacement():
     plan = plan_of((0, YEAR / 2, YEAR * 3 / 2), 0.45)
     assert (plan.max_speed, plan.reach) == (0.45, (15, 15))
     # Without a largest speed four beams in the longest interval.
-    plan = plan_of((0, YEAR / 2, YEAR * 3 / 2), beam=0.26, shape=(99, 99))
-    assert (plan.max_speed, plan.reach) == (pytest.approx(4 * 0.26), (13, 13))
+    plan = plan_of((0, YEAR / 2, YEAR * 3 / 2), beam=0.35, shape=(99, 99))
+    assert (plan.max_speed, plan.reach) == (pytest.approx(4 * 0.35), (18, 18))
 
 
 def test_windows_end_with_the_image_and_warn():

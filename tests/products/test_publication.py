@@ -60,7 +60,7 @@ def test_archives_read_the_numbers(folder, printed, name):
     text = path.read_text()
     assert f"description of file: {path.name}".lower() in text.lower()
     assert re.search(r"\nTable: .* of .*3C_1 50%", text) or name == "features"
-    assert "Note: Apparent speeds are for a redshift of 0.158" in text
+    assert "Note: Apparent speeds are for redshift 0.158, " in text
     found = ascii.read(str(path), format="mrt")
     # The core is the reference, and in no paper.
     assert len(found) == len(table)
@@ -131,7 +131,7 @@ def test_latex_of_both_journals(printed, journal, rows):
     assert (r"\startlongtable" in text) == (long and journal == "aastex")
     for words in (
         r"\label{tab:streams}", r"Velocities of the streams of 3C\_1 50\%.",
-        "redshift of 0.158", "H0 = 71 km/s/Mpc", " epochs from ",
+        "redshift 0.158, ", "H0 = 71 km/s/Mpc", " epochs from ",
     ):  # fmt: skip
         assert words in text
     assert r"(\mathrm{mas\,yr^{-1}}" in text.replace("$", "")
