@@ -344,9 +344,9 @@ class _Filter:
 
     def predicted(self, state, time):
         """Return the states of tracks at a date."""
-        x, v, (p0, p1, p2) = state[X], state[V], state[VARIANCE]
-        dt, found = np.abs(time - state[TIME]), state.copy()
-        found[X] += dt * v
+        (p0, p1, p2), found = state[VARIANCE], state.copy()
+        dt = np.abs(time - state[TIME])
+        found[X] += dt * state[V]
         found[4] = p0 + 2 * dt * p1 + dt**2 * p2 + self.o.wander * dt**3 / 3
         found[5] = p1 + dt * p2 + self.o.wander * dt**2 / 2
         found[6] += self.o.wander * dt
@@ -451,7 +451,11 @@ def _one_way(d, o, way):
 
 def lowest(value, *keys, n=1):
     """Return the indices of the n lowest values for equal keys, sorted by the keys."""
-    order = np.lexsort((value, *keys[::-1]))
+    order = np.argsort(value, kind="stable")
+    for key in keys[::-1]:
+        # Short integers are sorted in a time that is linear in their number.
+        short = key if key.max(initial=0) >= 2**15 else key.astype(np.int16)
+        order = order[np.argsort(short[order], kind="stable")]
     return order[rank_in_group(*(key[order] for key in keys)) < n]
 
 
