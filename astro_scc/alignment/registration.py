@@ -234,15 +234,18 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     of the start, or if the correlation there is not above ``alike``.
     """
     filled = grid.fill_masked(image, mask)
+    # The pixels in use know nothing of others that are farther away than this.
+    first = (0, 0) if start is None else start
+    reached = 24 + int(np.ceil(reach + np.abs(first).max()))
+    for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
+        near = tuple(slice(max(k.start - reached, 0), k.stop + reached) for k in box)
+        filled, mask, reference, use = (
+            values[near] for values in (filled, mask, reference, use)
+        )
     if start is None:
         # The peak to whole pixels is off by less than one and a half pixels.
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
-    slopes = np.zeros((2, *reference.shape))
-    # The pixels in use know nothing of filled ones that are farther away than this.
-    for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
-        near = tuple(slice(max(k.start - 24, 0), k.stop + 24) for k in box)
-        filled_near = grid.fill_masked(reference[near], ~use[near])
-        slopes[:, *near] = np.gradient(filled_near)[::-1]
+    slopes = np.gradient(grid.fill_masked(reference, ~use))[::-1]
     steep = np.hypot(*slopes)
     y, x = np.nonzero(use & (steep >= 0.01 * steep[use].max(initial=0)))
     # The spline spreads the filled values of bad pixels over two pixels, and the

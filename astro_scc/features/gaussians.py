@@ -303,9 +303,8 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4, enough=
     are solved, which takes less time than the decomposition of the whole Jacobian
     by `scipy.optimize.least_squares`.  Fits are given up whose chi^2 stays above
     ``enough``, even if it falls by a hundred times what the next step promises.
+    Returns the components and their chi^2.
     """
-    if len(p) == 0:
-        return p
     y, x, weight = data.y[where], data.x[where], data.weight[where]
     value = (data.value[where] - fixed) * weight
     is_round = _is_round(p)
@@ -345,7 +344,7 @@ def _least_squares(p, data, where, fixed, iterations=12, tolerance=1e-4, enough=
         damping = max(damping / 5, 1e-7)
         if done or (cost - HOPELESS * promised) * data.independent > enough:
             break
-    return p
+    return p, cost * data.independent
 
 
 def _normal_equations(jacobian, left, zero):
@@ -417,11 +416,12 @@ def _refitted(new, p, data, at, least):
     where = np.abs(data.y - at[0]) < 4 * width[0]
     where &= np.abs(data.x - at[1]) < 4 * width[1]
     before = data.chi2(p, where)
-    if near.any():
-        fixed = data.model(new[~near], where)
-        new = new.copy()
-        new[near] = _least_squares(new[near], data, where, fixed, enough=before - least)
-    return new, before - data.chi2(new, where)
+    if not near.any():
+        return new, before - data.chi2(new, where)
+    fixed, new = data.model(new[~near], where), new.copy()
+    enough = before - least
+    new[near], after = _least_squares(new[near], data, where, fixed, enough=enough)
+    return new, before - after
 
 
 def _grown(p, data, most=20):
@@ -479,7 +479,9 @@ def _model(data, rounds=3, good=1.5):
 
 def _fitted(p, data):
     """Return components with those that are missing, and without needless ones."""
-    p = _least_squares(_grown(p, data), data, EVERYWHERE, 0.0)
+    p = _grown(p, data)
+    if len(p):
+        p, _ = _least_squares(p, data, EVERYWHERE, 0.0)
     return _pruned(p, data)
 
 

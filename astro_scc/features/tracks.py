@@ -188,19 +188,18 @@ def _agreed(d, settings, seed):
         return []
     assignment = Assignment(paths, len(d))
     chosen, proven = assignment.best(score)
-    solutions = [chosen]
     detection, ends = assignment.uses.indices.astype(int), assignment.uses.indptr[1:]
     before = np.delete(np.arange(len(detection)), ends - 1)
-    owner = np.searchsorted(ends, before, side="right")
     links = detection[before] * len(d) + detection[before + 1]
     links, which = np.unique(links, return_inverse=True)
-    for trial in range(settings.solutions):
-        normal = _normal(d, *np.divmod(links, len(d)), seed, trial)
-        noise = settings.disturbance * normal[which]
-        disturbed = score + np.bincount(owner, noise, len(paths))
-        solutions.append(assignment.good(disturbed))
+    start = np.concatenate([[0], ends - np.arange(1, len(ends) + 1)])
+    has = scipy.sparse.csr_array((np.ones(len(which)), which, start))
+    pairs = np.divmod(links, len(d))
+    noise = [_normal(d, *pairs, seed, trial) for trial in range(settings.solutions)]
+    disturbed = settings.disturbance * (has @ np.stack(noise, axis=1))
+    solutions = [chosen, *assignment.good(score[:, None] + disturbed)]
     used = np.bincount(np.concatenate(solutions), minlength=len(paths))
-    share = np.bincount(which, used[owner]) / len(solutions)
+    share = used @ has / len(solutions)
     links = np.divmod(links[share > settings.agreed], len(d))
     return [
         Track(detection, _same_speed(d, detection, paths, solutions), proven)
@@ -315,10 +314,9 @@ def steady_hypotheses(detections, settings):
     return paths, np.array([found[path] for path in paths])
 
 
-#: A track that ends with a detection: a node, after the node of the detection before.
-NODE = [("detection", int), ("parent", int), ("root", int), ("x", float, 2),
-        ("v", float, 2), ("variance", float, 3), ("light", float), ("score", float),
-        ("length", int)]  # fmt: skip
+#: Rows of the state of a track: place, velocity, their variances and covariance, the
+#: logarithm of its flux, and its last date.
+X, V, VARIANCE, LIGHT, TIME = slice(0, 2), slice(2, 4), slice(4, 7), 7, 8
 
 
 class _Filter:
@@ -327,125 +325,124 @@ class _Filter:
     def __init__(self, d, o):
         # Times are in median intervals.
         step = np.median(np.diff(np.unique(d.time)))
-        self.o, self.u, self.time = o, d.in_beams, (d.time - d.time.min()) / step
-        self.scatter = position_scatter(d, o)
+        self.o, self.u, self.time = o, d.in_beams.T, (d.time - d.time.min()) / step
+        self.square = position_scatter(d, o) ** 2
         self.light = np.log(d.flux)
         width = self.light.std() + 0.3
         self.light_density = -0.5 * ((self.light - self.light.mean()) / width) ** 2
         self.light_density -= np.log(width * np.sqrt(2 * np.pi))
         self.entry = np.log(o.detected / o.density)
-        # Longer than the nodes that there are, n_nodes.
-        self.nodes, self.n_nodes = np.empty(1024, dtype=NODE), 0
-
-    def _added(self, here, **state):
-        """Return the nodes of new tracks, which end with some detections."""
-        new = np.arange(self.n_nodes, self.n_nodes + len(here))
-        self.n_nodes += len(here)
-        while self.n_nodes > len(self.nodes):
-            self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)])
-        rows = self.nodes[self.n_nodes - len(here) : self.n_nodes]
-        rows["detection"] = here
-        for name, values in state.items():
-            rows[name] = values
-        return new
 
     def start(self, here):
-        """Return a new track from each detection of an epoch."""
-        zero = np.zeros(len(here))
-        variance = np.stack([self.scatter[here] ** 2, zero, zero + self.o.speed**2], 1)
-        return self._added(
-            here, parent=-1, root=here, length=1, x=self.u[here], v=0.0,
-            variance=variance, light=self.light[here], score=self.entry,
+        """Return the states of new tracks, one from each detection of an epoch."""
+        state = np.zeros((9, len(here)))
+        state[X], state[LIGHT], state[TIME] = (
+            self.u[:, here], self.light[here], self.time[here]
         )  # fmt: skip
+        state[4], state[6] = self.square[here], self.o.speed**2
+        return state
 
-    def _predicted(self, h, here):
-        """Return the places of tracks at the dates of detections, and variances."""
-        dt = np.abs(self.time[here] - self.time[h["detection"]])
-        p0, p1, p2 = h["variance"].T
-        p0 = p0 + 2 * dt * p1 + dt**2 * p2 + self.o.wander * dt**3 / 3
-        p1 = p1 + dt * p2 + self.o.wander * dt**2 / 2
-        return h["x"] + dt[:, None] * h["v"], p0, p1, p2 + self.o.wander * dt
+    def predicted(self, state, time):
+        """Return the states of tracks at a date."""
+        (p0, p1, p2), found = state[VARIANCE], state.copy()
+        dt = np.abs(time - state[TIME])
+        found[X] += dt * state[V]
+        found[4] = p0 + 2 * dt * p1 + dt**2 * p2 + self.o.wander * dt**3 / 3
+        found[5] = p1 + dt * p2 + self.o.wander * dt**2 / 2
+        found[6] += self.o.wander * dt
+        found[TIME] = time
+        return found
 
-    def branches(self, node, here):
-        """Return the most likely detections of an epoch for each track, and gains."""
-        o, h = self.o, self.nodes[node]
-        if len(here) == 0:
-            return here, here, np.empty(0)
-        x, p0, *_ = self._predicted(h, here[0])
-        off = self.u[here].T[:, None] - x.T[..., None]
-        square, variance = (off**2).sum(axis=0), p0[:, None] + self.scatter[here] ** 2
-        i, k = np.nonzero(square <= o.gate**2 * variance)
-        gain = self.entry + log_t(square[i, k], variance[i, k], o.freedom, 2)
-        change = log_t(
-            (self.light[here][k] - h["light"][i]) ** 2, o.flux_step**2, o.freedom, 1
-        )
-        gain += change - self.light_density[here][k]
+    def branches(self, state, here):
+        """Return the most likely detections of an epoch for each state, and gains."""
+        o = self.o
+        y, x = self.u[:, here, None] - state[X, None]
+        square, variance = y**2 + x**2, state[4] + self.square[here, None]
+        i, k = np.nonzero(np.ascontiguousarray((square <= o.gate**2 * variance).T))
+        gain = self.entry + log_t(square[k, i], variance[k, i], o.freedom, 2)
+        k = here[k]
+        change = (self.light[k] - state[LIGHT, i]) ** 2
+        gain += log_t(change, o.flux_step**2, o.freedom, 1) - self.light_density[k]
         use = np.flatnonzero(gain > LOWEST_GAIN)
-        use = use[lowest(-gain[use], i[use], n=o.branches)]
-        return i[use], here[k[use]], gain[use]
+        if len(here) > o.branches:
+            use = use[lowest(-gain[use], i[use], n=o.branches)]
+        return i[use], k[use], gain[use]
 
-    def continued(self, node, here, score):
-        """Return tracks, each continued by a detection."""
-        h = self.nodes[node]
-        x, p0, p1, p2 = self._predicted(h, here)
-        off, s = self.u[here] - x, p0 + self.scatter[here] ** 2
+    def continued(self, state, here):
+        """Return states, each continued by a detection."""
+        (p0, p1, p2), off = state[VARIANCE], self.u[:, here] - state[X]
+        s = p0 + self.square[here]
         # An outlier affects the state less.
-        weight = 1 / np.maximum(1, (off**2).sum(axis=1) / (self.o.freedom * s)) / s
+        weight = 1 / np.maximum(1, (off**2).sum(axis=0) / (self.o.freedom * s)) / s
         by_place, by_speed = weight * p0, weight * p1
-        variance = (1 - by_place) * p0, (1 - by_place) * p1, p2 - by_speed * p1
-        return self._added(
-            here, parent=node, root=h["root"], length=h["length"] + 1, score=score,
-            x=x + by_place[:, None] * off, v=h["v"] + by_speed[:, None] * off,
-            variance=np.stack(variance, axis=1),
-            light=0.5 * (h["light"] + self.light[here]),
-        )  # fmt: skip
-
-    def paths(self, node):
-        """Return the detections of each track, -1 after its end, last one first."""
-        steps = []
-        while (node >= 0).any():
-            steps.append(np.where(node >= 0, self.nodes["detection"][node], -1))
-            node = np.where(node >= 0, self.nodes["parent"][node], -1)
-        return np.stack(steps, axis=1)
+        light = 0.5 * (state[LIGHT] + self.light[here])
+        return np.stack([
+            *(state[X] + by_place * off), *(state[V] + by_speed * off),
+            (1 - by_place) * p0, (1 - by_place) * p1, p2 - by_speed * p1,
+            light, state[TIME],
+        ])  # fmt: skip
 
 
 def _one_way(d, o, way):
     """Yield the best tracks of each first and each last detection, and scores."""
-    tree, lost_score = _Filter(d, o), np.log(1 - o.detected)
+    kalman, lost_score = _Filter(d, o), np.log(1 - o.detected)
     epochs = np.arange(d.epoch[0], d.epoch[-1] + 1)[::way]
-    live = missed = np.empty(0, dtype=int)
-    score, ended = np.empty(0), []
+    # A track that ends with a detection is a node, after the node of the one before.
+    # Their columns: detection, parent, root, length; and the score.
+    nodes, scores, n_nodes = [], [], 0
+    live = missed = root = length = np.empty(0, dtype=int)
+    state, score, ended = np.empty((9, 0)), np.empty(0), []
     for epoch in epochs.tolist():
         here = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
-        one, detection, gain = tree.branches(live, here)
+        one = detection = here[:0]
+        gain = np.empty(0)
+        if len(here):
+            then = kalman.predicted(state, kalman.time[here[0]])
+            one, detection, gain = kalman.branches(then, here)
         lost = missed >= o.most_missed
         ended.append(live[lost])
         left = np.flatnonzero(~lost)
         score = np.concatenate([score[one] + gain, score[left] + lost_score])
-        root = tree.nodes["root"][live[np.concatenate([one, left])]]
-        kept = np.sort(lowest(-score, root, n=o.hypotheses))
-        new, left = kept[kept < len(one)], left[kept[kept >= len(one)] - len(one)]
-        start = tree.start(here)
-        longer = tree.continued(live[one[new]], detection[new], score[new])
-        live, missed, score = (
-            np.concatenate([longer, live[left], start]),
-            np.concatenate([0 * longer, missed[left] + 1, 0 * start]),
-            np.concatenate([score[kept], tree.nodes["score"][start]]),
-        )
+        roots = root[np.concatenate([one, left])]
+        kept = np.sort(lowest(-score, roots, n=o.hypotheses))
+        n_new = np.searchsorted(kept, len(one))
+        one, detection = one[kept[:n_new]], detection[kept[:n_new]]
+        left = left[kept[n_new:] - len(gain)]
+        score = np.concatenate([score[kept], np.full(len(here), kalman.entry)])
+        roots = np.concatenate([roots[kept], here])
+        lengths = np.concatenate([length[one] + 1, length[left], 1 + 0 * here])
+        new = np.arange(n_nodes, n_nodes + len(one) + len(here))
+        n_nodes += len(new)
+        added = np.r_[: len(one), len(kept) : len(kept) + len(here)]
+        parent = np.concatenate([live[one], np.full(len(here), -1)])
+        detection = np.concatenate([detection, here])
+        nodes.append(np.stack([detection, parent, roots[added], lengths[added]]))
+        scores.append(score[added])
+        states = [state[:, left], kalman.start(here)]
+        if len(one):
+            states = [kalman.continued(then[:, one], detection[: len(one)]), *states]
+        state = np.concatenate(states, axis=1)
+        live = np.concatenate([new[: len(one)], live[left], new[len(one) :]])
+        missed = np.concatenate([0 * one, missed[left] + 1, 0 * here])
+        root, length = roots, lengths
     # A track that then only misses epochs ends with its last detection.
     node = np.unique(np.concatenate([*ended, live]))
-    node = node[tree.nodes["length"][node] >= o.least_epochs]
-    ended = tree.nodes[node]
-    best = ended["score"]
-    kept = [lowest(-best, ended[end], n=o.kept) for end in ("root", "detection")]
-    keep = np.union1d(*kept)
-    keep = keep[best[keep] > 0]
-    if len(keep):
-        steps = tree.paths(node[keep])[:, ::-way]
-        ends = np.cumsum((steps >= 0).sum(axis=1)).tolist()
+    (detection, parent, root, length), best = (
+        np.concatenate(nodes, axis=1), np.concatenate(scores)
+    )  # fmt: skip
+    node = node[length[node] >= o.least_epochs]
+    kept = [lowest(-best[node], end[node], n=o.kept) for end in (root, detection)]
+    node = node[np.union1d(*kept)]
+    node = node[best[node] > 0]
+    totals, lengths, steps = best[node].tolist(), length[node], []
+    while (node >= 0).any():
+        steps.append(np.where(node >= 0, detection[node], -1))
+        node = np.where(node >= 0, parent[node], -1)
+    if steps:
+        steps = np.stack(steps, axis=1)[:, ::-way]
         steps = steps[steps >= 0].tolist()
-        limits = pairwise([0, *ends])
-        for (low, high), total in zip(limits, best[keep].tolist(), strict=True):
+        limits = pairwise([0, *np.cumsum(lengths).tolist()])
+        for (low, high), total in zip(limits, totals, strict=True):
             yield tuple(steps[low:high]), total
 
 
@@ -454,7 +451,11 @@ def _one_way(d, o, way):
 
 def lowest(value, *keys, n=1):
     """Return the indices of the n lowest values for equal keys, sorted by the keys."""
-    order = np.lexsort((value, *keys[::-1]))
+    order = np.argsort(value, kind="stable")
+    for key in keys[::-1]:
+        # Short integers are sorted in a time that is linear in their number.
+        short = key if key.max(initial=0) >= 2**15 else key.astype(np.int16)
+        order = order[np.argsort(short[order], kind="stable")]
     return order[rank_in_group(*(key[order] for key in keys)) < n]
 
 
@@ -520,8 +521,8 @@ class Assignment:
         """
         first, length = np.zeros_like(self.price), np.diff(self.uses.indptr)
         np.maximum.at(first, self.uses.indices, np.repeat(score / length, length))
-        self.price, chosen, bound = self._priced(score, first / 2, 150)
-        total = score[chosen].sum()
+        price, (chosen,), (bound,) = self._priced(score[:, None], first[None] / 2, 150)
+        self.price, total = price[0], score[chosen].sum()
         if bound - total <= TOLERANCE * total:
             return chosen, True
         value = score - self.uses @ self.price
@@ -542,56 +543,72 @@ class Assignment:
             chosen = keep[found.x > 0.5]
         return chosen, proven and found.status == 0
 
-    def good(self, score):
+    def good(self, scores):
         """
-        Return the tracks of a good assignment for other scores, by prices alone.
+        Return the tracks of good assignments for other scores, by prices alone.
 
         Parameters
         ----------
-        score : `~numpy.ndarray`, shape (n_tracks,)
+        scores : `~numpy.ndarray`, shape (n_tracks, n)
 
         Returns
         -------
-        `~numpy.ndarray` of int
+        list of `~numpy.ndarray` of int
         """
-        return self._priced(score, self.price, 60)[1]
+        price = np.repeat(self.price[None], scores.shape[1], axis=0)
+        return self._priced(scores, price, 60)[1]
 
-    def _priced(self, score, price, iterations, between=15):
+    def _priced(self, scores, price, iterations, between=15):
         """
-        Return the best prices, the best assignment by prices, and the bound.
+        Return the best prices, the best assignments by prices, and the bounds.
 
-        An assignment is made whenever so many iterations are ``between``.
+        There is one of each for each column of the scores.  Assignments are made
+        whenever so many iterations are ``between``.
         """
-        lowest, best_price, total, chosen = np.inf, price, -1.0, np.empty(0, dtype=int)
-        length = np.diff(self.uses.indptr)
-        step, in_vain = 1.0, 0
+        n, n_detections = price.shape
+        lowest, total, chosen = np.full(n, np.inf), np.full(n, -1.0), [[]] * n
+        length, best_price = np.diff(self.uses.indptr), price.copy()
+        step, in_vain, active = np.ones(n), np.zeros(n, dtype=int), np.arange(n)
         for k in range(iterations + 1):
-            value = score - self.uses @ price
-            bound = price.sum() + value[value > 0].sum()
-            if bound < lowest - 1e-9:
-                lowest, best_price, in_vain = bound, price, 0
-            else:
-                in_vain += 1
-            if in_vain >= 8:
-                step, in_vain, price = 0.6 * step, 0, best_price
-                value = score - self.uses @ price
+            value = scores[:, active] - self.uses @ price[active].T
+            column, taken = _positive(value)
+            ends = np.searchsorted(column, np.arange(1, len(active)))
+            gains = np.split(value[taken, column], ends)
+            bound = price[active].sum(axis=1) + [gain.sum() for gain in gains]
+            lower = bound < lowest[active] - 1e-9
+            better = active[lower]
+            lowest[better], best_price[better] = bound[lower], price[better]
+            in_vain[active] += 1
+            in_vain[better] = 0
+            again = in_vain[active] >= 8
+            if again.any():
+                which = active[again]
+                step[which] *= 0.6
+                in_vain[which], price[which] = 0, best_price[which]
+                value[:, again] = scores[:, which] - self.uses @ price[which].T
+                column, taken = _positive(value)
             if k % between == 0 or k == iterations:
-                other = self._greedy(value, score)
-                if score[other].sum() > total:
-                    chosen, total = other, score[other].sum()
+                for one, values in zip(active.tolist(), value.T, strict=True):
+                    other = self._greedy(values, scores[:, one])
+                    if (reached := scores[other, one].sum()) > total[one]:
+                        chosen[one], total[one] = other, reached
             # Few tracks are taken: a product with the whole matrix takes longer.
-            taken = np.flatnonzero(value > 0)
             first, number = self.uses.indptr[taken], length[taken]
             places = np.repeat(first - np.cumsum(number) + number, number)
             places += np.arange(len(places))
-            used = self.uses.indices[places]
-            slope = 1.0 - np.bincount(used, minlength=len(price))
-            slope[(price <= 0) & (slope > 0)] = 0
-            square = slope @ slope
-            if square == 0 or lowest - total <= 1e-6 * total:
+            used = self.uses.indices[places] + np.repeat(column * n_detections, number)
+            slope = 1.0 - np.bincount(used, minlength=len(active) * n_detections)
+            slope = slope.reshape(len(active), n_detections)
+            slope[(price[active] <= 0) & (slope > 0)] = 0
+            square, gap = (slope**2).sum(axis=1), (lowest - total)[active]
+            go_on = (square > 0) & (gap > 1e-6 * total[active])
+            if not go_on.any():
                 break
-            price = np.maximum(price - step * (lowest - total) / square * slope, 0)
-        return best_price, chosen, lowest
+            active = active[go_on]
+            size = step[active] * gap[go_on] / square[go_on]
+            change = size[:, None] * slope[go_on]
+            price[active] = np.maximum(price[active] - change, 0)
+        return best_price, [np.array(tracks, dtype=int) for tracks in chosen], lowest
 
     def _greedy(self, value, score):
         """Return the tracks in the order of their values that share no detection."""
@@ -603,3 +620,10 @@ class Assignment:
                 used.update(self._paths[track])
                 chosen.append(track)
         return np.array(chosen, dtype=int)
+
+
+def _positive(value):
+    """Return the columns, in their order, and the rows of the positive values."""
+    taken, column = np.divmod(np.flatnonzero(value > 0), value.shape[1])
+    order = np.argsort(column, kind="stable")
+    return column[order], taken[order]

@@ -42,7 +42,7 @@ def parts_of(search):
         diagram = search.diagram if part is flow else None
         found = parts.fit_part(part, start=start, intervals=intervals, diagram=diagram)
         known = found is not None and found.knows(main)
-        error = found.errors().mean[main] if known else np.nan
+        error = found.errors(stream=main).mean[0] if known else np.nan
         if not np.isfinite(error):
             return np.nan, np.nan
         return abs(found.fit.mean[main]) * flow.beam, error * flow.beam

@@ -40,7 +40,7 @@ class SpeedErrors:
     epochs: np.ndarray
 
 
-def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
+def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None, stream=None):
     """
     Return the errors of a fit of streams.
 
@@ -60,6 +60,8 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
         As for the diagram.
     travel : float, optional
         Speed at which clusters move, by default that of each stream.
+    stream : int, optional
+        The only stream whose errors are asked for.
 
     Returns
     -------
@@ -80,23 +82,25 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None):
     model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows
     model = np.tensordot(model, equations.design, 1)
     residual = diagram.means - unbinned(equations, model)
+    asked = range(k) if stream is None else [stream]
     # The amplitudes stand before the means.
-    functions = [function_of(equations, weights[i]) for i in range(2 * k)]
+    which = [row for i in asked for row in (k + i, i)]
+    functions = [function_of(equations, weights[row]) for row in which]
     pieces = influences(flow, diagram, functions, region=region)
     errors, numbers, clusters, epochs = [], [], [], []
-    for i in range(k):
+    for n, i in enumerate(asked):
         speed = fit.mean[i] if travel is None else travel
-        sums, parts = clusters_of(flow, (pieces[k + i], pieces[i]), speed)
+        sums, parts = clusters_of(flow, pieces[2 * n : 2 * n + 2], speed)
         number = np.mean([_effective(part) for part in parts])
         factor = scipy.special.stdtrit(max(number - 1, 1.0), ONE_SIGMA)
-        deleted = _of_epochs(functions[k + i], residual)
+        deleted = _of_epochs(functions[2 * n], residual)
         variance = factor**2 * np.mean([_variance(v) for v in sums])
         unequal = max(fit.sd[i] ** 2 - (FLOOR * fit.mean[i]) ** 2, 0) / max(number, 1)
         errors.append(np.sqrt(variance + (deleted**2).sum() + unequal))
         numbers.append(number)
         clusters.append([factor * v for v in sums])
         epochs.append(deleted)
-    epochs = np.reshape(epochs, (k, -1))
+    epochs = np.reshape(epochs, (len(asked), -1))
     return SpeedErrors(np.array(errors), np.array(numbers), clusters, epochs)
 
 

@@ -23,11 +23,11 @@ class PartFit:
     equations: Equations
     fit: StreamFit
 
-    def errors(self, travel=None):
-        """Return the errors, of clusters that move at a speed."""
+    def errors(self, travel=None, stream=None):
+        """Return the errors, of clusters that move at a speed; those of one stream."""
         return fit_errors(
             self.planes, self.diagram, self.equations, self.fit, region=self.region,
-            travel=travel,
+            travel=travel, stream=stream,
         )  # fmt: skip
 
     def knows(self, stream: int) -> bool:

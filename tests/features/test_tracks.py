@@ -193,7 +193,7 @@ def test_it_is_the_best_choice_and_others_are_valid(problem, seed):
     assert score[chosen].sum() <= best + 1e-9
     # Disturbed scores may be negative; such tracks are not used.
     other = score + np.random.default_rng(seed).normal(0, 3, len(score))
-    good = found.good(other)
+    (good,) = found.good(other[:, None])
     assert is_packing(paths, good)
     assert (other[good] > 0).all()
     assert other[good].sum() <= best_total(paths, other.tolist()) + 1e-9
