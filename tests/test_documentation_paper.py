@@ -55,7 +55,7 @@ def test_numbers_of_the_simulated_jets():
     assert f"11.4 and 6.7 in the paper, {slow[5]} and {fast[5]} here" in WORDS
     peaks = [row for row in rows(printed("random")) if row[1:2] == ["not significant"]]
     first = max(peaks, key=lambda row: float(row[5]))
-    assert f"row 1 has {first[5]} (" in WORDS
+    assert f"row 1 has {first[5]}, and" in WORDS
     assert f"- nothing significant, p_global {first[6]} " in WORDS
     assert f"p is {first[6]}." in WORDS
     # A pixel is 0.1 mas, and an epoch 30 days.
