@@ -123,8 +123,10 @@ def measure(table, before="2011-01-01", n_trials=200):
     below.errorbar(r.value, gamma, gamma_err, fmt="o")
     below.plot(z, power(z), color="C0", lw=1, label="power law")
     index = np.log(gamma_of(PAPER[1][1]) / gamma_of(PAPER[1][0])) / np.log(7)
-    of_paper = gamma_of(PAPER[1][0]) * z.value**index
-    below.plot(z, of_paper, ":", color="C1", label="Mertens & Lobanov")
+    # The paper's acceleration ends at the second of its distances.
+    inner = np.linspace(*PAPER[0])
+    of_paper = gamma_of(PAPER[1][0]) * inner**index
+    below.plot(inner, of_paper, ":", color="C1", label="Mertens & Lobanov")
     below.legend(loc="upper left")
     below.set(xlabel="Core separation (mas)", ylabel=f"Lorentz factor at {VIEW:g}")
     for ax, values, errors in ((above, beta_app, error), (below, gamma, gamma_err)):
