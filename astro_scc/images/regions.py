@@ -106,20 +106,22 @@ def _combine(cube, items, name, places):
     inside = {True: np.full(shape, not any(wanted)), False: np.zeros(shape, dtype=bool)}
     for item, include in zip(items, wanted, strict=True):
         try:
-            # Images are small enough for spherical regions to be flat in them.
-            pixel = item
-            if not isinstance(item, PixelRegion):
-                pixel = local.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
-            target = pixel.bounding_box.get_overlap_slices(shape)[0]
-            if target is None:
-                continue
-            if not (isinstance(pixel, CompoundPixelRegion) or pixel.area > 0):
-                raise ValueError("it is a point, a line or text")
-            # A mask of the region may be far larger than the image.
-            y, x = np.mgrid[target]
-            # Some versions of regions turn excluded ones over, others do not.
-            within = pixel.copy(meta={}).contains(PixCoord(x, y))
-        except (NotImplementedError, OverflowError, ValueError):
+            # A size that overflows is none.
+            with np.errstate(over="raise"):
+                # Images are small enough for spherical regions to be flat in them.
+                pixel = item
+                if not isinstance(item, PixelRegion):
+                    pixel = local.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
+                target = pixel.bounding_box.get_overlap_slices(shape)[0]
+                if target is None:
+                    continue
+                if not (isinstance(pixel, CompoundPixelRegion) or pixel.area > 0):
+                    raise ValueError("it is a point, a line or text")
+                # A mask of the region may be far larger than the image.
+                y, x = np.mgrid[target]
+                # Some versions of regions turn excluded ones over, others do not.
+                within = pixel.copy(meta={}).contains(PixCoord(x, y))
+        except (NotImplementedError, ArithmeticError, ValueError):
             raise ValueError(
                 f"{name}: a {type(item).__name__} has no inside on the image; use "
                 "circles, ellipses, rectangles or polygons, on the part of the sky "
