@@ -7,13 +7,13 @@ arrays.
 """
 
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs
+from astro_scc.paper.peaks import stack_patterns
 from astro_scc.paper.stack import (
     Displacements,
     baseline_pairs,
     consecutive_pairs,
     draw_orders,
     image_pairs,
-    stack_patterns,
 )  # fmt: skip
 
 __all__ = [

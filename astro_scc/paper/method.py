@@ -17,7 +17,8 @@ from astro_scc.epochs import EpochCube
 from astro_scc.images.positions import beam_fwhm, name_by_frame
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
 from astro_scc.paper import matching
-from astro_scc.paper.stack import PaperStack, draw_orders, image_pairs, stack_patterns
+from astro_scc.paper.peaks import PaperStack, stack_patterns
+from astro_scc.paper.stack import draw_orders, image_pairs
 from astro_scc.parallel import Workers
 from astro_scc.patterns import check_cube, empty_region
 from astro_scc.plan import flow_direction, velocity_frame

@@ -9,14 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc.paper import Displacements, consecutive_pairs
-from astro_scc.paper.stack import (
+from astro_scc.paper.peaks import (
     find_velocity_peaks,
     fit_gaussian,
     jitter_positions,
-    match_velocities,
     normal_probability,
-    velocity_axes,
 )
+from astro_scc.paper.stack import match_velocities, velocity_axes
 
 AXES = velocity_axes((10.0, 8.0), (0.5, 0.4))
 BOX = (6.0, 6.0)
