@@ -123,7 +123,7 @@ def _combine(cube, items, name, places):
                 within = pixel.copy(meta={}).contains(PixCoord(x, y))
         except (NotImplementedError, ArithmeticError, ValueError):
             raise ValueError(
-                f"{name}: a {type(item).__name__} has no inside on the image; use "
+                f"{name}: the {type(item).__name__} has no inside on the image; use "
                 "circles, ellipses, rectangles or polygons, on the part of the sky "
                 "that the images show"
             ) from None
