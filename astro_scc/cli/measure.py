@@ -86,7 +86,7 @@ def _as_in_paper(epochs, folder, args, reporter):
     streams = inputs.with_speeds_in_c(result.streams, settings)
     write_paper_products(
         result, streams, folder, configuration=settings.to_dict(),
-        text=settings.to_toml(versions=versions()),
+        text=settings.to_toml(versions=versions()), archives=not args.no_report,
     )  # fmt: skip
     if not args.no_report:
         per_pm = beta_per_pm(streams)
@@ -98,7 +98,7 @@ def _as_in_paper(epochs, folder, args, reporter):
 
 
 def write_measurement(
-    result, epochs, folder, *, output, report=True, archives=True, compare=None, **page
+    result, epochs, folder, *, output, report=True, compare=None, **page
 ):  # fmt: skip
     """
     Write tables, maps, settings and report of a measurement.
@@ -113,8 +113,7 @@ def write_measurement(
     output : `~pathlib.Path`
         Final path of the folder.
     report : bool, optional
-    archives : bool, optional
-        Write the tables in the forms of journals and archives, too.
+        Write the report, and the tables in the forms of journals and archives.
     compare : str, optional
         The file of the published features.
     **page
@@ -130,7 +129,7 @@ def write_measurement(
     write_products(
         result, streams, folder, configuration=settings.to_dict(),
         text=settings.to_toml(versions=versions()), published=published,
-        archives=archives,
+        archives=report,
     )  # fmt: skip
     if report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"

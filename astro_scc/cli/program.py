@@ -8,6 +8,7 @@ seconds to import.
 """
 
 import argparse
+import gc
 import os
 import re
 import signal
@@ -30,6 +31,9 @@ USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
 # Signals handled like an interrupt: from `kill` and batch systems, and from a terminal
 # that is closed.
 SIGNALS = ("SIGTERM", "SIGHUP")
+#: Objects that are made before Python looks for unreachable ones; by default it does so
+#: 350 times while it imports and measures, for a twentieth of the time.
+UNCOLLECTED = 50_000
 
 
 def option_name(name):
@@ -218,6 +222,17 @@ def _ended_by_signals():
         yield
 
 
+@contextmanager
+def _seldom_collected():
+    """Let Python look less often for objects that nothing refers to."""
+    before = gc.get_threshold()
+    gc.set_threshold(UNCOLLECTED, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+
+
 def _add(parser, arguments):
     """Add options and settings by their names, and what argparse takes."""
     for argument in arguments:
@@ -311,7 +326,7 @@ def main(argv: list[str] | None = None) -> int:
     name = f"astro-scc {args.command}"
     reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
-        with _ended_by_signals(), reporter.warnings_as_lines():
+        with _seldom_collected(), _ended_by_signals(), reporter.warnings_as_lines():
             module = COMMANDS[args.command]["module"]
             module = import_module(f"astro_scc.cli.{module}")
             getattr(module, args.command)(args, reporter)

@@ -271,7 +271,7 @@ def _measured(part, folder, output, report, said):
     result = scc.measure(decomposed, n_trials=settings.n_trials, rng=settings.seed)
     write_measurement(
         result, epochs, folder, output=output / part.folder, report=report,
-        archives=report, title=part.title, warnings=_lines(said),
+        title=part.title, warnings=_lines(said),
     )  # fmt: skip
     return replace(part, status="measured", **known)
 

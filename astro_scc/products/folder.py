@@ -217,7 +217,9 @@ def write_products(
     return _write_all(tables, hdus, directory, meta, result.cube, printed, **given)
 
 
-def write_paper_products(result, streams, directory, *, configuration=None, text=None):
+def write_paper_products(
+    result, streams, directory, *, configuration=None, text=None, archives=True
+):
     """
     Write tables and maps of a measurement by the paper's method.
 
@@ -226,7 +228,7 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
     result : `~astro_scc.paper.method.PaperMeasurement`
     streams : `~astropy.table.QTable`
         Its ``streams``, with apparent speeds if there are any.
-    directory, configuration, text
+    directory, configuration, text, archives
         See `write_products`.
 
     Returns
@@ -239,7 +241,8 @@ def write_paper_products(result, streams, directory, *, configuration=None, text
     tables = {"streams": streams, "components": streams, "ssps": result.ssps}
     meta, hdus = {**result.meta, **streams.meta}, map_hdus(result, text=text)
     given = {"configuration": configuration, "text": text}
-    return _write_all(tables, hdus, directory, meta, result.cube, ("streams",), **given)
+    printed = ("streams",) if archives else ()
+    return _write_all(tables, hdus, directory, meta, result.cube, printed, **given)
 
 
 def _write_all(tables, hdus, directory, meta, cube, printed, **given):
