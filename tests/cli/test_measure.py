@@ -31,7 +31,7 @@ def config_of(folder):
 
 def test_tables_maps_and_settings(measured, jet):
     # Nothing is left of an old measurement.
-    assert {path.name for path in measured.iterdir()} == {*PRODUCTS, "notes.txt"}
+    assert {path.name for path in measured.iterdir()} == {*TABLES, "notes.txt"}
     table = QTable.read(measured / "streams.ecsv")
     assert table["pm"].unit == u.mas / u.yr
     assert table["beta_app"].unit == u.one
