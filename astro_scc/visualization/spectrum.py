@@ -91,7 +91,7 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     _draw_limits(upper, lower, search, speeds)
     upper.set_ylabel("Share of the variance\nof the moving emission")
     lower.set_xlabel(f"Speed along the flow ({speeds.name})")
-    upper.legend(fontsize="small", frameon=False, loc="center left")
+    upper.legend(fontsize="small", frameon=False, loc="best")
     style.plain_log(lower)
     if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
         style.plain_log(second)

@@ -225,10 +225,13 @@ def plot_significance(
             xytext=(-3, 2), textcoords="offset points", ha="right", va="bottom",
             fontsize="small", color=GREY,
         )  # fmt: skip
-    _draw_z_scores(scene)
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), level or 0.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
+    x = np.linspace(speed[0], speed[-1], 2000)
+    curves = [np.interp(x, speed, line) for line in (axis, highest)]
+    curves += [] if level is None else [np.full(len(x), level)]
+    _draw_z_scores(scene, np.concatenate([np.transpose([x, y]) for y in curves]))
     label = scene.labels[0]
     if scene.on_sky:
         angle = f"{result.position_angle.to_value(u.deg) % 360:.0f} deg"
@@ -240,8 +243,15 @@ def plot_significance(
     return scene.figure
 
 
-def _draw_z_scores(scene):
-    """Draw the streams at their z-scores, open if they are off the axis."""
+def _draw_z_scores(scene, drawn):
+    """
+    Draw the streams at their z-scores, open if they are off the axis.
+
+    Their numbers are above or below, where fewer points of what is ``drawn``, in the
+    units of the axes, are in the way.
+    """
+    to_points = 72 / scene.figure.dpi
+    drawn = to_points * scene.ax.transData.transform(drawn)
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
     for row, kind, strong, numbers in scene.streams(*names):
@@ -253,10 +263,16 @@ def _draw_z_scores(scene):
             fmt=style.KIND_MARKERS[kind], color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
+        off = drawn - to_points * scene.ax.transData.transform((along, z))
+
+        def hidden(y, off=off):
+            return np.sum(np.all(np.abs(off - (0, y)) < 5, axis=1))
+
+        y = min((12, -12), key=hidden)
         scene.ax.annotate(
-            f"{row['stream']}", (along, z), xytext=(0, 6), textcoords="offset points",
-            ha="center", color=color, fontweight="bold" if strong else "normal",
-            path_effects=style.outline(), clip_on=True,
+            f"{row['stream']}", (along, z), xytext=(0, y), textcoords="offset points",
+            ha="center", va="center", color=color, path_effects=style.outline(),
+            fontweight="bold" if strong else "normal", clip_on=True,
         )  # fmt: skip
 
 
