@@ -89,7 +89,7 @@ def plot(found, ssps):
             label=f"scales {name}",
         )
     above.set(xlabel="Core separation (mas)", ylabel="Apparent speed (c)", ylim=(0, 13))
-    below.set(xlabel="Position angle (deg)", ylabel="Fraction of SSPs\n1 to 6 mas from the core")
+    below.set(xlabel="Position angle (deg)", ylabel="Fraction of SSPs\nat 1 to 6 mas")
     for edge in (1, 6, 11, 16):
         above.axvline(edge, color="0.8", lw=0.8, zorder=0)
     above.legend(loc="lower right")

@@ -103,7 +103,8 @@ def test_the_first_page_shows_what_its_commands_write(tmp_path, shared_data):
     shown = [words[0] for words in tool["commands"]("t.txt")]
     assert shown == ["restore", "inspect", "measure"]
     tool["keep"](shared_data, tmp_path, ["--before", "1996-09-01"])
-    text = TEXTS[START] + TEXTS[START.with_name("method.rst")]
+    pages = ("start", "method", "paper_method")
+    text = "".join(TEXTS[START.with_name(f"{page}.rst")] for page in pages)
     for path in tmp_path.iterdir():
         assert f"images/start/{path.name}" in text
         assert (IMAGES / path.name).stat().st_size < 250_000
