@@ -88,7 +88,7 @@ def plot_velocity_map(
 
     Streams are marked with their numbers in the table, a symbol for their kind
     (moving, stationary, not confirmed, not significant), and an ellipse of one standard
-    error along each axis.  The arrow shows the direction of the jet.  Further keywords
+    error along each axis.  The arrow shows the direction of the flow.  Further keywords
     are those of the image, such as ``cmap``.
     """
     image = result.velocity_map(which)
@@ -180,16 +180,24 @@ def _draw_components(scene):
     return places
 
 
+def _sky_direction(result):
+    """Return the position angle of the flow in radians, as it was found or else set."""
+    if hasattr(result, "search"):
+        # The axes are east and north, which no direction was given for.
+        return np.pi / 2 - result.search.angle
+    return result.position_angle.to_value(u.rad)
+
+
 def _draw_jet(scene, corner):
-    """Draw an arrow with the jet's direction in a corner of the axes."""
-    direction = np.array([1.0, 0.0])
+    """Draw an arrow with the direction of the jet or the flow in a corner."""
+    direction, word = np.array([1.0, 0.0]), "jet"
     if scene.on_sky:
-        angle = scene.result.position_angle.to_value(u.rad)
+        angle, word = _sky_direction(scene.result), "flow"
         side = -1 if scene.words[2] else 1
         direction = np.array([side * np.sin(angle), np.cos(angle)])
     centre = 0.17 + 0.66 * np.array(corner)
     scene.ax.annotate(
-        "outward" if scene.result.frame.axis_names[0] in OUTWARD else "jet",
+        "outward" if scene.result.frame.axis_names[0] in OUTWARD else word,
         centre + 0.09 * direction, centre - 0.09 * direction,
         xycoords="axes fraction", textcoords="axes fraction", color="white",
         fontsize="small", ha="center", va="center", gid="jet",
@@ -207,8 +215,8 @@ def plot_significance(
     The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin
     line is the largest z-score at any speed across the jet; components off the axis
     have open symbols; a dashed line is at ``level``, the z-score of significant
-    components.  On axes east and north, the map is interpolated along
-    ``result.position_angle``.  Further keywords are those of the line.
+    components.  On axes east and north, the map is interpolated along the
+    direction in which the flow moves.  Further keywords are those of the line.
     """
     scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
     ax, unit = scene.ax, scene.unit
@@ -234,7 +242,7 @@ def plot_significance(
     _draw_z_scores(scene, np.concatenate([np.transpose([x, y]) for y in curves]))
     label = scene.labels[0]
     if scene.on_sky:
-        angle = f"{result.position_angle.to_value(u.deg) % 360:.0f} deg"
+        angle = f"{np.degrees(_sky_direction(result)) % 360:.0f} deg"
         label = f"Proper motion along position angle {angle} ({unit_name(unit)})"
     ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
     columns = style.legend_columns(2)
@@ -308,7 +316,7 @@ def _along_jet(scene):
     rows = np.asarray(scene.result.z_score, dtype=float)
     speed, middle = grid.v1, int(np.argmin(np.abs(grid.v2)))
     if scene.on_sky:
-        angle = scene.result.position_angle.to_value(u.rad)
+        angle = _sky_direction(scene.result)
         sin, cos = np.sin(angle), np.cos(angle)
         # The map is square, so its reach depends on the direction.
         reach = min(np.divide(abs(grid.v1[-1]), np.maximum(np.abs([sin, cos]), 1e-9)))
