@@ -53,7 +53,7 @@ PAPER_EXPLANATION = (
     "scale) at this velocity",
     "with those of other epochs, and its excess in standard deviations of shuffled "
     "epochs",
-    "p_global: share of shuffled series of epochs with as large a z-score at any "
+    "p_global: fraction of shuffled series of epochs with as large a z-score at any "
     "velocity; n_ssp, n_pairs: patterns and pairs of epochs with a match there",
 )
 
