@@ -199,7 +199,7 @@ def _not_linked(features, seen, owner):
     why = f"detections of it are taken by likelier tracks: {others}"
     if not others:
         why = (
-            f"its links are in less than {settings.agreed:.0%} of the disturbed "
+            f"its links are in less than {settings.agreed:.0%} of the perturbed "
             "assignments, or it is at the place of a longer feature"
         )
     return [
@@ -235,7 +235,7 @@ def _trusted(features, k):
     checks = {
         f"p_false {false:.2g} (at most {most:g})": false <= most,
         f"{_count(len(track))} (at least {least})": len(track) >= least,
-        f"the same speed in {same:.0%} of the disturbed assignments (at least "
+        f"the same speed in {same:.0%} of the perturbed assignments (at least "
         f"{trust.SAME_SPEED:.0%})": same >= trust.SAME_SPEED,
         f"motion of {moved:.2g} beams (at least {trust.LEAST_MOTION:g})":
             moved >= trust.LEAST_MOTION,

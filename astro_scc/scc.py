@@ -11,7 +11,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
     search     = find_streams(flow, features, settings, rng=rng)
       flow, test = find_motion(flow, settings, rng)  # does anything move along it?
       diagrams   = correlate_aside(planes, aside)    # all pairs of dates, displacements
-      spectrum   = deconvolve(set_up(diagram))       # share of the flow at each speed
+      spectrum   = deconvolve(set_up(diagram))       # variance that moves at each speed
     result     = SCCResult(decomposed, search, ...)  # streams as tables, figures, files
     paper      = measure_as_in_paper(cube, scc)    # the paper's own method, instead
 """

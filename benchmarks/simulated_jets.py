@@ -93,7 +93,9 @@ def main():
     print_table(list(rows[0]), [list(r.values()) for r in rows])
     shown = {name: cubes[name] for name in ("3C 120", "3C 345")}
     shown |= {name: cubes[name] for name in list(cubes)[-6:-4]}
-    figure, axes = plt.subplots(4, 3, figsize=(8.5, 9), layout="constrained")
+    figure, axes = plt.subplots(
+        4, 3, figsize=(8, 7.6), layout="constrained", sharex=True, sharey=True
+    )
     for line, (name, cube) in zip(axes, shown.items(), strict=True):
         x0, y0 = cube.reference_pixel
         noise = float(np.median(cube.noise_rms().to_value(u.Jy / u.beam)))
@@ -104,14 +106,13 @@ def main():
                 np.arcsinh(cube.data[i] / (3 * noise)),
                 origin="lower",
                 extent=edges * [-1, -1, 1, 1],
-                cmap="inferno",
+                cmap="Greys",
             )
-            ax.set_title(f"{name}, {cube.labels[i][:10]}", fontsize=8)
-            ax.tick_params(labelsize=7)
-            ax.set(xlim=(6, -14), ylim=(-7, 7))
-    for ax in axes[-1]:
-        ax.set_xlabel("east (mas)", fontsize=8)
-    figure.savefig(RESULTS / "simulated_jets.png", dpi=60)
+            ax.set_title(f"{name}\n{cube.labels[i][:10]}", fontsize="small")
+            ax.set(xlim=(6, -14), ylim=(-5, 6), xticks=range(-10, 6, 5))
+    figure.supxlabel("Relative R.A. (mas)", fontsize="medium")
+    figure.supylabel("Relative Decl. (mas)", fontsize="medium")
+    figure.savefig(RESULTS / "simulated_jets.png", dpi=90)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
 import argparse
 from pathlib import Path
 
+import astropy.units as u
 from astropy.table import QTable
 
 RESULTS = Path(__file__).parent / "results"
@@ -55,11 +56,17 @@ def as_text(table):
 
 
 def brief(table, *columns, digits=2, **others):
-    """Return some columns of a table; ``others`` are numbers of digits by column."""
+    """
+    Return some columns of a table; ``others`` are numbers of digits by column.
+
+    Speeds in c, whose names begin with beta, get this unit.
+    """
     others = {"p_global": 3, **others}
     short = QTable()
     for name in columns:
         short[name] = table[name]
+        if name.startswith("beta"):
+            short[name] = table[name].value * u.def_unit("c")
         if short[name].dtype.kind == "f":
             short[name].info.format = f".{others.get(name, digits)}f"
     return short

@@ -89,8 +89,8 @@ def measure(table, before="2011-01-01", n_trials=200):
             "r": r,
             "beta_app": beta_app,
             "beta_app_err": error,
-            "features": feature_speed * PER_C.value,
-            "features_err": feature_err * PER_C.value,
+            "beta_features": feature_speed * PER_C.value,
+            "beta_features_err": feature_err * PER_C.value,
             "n_features": n.astype(int),
             "gamma": gamma,
             "gamma_err": gamma_err,
@@ -110,10 +110,10 @@ def measure(table, before="2011-01-01", n_trials=200):
     figure, (above, below) = plt.subplots(
         2, 1, figsize=(6, 6), sharex=True, layout="compressed"
     )
-    beside = r + 0.12 * u.mas, found["features"], found["features_err"]
     above.errorbar(r.value, beta_app, error, fmt="o", label="bins of the images")
+    beside = [found[name].value for name in ("beta_features", "beta_features_err")]
     above.errorbar(
-        beside[0].value, *beside[1:], fmt="D", ms=4, color="0.5", label="features"
+        r.value + 0.12, *beside, fmt="D", ms=4, color="0.5", label="survey's features"
     )
     z = np.linspace(0.5, 10.5) * u.mas
     above.plot(z, line(z), color="C0", lw=1, label="line through the bins")

@@ -19,7 +19,7 @@ from astro_scc.kinematics import apparent_speed
 GROUPS = {"1, 2": [1, 2], "3, 4": [3, 4]}
 #: The speed in c of 1 mas/yr.
 PER_C = apparent_speed(1 * u.mas / u.yr, redshift=0.158).value
-#: Speeds in c of the paper, of both groups at 1 to 6 mas.
+#: Speeds in c of the paper, of both groups anywhere from 1 to 16 mas.
 PAPER = 7.5, 9.0
 
 
@@ -56,7 +56,7 @@ def measure(table, before="2011-01-01", n_trials=200):
         ):
             pm = [region[key].to_value(u.mas / u.yr) for key in (which, f"{which}_err")]
             angles = position_angles(ssps, scales, *limits)
-            low, middle, high = np.percentile(angles, [16, 50, 84])
+            low, middle, high = np.percentile(angles, [16, 50, 84]) * u.deg
             speed, error = PER_C * np.array(pm)
             row = speed, error, len(angles), middle, (high - low) / 2
             rows.append((*limits, name, *row))
@@ -73,12 +73,12 @@ def plot(found, ssps):
     for k, (name, scales) in enumerate(GROUPS.items()):
         own = found[found["scales"] == name]
         low, high = own["r_min"].to_value(u.mas), own["r_max"].to_value(u.mas)
-        speed, error = own["beta_app"], own["beta_app_err"]
+        speed, error = own["beta_app"].value, own["beta_app_err"].value
         # The regions are the same; their points stand side by side.
         middle = (low + high) / 2 + 0.3 * (k - 0.5)
         above.errorbar(middle, speed, error, fmt="o", label=f"scales {name}")
         label = None if k else "Mertens & Lobanov"
-        above.plot((1, 6), [PAPER[k]] * 2, "--", color=f"C{k}", lw=1, label=label)
+        above.plot((1, 16), [PAPER[k]] * 2, "--", color=f"C{k}", lw=1, label=label)
         angles = position_angles(ssps, scales, *([1, 6] * u.mas))
         below.hist(
             angles,
@@ -89,7 +89,7 @@ def plot(found, ssps):
             label=f"scales {name}",
         )
     above.set(xlabel="Core separation (mas)", ylabel="Apparent speed (c)", ylim=(0, 13))
-    below.set(xlabel="Position angle (deg)", ylabel="Share of patterns at 1-6 mas")
+    below.set(xlabel="Position angle (deg)", ylabel="Fraction of SSPs\nat 1 to 6 mas")
     for edge in (1, 6, 11, 16):
         above.axvline(edge, color="0.8", lw=0.8, zorder=0)
     above.legend(loc="lower right")

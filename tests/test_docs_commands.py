@@ -103,7 +103,8 @@ def test_the_first_page_shows_what_its_commands_write(tmp_path, shared_data):
     shown = [words[0] for words in tool["commands"]("t.txt")]
     assert shown == ["restore", "inspect", "measure"]
     tool["keep"](shared_data, tmp_path, ["--before", "1996-09-01"])
-    text = TEXTS[START] + TEXTS[START.with_name("method.rst")]
+    pages = ("start", "method", "paper_method")
+    text = "".join(TEXTS[START.with_name(f"{page}.rst")] for page in pages)
     for path in tmp_path.iterdir():
         assert f"images/start/{path.name}" in text
         assert (IMAGES / path.name).stat().st_size < 250_000
@@ -151,14 +152,14 @@ def test_toml_of_the_documentation_is_understood(page, text, tmp_path):
 
 @pytest.mark.slow
 def test_python_that_is_no_doctest_runs(tmp_path, monkeypatch):
-    """The lines of the README for a real jet, on a simulated one of that name."""
+    """The lines of the README for the images of the demo, on a smaller jet."""
     (text,) = blocks(REPOSITORY / "README.rst", "python")
     monkeypatch.chdir(tmp_path)
     beams = [Beam(size * u.mas, 0.8 * u.mas, 0 * u.deg) for size in (1.0, 1.1, 0.9, 1)]
     flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6)
     small = {"shape": (64, 128), "extent": (20.0, 100.0), "axis": 32.0, "core": 3.0}
     jet = JetSimulation([flow], n_epochs=4, beams=beams, **small).run(rng=1)
-    write_epochs(jet.cube, "3c273")
+    write_epochs(jet.cube, "astro_scc_demo/epochs")
     names = {}
     with warnings.catch_warnings():
         # Features crowd about its core, and four epochs are too few for a p-value.

@@ -249,7 +249,7 @@ class SCCResult(tables.VelocityMaps):
         The velocity spectrum, a `~astropy.table.QTable`.
 
         A row for each speed along the flow: ``share``, that of the variance of the
-        images that moves with it; ``z``, and ``p_global``, the share of permutations
+        moving emission; ``z``, and ``p_global``, the fraction of permutations
         with as large a z at any speed, see ``permutation_test``.
         """
         return tables.spectrum_table(self)

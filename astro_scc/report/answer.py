@@ -5,7 +5,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
-from astro_scc.features.trust import LEAST_MOTION, MOST_FALSE, SIGNIFICANT
+from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.features.trust import LEAST_EPOCHS, LEAST_MOTION, MOST_FALSE, SAME_SPEED
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.units import offset_unit, unit_name
 
@@ -18,8 +19,9 @@ EXPLANATION = (
 #: What makes a feature secure, and what its p_false is.
 SECURE = (
     "p_false: probability that it is no feature, or parts of several; secure: p_false "
-    f"of at most {MOST_FALSE:g}, moved by {LEAST_MOTION:g} beam and {SIGNIFICANT:g} "
-    "standard errors or more"
+    f"of at most {MOST_FALSE:g}, {LEAST_EPOCHS} epochs or more, moved by "
+    f"{LEAST_MOTION:g} beam and {SIGNIFICANT:g} standard errors or more, at this speed "
+    f"in {SAME_SPEED:.0%} or more of the perturbed assignments"
 )
 #: Speeds agree within so many errors of both.
 AGREE = 2
@@ -53,7 +55,7 @@ PAPER_EXPLANATION = (
     "scale) at this velocity",
     "with those of other epochs, and its excess in standard deviations of shuffled "
     "epochs",
-    "p_global: share of shuffled series of epochs with as large a z-score at any "
+    "p_global: fraction of shuffled series of epochs with as large a z-score at any "
     "velocity; n_ssp, n_pairs: patterns and pairs of epochs with a match there",
 )
 
@@ -284,7 +286,7 @@ def feature_lines(features, most=MOST):
     if most < n_secure:
         said += f"; the {most} that were seen in most epochs"
     lines = column_lines(_followed(features[longest(features, most)]), FEATURES)
-    return ["", f"{said}:", *lines, SECURE, ""]
+    return ["", f"{said}:", *lines, *SECURE.split("; "), ""]
 
 
 def feature_count(features):
@@ -374,10 +376,7 @@ def _lacking(features):
         time = row["pm"].unit.bases[1]
         needed = (row["last"] - row["first"]).to_value(time) / share
         text += f"; at its speed it would have to be seen for {needed:.2g} {time}"
-    return [
-        f"{SECURE[0].upper()}{SECURE[1:]}.",
-        f"{text}.",
-    ]
+    return [*SECURE.split("; "), f"{text}."]
 
 
 def profile_lines(streams):

@@ -59,8 +59,9 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     """
     Draw the velocity spectrum over its significance.
 
-    Above is the share of the variance of the images that moves at each speed along the
-    flow; that of the opposite direction is noise where nothing moves that way.
+    Above is the share of the variance of the moving emission at each speed along the
+    flow, of both directions one in all; the opposite one is noise where nothing moves
+    that way.
     Symbols are the streams with their errors, pale bars their dispersions, ticks the
     secure features.  Below is the excess over permuted innovations; a dashed line is
     the level that the largest of one in a hundred permutations exceeds.  Speeds that
@@ -88,9 +89,9 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     for ax in (upper, lower):
         ax.set(xscale="log", xlim=speed[[0, -1]])
     _draw_limits(upper, lower, search, speeds)
-    upper.set_ylabel("Share of the variance")
+    upper.set_ylabel("Share of the variance\nof the moving emission")
     lower.set_xlabel(f"Speed along the flow ({speeds.name})")
-    upper.legend(fontsize="small", frameon=False, loc="center left")
+    upper.legend(fontsize="small", frameon=False, loc="best")
     style.plain_log(lower)
     if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
         style.plain_log(second)

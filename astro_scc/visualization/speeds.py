@@ -357,6 +357,6 @@ def plot_position_angles(groups):
         )  # fmt: skip
         if len(v):
             ax.axvline(np.median(v), color=color, lw=0.8)
-    ax.set(xlabel="Position angle (deg)", ylabel="Share of the SSPs")
+    ax.set(xlabel="Position angle (deg)", ylabel="Fraction of the SSPs")
     ax.legend(fontsize="small")
     return figure

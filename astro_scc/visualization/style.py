@@ -220,6 +220,8 @@ def date_axis(ax, cube, earliest=None, room=0.03):
     span = (high - low) or 1.0
     ax.set(xlabel=label, xlim=(low - 0.03 * span, high + room * span))
     ax.ticklabel_format(axis="x", useOffset=False, style="plain")
+    # Labels such as 2000.5 need room.
+    ax.locator_params(axis="x", nbins=7)
     return convert
 
 

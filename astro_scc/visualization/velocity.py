@@ -88,7 +88,7 @@ def plot_velocity_map(
 
     Streams are marked with their numbers in the table, a symbol for their kind
     (moving, stationary, not confirmed, not significant), and an ellipse of one standard
-    error along each axis.  The arrow shows the direction of the jet.  Further keywords
+    error along each axis.  The arrow shows the direction of the flow.  Further keywords
     are those of the image, such as ``cmap``.
     """
     image = result.velocity_map(which)
@@ -180,16 +180,24 @@ def _draw_components(scene):
     return places
 
 
+def _sky_direction(result):
+    """Return the position angle of the flow in radians, as it was found or else set."""
+    if hasattr(result, "search"):
+        # The axes are east and north, which no direction was given for.
+        return np.pi / 2 - result.search.angle
+    return result.position_angle.to_value(u.rad)
+
+
 def _draw_jet(scene, corner):
-    """Draw an arrow with the jet's direction in a corner of the axes."""
-    direction = np.array([1.0, 0.0])
+    """Draw an arrow with the direction of the jet or the flow in a corner."""
+    direction, word = np.array([1.0, 0.0]), "jet"
     if scene.on_sky:
-        angle = scene.result.position_angle.to_value(u.rad)
+        angle, word = _sky_direction(scene.result), "flow"
         side = -1 if scene.words[2] else 1
         direction = np.array([side * np.sin(angle), np.cos(angle)])
     centre = 0.17 + 0.66 * np.array(corner)
     scene.ax.annotate(
-        "outward" if scene.result.frame.axis_names[0] in OUTWARD else "jet",
+        "outward" if scene.result.frame.axis_names[0] in OUTWARD else word,
         centre + 0.09 * direction, centre - 0.09 * direction,
         xycoords="axes fraction", textcoords="axes fraction", color="white",
         fontsize="small", ha="center", va="center", gid="jet",
@@ -207,8 +215,8 @@ def plot_significance(
     The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin
     line is the largest z-score at any speed across the jet; components off the axis
     have open symbols; a dashed line is at ``level``, the z-score of significant
-    components.  On axes east and north, the map is interpolated along
-    ``result.position_angle``.  Further keywords are those of the line.
+    components.  On axes east and north, the map is interpolated along the
+    direction in which the flow moves.  Further keywords are those of the line.
     """
     scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
     ax, unit = scene.ax, scene.unit
@@ -225,13 +233,16 @@ def plot_significance(
             xytext=(-3, 2), textcoords="offset points", ha="right", va="bottom",
             fontsize="small", color=GREY,
         )  # fmt: skip
-    _draw_z_scores(scene)
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), level or 0.0)
     ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
+    x = np.linspace(speed[0], speed[-1], 2000)
+    curves = [np.interp(x, speed, line) for line in (axis, highest)]
+    curves += [] if level is None else [np.full(len(x), level)]
+    _draw_z_scores(scene, np.concatenate([np.transpose([x, y]) for y in curves]))
     label = scene.labels[0]
     if scene.on_sky:
-        angle = f"{result.position_angle.to_value(u.deg) % 360:.0f} deg"
+        angle = f"{np.degrees(_sky_direction(result)) % 360:.0f} deg"
         label = f"Proper motion along position angle {angle} ({unit_name(unit)})"
     ax.set(xlabel=label, ylabel=MAP_LABELS["z_score"])
     columns = style.legend_columns(2)
@@ -240,8 +251,15 @@ def plot_significance(
     return scene.figure
 
 
-def _draw_z_scores(scene):
-    """Draw the streams at their z-scores, open if they are off the axis."""
+def _draw_z_scores(scene, drawn):
+    """
+    Draw the streams at their z-scores, open if they are off the axis.
+
+    Their numbers are above or below, where fewer points of what is ``drawn``, in the
+    units of the axes, are in the way.
+    """
+    to_points = 72 / scene.figure.dpi
+    drawn = to_points * scene.ax.transData.transform(drawn)
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
     for row, kind, strong, numbers in scene.streams(*names):
@@ -253,10 +271,16 @@ def _draw_z_scores(scene):
             fmt=style.KIND_MARKERS[kind], color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
         )  # fmt: skip
+        off = drawn - to_points * scene.ax.transData.transform((along, z))
+
+        def hidden(y, off=off):
+            return np.sum(np.all(np.abs(off - (0, y)) < 5, axis=1))
+
+        y = min((12, -12), key=hidden)
         scene.ax.annotate(
-            f"{row['stream']}", (along, z), xytext=(0, 6), textcoords="offset points",
-            ha="center", color=color, fontweight="bold" if strong else "normal",
-            path_effects=style.outline(), clip_on=True,
+            f"{row['stream']}", (along, z), xytext=(0, y), textcoords="offset points",
+            ha="center", va="center", color=color, path_effects=style.outline(),
+            fontweight="bold" if strong else "normal", clip_on=True,
         )  # fmt: skip
 
 
@@ -292,7 +316,7 @@ def _along_jet(scene):
     rows = np.asarray(scene.result.z_score, dtype=float)
     speed, middle = grid.v1, int(np.argmin(np.abs(grid.v2)))
     if scene.on_sky:
-        angle = scene.result.position_angle.to_value(u.rad)
+        angle = _sky_direction(scene.result)
         sin, cos = np.sin(angle), np.cos(angle)
         # The map is square, so its reach depends on the direction.
         reach = min(np.divide(abs(grid.v1[-1]), np.maximum(np.abs([sin, cos]), 1e-9)))

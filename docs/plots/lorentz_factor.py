@@ -20,4 +20,5 @@ ax.set(
     xlabel="viewing angle (deg)",
     ylabel="Lorentz factor of the flow",
 )
-ax.legend(title="apparent speed", fontsize="small", title_fontsize="small")
+small = {"fontsize": "small", "title_fontsize": "small"}
+ax.legend(title="apparent speed", loc="center left", bbox_to_anchor=(1, 0.5), **small)

@@ -81,7 +81,7 @@ def test_which_step_lost_an_emission(known_features, secure):
         r"likeliest track joins \d+ of them; its log likelihood ratio .* \d+\.\d",
         lines[-2],
     )
-    assert "its links are in less than 60% of the disturbed assignments" in lines[-1]
+    assert "its links are in less than 60% of the perturbed assignments" in lines[-1]
     jump = np.random.default_rng(1).normal(scale=4.0, size=(10, 2))
     scattered = replace(d, place=d.place + jump[d.epoch])
     moved = rows.copy()
