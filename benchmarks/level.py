@@ -34,7 +34,7 @@ from astro_scc.simulation import (
     simulate_resolved_jet,
     simulate_unrelated,
 )
-from astro_scc.simulation.streams import Features
+from astro_scc.simulation.streams import SimulatedFeatures
 
 sys.path.insert(0, str(Path(__file__).parent / "calibration"))
 from run import static
@@ -89,7 +89,7 @@ class Flares:
         y = jet.axis + 0.5 * jet.beam_length * rng.standard_normal((n, 1)) + 0 * times
         fwhm = np.full(s.shape, 0.5 * jet.beam_length)
         group = np.full(n, self.name)
-        return Features(group, jet.extent[0] + s, y, self.flux * flux, fwhm)
+        return SimulatedFeatures(group, jet.extent[0] + s, y, self.flux * flux, fwhm)
 
 
 FLARES = {

@@ -372,7 +372,7 @@ def far_away(planes, part=0.05):
     A larger ``part`` of the image exceeds the scatter of VLBI positions.
     """
     first = planes[0]
-    distance = [local.separation(plane.wcs, first.wcs) for plane in planes]
+    distance = [local.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if distance[k] > part * max(first.extent, planes[k].extent):
         what = (
@@ -455,7 +455,7 @@ def _strangers(planes):
     names = [None if name.upper() in UNNAMED else name for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
-        apart = local.separation(one.wcs, other.wcs)
+        apart = local.apart_by_reference(one.wcs, other.wcs)
         same = bool(apart < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
         what = f"shows {mine}, {where}, where others show {others}"

@@ -378,7 +378,7 @@ def frame_of(wcs):
     return ICRS() if frame.is_equivalent_frame(FK5()) else frame
 
 
-def place_of(wcs, frame=None):
+def reference_of(wcs, frame=None):
     """Return the reference point of a WCS as SkyCoord, in a frame if one is given."""
     known = frame_of(wcs)
     known = "icrs" if known is None else known
@@ -386,7 +386,7 @@ def place_of(wcs, frame=None):
     return place if frame is None else place.transform_to(frame)
 
 
-def separation(one, other):
+def apart_by_reference(one, other):
     """
     Return the distance of the reference points of two WCS on the sky, in degrees.
 
@@ -396,7 +396,7 @@ def separation(one, other):
     if is_one_frame(one, other):
         places = np.radians([*one.wcs.crval, *other.wcs.crval])
         return np.degrees(angular_separation(*places))
-    found = place_of(other, frame_of(one)).separation(place_of(one))
+    found = reference_of(other, frame_of(one)).separation(reference_of(one))
     return found.deg if found > 0.5 * u.arcsec else 0.0
 
 
@@ -414,7 +414,7 @@ def north_in(wcs, other):
     """
     if is_one_frame(wcs, other):
         return 0.0
-    return north_of(place_of(wcs), frame_of(other))
+    return north_of(reference_of(wcs), frame_of(other))
 
 
 def north_of(place, frame):

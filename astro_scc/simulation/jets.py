@@ -18,7 +18,12 @@ from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.series import as_beams, as_epoch_tuple
 from astro_scc.quantities import Seed, random_generator
-from astro_scc.simulation.streams import Features, Flow, Stream, check_not_negative
+from astro_scc.simulation.streams import (
+    Flow,
+    SimulatedFeatures,
+    Stream,
+    check_not_negative,
+)
 from astro_scc.writing import replace_when_complete
 
 # The paper's beam.
@@ -237,8 +242,10 @@ class JetSimulation:
         if self.core:
             still = np.zeros((1, self.n_epochs))
             place = self.extent[0] + still, self.axis + still
-            parts.append(Features(np.array(["core"]), *place, self.core + still, still))
-        features = Features(*map(np.concatenate, zip(*parts, strict=True)))
+            parts.append(
+                SimulatedFeatures(np.array(["core"]), *place, self.core + still, still)
+            )
+        features = SimulatedFeatures(*map(np.concatenate, zip(*parts, strict=True)))
         if self.flux_variation:
             series = self._series(len(features.x), flux_rng)
             flux = features.flux * np.exp(self.flux_variation * series)

@@ -19,7 +19,7 @@ from astro_scc.quantities import check_choice, named
 RAMP = 2.0
 
 
-class Features(NamedTuple):
+class SimulatedFeatures(NamedTuple):
     """
     Features of a jet along x, at every epoch.
 
@@ -37,7 +37,7 @@ class Features(NamedTuple):
 def in_view(name, seen, x, y, flux, fwhm):
     """Return the features of one group that are seen, from arrays (n, n_epochs)."""
     values = (np.broadcast_to(value, x.shape)[seen] for value in (x, y, flux, fwhm))
-    return Features(np.full(seen.sum(), name), *values)
+    return SimulatedFeatures(np.full(seen.sum(), name), *values)
 
 
 def raised_cosine(part):
@@ -138,7 +138,7 @@ class Stream:
                 wanted = "must be a number, two limits or a function of (x, y)"
                 raise ValueError(f"{whose}: {name} {wanted}, got {value}")
 
-    def features(self, jet: Any, rng: np.random.Generator) -> Features:
+    def features(self, jet: Any, rng: np.random.Generator) -> SimulatedFeatures:
         """
         Draw the features, and follow the visible ones over the epochs.
 
@@ -149,7 +149,7 @@ class Stream:
 
         Returns
         -------
-        Features
+        SimulatedFeatures
         """
         beam, (start, end) = jet.beam_length, jet.extent
         x, y = self._trajectories(jet, rng)
@@ -323,7 +323,7 @@ class Flow:
         # Slower features would stay for ever.
         return self.speed * np.maximum(factor, 0.1)
 
-    def features(self, jet: Any, rng: np.random.Generator) -> Features:
+    def features(self, jet: Any, rng: np.random.Generator) -> SimulatedFeatures:
         """
         Draw the features and follow them over the epochs.
 
@@ -334,7 +334,7 @@ class Flow:
 
         Returns
         -------
-        Features
+        SimulatedFeatures
         """
         times, beam = jet.times, jet.beam_length
         length = np.ptp(jet.extent) / beam
@@ -469,7 +469,7 @@ class Layer:
             wanted = "life must be positive, and finite for a layer that moves"
             raise ValueError(f"{whose}{wanted}, got {self.life}")
 
-    def features(self, jet: Any, rng: np.random.Generator) -> Features:
+    def features(self, jet: Any, rng: np.random.Generator) -> SimulatedFeatures:
         """
         Draw the clumps and follow them over the epochs.
 
@@ -480,7 +480,7 @@ class Layer:
 
         Returns
         -------
-        Features
+        SimulatedFeatures
         """
         scale, interval = jet.pixel_scale.to_value(u.mas), jet.interval.to_value(u.yr)
         table = self.distance.to_value(u.mas)

@@ -8,7 +8,7 @@ import scipy
 
 from astro_scc.spectrum.diagram import influences
 from astro_scc.spectrum.equations import mean_of_pairs
-from astro_scc.spectrum.gaussians import FLOOR, columns_of, standing_columns
+from astro_scc.spectrum.gaussians import FLOOR, gaussian_columns, standing_columns
 
 #: Length of a cluster: patterns that leave within so many beams are not independent.
 CLUSTER = 2.5
@@ -68,7 +68,7 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None, strea
     `SpeedErrors`
     """
     k = len(fit.mean)
-    of_amplitude, of_mean, of_sd = columns_of(equations, fit.mean, fit.sd)
+    of_amplitude, of_mean, of_sd = gaussian_columns(equations, fit.mean, fit.sd)
     on = [i for i in range(len(fit.standing)) if fit.standing[i] > 0]
     standing = standing_columns(equations)[on]
     free = [i for i in range(k) if fit.sd[i] > 1.1 * FLOOR * abs(fit.mean[i])]

@@ -49,7 +49,7 @@ def shares_of(equations, mean, sd):
     return shares, z, sd
 
 
-def columns_of(equations, mean, sd):
+def gaussian_columns(equations, mean, sd):
     """Return Gaussians in speed as combinations of columns, and their derivatives."""
     shares, z, sd = shares_of(equations, mean, sd)
     pad = (0, 0), (0, len(equations.gram) - shares.shape[1])

@@ -153,7 +153,7 @@ def memory_of(years, zero, *, shortest=0.3, longest=2.0, number=24):
     n, tau = len(years), np.abs(years[:, None] - years)
     gaps = np.diff(years)
     median = np.median(gaps[gaps > 0])
-    differ = differences(n)
+    differ = difference_matrix(n)
     # In these combinations of the epochs the white part is white.
     whiten = np.linalg.inv(np.linalg.cholesky(differ @ differ.T)) @ differ
     data, best = whiten @ zero @ whiten.T, (np.inf,)
@@ -174,7 +174,7 @@ def memory_of(years, zero, *, shortest=0.3, longest=2.0, number=24):
     return *best[1:-1], factor
 
 
-def differences(n):
+def difference_matrix(n):
     """Return the matrix of the differences of all epochs from the first, (n - 1, n)."""
     return np.eye(n)[1:] - np.eye(n)[:1]
 
@@ -341,7 +341,7 @@ def _scores(diagram, speed, tau, orders, intervals, numbers=4e6):
     use = (x > 0) & (x <= TESTED * x[-1]) & (diagram.overlap[zero:] > LEAST_OVERLAP)
     sums = np.asarray(diagram.sums, dtype=float)
     time, white, factor = memory_of(diagram.years, sums[:, :, zero])
-    to_innovations = np.linalg.solve(factor, differences(n))
+    to_innovations = np.linalg.solve(factor, difference_matrix(n))
     correlation = autocorrelation(diagram)[zero:]
     odd = sums[:, :, zero:][:, :, use]
     odd = _sandwich(to_innovations, odd - odd.transpose(1, 0, 2))

@@ -75,7 +75,7 @@ UNKNOWN = (np.nan, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
+class MeasuredStream:
     """
     A stream: a velocity of the flow.
 
@@ -183,7 +183,7 @@ class StreamSearch:
     errors : ``SpeedErrors`` or None
     velocities : ``VelocityMap``
         In mas/yr on the axes of the frame.
-    streams : tuple of `Stream`
+    streams : tuple of `MeasuredStream`
         The slowest that moves first; then what stands still.
     """
 
@@ -196,7 +196,7 @@ class StreamSearch:
     fit: StreamFit | None = None
     errors: SpeedErrors | None = None
     velocities: VelocityMap | None = None
-    streams: tuple[Stream, ...] = ()
+    streams: tuple[MeasuredStream, ...] = ()
 
     @property
     def beam(self) -> float:
@@ -413,7 +413,7 @@ def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
                 if len(members) > 2:
                     spread, spread_err = mean.dispersion, mean.dispersion_err
         v = int(np.abs(test.speed - velocity[0] / beam).argmin())
-        found.append(Stream(
+        found.append(MeasuredStream(
             kind="not significant", reason="", velocity=turn.T @ velocity,
             covariance=turn.T @ np.diag(variance) @ turn + shift, alignment=shift,
             source=source, share=share, dispersion=spread, dispersion_err=spread_err,
@@ -550,7 +550,7 @@ def _standing(features, flow, streams, inside):
     variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
     speeds = np.hypot(first, second)
     return [
-        Stream(
+        MeasuredStream(
             kind="stationary", reason="", velocity=velocity,
             covariance=np.eye(2) * variance, alignment=np.zeros((2, 2)),
             source="features", members=np.array(members),

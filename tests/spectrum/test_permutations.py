@@ -23,7 +23,7 @@ def test_innovations_have_no_memory():
     time, white, factor = permutations.memory_of(years, data @ data.T / 4000)
     assert time == pytest.approx(0.8, rel=0.3)
     assert white <= 0.1
-    left = np.linalg.solve(factor, permutations.differences(25)) @ data
+    left = np.linalg.solve(factor, permutations.difference_matrix(25)) @ data
     covariance = left @ left.T / 4000
     assert np.allclose(covariance, np.eye(24) * covariance[0, 0], atol=0.15)
 
