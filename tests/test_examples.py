@@ -1,12 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The scripts of the gallery: they run, and print what the gallery shows."""
 
+import doctest
 import importlib
+import itertools
 import re
 import runpy
 import sys
 from pathlib import Path
 
+import astropy.units as u
+import numpy as np
 import pytest
 from astropy.table import Table
 
@@ -33,7 +37,7 @@ def _folder_of_the_examples(monkeypatch):
     monkeypatch.delitem(sys.modules, "common", raising=False)
     monkeypatch.syspath_prepend(FOLDER)
     yield
-    for name in (*NAMES, "common"):
+    for name in (*NAMES, *MODULES):
         sys.modules.pop(name, None)
 
 
@@ -117,3 +121,25 @@ def test_examples_of_real_jets_run(name, shared_data):
     )
     assert table.colnames == printed(name).splitlines()[0].split()
     assert figure.axes
+
+
+def test_relativity_in_its_doctests_and_there_and_back():
+    """Two-sided jets of known speed, and what is refused."""
+    relativity = importlib.import_module("relativity")
+    assert doctest.testmod(relativity).failed == 0
+    for beta, theta in itertools.product((0.1, 0.6, 0.999), (1, 40, 89)):
+        t, d = np.radians(theta), 10 * u.kpc
+        cos = beta * np.cos(t)
+        rate = (beta * np.sin(t) / d.to_value(u.m) * 299792458) * u.rad / u.s
+        motions = rate / (1 - cos), rate / (1 + cos)
+        found = relativity.two_sided_jet(*motions, d, n_trials=2)
+        assert found["beta"][0] == pytest.approx(beta, rel=1e-9)
+        assert found["angle"][0].to_value(u.deg) == pytest.approx(theta, rel=1e-9)
+        far = found["beta_max_distance"]
+        at = relativity.two_sided_jet(*motions, far, n_trials=2)
+        assert at["beta"][0] == pytest.approx(1)
+    for speed in (-1.0, np.nan):
+        with pytest.raises(ValueError, match="finite and not negative"):
+            relativity.intrinsic_table([speed], [0.1])
+        with pytest.raises(ValueError, match="receding motion must be positive"):
+            relativity.two_sided_jet(1 * u.mas / u.d, speed * u.mas / u.d, d)

@@ -36,24 +36,17 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
     assert "pixels and noise that suit" in said
     assert "z.csv: 1 source is not of the survey" in said
     out = here / "out"
-    assert not list(out.rglob("report.html"))
-    assert not list((out / "sources").rglob("publication"))
     folder = out / "publication"
     for name, file in (("streams", "survey"), ("features", "features")):
         ecsv = QTable.read(out / f"{file}.ecsv")
         rows = [row for row in ecsv if file == "features" or row["status"] != "failed"]
         assert set(ecsv["redshift"][ecsv["source"] == "0003+380"]) == {0.229}
         assert np.all(ecsv["redshift"].mask[ecsv["source"] == "0010+405"])
-        readers = [
-            Table.read(folder / f"{name}_mrt.txt", format="mrt"),
-            QTable.read(folder / f"{name}.vot"),
-        ]
-        for found in readers:
-            assert found["source"].tolist() == [row["source"] for row in rows]
+        found = Table.read(folder / f"{name}_mrt.txt", format="mrt")
+        assert found["source"].tolist() == [row["source"] for row in rows]
         assert validate(folder / f"{name}.vot", output=io.StringIO())
     assert np.ma.count(ecsv["published"]) >= 5
     page = (out / "overview.html").read_text(encoding="utf-8")
-    assert "as published" in page
     assert "in units of c, of sources with a redshift" in page
     assert (out / "population.png").is_file()
     # The beam does not depend on the sources that are chosen.
@@ -63,11 +56,10 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
 
 
 def test_without_neighbours_there_is_no_beam(refused, here):
-    table = QTable({"source": ["a"] * 5, "component": [0] * 5})
+    table = QTable({"source": ["a"] * 5, "component": [0] * 5, "flux": [1] * 5 * u.Jy})
     table["epoch"] = [f"200{k}-01-01" for k in range(5)]
-    table["flux"] = np.ones(5) * u.Jy
-    table["separation"], table["position_angle"] = np.zeros((2, 5))
-    table["separation"].unit, table["position_angle"].unit = u.mas, u.deg
+    table["separation"] = [0] * 5 * u.mas
+    table["position_angle"] = [0] * 5 * u.deg
     table.write(here / "one.ecsv")
     line = refused("survey", "one.ecsv", "-o", "out")
     assert "no epoch of the table has two components apart; give --beam" in line
@@ -102,5 +94,3 @@ def test_redshifts_and_folders_that_make_no_sense(refused, here):
         assert f"z.txt: {reason}" in refused(*words)
     line = refused("survey", "images", "-o", "out")
     assert "images: has no folder of FITS images" in line
-    line = refused("survey", "images", "-o", "out", "--source", "two")
-    assert "--source is for a table of components, not for" in line
