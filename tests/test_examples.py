@@ -96,7 +96,6 @@ def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys)
         patch.setattr(sys, "argv", [f"{name}.py", "--output", str(tmp_path)])
         example.run(example.measure, example.__doc__)
     text = capsys.readouterr().out
-    assert text == (tmp_path / f"{name}.txt").read_text(encoding="utf-8")
     # Rows that are not significant depend on the last digits.
     shown, found = (
         [line for line in page.splitlines() if "not significant" not in line]

@@ -24,7 +24,6 @@ from astro_scc.report.answer import (
     paper_lines,
     stream_lines,
 )
-from astro_scc.report.page import acceleration_text
 from astro_scc.units import PM_UNIT
 
 CHANCE = "p_global 0.62 is above alpha"
@@ -201,15 +200,6 @@ def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of, read_
     (tmp_path / "explore.html").write_text("here")
     assert said not in words_of(result, **command)
     assert {"href": "explore.html"} in read_page(tmp_path / "report.html").all("a")
-
-
-def test_accelerations_are_named(result):
-    table = result.features.copy()
-    table["acc_parallel"][:] = np.nan
-    assert acceleration_text(table) == ""
-    k, unit = np.flatnonzero(table["secure"])[0], table["acc_parallel"].unit
-    table["acc_parallel"][k], table["acc_parallel_err"][k] = 1.25 * unit, 0.31 * unit
-    assert acceleration_text(table) == f"{table['feature'][k]}: 1.25 ± 0.31 mas/yr²"
 
 
 @pytest.fixture(scope="module")

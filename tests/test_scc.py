@@ -101,17 +101,13 @@ def result(cube):
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least two epochs"),
         (lambda scc, cube: scc(cube, rng="abc"), "^rng must be a seed"),
+        (lambda scc, cube: make_scc(method="paper").measure(scc.decompose(cube)),
+         "^method = 'paper' measures images"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_meant_is_refused(cube, call, words):
     with pytest.raises((ValueError, TypeError), match=words):
         call(make_scc(), cube)
-
-
-def test_epochs_that_are_decomposed_are_not_the_paper_s(cube):
-    decomposed = make_scc().decompose(cube)
-    with pytest.raises(ValueError, match="^method = 'paper' measures images"):
-        make_scc(method="paper").measure(decomposed)
 
 
 def test_finds_the_motion(result):

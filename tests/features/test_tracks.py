@@ -17,7 +17,6 @@ from astro_scc.features.tracks import (
     Assignment,
     find_tracks,
     log_t,
-    position_scatter,
     steady_hypotheses,
 )
 
@@ -219,10 +218,3 @@ def test_without_time_or_all_tracks_nothing_is_proven(monkeypatch, limits):
     assert is_packing(paths, chosen)
     assert len(chosen) > 0
     assert not proven
-
-
-def test_scatter_adds_its_parts(series):
-    d = replace(series([(0, 3.0, 4.0)], error=0.3), size=np.array([2.0]))
-    o = SETTINGS
-    parts = o.scatter, 2 * o.size_scatter, 5 * o.far_scatter, 0.3
-    assert position_scatter(d, o) == pytest.approx([np.linalg.norm(parts)])

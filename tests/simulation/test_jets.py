@@ -231,8 +231,3 @@ def test_layers_of_m87():
 def test_what_a_layer_refuses(changes, message):
     with pytest.raises(ValueError, match=message):
         layer(**changes)
-
-
-def test_streams_have_their_own_parameters():
-    with pytest.raises(ValueError, match="speed: give them to each of the streams"):
-        simulate_jet(streams=[Flow("fast")], speed=0.9)
