@@ -1,12 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-A guard of the false alarms: static jets, measured from image to table.
-
-The fluxes of the standing features and of the core vary independently from epoch to
-epoch, so that all orders of the epochs are equally likely.  Then at most 5% of the jets
-have a ``p_global`` of 0.05 or less, and a row of the kind ``moving``.  The page on
-calibration has other kinds of jet, and hundreds of them.
-"""
+"""Of static jets whose fluxes vary independently at most 5% give a false alarm."""
 
 import astropy.units as u
 import numpy as np
@@ -25,12 +18,10 @@ MOST = 10
 
 def measure(seed):
     """Both probabilities of the strongest row of a static jet, and if it is moving."""
-    jet = simulate_jet(
-        n_features=0, standing=4, memory=0.0, n_epochs=7, length=8.0, rng=seed
-    )
-    scc = StackedCrossCorrelation(
-        scales=[1, 2], position_angle=270 * u.deg, alpha=ALPHA
-    )
+    still = {"n_features": 0, "standing": 4, "memory": 0.0, "length": 8.0}
+    jet = simulate_jet(**still, n_epochs=7, rng=seed)
+    how = {"scales": [1, 2], "position_angle": 270 * u.deg, "alpha": ALPHA}
+    scc = StackedCrossCorrelation(**how)
     table = scc(jet.cube, n_trials=39, rng=seed).components
     rows = table[table["kind"] != "stationary"]
     if len(rows) == 0:

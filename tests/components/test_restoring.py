@@ -21,18 +21,12 @@ UNITS = u.mas, u.mas, u.deg
 JY_BEAM = u.Jy / u.beam
 
 
-def components(**changes):
-    columns = {
-        "times": Time(["2006-01-01", "2006-07-01"]),
-        "epoch": [0, 0, 1],
-        "flux": [1.0, 0.5, 0.8] * u.Jy,
-        "east": [0.0, 2.0, 0.4] * u.mas,
-        "north": [0.0, 1.0, 0.2] * u.mas,
-        "major": [0.0, 0.8, 0.3] * u.mas,
-        "minor": [0.0, 0.4, 0.3] * u.mas,
-        "pa": [0.0, 60.0, 0.0] * u.deg,
-    }
-    return ComponentList(**{**columns, **changes})
+THREE = ComponentList(
+    times=Time(["2006-01-01", "2006-07-01"]), epoch=[0, 0, 1],
+    flux=[1.0, 0.5, 0.8] * u.Jy, east=[0.0, 2.0, 0.4] * u.mas,
+    north=[0.0, 1.0, 0.2] * u.mas, major=[0.0, 0.8, 0.3] * u.mas,
+    minor=[0.0, 0.4, 0.3] * u.mas, pa=[0.0, 60.0, 0.0] * u.deg,
+)  # fmt: skip
 
 
 def one(**changes):
@@ -89,14 +83,14 @@ def test_flux_is_kept_and_covariances_add(axes):
 
 
 def test_grids():
-    cube = restored(components())
+    cube = restored(THREE)
     (x, y), (ny, nx) = cube.reference_pixel, cube.shape[1:]
     assert min(x - 20, nx - 1 - x, y, ny - 1 - y - 10) >= 40
     edges = cube.data[:, [0, -1]].ravel(), cube.data[:, :, [0, -1]].ravel()
     assert np.abs(np.concatenate(edges)).max() < 1e-12
     assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
     with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
-        restored(components(), shape=(40, 20), reference_pixel=(5, 20))
+        restored(THREE, shape=(40, 20), reference_pixel=(5, 20))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +107,7 @@ def test_grids():
 )
 def test_bad_options(options, message):
     with pytest.raises((ValueError, TypeError), match=message):
-        restored(components(), **options)
+        restored(THREE, **options)
 
 
 def test_restores_what_aips_restored(shared_data):

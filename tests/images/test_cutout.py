@@ -126,12 +126,8 @@ def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
         # Its mask would need 30 TiB.
         (b"image\ncircle(-3000000,0,2900000)\n", "r.reg: holds no pixel"),
         (b"image\npoint(21,21)\n", "r.reg: the PointPixelRegion has no inside"),
-        (
-            b"image\nellipse(21,21,4,1e200,0)\n",
-            "r.reg: the EllipsePixelRegion has no inside",
-        ),
+        (b"image\nellipse(21,21,4,1e200,0)\n", "the EllipsePixelRegion has no inside"),
         (b"icrs\ncircle(4:33:11,5:21:15,0.5\")\n", "r.reg: .* that the images show"),
-        ("no.reg", "No such file .*no.reg"),
         (np.zeros(SHAPE, dtype=bool), "no pixel"),
         (np.ones((3, 3), dtype=bool), r"array of bool of the images' shape"),
         (np.ones(SHAPE), "array of float64"),

@@ -27,20 +27,14 @@ DATES = [
     # The end of the day before.
     ({"DATE-OBS": "2015-06-17T24:00:00"}, MIDNIGHT),
     ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
-    (DAY | {"MJD-OBS": 2457192.1}, START),
     ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
-    *((DAY | {name: "14:24:00.0"}, START) for name in (
-        "TIME-OBS", "UT", "UTSTART")),
-    *((DAY | {name: value}, START) for name in ("UTC", "TM-START")
-      for value in (51840, "51840.000")),
+    (DAY | {"TIME-OBS": "14:24:00.0"}, START),
+    (DAY | {"TM-START": 51840}, START),
+    (DAY | {"UTC": "51840.000"}, START),
     (DAY | {"UT": ("14.4", "[h] start")}, START),
     # Several: the most precise one.
     (DAY | {"TIME-OBS": "14:24", "UT": "14:24:30"}, "2015-06-18T14:24:30.000"),
-    (DAY | {"TIME-OBS": "14:24:00", "MJD-OBS": MJD + 0.25 / 86400},
-     "2015-06-18T14:24:00.250"),
     (CLOCK | {"MJD-OBS": MJD + 0.4 / 86400}, "2015-06-18T14:24:00.400"),
-    ({"DATE-OBS": "2015-06-18T14:24:00", "DATE_OBS": "2015-06-18T14:24:00.125"},
-     "2015-06-18T14:24:00.125"),
     (DAY | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
     (DAY | {"UT": "77:00:00"}, MIDNIGHT),
     ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
@@ -50,7 +44,6 @@ DATES = [
     (CLOCK | {"UT": "09:00:00"}, START),
     # The middle of the exposure.
     (CLOCK | {"EXPTIME": 600.0}, MIDDLE),
-    (CLOCK | {"EXPTIME": (10.0, "[min] on source")}, MIDDLE),
     (CLOCK | {"EXPTIME": (600e3, "exposure (ms)")}, MIDDLE),
     (CLOCK | {"EXPTIME": 550.0, "DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
     # The sum of many exposures.
@@ -58,7 +51,6 @@ DATES = [
     (CLOCK | {"DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
     ({"EXPSTART": MJD, "EXPEND": MJD + 600 / 86400}, MIDDLE),
     ({"DATE-BEG": START, "DATE-AVG": MIDDLE, "DATE-END": "2015-06-18"}, MIDDLE),
-    (CLOCK | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
     (CLOCK | {"DATE-AVG": "2015-06-18"}, START),
     (DAY | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
     (DAY | {"MJD-AVG": MJD + 300 / 86400, "EXPTIME": 99.0}, MIDDLE),
@@ -70,11 +62,9 @@ DATES = [
      "2015-06-18T00:04:00.500"),
     # Other scales of time.
     ({"T_OBS": "2015.06.18_14:24:35.00_TAI"}, START),
-    ({"DATE-OBS": "2015-06-18T14:24:35", "TIMESYS": "TAI"}, START),
     ({"DATE-OBS": "2015-06-18T14:24:16", "TIMESYS": "GPS"}, START),
-    ({"DATE-OBS": "", "DATE-BEG": "2015-06-18"}, MIDNIGHT),
     # The date at which a file was written is none.
-    ({"DATE": "2022-07-29", "DATE-OBS": "2015-06-18"}, MIDNIGHT),
+    ({"DATE": "2022-07-29", "DATE-OBS": "", "DATE-BEG": "2015-06-18"}, MIDNIGHT),
     ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT"}, START),
 ]  # fmt: skip
 
@@ -164,12 +154,10 @@ UNEVEN = np.array([0.0, 10, 25, 31])
 CUBES = [
     ({}, SECONDS),
     ({"CTYPE3": "UTC", "CUNIT3": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
-    ({"CUNIT3": "ms", "CDELT3": 100.0}, [0, 0.1, 0.2, 0.3]),
     ({"MJDREF": 57191.0, "CRVAL3": 36000.0}, SECONDS),
     (DAYS | {"CUNIT3": "d", "MJDREF": 0.0, "DATE-OBS": None}, HOURS),
     ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
     ({"DATEREF": "2015-06-18T09:00:00", "CRVAL3": 3600.0}, SECONDS),
-    (DAYS | {"CTYPE3": "MJD", "CUNIT3": None, "DATE-OBS": None}, HOURS),
     (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
     ({"CRVAL3": 57191 * 86400.0 + 36000}, SECONDS),
     ({"CTYPE3": "TAI", "CUNIT3": "s", "MJDREF": 57191.0, "CRVAL3": 36035.0}, SECONDS),

@@ -106,8 +106,6 @@ def test_tile_compressed_images(make_fits, kind):
     assert np.abs(one.data - other.data).max() <= (0 if exact else 1 / 16)
     assert (other.unit, other.wcs.wcs, other.beam) == (one.unit, one.wcs.wcs, one.beam)
     assert (other.time, other.facts) == (one.time, one.facts)
-    window = read_plane(path, window=(slice(60, 70), slice(50, 80)))
-    assert np.array_equal(window.data, other.data[60:70, 50:80])
     content = path.read_bytes()
     end = len(content.rstrip(b"\0"))
     for keep in (3000, len(content) // 2, len(content) - 2881, end - 1):
@@ -119,15 +117,11 @@ def test_tile_compressed_images(make_fits, kind):
 
 def test_files_of_the_survey_and_with_quirks(shared_data):
     image = read_plane(min((shared_data / "0506+056").glob("*.fits")))
-    assert (image.shape, image.unit) == ((512, 512), u.Jy / u.beam)
-    assert 3.9e-7 < image.beam.major.to_value(u.deg) < 4.2e-7
-    assert image.facts["frequency"] == 15357490000.0
+    assert (image.shape, image.facts["frequency"]) == ((512, 512), 15357490000.0)
     quirks = shared_data / "quirks"
     askap = read_plane(quirks / "3C293_askap_mid_4amin.fits")
     assert askap.beam.major.to_value(u.arcsec) == pytest.approx(28.6)
-    dashes = read_plane(quirks / "sampling_mean.fits")
-    assert dashes.unit == u.Jy / u.pix
-    assert dashes.wcs.pixel_scale_matrix[0, 0] > 0
+    assert read_plane(quirks / "sampling_mean.fits").unit == u.Jy / u.pix
     with pytest.raises(ValueError, match=r"sampling_mean.fits: no date of observation"):
         EpochCube.read(quirks / "sampling_mean.fits")
     assert read_plane(quirks / "map_stacked.fits").facts["object"] == "J0738+17"

@@ -106,29 +106,28 @@ def step_on_sky(wcs, x, y, dx, dy):
     return one.separation(other).to_value(u.mas), one.position_angle(other).rad
 
 
-places = st.tuples(st.floats(0, 360), st.floats(-80, 80))
-
-
 @settings(deadline=None, max_examples=30)
 @given(
     code=st.sampled_from([*CYLINDERS, *OTHERS, *ZENITHAL]),
-    place=places,
+    kind=st.sampled_from(["RA", "GLON", "CRLN", "HPLN"]),
+    place=st.tuples(st.floats(0, 360), st.floats(-80, 80)),
     turn=st.floats(0, 360),
     mirrored=st.booleans(),
     step=st.sampled_from([1e-8, 3e-5, 3e-4]),
     angle=st.floats(0, 2 * np.pi),
 )
 def test_a_step_is_as_long_as_on_the_sky_and_of_the_same_direction(
-    code, place, turn, mirrored, step, angle
+    code, kind, place, turn, mirrored, step, angle
 ):
-    head = header(code, place, step, turn, mirrored)
+    # Near the equator NCP shows nothing.
+    assume(code != "NCP" or (kind == "RA" and abs(place[1]) > 25))
+    head = header(code, place, step, turn, mirrored, kind)
     assume(np.all(np.isfinite([head["CRPIX1"], head["CRPIX2"]])))
     x, y = (NX - 1) / 2, (NY - 1) / 2
     dx, dy = 2 * np.cos(angle), 2 * np.sin(angle)
     length, pa = step_on_sky(WCS(head), x, y, dx, dy)
     assume(np.isfinite(length))
     cube = read(head)
-    assert cube.shape == (3, NY, NX)
     east, north = np.subtract(
         u.Quantity(cube.pixel_to_offset(x + dx, y + dy)).value,
         u.Quantity(cube.pixel_to_offset(x, y)).value,
@@ -137,33 +136,14 @@ def test_a_step_is_as_long_as_on_the_sky_and_of_the_same_direction(
     turn = (np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi
     assert abs(turn) < 1e-3
     # Pixels stay where they are on the sky, to a hundredth of their side.
-    found = cube.wcs.pixel_to_world(x, y).spherical
     there = WCS(head)
     there.wcs.bounds_check(False, False)
-    lon, lat = there.pixel_to_world_values(x, y)
-    off = SkyCoord(found.lon, found.lat).separation(SkyCoord(lon, lat, unit="deg"))
-    assert off.deg < 0.03 * step
+    found, true = (
+        SkyCoord(*wcs.pixel_to_world_values(x, y), unit="deg")
+        for wcs in (cube.wcs, there)
+    )
+    assert found.separation(true).deg < 0.03 * step
     assert np.hypot(*cube.pixel_to_offset(x, y)).value < 20 * length
-
-
-def assert_as_on_sky(cube, wcs, x, y, rtol=1e-3):
-    """Compare two steps on the cube's grid with those on the sky."""
-    for dx, dy in ((1.0, 0.0), (0.5, 1.0)):
-        length, pa = step_on_sky(wcs, x, y, dx, dy)
-        east, north = cube.pixel_matrix.value @ [dx, dy]
-        assert_allclose(np.hypot(east, north), length, rtol=rtol)
-        assert abs((np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi) < rtol
-
-
-@pytest.mark.parametrize(
-    ("kind", "turn", "code"),
-    [("GLON", 130.0, "CAR"), ("CRLN", 0.0, "CEA"), ("HPLN", 130.0, "TAN")],
-)
-def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
-    head = header(code, (120.5, 55.0), 3e-4, turn, kind != "GLON", kind)
-    cube = read(head)
-    assert cube.wcs.wcs.ctype[0].startswith(kind)
-    assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2)
 
 
 @pytest.mark.parametrize("code", ["CAR", "HPX"])
@@ -176,11 +156,9 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     wcs = WCS(head)
     spots = [(20, 15), (40, 60), (25, 45)]
     own = [spots_of(shape, *((a + i, b, 1.0) for a, b in spots)) for i in range(3)]
-    with pytest.warns(EpochWarning, match=".") as said:
+    with pytest.warns(EpochWarning, match="all images are resa|north turns by") as said:
         cube = stack(own, wcs, "ct / pix")
-    said = " ".join(str(w.message) for w in said)
-    assert "all images are resampled onto a tangent plane" in said
-    assert "north turns by" in said
+    assert len({str(warning.message)[:5] for warning in said}) == 2
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
     with pytest.raises(ValueError, match="a.reg: is in pixels, .* that are resampled"):
@@ -209,8 +187,6 @@ def test_structure_over_much_of_the_sky_is_refused():
     with pytest.raises(ValueError, match=words):
         read(head, own)
     wide = header("CAR", (120.0, 0.0), 5.0)
-    with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
-        EpochCube(np.array(own), DATES, WCS(wide), "ct")
     flat = EpochCube.from_arrays(own, DATES, pixel_scale=1 * u.deg)
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
         flat.reproject_to(WCS(wide), (NY, NX))
@@ -351,6 +327,3 @@ def test_left_over_distortions_are_ignored(tmp_path, caplog, capfd):
     cube = EpochCube.read(tmp_path / "a.fits")
     assert_allclose(cube.pixel_matrix.value, plain.pixel_matrix.value, rtol=1e-6)
     assert "SIP" not in caplog.text + "".join(capfd.readouterr())
-    del head["DATE-OBS"]
-    made = EpochCube(np.array(images()), DATES, WCS(head), "ct")
-    assert_allclose(made.pixel_matrix.value, plain.pixel_matrix.value, rtol=1e-6)

@@ -28,11 +28,6 @@ def zncc(a, b):
     return np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b))
 
 
-def same(one, other, names=COLUMNS):
-    for name in names:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
 def double_loop(values, footprint, window, reach, valid, min_overlap):
     """The paper's equation, one displacement after the other."""
     height, width = footprint.shape

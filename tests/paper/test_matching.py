@@ -71,8 +71,6 @@ def test_pairs_of_dates():
     [
         ((0,), None, "^velocities need at least two epo"),
         ((0, 0, 0), None, "^all 3 epochs are of one date .2010-01-01T00:00:00.000.: v"),
-        ((0, 30, 90), [1, 2] * u.yr,
-         "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.2"),
     ],
 )  # fmt: skip
 def test_dates_without_a_pair_are_refused(days, baseline, words):
@@ -112,7 +110,6 @@ BEAMS = (
 )
 GRIDS = {
     "usual": [[-0.1, 0.0], [0.0, 0.1]],
-    "not square": [[-0.05, 0.0], [0.0, 0.2]],
     "rotated": [[-0.1 * np.cos(0.5), 0.15 * np.sin(0.5)],
                 [0.1 * np.sin(0.5), 0.15 * np.cos(0.5)]],
 }  # fmt: skip
@@ -188,8 +185,6 @@ def test_displacements_and_errors_by_hand(matches, ssps, name, frame, first, tur
             beam = np.array([BEAMS[k].fwhm_along(a * u.rad).value for k, a in beams])
             variance += beam**2 * (0.5 / snr**2 + 0.5 * 0.2**2)
         np.testing.assert_allclose(s, np.sqrt(variance), rtol=1e-6)
-    np.testing.assert_array_equal(found.reference, ssps.epoch[owner])
-    np.testing.assert_array_equal(found.target, matches.target)
     np.testing.assert_array_equal(found.ssp, owner)
     np.testing.assert_allclose(found.weight, matches.coefficient * matches.overlap)
     np.testing.assert_array_equal(found.n_ssps, np.bincount(ssps.epoch))
