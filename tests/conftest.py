@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Marks of the tests, FITS images, pages, and a small jet for all that measure."""
 
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -60,41 +61,41 @@ def decomposed(jet_cube):
     return StackedCrossCorrelation(**OPTIONS).decompose(jet_cube)
 
 
-@pytest.fixture(scope="session")
-def jet_stacked(decomposed):
-    """Measure the same epochs with other settings."""
-
-    def run(position_angle=None, **settings):
-        scc = StackedCrossCorrelation(
-            **{**OPTIONS, "position_angle": position_angle, **settings}
-        )
-        return scc.measure(decomposed, n_trials=200, rng=1)
-
-    return run
-
-
 class Results(dict):
-    """Results by the kind of their axes, each measured when it is needed."""
+    """Results of the small jet by the kind of axes, measured when they are needed."""
 
     ANGLES = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
 
-    def __init__(self, stacked):
-        self.stacked = stacked
+    def __init__(self, decomposed):
+        self.decomposed = decomposed
 
     def __missing__(self, name):
-        return self.setdefault(name, self.stacked(self.ANGLES[name]))
+        scc = StackedCrossCorrelation(**OPTIONS, position_angle=self.ANGLES[name])
+        found = scc.measure(self.decomposed, n_trials=200, rng=1)
+        return self.setdefault(name, found)
 
 
 @pytest.fixture(scope="session")
-def jet_results(jet_stacked):
-    """Results of the same epochs by the kind of their axes."""
-    return Results(jet_stacked)
+def jet_results(decomposed):
+    return Results(decomposed)
 
 
 @pytest.fixture(scope="session")
 def sky_result(jet_results):
     """The small jet, measured along east and north."""
     return jet_results["sky"]
+
+
+@pytest.fixture(scope="session")
+def with_cube():
+    """A copy of a result of another cube, with the same features."""
+
+    def make(result, cube):
+        decomposed = replace(result.decomposed, cube=cube)
+        decomposed._followed.append(result.tracked_features)
+        return replace(result, decomposed=decomposed)
+
+    return make
 
 
 @pytest.fixture(scope="session")
@@ -145,7 +146,6 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def read_page():
-    """Read a page or its text, of which every tag is to be closed."""
     return Page
 
 

@@ -50,7 +50,6 @@ def test_known_truth():
     np.testing.assert_allclose(share, 0.4, atol=0.08)
     error = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(place - [*RATES, *ORIGIN]) < 4 * error)
-    assert np.all(error[:2] < 0.03 * RATES)
 
 
 def test_equals_weighted_least_squares_without_chance():
@@ -99,8 +98,6 @@ def test_rate_and_centre_and_what_alignment_adds(scc, matched):
     assert np.all(np.abs(away) < 4 * fit.centre_err.to_value(u.arcsec) + 0.2)
     assert np.all(fit.centre_err < 1.5 * u.arcsec)
     assert 50 < fit.radius.to_value(u.arcsec) < 75
-    known = fit_shell(scc, matched, centre=CENTRE)
-    np.testing.assert_allclose(known.centre.to_value(u.arcsec), CENTRE.value)
     # A drift between two epochs, unknown to this error, is one of the centre.
     drifts = fit_shell(replace(scc, alignment_error=100 * u.mas), matched)
     plain = fit_shell(scc, matched)
@@ -140,31 +137,15 @@ def test_sectors():
     assert np.all(moving["p_fdr"] >= moving["p_global"])
 
 
-WHERE = CENTRE, 70 * u.arcsec
-
-
-def none_of(matched):
-    return replace(matched, select=np.zeros_like(matched.select))
-
-
-def later(matched):
+def test_what_makes_no_sense_is_refused(scc, matched):
+    none = replace(matched, select=np.zeros_like(matched.select))
     cube = replace(matched.cube, times=matched.cube.times + 1 * u.day)
-    return replace(matched, cube=cube)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda *of: measure_expansion(*of, *WHERE, sectors=0), "sectors = 0 must be"),
-        (
-            lambda scc, m: measure_expansion(scc, none_of(m), *WHERE),
-            "nothing to measure",
-        ),
-        (lambda scc, m: fit_shell(scc, none_of(m)), "of each group or more, all has 0"),
-        (lambda scc, m: fit_shell(scc, {"a": m, "b": none_of(m)}), "or more, b has 0"),
-        (lambda scc, m: fit_shell(scc, {"a": m, "b": later(m)}), "of the same dates"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(scc, matched, call, words):
-    with pytest.raises(ValueError, match=words):
-        call(scc, matched)
+    later = {"a": matched, "b": replace(matched, cube=cube)}
+    where = CENTRE, 70 * u.arcsec
+    with pytest.raises(ValueError, match="sectors = 0 must be"):
+        measure_expansion(scc, matched, *where, sectors=0)
+    with pytest.raises(ValueError, match="nothing to measure"):
+        measure_expansion(scc, none, *where)
+    for groups, words in ((none, "or more, all has 0"), (later, "of the same dates")):
+        with pytest.raises(ValueError, match=words):
+            fit_shell(scc, groups)

@@ -10,7 +10,6 @@ import pytest
 from astropy.io import fits
 
 from astro_scc import EpochCube
-from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import paper_table
 
@@ -18,10 +17,8 @@ from astro_scc.measurement.tables import paper_table
 def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
     """The simulated jet lies to the west of the reference pixel."""
     assert abs(sky_result.position_angle - 270 * u.deg) < 3 * u.deg
-    assert sky_result.frame == SkyFrame()
     moving = sky_result.components[0]
     assert 0.9 * moving["pm"] < moving["pm_parallel"] <= moving["pm"]
-    assert sky_result.components.meta["jet_position_angle"] == sky_result.position_angle
 
 
 def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):
@@ -40,15 +37,6 @@ def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):
     assert "<table" not in empty._repr_html_()
 
 
-def texts(result):
-    """The tables as text."""
-    names = "streams", "spectrum", "features", "feature_positions", "ssps"
-    found = {name: io.StringIO() for name in names}
-    for name in names:
-        getattr(result, name).write(found[name], format="ascii.ecsv")
-    return {name: text.getvalue() for name, text in found.items()}
-
-
 @pytest.fixture(scope="module")
 def path(sky_result, tmp_path_factory):
     path = tmp_path_factory.mktemp("result") / "jet.fits"
@@ -62,9 +50,11 @@ def test_everything_comes_back_to_the_bit(path, sky_result, tmp_path):
     # The check sums hold the time of writing.
     how = {"ignore_keywords": ["CHECKSUM"], "ignore_comments": ["*"]}
     assert fits.FITSDiff(str(path), str(tmp_path / "again.fits"), **how).identical
-    assert texts(again) == texts(sky_result)
-    one, other = (r.diagram().data.tobytes() for r in (sky_result, again))
-    assert one == other
+    for name in ("streams", "spectrum", "features", "feature_positions", "ssps"):
+        one, other = io.StringIO(), io.StringIO()
+        for result, text in ((again, one), (sky_result, other)):
+            getattr(result, name).write(text, format="ascii.ecsv")
+        assert one.getvalue() == other.getvalue()
     assert repr(sky_result) == repr(again)
 
 
@@ -72,10 +62,6 @@ def refused(path, match):
     with pytest.raises(OSError, match=match) as caught:
         SCCResult.read(path)
     assert len(str(caught.value).splitlines()) == 1
-
-
-class Axes:
-    """A frame of a user, without fields that could be written."""
 
 
 def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
@@ -95,8 +81,9 @@ def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
     refused(other, "its SCCResult is of another version of astro_scc")
     with pytest.raises(OSError, match=r"jet.fits: exists; pass overwrite=True"):
         sky_result.write(path)
-    flow = replace(sky_result.flow, frame=Axes())
+    # A frame of a user, without fields that could be written.
+    flow = replace(sky_result.flow, frame=object())
     search = replace(sky_result.search, flow=flow)
-    with pytest.raises(ValueError, match="frame: an object Axes cannot be"):
+    with pytest.raises(ValueError, match="frame: an object object cannot be"):
         replace(sky_result, search=search).write(tmp_path / "jet.fits")
     assert [p.name for p in tmp_path.iterdir()] == ["other.fits"]

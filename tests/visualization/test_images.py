@@ -41,12 +41,10 @@ def test_brightness_has_limits_unit_and_ticks_that_fit():
     assert ticks_of(AsinhNorm(0.4, vmin=-1, vmax=3)) is None
 
 
-def test_the_sun_has_west_to_the_right(jet_results):
+def test_the_sun_has_west_to_the_right(jet_results, with_cube):
     sky, wcs = jet_results["sky"], jet_results["sky"].cube.wcs.deepcopy()
     wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
-    decomposed = replace(sky.decomposed, cube=replace(sky.cube, wcs=wcs))
-    decomposed._followed.append(sky.tracked_features)
-    sun = replace(sky, decomposed=decomposed)
+    sun = with_cube(sky, replace(sky.cube, wcs=wcs))
     ssps = sun.ssps.copy()
     ssps["in_region"] = ssps["lat_offset"].value > 0
     assert not sun.cube.plot(0, ssps).axes[0].xaxis_inverted()
