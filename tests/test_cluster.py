@@ -120,11 +120,8 @@ def test_a_scheduler_that_is_lost(monkeypatch):
 
 def test_without_dask_or_a_scheduler(monkeypatch):
     monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
-    for address, message in {
-        "tcp://127.0.0.1:9": "tcp://127.0.0.1:9: cannot be reached",
-        "node1": "node1: cannot be reached: missing port number",
-    }.items():
-        with pytest.raises(OSError, match=message):
+    for address in ("tcp://127.0.0.1:9", "node1"):
+        with pytest.raises(OSError, match=f"{address}: cannot be reached"):
             list(in_order(operator.neg, [1], address))
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ImportError, match="pip install distributed"):

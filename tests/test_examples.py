@@ -53,17 +53,14 @@ def test_every_example_is_tested_and_shown():
         for page in ("gallery", "paper")
     )
     for name in NAMES:
-        figure = FOLDER / "results" / f"{name}.png"
-        assert figure.stat().st_size < 150_000
+        assert (FOLDER / "results" / f"{name}.png").stat().st_size < 150_000
         command = f"python examples/{name}.py"
         command += "" if name in SIMULATED else f" {TABLE}"
-        files = f"<../examples/{name}.py>", f"_build/notebooks/{name}.ipynb"
-        for shown in (command, *files):
+        for shown in (command, f"<../examples/{name}.py>", f"notebooks/{name}.ipynb"):
             assert shown in gallery, shown
         for result in (f"{name}.txt", f"{name}.png"):
             assert result in gallery + paper, result
-        source = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
-        assert f"    {command}\n" in source
+        assert f"    {command}\n" in (FOLDER / f"{name}.py").read_text("utf-8")
 
 
 @pytest.mark.parametrize("name", NAMES)

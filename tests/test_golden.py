@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Results stay the same: tables that were made once, and are measured again."""
 
+from pathlib import Path
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -51,13 +53,8 @@ def real(name, shared_data):
     """The streams of a jet that was observed, or of the paper's."""
     if name in BEAMS:
         components = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
-        cube = restore(
-            components,
-            beam=BEAMS[name],
-            pixel_scale=0.1 * u.mas,
-            noise=0.3 * u.mJy / u.beam,
-            rng=1,
-        )[::3]
+        how = {"pixel_scale": 0.1 * u.mas, "noise": 0.3 * u.mJy / u.beam, "rng": 1}
+        cube = restore(components, beam=BEAMS[name], **how)[::3]
     elif name == "paper_test":
         cube = EpochCube.read(str(shared_data / name / "two_fluid" / "*.fits"))
     else:
@@ -86,19 +83,17 @@ def compare(table, path):
             assert list(new) == list(old), name
 
 
-@pytest.fixture
-def golden(request):
-    """Folder of the tables."""
-    return request.path.parent / "golden"
+#: Folder of the tables.
+GOLDEN = Path(__file__).parent / "golden"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SIMULATED)
-def test_commands_give_the_same_tables(name, tmp_path, golden):
-    compare(simulated(name, tmp_path), golden / f"{name}.ecsv")
+def test_commands_give_the_same_tables(name, tmp_path):
+    compare(simulated(name, tmp_path), GOLDEN / f"{name}.ecsv")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
-def test_real_jets_give_the_same_streams(name, shared_data, golden):
-    compare(real(name, shared_data), golden / f"{name}.ecsv")
+def test_real_jets_give_the_same_streams(name, shared_data):
+    compare(real(name, shared_data), GOLDEN / f"{name}.ecsv")

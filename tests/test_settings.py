@@ -2,15 +2,12 @@
 """Settings in TOML: what is read, what is refused, and what comes back."""
 
 import pickle
-from dataclasses import fields
 
 import astropy.units as u
 import numpy as np
 import pytest
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.cli.inputs import settings_of
-from astro_scc.cli.program import build_parser
 from astro_scc.quantities import random_generator
 from astro_scc.settings import OPTIONS, Settings, check_setting, read_config, require
 
@@ -38,18 +35,6 @@ def same(a, b):
     if isinstance(a, u.Quantity):
         return a.unit == b.unit and np.array_equal(a.value, b.value)
     return type(a) is type(b) and a == b
-
-
-def test_every_setting_is_declared_once():
-    declared = {field.name for field in fields(Settings)}
-    assert set(FULL) | set(OTHERS) == set(OPTIONS) == declared
-    assert {field.name for field in fields(StackedCrossCorrelation)} <= declared
-    for name, facts in (("kappa", ("0.6", 0.6)), ("noise", (None, "plane"))):
-        assert (OPTIONS[name]["metavar"], OPTIONS[name]["default"]) == facts
-    # ``--outward`` is nothing but the metavar of its field.
-    for words, outward in (("--outward", True), ("", False)):
-        args = build_parser().parse_args(f"measure a.fits -o out {words}".split())
-        assert settings_of(args, None).outward is outward
 
 
 def test_settings_survive_the_file_to_the_bit(tmp_path):

@@ -23,14 +23,8 @@ def test_a_folder_and_a_file_that_are_gone_unless_complete(tmp_path):
     with partial_folder(tmp_path, ".part-") as folder:
         folder.rename(tmp_path / "whole")
     file = tmp_path / "a"
-
-    def interrupted():
-        with replace_when_complete(file) as part:
-            part.write_text("half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
+    with pytest.raises(KeyboardInterrupt), replace_when_complete(file) as part:
+        raise KeyboardInterrupt(part.write_text("half"))
     assert names(tmp_path) == ["whole"]
     with replace_when_complete(file) as part:
         part.write_text("complete")
@@ -73,9 +67,7 @@ def test_lines_where_there_is_no_terminal(monkeypatch, capsys, total, steps):
         done(2)
         # Without another step.
         time.sleep(0.1)
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    lines = captured.err.splitlines()
+    lines = capsys.readouterr().err.splitlines()
     assert len(lines) >= 2
     assert re.fullmatch(rf"Searching: {steps}, 0\.0 min", lines[-1])
     assert threading.active_count() == threads

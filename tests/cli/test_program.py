@@ -55,7 +55,6 @@ def test_completion_of_a_shell(capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("argv", "line"),
     [
-        ("", "astro-scc: error: the following arguments are required: COMMAND"),
         ("fly", "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
         ("--foo inspect", "astro-scc: error: unrecognized arguments: --foo"),
         ("simulate static x --epochs b", "astro-scc simulate: error: argument --epo"),

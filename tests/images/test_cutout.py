@@ -122,14 +122,12 @@ def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
         (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),
-        (b"image\ncircle(500,21,8)\n", "r.reg: holds no pixel of the 50 x 40 image"),
         # Its mask would need 30 TiB.
         (b"image\ncircle(-3000000,0,2900000)\n", "r.reg: holds no pixel"),
         (b"image\npoint(21,21)\n", "r.reg: the PointPixelRegion has no inside"),
         (b"image\nellipse(21,21,4,1e200,0)\n", "the EllipsePixelRegion has no inside"),
         (b"icrs\ncircle(4:33:11,5:21:15,0.5\")\n", "r.reg: .* that the images show"),
         (np.zeros(SHAPE, dtype=bool), "no pixel"),
-        (np.ones((3, 3), dtype=bool), r"array of bool of the images' shape"),
         (np.ones(SHAPE), "array of float64"),
         *((wrong, "region must be") for wrong in (3, [], [3])),
     ],
@@ -170,14 +168,13 @@ def test_rings_share_no_pixel_and_leave_none_out():
 @pytest.mark.parametrize(
     ("function", "arguments", "words"),
     [
-        *((distance_mask, limits * u.mas, "0 <= r_min < r_max")
-          for limits in ([1, 1], [np.nan, 1])),
+        (distance_mask, [np.nan, 1] * u.mas, "0 <= r_min < r_max"),
         (distance_mask, [1, 2] * u.arcsec, "no pixel is 1.0 arcsec to"),
         (crop, [(slice(40, 60), slice(None))], "holds no pixel of the 50 x 40 image"),
         (crop, [(slice(None, None, 2), slice(None))], "two, .y, x., without a step"),
-        *((crop, [ONE, pad], "whole number") for pad in (-1, 1.5)),
+        (crop, [ONE, 1.5], "whole number"),
     ],
-)  # fmt: skip
+)
 def test_rings_and_crops_that_cannot_be_made(function, arguments, words):
     with pytest.raises((ValueError, u.UnitsError), match=words):
         function(CUBE, *arguments)

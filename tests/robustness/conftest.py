@@ -32,13 +32,8 @@ def inputs():
 
 
 @pytest.fixture
-def fuzz():
-    return load_tool("fuzz")
-
-
-@pytest.fixture
-def interrupts():
-    return load_tool("interrupts")
+def tool():
+    return load_tool
 
 
 @pytest.fixture

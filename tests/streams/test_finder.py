@@ -99,16 +99,6 @@ def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
 
 
-def test_a_largest_speed_holds_along_every_direction():
-    cube = simulate_two_fluid(rng=1).cube
-    scc = StackedCrossCorrelation(max_speed=200 * u.mas / u.yr, position_angle="any")
-    flow = scc.flow(scc.decompose(cube))
-    turned = flow.along(np.radians(270))
-    assert turned.max_speed == flow.max_speed == scc.max_speed
-    assert turned.planes[0].reach == pytest.approx(flow.planes[0].reach)
-    assert turned.planes[0].reach > 4
-
-
 def test_means_of_features():
     """Many show their scatter, one scatters by .3, and long ones weigh more."""
     speed = np.random.default_rng(1).normal(1.0, 0.1, 400)
