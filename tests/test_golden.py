@@ -16,19 +16,15 @@ from astro_scc.epochs import read_components, restore
 #: Tables of `astro-scc` on simulated images; a script may import and rewrite them.
 SIMULATED = {
     "jet": (["jet", "--epochs", "8"], ["measure"], "streams"),
-    "two_fluid": (
-        ["two-fluid", "--epochs", "6"],
-        ["measure", "--max-speed", "40 mas/yr", "--redshift", "0.1"],
-        "streams",
-    ),
-    "profile": (
-        ["jet", "--epochs", "8"],
-        ["profile", "--bins", "1 4 8 mas", "--position-angle", "270 deg"],
-        "profile",
-    ),
+    "two_fluid": (["two-fluid", "--epochs", "6"],
+                  ["measure", "--max-speed", "40 mas/yr", "--redshift", "0.1"],
+                  "streams"),
+    "profile": (["jet", "--epochs", "8"],
+                ["profile", "--bins", "1 4 8 mas", "--position-angle", "270 deg"],
+                "profile"),
     "tracks": (["jet", "--epochs", "6"], ["track"], "features"),
     "features": (["jet", "--epochs", "8"], ["measure"], "features"),
-}
+}  # fmt: skip
 BEAMS = {
     "0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),
     "1226+023": Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg),

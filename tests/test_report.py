@@ -130,27 +130,6 @@ def test_the_answer_comes_first(page, streams):
     assert [a["href"] for a in page.all("a")] == ["streams.ecsv"]
 
 
-#: Columns of streams, and what the page says of them and does not.
-SAID = [
-    ({"kind": "not significant", "caution": CHANCE}, [
-        "Nothing moves significantly: p_global 0.005, speeds of ",
-        f"Stream 1 (not significant): {CHANCE}.",
-    ], "): -"),
-    # Small probabilities are not rounded to nothing, columns that are new are shown,
-    # and text is no code.
-    ({"p_local": 0.000123, "gamma_min": 1.2346, "caution": "<b>good</b>"},
-     [" 0.00012 ", "gamma_min", " 1.235 ", "<b>good</b>"], "0.000123"),
-    ({"p_smallest": 1 / 11}, ["p_global cannot be below 0.091: with so few no"], "/N"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("columns", "said", "unsaid"), SAID)
-def test_what_the_page_says_of_streams(result, words_of, columns, said, unsaid):
-    words = words_of(result, changed(result.streams, **columns))
-    assert [text for text in said if text not in words] == []
-    assert unsaid not in words
-
-
 @pytest.mark.parametrize("share", [0.9, 1.1])
 def test_what_does_not_move_has_a_limit(result, share):
     table, features = result.streams.copy(), result.features

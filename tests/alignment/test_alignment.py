@@ -97,9 +97,8 @@ def test_a_table_brings_sources_to_the_reference_pixel(tmp_path):
     assert (record["method"], record["shift_east_err_mas"]) == ("table", None)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_tables_that_cannot_be_used(tmp_path):
+    for text, message in [
         ("date,east_mas,north_mas\n2000-01-05,1,2\n", "no row within 1 d of"),
         ("date,east_mas,north_mas\n2000-01-01,,2\n", "2000-01-01 .a.fits. has no numb"),
         ("date,east_mas\n2000-01-01,1\n", "0 columns have 'north'"),
@@ -112,17 +111,15 @@ def test_a_table_brings_sources_to_the_reference_pixel(tmp_path):
         (QTable({"time": Time(np.ma.masked_invalid([np.nan]), format="mjd"),
                  "east": [1] * u.mas, "north": [1] * u.mas}), "of row 1 is missing"),
         (3, "table must be a path or a Table, got int"),
-    ],
-)  # fmt: skip
-def test_tables_that_cannot_be_used(tmp_path, text, message):
-    table = text
-    if isinstance(text, str):
-        table = tmp_path / "cores.csv"
-        table.write_text(text)
-    with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
-        offsets_from_table(table, Time(["2000-01-01"]), ["a.fits"])
-    assert str(table) in str(caught.value) or not hasattr(table, "name")
-    assert "\n" not in str(caught.value)
+    ]:  # fmt: skip
+        table = text
+        if isinstance(text, str):
+            table = tmp_path / "cores.csv"
+            table.write_text(text)
+        with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
+            offsets_from_table(table, Time(["2000-01-01"]), ["a.fits"])
+        assert str(table) in str(caught.value) or not hasattr(table, "name")
+        assert "\n" not in str(caught.value)
 
 
 def test_the_core_is_found_though_it_is_blended_and_not_the_brightest():
@@ -228,9 +225,8 @@ NOISE = np.random.default_rng(0).normal(size=(2, 40, 40))
 NO_CORE = EpochCube.from_arrays(NOISE, DATES[:2], pixel_scale=0.1 * u.mas, beams=BEAM)
 
 
-@pytest.mark.parametrize(
-    ("method", "options", "message"),
-    [
+def test_alignments_that_are_refused():
+    for method, options, message in [
         ("core", {"cube": NO_CORE}, "2000-01-01: nothing is bright enough"),
         ("core", {"cube": NO_CORE.with_step("", beams=None)}, "and the epochs have no"),
         ("wcs", {"cube": NO_CORE}, "no absolute coordinates"),
@@ -242,14 +238,12 @@ NO_CORE = EpochCube.from_arrays(NOISE, DATES[:2], pixel_scale=0.1 * u.mas, beams
         ("core", {"table": "x.csv", "region": HOLE}, "'core' has no option region, ta"),
         ("table", {}, "needs table="),
         (3, {}, "is none of"),
-    ],
-)  # fmt: skip
-def test_alignments_that_are_refused(method, options, message):
-    cube = shifted_jets(epoch_wcs=[grid(), grid(turn=30), grid(), grid()])
-    mask = cube.mask | HOLE
-    cube = cube.with_step("", data=np.where(mask, np.nan, cube.data), mask=mask)
-    with pytest.raises(ValueError, match=message):
-        align(**{"cube": cube, "method": method, **options})
+    ]:  # fmt: skip
+        cube = shifted_jets(epoch_wcs=[grid(), grid(turn=30), grid(), grid()])
+        mask = cube.mask | HOLE
+        cube = cube.with_step("", data=np.where(mask, np.nan, cube.data), mask=mask)
+        with pytest.raises(ValueError, match=message):
+            align(**{"cube": cube, "method": method, **options})
 
 
 @pytest.mark.parametrize("distance", [0.6, 1.08])

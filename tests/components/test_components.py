@@ -22,16 +22,12 @@ MAS = u.mas.to(u.deg)
 
 def columns(**changes):
     values = {
-        "times": Time(["2006-07-01", "2006-01-01"]),
-        "epoch": [0, 1, 1],
-        "flux": [800, 1000, 500] * u.mJy,
-        "east": [0.4, 0.0, 2.0] * u.mas,
-        "north": [0.2, 0.0, 1.0] * u.mas,
-        "major": [0.3, np.nan, 0.8] * u.mas,
-        "minor": [0.3, np.nan, 0.4] * u.mas,
+        "times": Time(["2006-07-01", "2006-01-01"]), "epoch": [0, 1, 1],
+        "flux": [800, 1000, 500] * u.mJy, "feature": [1, 0, 1],
+        "east": [0.4, 0.0, 2.0] * u.mas, "north": [0.2, 0.0, 1.0] * u.mas,
+        "major": [0.3, np.nan, 0.8] * u.mas, "minor": [0.3, np.nan, 0.4] * u.mas,
         "pa": [0, np.nan, 60] * u.deg,
-        "feature": [1, 0, 1],
-    }
+    }  # fmt: skip
     return {**values, **changes}
 
 
@@ -80,19 +76,16 @@ def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_pa
         assert_allclose(getattr(back, name), getattr(own, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_bad_lists():
+    for changes, message in [
         ({"flux": [1, 2] * u.Jy}, "flux has shape"),
         ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
         ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
         ({"epoch": [0, 1, 2]}, "indices into an array of times"),
         ({"east": [1, 2, 3] * u.Jy}, "not convertible"),
-    ],
-)
-def test_bad_lists(changes, message):
-    with pytest.raises((ValueError, u.UnitConversionError), match=message):
-        ComponentList(**columns(**changes))
+    ]:
+        with pytest.raises((ValueError, u.UnitConversionError), match=message):
+            ComponentList(**columns(**changes))
 
 
 CARTESIAN = {
@@ -124,9 +117,8 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     assert components.meta == {"object": "S4", "frequency": 15.4e9}
 
 
-@pytest.mark.parametrize(
-    ("changes", "options", "message"),
-    [
+def test_bad_tables(tmp_path):
+    for changes, options, message in [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
         ({"epoch": None, "flux": None}, {}, "no column for 'epoch', 'flux'; the"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
@@ -138,13 +130,11 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
         ({}, {"origin": "jet"}, "origin = .jet. must be"),
         ({}, {"dates": ["then"]}, "dates: 'then' is no date"),
-    ],
-)
-def test_bad_tables(tmp_path, changes, options, message):
-    path = write(mojave(**changes), tmp_path / "t.ecsv")
-    with pytest.raises(ValueError, match=message) as error:
-        read_components(path, **options)
-    assert "\n" not in str(error.value)
+    ]:
+        path = write(mojave(**changes), tmp_path / "t.ecsv")
+        with pytest.raises(ValueError, match=message) as error:
+            read_components(path, **options)
+        assert "\n" not in str(error.value)
 
 
 #: As the journals print tables of jet features of many sources.

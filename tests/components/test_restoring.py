@@ -93,9 +93,8 @@ def test_grids():
         restored(THREE, shape=(40, 20), reference_pixel=(5, 20))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_bad_options():
+    for options, message in [
         ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
         ({"beam": None}, "needs a beam; give one"),
         ({"noise": 1 * u.mas}, "noise must be a Quantity in Jy / beam"),
@@ -103,11 +102,9 @@ def test_grids():
         ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
         ({"reference_pixel": (3, 3)}, "reference_pixel needs a shape; give both"),
-    ],
-)
-def test_bad_options(options, message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        restored(THREE, **options)
+    ]:
+        with pytest.raises((ValueError, TypeError), match=message):
+            restored(THREE, **options)
 
 
 def test_restores_what_aips_restored(shared_data):

@@ -107,17 +107,6 @@ def test_along_a_ridge_line_and_in_windows(decomposed):
     assert_allclose(*pm, rtol=0.02)
 
 
-def test_a_slope_is_that_of_least_squares():
-    rng = np.random.default_rng(1)
-    x, error = np.arange(8.0), rng.uniform(0.2, 0.4, 8)
-    y = 2 + 0.3 * x + error * rng.normal(size=8) / 2
-    known = PartSpeeds(np.append(x, 9), np.append(y, np.nan), np.diag([*error**2, 1]))
-    _, _, slope, slope_err, number = slope_of(known)
-    line, covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
-    assert_allclose([slope, slope_err], [line[0], covariance[0, 0] ** 0.5], rtol=1e-4)
-    assert number == 8
-
-
 @pytest.mark.slow
 def test_the_covariance_is_that_of_repeated_jets():
     """Neighbouring halves of jets whose features have speeds of their own."""

@@ -220,9 +220,8 @@ def test_the_smallest_common_beam_contains_all(shapes):
 CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
+def test_what_is_no_beam_or_no_common_one():
+    for call, words in [
         (lambda: beam(1, 1, np.nan), "is finite with major >= minor > 0, got"),
         (lambda: beam(1, 2), "is finite with major >= minor > 0, got"),
         (lambda: parse_beam("1"), "is no beam: .*; give major axis, min"),
@@ -232,8 +231,6 @@ CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
         (lambda: Beam([1, 2] * u.mas, 1 * u.mas), "are single angles, got 2; make a"),
         (lambda: common_beam(CUBE, 3.0), "a beam has major, minor and pa, got float"),
         (lambda: common_beam(CUBE.with_step("", beams=None)), "have no beams"),
-    ],
-)  # fmt: skip
-def test_what_is_no_beam_or_no_common_one(call, words):
-    with pytest.raises((ValueError, TypeError), match=words):
-        call()
+    ]:  # fmt: skip
+        with pytest.raises((ValueError, TypeError), match=words):
+            call()

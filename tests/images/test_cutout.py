@@ -88,9 +88,8 @@ ROUND = {
 }
 
 
-@pytest.mark.parametrize(
-    ("text", "enough"),
-    [
+def test_regions_of_too_few_digits_are_refused(tmp_path):
+    for text, enough in [
         # What regions and CARTA write as CRTF, and DS9 in degrees and in hours.
         (f"{CRTF}circle[[{LON:.6f}deg, {LAT:.6f}deg], 0.000001deg]", False),
         (f"{CRTF}circle[[{LON:.12f}deg, {LAT:.12f}deg], 0.000000555556deg]", True),
@@ -100,24 +99,21 @@ ROUND = {
         (f"icrs\npolygon({','.join(f'{v:.6f}' for v in SQUARE)})", False),
         (Regions([CircleSkyRegion(SKY, 2 * u.mas)]).serialize("ds9"), True),
         *((text, True) for text in ROUND),
-    ],
-)
-def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
-    place = {"pixel_scale": 0.1 * u.mas, "position": ROUND.get(text, SKY)}
-    cube = EpochCube.from_arrays(np.ones((1, 90, 90)), ["2000-01-01"], **place)
-    (tmp_path / "r.reg").write_text(text)
-    if enough:
-        yy, xx = np.indices((90, 90)) - 44.5
-        wrong = region_mask(cube, tmp_path / "r.reg") != (xx**2 + yy**2 < 20**2)
-        assert wrong.sum() < 40
-    else:
-        with pytest.raises(ValueError, match=r"r.reg: a \w+ of .* is written in steps"):
-            region_mask(cube, tmp_path / "r.reg")
+    ]:
+        place = {"pixel_scale": 0.1 * u.mas, "position": ROUND.get(text, SKY)}
+        cube = EpochCube.from_arrays(np.ones((1, 90, 90)), ["2000-01-01"], **place)
+        (tmp_path / "r.reg").write_text(text)
+        if enough:
+            yy, xx = np.indices((90, 90)) - 44.5
+            wrong = region_mask(cube, tmp_path / "r.reg") != (xx**2 + yy**2 < 20**2)
+            assert wrong.sum() < 40
+        else:
+            with pytest.raises(ValueError, match=r"r.reg: a \w+ of .* is written in"):
+                region_mask(cube, tmp_path / "r.reg")
 
 
-@pytest.mark.parametrize(
-    ("region", "message"),
-    [
+def test_regions_that_cannot_be_used(tmp_path):
+    for region, message in [
         (b"garbage\n", "r.reg: holds no region"),
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
@@ -130,15 +126,13 @@ def test_regions_of_too_few_digits_are_refused(tmp_path, text, enough):
         (np.zeros(SHAPE, dtype=bool), "no pixel"),
         (np.ones(SHAPE), "array of float64"),
         *((wrong, "region must be") for wrong in (3, [], [3])),
-    ],
-)  # fmt: skip
-def test_regions_that_cannot_be_used(tmp_path, region, message):
-    if isinstance(region, bytes):
-        (tmp_path / "r.reg").write_bytes(region)
-        region = tmp_path / "r.reg"
-    with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
-        region_mask(CUBE, region)
-    assert "\n" not in str(caught.value)
+    ]:  # fmt: skip
+        if isinstance(region, bytes):
+            (tmp_path / "r.reg").write_bytes(region)
+            region = tmp_path / "r.reg"
+        with pytest.raises((ValueError, TypeError, OSError), match=message) as caught:
+            region_mask(CUBE, region)
+        assert "\n" not in str(caught.value)
 
 
 @settings(max_examples=5, deadline=None)
@@ -165,19 +159,16 @@ def test_rings_share_no_pixel_and_leave_none_out():
     assert rings[1][[15, 10], [25, 20]].all()
 
 
-@pytest.mark.parametrize(
-    ("function", "arguments", "words"),
-    [
+def test_rings_and_crops_that_cannot_be_made():
+    for function, arguments, words in [
         (distance_mask, [np.nan, 1] * u.mas, "0 <= r_min < r_max"),
         (distance_mask, [1, 2] * u.arcsec, "no pixel is 1.0 arcsec to"),
         (crop, [(slice(40, 60), slice(None))], "holds no pixel of the 50 x 40 image"),
         (crop, [(slice(None, None, 2), slice(None))], "two, .y, x., without a step"),
         (crop, [ONE, 1.5], "whole number"),
-    ],
-)
-def test_rings_and_crops_that_cannot_be_made(function, arguments, words):
-    with pytest.raises((ValueError, u.UnitsError), match=words):
-        function(CUBE, *arguments)
+    ]:
+        with pytest.raises((ValueError, u.UnitsError), match=words):
+            function(CUBE, *arguments)
 
 
 PART = slice(9, 30), slice(14, 50)

@@ -106,26 +106,23 @@ def test_dates_of_which_there_are_doubts(cards, expected, words):
     assert words in record.get("date_problem", "") + "".join(record["remarks"])
 
 
-@pytest.mark.parametrize(
-    ("clocks", "pixels", "refused"),
-    [
+def test_the_same_date_and_the_same_exposure(make_epochs):
+    for clocks, pixels, refused in [
         ((1, 1, 9), (0, 1, 2), True),
         ((1, 1.004, 9), (0, 0, 1), True),
         # Other pixels, or other dates.
         ((1, 1.004, 9), (0, 1, 2), False),
         ((1, 3, 9), (0, 0, 0), False),
-    ],
-)
-def test_the_same_date_and_the_same_exposure(make_epochs, clocks, pixels, refused):
-    dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
-    own = zip(dates, PIXELS[[*pixels]], strict=True)
-    paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))
-    if refused:
-        words = "1.fits: is of 2015-06-18T10:00:01, as is 0.fits"
-        with pytest.raises(ValueError, match=words):
-            EpochCube.read(paths)
-    else:
-        assert len(EpochCube.read(paths)) == 3
+    ]:
+        dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
+        own = zip(dates, PIXELS[[*pixels]], strict=True)
+        paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))
+        if refused:
+            words = "1.fits: is of 2015-06-18T10:00:01, as is 0.fits"
+            with pytest.raises(ValueError, match=words):
+                EpochCube.read(paths)
+        else:
+            assert len(EpochCube.read(paths)) == 3
 
 
 def cube(path, *, table=None, shape=(4, 16, 32), **changes):
@@ -189,18 +186,15 @@ def test_an_axis_of_time_has_epochs(tmp_path, changes, seconds):
     assert (len(table), set(table["problem"])) == (4, {""})
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
+def test_axes_of_which_no_epochs_are_made(tmp_path):
+    for changes, words in [
         ({"CDELT3": 0.0}, "has no step on axis TIME .CDELT3.; write it"),
         ({"CUNIT3": "m"}, "has the unit 'm' on axis TIME, which is no time; correct"),
         ({"DATE-OBS": None}, "has times on axis TIME and no date from which they coun"),
         ({"CTYPE3": "TIME-TAB"}, "has times in a table on axis TIME-TAB, which is not"),
         ({"CTYPE3": "WAVE"}, "has 4 planes on axis WAVE; write the one to use"),
-    ],
-)
-def test_axes_of_which_no_epochs_are_made(tmp_path, changes, words):
-    cube(tmp_path / "movie.fits", **changes)
-    with pytest.raises(ValueError, match=f"movie.fits: {words}"):
-        EpochCube.read(tmp_path / "movie.fits")
-    assert len(inspect_epochs(tmp_path / "movie.fits")["problem"][0]) > 20
+    ]:
+        cube(tmp_path / "movie.fits", **changes)
+        with pytest.raises(ValueError, match=f"movie.fits: {words}"):
+            EpochCube.read(tmp_path / "movie.fits")
+        assert len(inspect_epochs(tmp_path / "movie.fits")["problem"][0]) > 20

@@ -49,9 +49,8 @@ def test_numbers_of_the_paper_in_all_forms():
         assert speed.unmasked[1].value == pytest.approx(20.40, rel=5e-4)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_what_is_missing_or_too_much():
+    for options, message in [
         ({}, "either a redshift, of which the cosmology may be given, or a distance"),
         ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
@@ -71,11 +70,9 @@ def test_numbers_of_the_paper_in_all_forms():
         ({"distance": 1 * MPC, "cosmology": "Planck18"}, "needs no cosmology"),
         ({"proper_motion": 1 * u.km / u.s, "distance": 1 * MPC},
          "proper_motion = 1.0 km / s must"),
-    ],
-)  # fmt: skip
-def test_what_is_missing_or_too_much(options, message):
-    with pytest.raises(ValueError, match=message):
-        apparent_speed(**{"proper_motion": MU, **options})
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            apparent_speed(**{"proper_motion": MU, **options})
 
 
 @pytest.mark.parametrize("cosmology", [Planck18, "H0=65,Om0=0.3,Ode0=0.5"])

@@ -233,23 +233,20 @@ def test_nothing_to_correlate(masked, target):
     assert all_pairs(0).shape == all_pairs(1).shape == (0, 2)
 
 
-@pytest.mark.parametrize(
-    ("own", "call", "message"),
-    [
+def test_what_is_refused(masked):
+    for own, call, message in [
         ({"kappa": 1}, {}, "kappa = 1 must be between 0 and 1"),
         ({"target": "image"}, {}, "target = 'image' must be one of segments, plane"),
         ({"min_overlap": 0}, {}, "min_overlap = 0 must be above 0, up to 1"),
         ({}, {"pairs": [(0, 3)]}, "outside 0 to 2"),
         ({}, {"search_radius": (5, -1)}, "search radius must be one or two numbers of"),
         ({}, {"other": ((1, 2), NY, NX)}, "one shape and the same scales"),
-    ],
-)
-def test_what_is_refused(masked, own, call, message):
-    options = {"pairs": [(0, 1)], "search_radius": 5, **call}
-    scales, *shape = options.pop("other", ((1, 2), *SHAPE))
-    epochs = [*masked[:2], Decomposer(scales=scales)(np.zeros(shape))]
-    with pytest.raises(ValueError, match=message):
-        Correlator(**own)(epochs, **options)
+    ]:
+        options = {"pairs": [(0, 1)], "search_radius": 5, **call}
+        scales, *shape = options.pop("other", ((1, 2), *SHAPE))
+        epochs = [*masked[:2], Decomposer(scales=scales)(np.zeros(shape))]
+        with pytest.raises(ValueError, match=message):
+            Correlator(**own)(epochs, **options)
 
 
 def test_landing_is_on_the_nearest_pattern():

@@ -113,9 +113,8 @@ NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
           JetSimulation: {"streams": [ONE]}, Layer: {"name": "l"} | TABLE}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("make", "options", "message"),
-    [
+def test_what_is_refused():
+    for make, options, message in [
         (Stream, {"motion": "circular"}, "stream 's': motion = .* must be one of"),
         (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
         (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
@@ -142,11 +141,9 @@ NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
         (Layer, {"distance": [1, 1, 2] * u.mas}, "distance must increase, got"),
         (Layer, {"size": (2, 1) * u.mas}, "size must be two limits, got"),
         (Layer, {"life": np.inf * u.yr}, "life must be positive, and finite for a l"),
-    ],
-)  # fmt: skip
-def test_what_is_refused(make, options, message):
-    with pytest.raises(ValueError, match=message):
-        make(**NEEDED.get(make, {}) | options)
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            make(**NEEDED.get(make, {}) | options)
 
 
 def test_written_simulation(tmp_path):
