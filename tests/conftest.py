@@ -17,10 +17,7 @@ from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 
 HERE = Path(__file__).parent
 #: Folders and modules whose tests run the command line, or scripts, end to end.
-INTEGRATION = {
-    *("cli", "robustness"),
-    *("test_docs_commands", "test_examples", "test_golden"),
-}
+INTEGRATION = "cli robustness test_docs_commands test_examples test_golden".split()
 # The same examples everywhere: a commit passes or fails on each machine alike.  Others
 # are drawn with --hypothesis-profile=random.
 settings.register_profile("random", deadline=None)

@@ -51,11 +51,8 @@ def commands(text):
 
 TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
 HELP = {Path(name): own["epilog"] for name, own in COMMANDS.items()}
-SHOWN = [
-    (page.name, words)
-    for page, text in (TEXTS | HELP).items()
-    for words in commands(unfolded(text))
-]
+EVERY = (TEXTS | HELP).items()
+SHOWN = [(page.name, k) for page, text in EVERY for k in commands(unfolded(text))]
 
 
 @pytest.mark.parametrize(("page", "words"), SHOWN)

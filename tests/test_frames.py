@@ -11,7 +11,6 @@ from astro_scc.flow import measure_acceleration, measure_field, measure_profile
 from astro_scc.products import write_products
 from astro_scc.report import write_report
 from astro_scc.visualization import FIGURES
-from astro_scc.visualization.velocity import velocity_labels
 
 OPTIONS = {"scales": [1, 2, 3], "max_speed": 30 * u.mas / u.yr}
 HERE = [0, 0] * u.mas
@@ -41,12 +40,6 @@ def test_each_frame_has_all_figures_files_and_questions(frame, decomposed, tmp_p
     if frame != "sky":
         field = measure_field(result, along=[2, 9] * u.mas, n_trials=19)
         assert np.isfinite(field.table["p_global"]).any()
-
-
-@pytest.mark.parametrize("frame", FRAMES)
-def test_figures_have_words_for_the_axes_of_each_frame(frame):
-    labels = velocity_labels(FRAMES[frame].axis_names, ("east", "north", True), u.mas)
-    assert len(set(labels)) == 2
 
 
 def test_the_radius_of_an_expansion_is_that_of_the_shell(decomposed):

@@ -148,10 +148,7 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
     scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
     path = tmp_path / "corner.reg"
     path.write_text("image\ncircle(3,3,2)\n")
-    line = (
-        f"^{path}: no significant pattern has its centroid inside, \\d+ in the rest of "
-        "the images: check where it lies, or make it larger$"
-    )
+    line = rf"^{path}: no significant pattern has its centroid inside, \d+ in the rest"
     for decompose in (scc.decompose, scc.match):
         with pytest.warns(MeasurementWarning, match=line):
             found = decompose(cube, region=path)
@@ -164,11 +161,7 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
     assert len(scc.match(flat, region=corner).ssps) == 0
 
 
-NO_SSP = (
-    r"^no significant pattern \(SSP\) in any epoch on scale 1, 2: try other scales, or "
-    "a lower detection; if the images have no empty sky, give their noise and "
-    "noise='propagated'$"
-)
+NO_SSP = r"^no significant pattern \(SSP\) in any epoch on scale 1, 2: try other scale"
 
 
 def test_in_flat_images_nothing_moves(result, tmp_path):

@@ -11,13 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from regions import CirclePixelRegion, PixCoord
 from scipy import ndimage
 
+from astro_scc.alignment import registration
 from astro_scc.alignment.align import align, offsets_from_table
-from astro_scc.alignment.registration import (
-    core_positions,
-    displacement,
-    misalignment,
-    warn_of_misalignment,
-)
 from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.exceptions import MeasurementWarning
@@ -125,7 +120,7 @@ def test_tables_that_cannot_be_used(tmp_path):
 def test_the_core_is_found_though_it_is_blended_and_not_the_brightest():
     """0.56 mas to the next feature, about 0.7 of the beam."""
     cube = shifted_jets(core=0.25, turn=40, noise=2e-4)
-    found = core_positions(cube)
+    found = registration.core_positions(cube)
     assert_allclose(positions(found), OFFSETS, atol=0.01)
     with pytest.warns(MeasurementWarning, match="blended with the jet in 4 of 4"):
         result = align(cube, "core")
@@ -134,7 +129,7 @@ def test_the_core_is_found_though_it_is_blended_and_not_the_brightest():
 
 def test_a_lonely_core_and_its_errors():
     """Residuals are as large as the errors say."""
-    found = core_positions(images([[(0.13, -0.08, 0.05)]] * 4, noise=1e-3))
+    found = registration.core_positions(images([[(0.13, -0.08, 0.05)]] * 4, noise=1e-3))
     assert not found["blended"].any()
     errors = np.stack([found["east_err"].value, found["north_err"].value], axis=1)
     pulls = (positions(found) - [0.13, -0.08]) / errors
@@ -151,9 +146,9 @@ def test_the_cores_of_0003_380(shared_data):
     truth = np.stack([table["core_x_mas_east"], table["core_y_mas_north"]], axis=1)
     cube = EpochCube.read(str(shared_data / "0003+380" / "*.fits"))
     for own, limit in ((cube, 0.022), (cube.to_common_beam(), 0.032)):
-        residual = positions(core_positions(own)) - truth
+        residual = positions(registration.core_positions(own)) - truth
         assert np.hypot(*residual.T).max() < limit, residual
-    left = positions(core_positions(align(cube, path)))
+    left = positions(registration.core_positions(align(cube, path)))
     assert np.hypot(*left.T).max() < 0.022
 
 
@@ -173,15 +168,15 @@ def test_a_known_shift_is_recovered():
     mask[60:64, 40:80] = True
     moved = np.where(mask, np.nan, 3 * image(-2.30, -4.70) + 0.5)
     arguments = moved, mask, image(0, 0), np.ones((128, 128), dtype=bool), 15
-    shift, covariance = displacement(*arguments)
+    shift, covariance = registration.displacement(*arguments)
     assert_allclose(shift, [-2.30, -4.70], atol=3e-3)
     assert np.all(np.sqrt(np.diag(covariance)) < 5e-3)
     mask = np.ones((128, 128), dtype=bool)
     mask[:4, :4] = False
     with pytest.raises(ValueError, match="too few good pixels"):
-        displacement(moved, mask, *arguments[2:], start=(0, 0))
+        registration.displacement(moved, mask, *arguments[2:], start=(0, 0))
     with pytest.raises(ValueError, match="nothing in the image correlates"):
-        displacement(-moved, *arguments[1:4], 1)
+        registration.displacement(-moved, *arguments[1:4], 1)
 
 
 @pytest.mark.parametrize(("turn", "fields"), [(40, {}), (0, {"beams": None})])
@@ -250,7 +245,7 @@ def test_alignments_that_are_refused():
 def test_a_core_before_a_brighter_feature_that_hides_its_maximum(distance):
     """Up to 1.4 beams there is but one maximum, four times as bright."""
     cube = images([[(0, 0, 1.0), (distance, 0, 4.0)]], noise=1e-3)
-    found = core_positions(cube, jet_pa=90 * u.deg)
+    found = registration.core_positions(cube, jet_pa=90 * u.deg)
     assert_allclose(found["east"].value, 0, atol=0.02)
 
 
@@ -289,14 +284,16 @@ def test_the_scatter_of_epochs_is_what_they_were_shifted_by(jet, beams, standing
     x, y = np.random.default_rng(5).normal(size=(2, 12))
     x, y = ((v - v.mean()) / v.std() * beams * float(width) for v in (x, y))
     # Each of the ten in the middle tells it to a fifth.
-    assert misalignment(scattered(cube, x, y)) == pytest.approx(beams, rel=0.3)
+    assert registration.misalignment(scattered(cube, x, y)) == pytest.approx(
+        beams, rel=0.3
+    )
 
 
 def test_epochs_that_are_aligned_or_drift_steadily(jet):
-    assert misalignment(jet) < 0.05
+    assert registration.misalignment(jet) < 0.05
     drift = 12 * jet.years.value
     assert np.std(drift) > 10
-    assert (misalignment(scattered(jet, drift, 0)) or 0) < 0.1
+    assert (registration.misalignment(scattered(jet, drift, 0)) or 0) < 0.1
     # Two epochs, and images without beams, without anything or of one date.
     for cube in (
         jet[:2],
@@ -304,7 +301,7 @@ def test_epochs_that_are_aligned_or_drift_steadily(jet):
         jet.with_step("", data=0 * jet.data, noise=None),
         jet[:4].with_step("", times=jet.times[[0, 0, 0, 0]]),
     ):
-        assert misalignment(cube) is None
+        assert registration.misalignment(cube) is None
 
 
 def test_misalignment_is_said_and_measured_once():
@@ -315,5 +312,5 @@ def test_misalignment_is_said_and_measured_once():
         match=r"^the epochs are aligned to 0\.\d\d beams only, .* adds to every error "
         r"of a speed: align them, with --align core or cube\.align\('core'\), or if",
     ):
-        warn_of_misalignment(cube)
+        registration.warn_of_misalignment(cube)
     assert vars(cube)["misalignment"] is cube.misalignment

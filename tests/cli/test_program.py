@@ -147,9 +147,6 @@ REFUSED = {
 --config no.toml | no.toml: No such file or directory
 -o full | full: exists and is not empty
 """,
-    "measure": """
--o out | no epochs were given
-""",
     "profile JET -o out": """
 | --bins is missing
 --bins "1 mas" | 2 distance
@@ -165,7 +162,6 @@ note.fits more.fits | (and 1 more like it)
 """,
     "simulate": """
 static x --dense | --dense is for two-fluid, not for static
-jet x --motion -1 | error: --motion must be zero or positive
 jet x --distribution flat | error: --distribution = 'flat' must
 static . | .: exists and is not empty
 """,
@@ -177,24 +173,15 @@ static . | .: exists and is not empty
 --pixel "0.6 mas" | a pixel of 0.6 mas is larger than the beam of 0.5 mas; give a fifth
 """,
     "restore MODELS": """
--o out | error: --pixel must be given to make images (--list makes none)
---pixel "0.1 mas" | error: -o must be given to make images
 --beam "1 mas" | error: -o and --pixel must be given to make images
 """,
     "restore -o out MODELS": """
 --pixel "0.1 mas" | 3c1_2006-03-09.mod: is a list of
 """,
 }
-FILES = {
-    "file": "mine",
-    "full/mine.txt": "mine",
-    "note.fits": "no image",
-    "more.fits": "no image",
-    **dict.fromkeys(
-        ("3c1_2006-03-09.mod", "3c1_2007-03-09.mod", "model.mod"),
-        "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n",
-    ),
-}
+MODELS = "3c1_2006-03-09.mod", "3c1_2007-03-09.mod", "model.mod"
+FILES = dict.fromkeys(("full/mine.txt", "note.fits", "more.fits"), "no image")
+FILES |= dict.fromkeys(MODELS, "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n")
 
 
 def cases():

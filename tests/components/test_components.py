@@ -33,17 +33,15 @@ def columns(**changes):
 
 def mojave(**changes):
     """A table as MOJAVE's: positions from the core, the core's from the map."""
+    nan = np.nan
     values = {
         "epoch": ["2006-03-09", "2006-03-09", "2006-12-01", "2006-12-01"],
-        "feature": [0, 1, 0, 2],
-        "flux": [489.0, 7.2, 320.0, 20.9] * u.mJy,
-        "separation": [0.5, 4.0, 1.0, 2.0] * u.mas,
+        "feature": [0, 1, 0, 2], "flux": [489.0, 7.2, 320.0, 20.9] * u.mJy,
+        "separation": [0.5, 4.0, 1.0, 2.0] * u.mas, "axial_ratio": [0.5, nan, nan, 1.0],
         "position_angle": [270.0, 90.0, 0.0, 180.0] * u.deg,
-        "major_fwhm": [0.2, np.nan, 0.4, 0.3] * u.mas,
-        "axial_ratio": [0.5, np.nan, np.nan, 1.0],
-        "major_pa": [292.0, np.nan, np.nan, np.nan] * u.deg,
-    }
-    values = {**values, **changes}
+        "major_fwhm": [0.2, nan, 0.4, 0.3] * u.mas, "major_pa": [292, nan, nan, nan]
+        * u.deg, **changes,
+    }  # fmt: skip
     return QTable({k: v for k, v in values.items() if v is not None}, masked=True)
 
 

@@ -110,13 +110,10 @@ def test_bad_options():
 def test_restores_what_aips_restored(shared_data):
     path = min((shared_data / "0506+056").glob("*.fits"))
     image, header = fits.getdata(path).squeeze(), fits.getheader(path)
-    cube = restore(
-        read_components(path),
-        beam=Beam(*(header[k] * u.deg for k in ("BMAJ", "BMIN", "BPA"))),
-        pixel_scale=header["CDELT2"] * u.deg,
-        shape=image.shape,
-        reference_pixel=(header["CRPIX1"] - 1, header["CRPIX2"] - 1),
-    )
+    beam = Beam(*(header[k] * u.deg for k in ("BMAJ", "BMIN", "BPA")))
+    place = {"reference_pixel": (header["CRPIX1"] - 1, header["CRPIX2"] - 1)}
+    how = place | {"shape": image.shape, "pixel_scale": header["CDELT2"] * u.deg}
+    cube = restore(read_components(path), beam=beam, **how)
     # What remains is the residual image: 0.14 mJy, and no source.
     residual = image - cube.data[0]
     assert residual.std() < 2e-4

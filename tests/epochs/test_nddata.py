@@ -45,14 +45,11 @@ def image(i, **changes):
 
 def make_cube(**changes):
     values = {
-        "unit": JY_BEAM,
-        "noise": [1, 2, 3] * MJY_BEAM,
-        "beams": [Beam(k * u.mas, 0.5 * u.mas) for k in (1, 2, 3)],
-        "labels": ("a", "b", "c"),
+        "unit": JY_BEAM, "noise": [1, 2, 3] * MJY_BEAM, "labels": ("a", "b", "c"),
+        "beams": [Beam(k * u.mas, 0.5 * u.mas) for k in (1, 2, 3)], "mask": DATA > 2,
         "epoch_meta": [{"object": "J0000", "telescope": k} for k in "xyz"],
         "meta": {"object": "J0000", "history": ["made"]},
-        "mask": DATA > 2,
-    }
+    }  # fmt: skip
     return EpochCube(DATA, DATES, celestial(), **values | changes)
 
 

@@ -7,14 +7,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 
-from astro_scc import StackedCrossCorrelation
-from astro_scc.expansion import (
-    Samples,
-    fit_mixture,
-    fit_shell,
-    measure_expansion,
-    start_of,
-)
+from astro_scc import StackedCrossCorrelation, expansion
 from astro_scc.simulation import simulate_shell
 
 ORIGIN = np.array([4.0, -3.0])
@@ -35,13 +28,13 @@ def made_up(seed, n=240, chance=0.6, scatter=(0.1, 0.3)):
     half = 5 * interval[:, None]
     d[lost] = rng.uniform(-half, half, d.shape)[lost]
     v = d / interval[:, None]
-    return Samples(x, v, interval, np.full(len(x), 0.6), group, group)
+    return expansion.Samples(x, v, interval, np.full(len(x), 0.6), group, group)
 
 
 def fitted(samples, area=None, centre=None):
     area = (10 * samples.interval) ** 2 if area is None else area
-    start = start_of(samples, np.ones(len(area)), max_rate=0.1, centre=centre)
-    return fit_mixture(samples, start, area, fixed=centre is not None)
+    start = expansion.start_of(samples, np.ones(len(area)), max_rate=0.1, centre=centre)
+    return expansion.fit_mixture(samples, start, area, fixed=centre is not None)
 
 
 def test_known_truth():
@@ -65,7 +58,7 @@ def test_equals_weighted_least_squares_without_chance():
     assert np.all(np.diag(covariance)[1:] == 0)
     # A side alone has no error.
     side = np.arctan2(*away.T) % (2 * np.pi) < 0.2
-    part = Samples(*(column[side] for column in samples))
+    part = expansion.Samples(*(column[side] for column in samples))
     assert np.isinf(fitted(part, centre=ORIGIN)[1]).all()
 
 
@@ -88,7 +81,7 @@ def matched(scc):
 
 
 def test_rate_and_centre_and_what_alignment_adds(scc, matched):
-    fit = fit_shell(scc, {"knots": matched, "ring": matched})
+    fit = expansion.fit_shell(scc, {"knots": matched, "ring": matched})
     assert fit.groups == ("knots", "ring")
     # At the mean date, 16 years after the first.
     true = 0.11 / (1 + 0.0011 * 16)
@@ -99,8 +92,8 @@ def test_rate_and_centre_and_what_alignment_adds(scc, matched):
     assert np.all(fit.centre_err < 1.5 * u.arcsec)
     assert 50 < fit.radius.to_value(u.arcsec) < 75
     # A drift between two epochs, unknown to this error, is one of the centre.
-    drifts = fit_shell(replace(scc, alignment_error=100 * u.mas), matched)
-    plain = fit_shell(scc, matched)
+    drifts = expansion.fit_shell(replace(scc, alignment_error=100 * u.mas), matched)
+    plain = expansion.fit_shell(scc, matched)
     np.testing.assert_array_equal(drifts.centre.value, plain.centre.value)
     more = np.sqrt(drifts.centre_err**2 - plain.centre_err**2)
     # Of five dates: the error of a straight line through them, over the rate.
@@ -121,7 +114,7 @@ def test_sectors():
         scales=[1], max_speed=1000 * u.mas / u.yr, detection=7, segmentation=5
     )
     decomposed = scc.decompose(shell.cube)
-    table = measure_expansion(
+    table = expansion.measure_expansion(
         scc, decomposed, shell.centre, shell.radius, sectors=2, n_trials=199, rng=1
     )
     assert set(table["pa_min"].value) == {0, 180}
@@ -143,9 +136,9 @@ def test_what_makes_no_sense_is_refused(scc, matched):
     later = {"a": matched, "b": replace(matched, cube=cube)}
     where = CENTRE, 70 * u.arcsec
     with pytest.raises(ValueError, match="sectors = 0 must be"):
-        measure_expansion(scc, matched, *where, sectors=0)
+        expansion.measure_expansion(scc, matched, *where, sectors=0)
     with pytest.raises(ValueError, match="nothing to measure"):
-        measure_expansion(scc, none, *where)
+        expansion.measure_expansion(scc, none, *where)
     for groups, words in ((none, "or more, all has 0"), (later, "of the same dates")):
         with pytest.raises(ValueError, match=words):
-            fit_shell(scc, groups)
+            expansion.fit_shell(scc, groups)

@@ -4,6 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+import regions
 from astropy.coordinates import FK4, SkyCoord
 from astropy.io import fits
 from astropy.nddata import CCDData
@@ -11,15 +12,6 @@ from astropy.wcs import WCS
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from regions import (
-    CircleAnnulusSkyRegion,
-    CircleSkyRegion,
-    EllipseAnnulusSkyRegion,
-    EllipseSkyRegion,
-    PolygonSkyRegion,
-    RectangleAnnulusSkyRegion,
-    RectangleSkyRegion,
-)
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
@@ -128,10 +120,8 @@ def test_a_step_is_as_long_as_on_the_sky_and_of_the_same_direction(
     length, pa = step_on_sky(WCS(head), x, y, dx, dy)
     assume(np.isfinite(length))
     cube = read(head)
-    east, north = np.subtract(
-        u.Quantity(cube.pixel_to_offset(x + dx, y + dy)).value,
-        u.Quantity(cube.pixel_to_offset(x, y)).value,
-    )
+    places = (cube.pixel_to_offset(x + dx, y + dy), cube.pixel_to_offset(x, y))
+    east, north = np.subtract(*(u.Quantity(place).value for place in places))
     assert_allclose(np.hypot(east, north), length, rtol=1e-3)
     turn = (np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi
     assert abs(turn) < 1e-3
@@ -272,10 +262,10 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
     ring |= {"inner_height": 0.05 * MAS, "outer_height": 1 * MAS}
     # Places on the sky in the frame of the drawing, along and across the region.
     for region in (
-        EllipseSkyRegion(**long),
-        RectangleSkyRegion(**long),
-        EllipseAnnulusSkyRegion(**ring),
-        RectangleAnnulusSkyRegion(**ring),
+        regions.EllipseSkyRegion(**long),
+        regions.RectangleSkyRegion(**long),
+        regions.EllipseAnnulusSkyRegion(**ring),
+        regions.RectangleAnnulusSkyRegion(**ring),
     ):
         inside = region_mask(cube, region)
         # The angle runs from the axis of longitude, which is west in DS9's images.
@@ -288,24 +278,17 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
             place = centre.directional_offset_by(pa + 90 * u.deg, away * MAS)
             x, y = np.rint(wcs.world_to_pixel(place)).astype(int)
             assert not inside[y, x]
-    alone, ball = EllipseSkyRegion(**long), CircleSkyRegion(centre, 2 * MAS)
+    alone, ball = (
+        regions.EllipseSkyRegion(**long),
+        regions.CircleSkyRegion(centre, 2 * MAS),
+    )
     both = region_mask(cube, alone) & region_mask(cube, ball)
     assert np.array_equal(region_mask(cube, alone & ball), both)
     corners = [(10, 2), (120, 2), (250, 3)]
     vertices = [centre.directional_offset_by(a * u.deg, r * MAS) for a, r in corners]
-    assert region_mask(cube, PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
-    hollow = CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
+    assert region_mask(cube, regions.PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
+    hollow = regions.CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
     assert not region_mask(cube, hollow)[39, 39]
-
-
-def test_structure_is_where_most_bright_pixels_are():
-    image = images((60, 90), (60, 40))[0]
-    box, peak = local.structure(image)
-    assert peak == (60, 40)
-    assert 50 < box[0] < 60 < box[1] < 72
-    empty = np.full((6, 8), np.nan)
-    assert local.structure(empty) == ((0, 7, 0, 5), (3, 2))
-    assert local.structure(np.zeros((6, 8)))[0] == (0, 7, 0, 5)
 
 
 def test_pixels_without_sky():

@@ -220,13 +220,11 @@ def test_nothing_to_correlate(masked, target):
     decompose = Decomposer(scales=[2])
     empty = decompose(np.zeros((NY, NX)))
     pair = [decompose(gaussian(60, 48) + noise(1)), empty]
-    correlate, none = Correlator(target=target), np.zeros(1, bool)
+    correlate, none = Correlator(target=target), {"select": np.zeros(2, bool)}
     for matches in (
-        correlate(masked, [], 5),
-        correlate([], [], 5),
-        correlate([empty, empty], [(0, 1)], 5),
-        correlate(pair, [(0, 1)], 9),
-        correlate(pair[:1] * 2, [(0, 1)], 9, select=np.repeat(none, 2)),
+        *(correlate(masked, [], 5), correlate([], [], 5)),
+        *(correlate([empty, empty], [(0, 1)], 5), correlate(pair, [(0, 1)], 9)),
+        correlate(pair[:1] * 2, [(0, 1)], 9, **none),
     ):
         assert len(matches) == 0
         assert matches.dx.dtype == np.float32

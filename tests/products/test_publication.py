@@ -16,14 +16,7 @@ from astro_scc.columns import column_of, columns_of
 from astro_scc.epochs import ComponentList
 from astro_scc.exceptions import EpochWarning
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.products.publication import (
-    ONE_PAGE,
-    latex_texts_of,
-    published_positions,
-    speed_of,
-    with_published,
-    write_publication,
-)
+from astro_scc.products import publication
 from astro_scc.report.answer import published_lines
 
 NAMES = ("streams", "features", "positions")
@@ -45,7 +38,7 @@ def printed(sky_result):
 @pytest.fixture(scope="module")
 def folder(printed, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
-    paths = write_publication(printed, out)
+    paths = publication.write_publication(printed, out)
     assert {path.parent for path in paths} == {out / "publication"}
     assert sorted(path.name for path in paths) == sorted(
         [f"{n}_{k}.tex" for n in NAMES[:2] for k in ("aastex", "aa")]
@@ -114,14 +107,14 @@ def test_columns_are_described_and_have_ucds_of_the_vocabulary(sky_result):
         assert [n for n in table.colnames if not table[n].info.description] == []
 
 
-@pytest.mark.parametrize("rows", [2, ONE_PAGE + 1])
+@pytest.mark.parametrize("rows", [2, publication.ONE_PAGE + 1])
 @pytest.mark.parametrize("journal", ["aastex", "aa"])
 def test_latex_of_both_journals(printed, journal, rows):
-    table, long = printed["streams"], rows > ONE_PAGE
+    table, long = printed["streams"], rows > publication.ONE_PAGE
     meta = table.meta
     table = vstack([table] * rows, metadata_conflicts="silent")[:rows]
     table.meta = meta
-    text = latex_texts_of(table, "streams")[journal]
+    text = publication.latex_texts_of(table, "streams")[journal]
     begun, ended = (re.findall(rf"\\{k}\{{(.*?)\}}", text) for k in ("begin", "end"))
     assert sorted(begun) == sorted(ended)
     wanted = {"aastex": ["deluxetable*"], "aa": ["table*", "tabular"]}[journal]
@@ -157,7 +150,7 @@ def written(known_features, tmp_path):
         )  # fmt: skip
         path = tmp_path / f"{shift:g}.ecsv"
         found.to_table().write(path, format="ascii.ecsv")
-        return published_positions(path, known_features.cube)
+        return publication.published_positions(path, known_features.cube)
 
     return write
 
@@ -166,7 +159,7 @@ def test_the_same_features_have_their_numbers_and_speeds(
     known_features, written, tmp_path
 ):
     published = written(0.02)
-    table = with_published(known_features.table, known_features, published)
+    table = publication.with_published(known_features.table, known_features, published)
     other = np.arange(len(table)) == 2
     assert np.array_equal(table["published"].mask, other)
     assert np.array_equal(table["published"][~other], np.flatnonzero(~other) + 1)
@@ -179,7 +172,7 @@ def test_the_same_features_have_their_numbers_and_speeds(
 
 
 def test_how_many_agree_is_said(known_features, written):
-    table = with_published(known_features.table, known_features, written())
+    table = publication.with_published(known_features.table, known_features, written())
     n, m = np.sum(table["secure"]), np.sum(table["secure"] & ~table["published"].mask)
     assert m > 1
     assert published_lines(table) == [
@@ -191,7 +184,7 @@ def test_how_many_agree_is_said(known_features, written):
     assert f"; not {table['feature'][first]} (" in published_lines(table)[0]
     table["published"].mask = True
     assert published_lines(table) == [f"0 of {n} secure features are published ones."]
-    none = with_published(known_features.table, known_features, None)
+    none = publication.with_published(known_features.table, known_features, None)
     assert published_lines(none) == []
 
 
@@ -199,12 +192,12 @@ def test_speeds_are_those_of_straight_lines(known_features, shared_data):
     table = shared_data / "mojave_xviii" / "1226+023.ecsv"
     # A table of one source may give it another name.
     with pytest.warns(EpochWarning, match="source is 3C 273, that of the images jet"):
-        published = published_positions(table, known_features.cube)
+        published = publication.published_positions(table, known_features.cube)
     wanted = QTable.read(shared_data / "mojave_xviii" / "1226+023.linear-fits.csv")
     for row in wanted[:5]:
         own = published[published["published"] == row["feature"]]
         place = np.stack([own[k].value for k in ("ra_offset", "dec_offset")])
-        speed, error = speed_of(own["date"].jyear, place)
+        speed, error = publication.speed_of(own["date"].jyear, place)
         assert speed == pytest.approx(row["mu_mas_yr"], rel=0.01)
         assert error == pytest.approx(row["mu_err"], rel=0.1)
 
@@ -214,10 +207,12 @@ def test_a_table_of_other_things_is_refused(known_features, tmp_path, shared_dat
     one = {"times": Time(["2001-01-01"]), "epoch": [0], "flux": [1] * u.Jy}
     ComponentList(**one, east=zero, north=zero).to_table().write(path)
     with pytest.raises(ValueError, match=r"a\.ecsv: numbers no features; give a table"):
-        published_positions(path, known_features.cube)
+        publication.published_positions(path, known_features.cube)
     journal = shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt"
     with pytest.raises(ValueError, match="no source 'jet'; it has 0003"):
-        published_positions(journal, known_features.cube)
+        publication.published_positions(journal, known_features.cube)
     # Of a table of many it is the object.
     known = known_features.cube.with_step("named", meta={"object": "0003+380"})
-    assert set(published_positions(journal, known)["published"]) == {*range(1, 8)}
+    assert set(publication.published_positions(journal, known)["published"]) == {
+        *range(1, 8)
+    }

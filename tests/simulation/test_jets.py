@@ -195,10 +195,8 @@ def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
 
 def test_layers_of_m87():
     slow, fast = m87_layers(length=20 * u.mas)
-    assert_allclose(slow.speed.to_value(u.mas / u.yr) * 0.264, 0.3)
     at = np.interp([0.5, 2, 20], fast.distance.value, fast.speed.value) * 0.264
     assert_allclose(at, [0.3, 2.3, 2.7], rtol=0.01)
-    assert slow.across == (-1, 1)
     with pytest.raises(ValueError, match="layers: give a sequence of Layer, at least"):
         simulate_resolved_jet(layers=[])
     with pytest.raises(ValueError, match=r"length must be above 0.5 mas, got 0.2 mas"):
