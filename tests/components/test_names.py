@@ -17,8 +17,8 @@ B1950 = FK4(equinox="B1950")
 OLD = SkyCoord("04h30m", "5d12m", frame=B1950).icrs
 
 
-def table(names=("0430+052", "1226+023"), **columns):
-    """A table with two epochs of each source."""
+def write(path, names=("0430+052", "1226+023"), meta=None, **columns):
+    """Write a table with two epochs of each source; its path."""
     rows = [name for name in names for _ in range(4)]
     n = len(rows)
     found = QTable({"source": rows, "feature": [0, 1, 0, 1] * len(names)})
@@ -28,13 +28,8 @@ def table(names=("0430+052", "1226+023"), **columns):
     found["position_angle"] = np.zeros(n) * u.deg
     for name, value in columns.items():
         found[name] = [value] * n if isinstance(value, str) else value * np.ones(n)
-    return found
-
-
-def write(path, *args, meta=None, **columns):
-    made = table(*args, **columns)
-    made.meta.update(meta or {})
-    made.write(path / "table.ecsv", overwrite=True)
+    found.meta.update(meta or {})
+    found.write(path / "table.ecsv", overwrite=True)
     return path / "table.ecsv"
 
 

@@ -72,12 +72,8 @@ def scc():
 
 @pytest.fixture(scope="module")
 def matched(scc):
-    shell = simulate_shell(
-        n_epochs=5, interval=8 * u.yr, n_knots=50, n_clumps=8, radius=70 * u.arcsec,
-        size=200, rng=4,
-    )  # fmt: skip
-    assert shell.cube.beams is None
-    return scc.match(shell.cube)
+    how = {"n_knots": 50, "n_clumps": 8, "radius": 70 * u.arcsec, "size": 200}
+    return scc.match(simulate_shell(n_epochs=5, interval=8 * u.yr, **how, rng=4).cube)
 
 
 def test_rate_and_centre_and_what_alignment_adds(scc, matched):

@@ -37,9 +37,8 @@ BINS = [1.6, 4.0, 6.4, 99, 120] * u.mas
 @pytest.fixture(scope="module")
 def jet():
     """Features that are three times as fast at the end of the jet."""
-    return simulate_jet(
-        n_epochs=20, n_features=10, acceleration=3.0, dispersion=0.05, rng=1
-    )
+    how = {"n_epochs": 20, "n_features": 10, "dispersion": 0.05, "rng": 1}
+    return simulate_jet(acceleration=3.0, **how)
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,6 @@ def test_beams_that_differ_are_refused_until_that_is_stated():
     words = r"0.52 x 0.5 mas at 0.0 deg in 2000-02-01: give cube.to_common_beam\(\), or"
     with pytest.raises(ValueError, match=f"the beams differ, .*{words}"):
         scc.match(cube)
-    assert len(scc.match(cube.to_common_beam()).matches)
 
 
 CHANNELS = np.linspace(4.0, 1.0, 4)

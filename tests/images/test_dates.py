@@ -25,12 +25,10 @@ DATES = [
     (DAY, MIDNIGHT),
     (DAY | {"MJD-OBS": MJD}, START),
     # The end of the day before.
-    ({"DATE-OBS": "2015-06-17T24:00:00"}, MIDNIGHT),
     ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
     ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
     (DAY | {"TIME-OBS": "14:24:00.0"}, START),
     (DAY | {"TM-START": 51840}, START),
-    (DAY | {"UTC": "51840.000"}, START),
     (DAY | {"UT": ("14.4", "[h] start")}, START),
     # Several: the most precise one.
     (DAY | {"TIME-OBS": "14:24", "UT": "14:24:30"}, "2015-06-18T14:24:30.000"),
@@ -45,7 +43,6 @@ DATES = [
     # The middle of the exposure.
     (CLOCK | {"EXPTIME": 600.0}, MIDDLE),
     (CLOCK | {"EXPTIME": (600e3, "exposure (ms)")}, MIDDLE),
-    (CLOCK | {"EXPTIME": 550.0, "DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
     # The sum of many exposures.
     (CLOCK | {"EXPTIME": 1e6}, START),
     (CLOCK | {"DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
@@ -87,8 +84,7 @@ def test_the_most_precise_date_counts(cards, expected):
 DOUBTS = [
     ({"DATE-OBS": "soon"}, None, "DATE-OBS: 'soon' is no date"),
     ({"DATE-OBS": "2015-06-18T24:00:01"}, None, "'2015-06-18T24:00:01' is no date"),
-    *(({"MJD-OBS": day}, None, f"MJD-OBS: {day:.10g} is no (modified) Julian date; wri")
-      for day in (457191.6, 24571921.0)),
+    ({"MJD-OBS": 457191.6}, None, "MJD-OBS: 457191.6 is no (modified) Julian date; w"),
     (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
      "MJD-OBS is of 1995-10-10"),
     (DAY | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is left"),
@@ -108,12 +104,10 @@ def test_dates_of_which_there_are_doubts(cards, expected, words):
 
 def test_the_same_date_and_the_same_exposure(make_epochs):
     for clocks, pixels, refused in [
-        ((1, 1, 9), (0, 1, 2), True),
-        ((1, 1.004, 9), (0, 0, 1), True),
+        ((1, 1, 9), (0, 1, 2), True), ((1, 1.004, 9), (0, 0, 1), True),
         # Other pixels, or other dates.
-        ((1, 1.004, 9), (0, 1, 2), False),
-        ((1, 3, 9), (0, 0, 0), False),
-    ]:
+        ((1, 1.004, 9), (0, 1, 2), False), ((1, 3, 9), (0, 0, 0), False),
+    ]:  # fmt: skip
         dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
         own = zip(dates, PIXELS[[*pixels]], strict=True)
         paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))

@@ -104,10 +104,8 @@ def test_beam_from_a_table(aips_header):
         ("BEAMS", None, 1 / 3.6e6),
     ):
         values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7)}
-        columns = [
-            fits.Column(key, "1E", unit=own, array=[value])
-            for key, (own, value) in values.items()
-        ]
+        pairs = values.items()
+        columns = [fits.Column(k, "1E", unit=w, array=[v]) for k, (w, v) in pairs]
         tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
         beam = header_beam(aips_header(BMAJ=None), tables)
         assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)

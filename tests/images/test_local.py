@@ -53,11 +53,8 @@ def header(code, place=(0.0, 0.0), step=1e-4, turn=0.0, mirrored=False, kind="RA
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     left = 1 if mirrored else -1
     matrix = step * np.array([[left * c, -left * s], [s, c]])
-    for i in (0, 1):
-        for k in (0, 1):
-            made[f"CD{i + 1}_{k + 1}"] = matrix[i, k]
-    wcs = WCS(made)
-    wcs.wcs.bounds_check(False, False)
+    for (i, k), value in np.ndenumerate(matrix):
+        made[f"CD{i + 1}_{k + 1}"] = value
     made["CRPIX1"], made["CRPIX2"] = 0.0, 0.0
     x, y = WCS(made).world_to_pixel_values(*place)
     made["CRPIX1"], made["CRPIX2"] = (NX - 1) / 2 - x, (NY - 1) / 2 - y
@@ -71,9 +68,9 @@ def spots_of(shape, *spots):
     return made + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + spots[-1][0])
 
 
-def images(shape=(NY, NX), at=None):
+def images():
     """Return three images of a spot that moves along x, and one that stands still."""
-    x, y = ((shape[1] - 1) / 2, (shape[0] - 1) / 2) if at is None else at
+    x, y, shape = (NX - 1) / 2, (NY - 1) / 2, (NY, NX)
     return [spots_of(shape, (x, y, 1.0), (x + 4 + 2.0 * i, y, 0.5)) for i in range(3)]
 
 
@@ -128,10 +125,8 @@ def test_a_step_is_as_long_as_on_the_sky_and_of_the_same_direction(
     # Pixels stay where they are on the sky, to a hundredth of their side.
     there = WCS(head)
     there.wcs.bounds_check(False, False)
-    found, true = (
-        SkyCoord(*wcs.pixel_to_world_values(x, y), unit="deg")
-        for wcs in (cube.wcs, there)
-    )
+    places = (wcs.pixel_to_world_values(x, y) for wcs in (cube.wcs, there))
+    found, true = (SkyCoord(*place, unit="deg") for place in places)
     assert found.separation(true).deg < 0.03 * step
     assert np.hypot(*cube.pixel_to_offset(x, y)).value < 20 * length
 

@@ -129,9 +129,7 @@ def test_everything_comes_back(beta, angle):
     assert back.to_value(u.deg) == pytest.approx(angle.value, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    "function", [lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle]
-)
-def test_speeds_with_another_unit_are_refused(function):
-    with pytest.raises(ValueError, match="got km / s: divide them by astropy.const"):
-        function(100 * u.km / u.s)
+def test_speeds_with_another_unit_are_refused():
+    for function in (lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle):
+        with pytest.raises(ValueError, match="got km / s: divide them by astropy.con"):
+            function(100 * u.km / u.s)

@@ -195,9 +195,9 @@ def test_what_is_no_result_is_refused_in_one_line(path, sky_result, tmp_path):
     other = tmp_path / "other.fits"
     sky_result.cube.write(other)
     refused(other, "other.fits: cannot be read as astro_scc result.*not written as one")
-    whole = path.read_bytes()
-    spot = len(whole) // 2
-    other.write_bytes(whole[:spot] + bytes([whole[spot] ^ 1]) + whole[spot + 1 :])
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    other.write_bytes(whole)
     refused(other, "hecksum")
     with pytest.raises(ValueError, match=r"is a whole result; give .*SCCResult"):
         EpochCube.read(path)

@@ -60,10 +60,8 @@ def written(result, streams, tmp_path_factory):
 
 def tree(folder):
     """The text of all files, and the folders."""
-    return {
-        str(path.relative_to(folder)): path.is_file() and path.read_text()
-        for path in folder.rglob("*")
-    }
+    every = {str(path.relative_to(folder)): path for path in folder.rglob("*")}
+    return {name: p.is_file() and p.read_text() for name, p in every.items()}
 
 
 def fill(target, error=None, **options):
@@ -84,11 +82,9 @@ def test_a_folder_is_made_with_its_parents_and_filled_again_if_asked(tmp_path):
     assert tree(target) == NEW
     with pytest.raises(OSError, match="not empty; choose another folder, or --overwr"):
         fill(target)
-    for name in ("mine.txt", "one.txt", "old.txt"):
-        (target / name).write_text("old")
     (target / "pages").mkdir()
-    for name in ("images", "pages"):
-        (target / name / "mine.fits").write_text("old")
+    for name in "mine.txt one.txt old.txt images/mine.fits pages/mine.fits".split():
+        (target / name).write_text("old")
     fill(target, overwrite=True, stale=("one.txt", "old.txt", "older.txt", "pages"))
     assert tree(target) == NEW | {"mine.txt": "old", "images/mine.fits": "old"}
 
@@ -196,7 +192,6 @@ def test_what_a_result_rests_on(result, streams, written):
     text = result.citations(streams)
     assert cited(text) == [*PAPERS, "cosmology"]
     assert "Planck18: Planck Collaboration 2018" in text
-    assert r"A\&A, 641, A6" in text
     assert f"version = {{{versions()['astro_scc']}}}" in text
     assert (written / "citations.bib").read_text(encoding="utf-8") == text
 

@@ -40,10 +40,9 @@ def folder(printed, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     paths = publication.write_publication(printed, out)
     assert {path.parent for path in paths} == {out / "publication"}
-    assert sorted(path.name for path in paths) == sorted(
-        [f"{n}_{k}.tex" for n in NAMES[:2] for k in ("aastex", "aa")]
-        + [f"{n}{end}" for n in NAMES for end in ("_mrt.txt", ".vot")]
-    )
+    wanted = {f"{n}_{k}.tex" for n in NAMES[:2] for k in ("aastex", "aa")}
+    wanted |= {f"{n}{end}" for n in NAMES for end in ("_mrt.txt", ".vot")}
+    assert {path.name for path in paths} == wanted
     return out / "publication"
 
 

@@ -29,13 +29,10 @@ PIXEL = 0.1 * u.mas
 def sky():
     """Seven epochs of nothing but noise."""
     beam, rng = Beam(1 * u.mas, 1 * u.mas), np.random.default_rng(1)
-    images = [
-        correlated_noise((48, 96), rms=0.01, beam=beam, pixel_scale=PIXEL, rng=rng)
-        for _ in DATES
-    ]
-    return EpochCube.from_arrays(
-        np.array(images), DATES, pixel_scale=PIXEL, unit=u.Jy / u.beam, beams=beam
-    )
+    how = {"rms": 0.01, "beam": beam, "pixel_scale": PIXEL, "rng": rng}
+    images = np.array([correlated_noise((48, 96), **how) for _ in DATES])
+    fields = {"pixel_scale": PIXEL, "unit": u.Jy / u.beam, "beams": beam}
+    return EpochCube.from_arrays(images, DATES, **fields)
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +47,7 @@ def test_a_strong_stream_is_found_and_one_below_the_noise_is_not(sky, settings):
     assert table["fraction"].tolist() == [0.0, 1.0]
 
 
-CORNER = np.zeros((48, 96), dtype=bool)
-CORNER[:20, :20] = True
+CORNER = np.add.outer(np.arange(48), np.arange(96)) < 20
 RIDGE = RidgeLine([0, -5] * u.mas, [0, 0] * u.mas)
 #: Changes of the cube, of the settings of the measurement and of the call, and words.
 REFUSED = [

@@ -108,8 +108,7 @@ def test_sources_of_a_survey_that_are_no_longer_finished(inputs, tmp_path, monke
 
     assert [finished(), finished()] == [False, True]
     for name, old, new in (
-        ("jet/e1.fits", b"2001-01-31", b"2001-01-30"),
-        ("r.reg", b"24", b"25"),
+        *(("jet/e1.fits", b"2001-01-31", b"2001-01-30"), ("r.reg", b"24", b"25")),
         ("t.csv", b"0.0,0.0\n", b"0.0,0.1\n"),
         ("s.toml", b"n_trials = 119", b"n_trials = 120"),
     ):

@@ -47,11 +47,9 @@ def stop(child, after, how):
 
 def contents(folder):
     """Files, but for the hidden folder that a kill leaves."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and not path.relative_to(folder).parts[0].startswith(".")
-    }
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    found = {str(path.relative_to(folder)): path.read_bytes() for path in files}
+    return {name: content for name, content in found.items() if name[0] != "."}
 
 
 @pytest.fixture

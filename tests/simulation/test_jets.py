@@ -166,10 +166,8 @@ def lone_clump():
     """A jet whose one clump is visible at all epochs."""
     own = Layer("layer", **TABLE, n_clumps=1, life=0.6 * u.yr)
     how = {"core": 0.0, "flux_variation": 0.0, "noise": 0.0, "n_epochs": 6}
-    jets = (
-        simulate_resolved_jet(layers=[own], interval=10 * u.day, **how, rng=seed)
-        for seed in range(50)
-    )
+    how |= {"layers": [own], "interval": 10 * u.day}
+    jets = (simulate_resolved_jet(**how, rng=seed) for seed in range(50))
     return next(k for k in jets if len(k.truth) == 6 and k.truth["visible"].all())
 
 
@@ -194,7 +192,7 @@ def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
 
 
 def test_layers_of_m87():
-    slow, fast = m87_layers(length=20 * u.mas)
+    _, fast = m87_layers(length=20 * u.mas)
     at = np.interp([0.5, 2, 20], fast.distance.value, fast.speed.value) * 0.264
     assert_allclose(at, [0.3, 2.3, 2.7], rtol=0.01)
     with pytest.raises(ValueError, match="layers: give a sequence of Layer, at least"):

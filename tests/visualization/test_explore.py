@@ -120,7 +120,8 @@ def test_one_small_file_that_loads_nothing_and_runs_no_code(result, path, tmp_pa
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_planes_are_the_images(cube, turned):
+def test_planes_are_the_images(jet_cube, turned):
+    cube = jet_cube
     if turned:
         wcs = cube.wcs.deepcopy()
         wcs.wcs.pc = [[0, -1], [1, 0]]
