@@ -35,7 +35,6 @@ DATES = [
     (CLOCK | {"MJD-OBS": MJD + 0.4 / 86400}, "2015-06-18T14:24:00.400"),
     (DAY | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
     (DAY | {"UT": "77:00:00"}, MIDNIGHT),
-    ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
     # What is no time of the day, or is of another time, does not count.
     (DAY | {"TIME-OBS": "142400.5"}, "2015-06-18T14:24:00.500"),
     (DAY | {"JD": 57192.1}, MIDNIGHT),

@@ -99,6 +99,8 @@ def test_goes_on_straight_beyond_its_ends_and_comes_back_from_a_table():
     assert_allclose(n.value, [1, 2])
     assert_allclose(u.Quantity(line.at([-3, 14] * u.mas)).value, [[3, -14], [0, 0]])
     assert line.position_angle(12 * u.mas).value == pytest.approx(270)
+    moved = line.displacement(np.array([[-2.0, 0.0]]), np.array([[-1.0, 0.5]]))
+    assert_allclose(moved, [[1.0, 0.5]])
     table = CIRCLE.to_table()
     again = RidgeLine(table["east"], table["north"], table["error"])
     assert_array_equal(again.east, CIRCLE.east)

@@ -3,6 +3,7 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -22,7 +23,7 @@ from astro_scc.units import PM_UNIT as PM
 from astro_scc.visualization import FIGURES, speeds, style
 from astro_scc.visualization.images import epoch_names, ticks_of
 from astro_scc.visualization.speeds import plot_profile
-from astro_scc.visualization.tracks import plot_separation, plot_tracks
+from astro_scc.visualization.tracks import ejections, plot_separation, plot_tracks
 
 ON_FIGURES = ["spectrum", "paper", "epochs", "tracks"]
 
@@ -104,8 +105,10 @@ def test_the_red_ridge_is_that_of_the_stream(frame, jet_results):
     np.testing.assert_allclose(peaks, speed * interval[moved], atol=0.2)
 
 
-def test_features_are_drawn_with_published_ones_and_if_there_are_none(result):
-    """One of them is not secure, and one is accelerated."""
+def test_features_are_drawn_with_published_ones_or_none(result, monkeypatch):
+    """One of them is not secure, one is accelerated, and all were ejected."""
+    name = "astro_scc.visualization.tracks.ejections"
+    monkeypatch.setattr(name, partial(ejections, earlier=20.0))
     features, cube = replace(result.tracked_features), result.cube
     first, *others = result.tracked_features.motions
     bent = replace(first, acceleration=np.array([1.0, 0.0]))
