@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Marks of the tests, FITS images, pages, and a small jet for all that measure."""
 
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -16,10 +17,7 @@ from astro_scc.simulation import JetSimulation, Stream, simulate_jet
 
 HERE = Path(__file__).parent
 #: Folders and modules whose tests run the command line, or scripts, end to end.
-INTEGRATION = {
-    *("cli", "robustness"),
-    *("test_docs_commands", "test_examples", "test_golden"),
-}
+INTEGRATION = "cli robustness test_docs_commands test_examples test_golden".split()
 # The same examples everywhere: a commit passes or fails on each machine alike.  Others
 # are drawn with --hypothesis-profile=random.
 settings.register_profile("random", deadline=None)
@@ -60,41 +58,41 @@ def decomposed(jet_cube):
     return StackedCrossCorrelation(**OPTIONS).decompose(jet_cube)
 
 
-@pytest.fixture(scope="session")
-def jet_stacked(decomposed):
-    """Measure the same epochs with other settings."""
-
-    def run(position_angle=None, **settings):
-        scc = StackedCrossCorrelation(
-            **{**OPTIONS, "position_angle": position_angle, **settings}
-        )
-        return scc.measure(decomposed, n_trials=200, rng=1)
-
-    return run
-
-
 class Results(dict):
-    """Results by the kind of their axes, each measured when it is needed."""
+    """Results of the small jet by the kind of axes, measured when they are needed."""
 
     ANGLES = {"jet": 270 * u.deg, "sky": None, "radial": "radial"}
 
-    def __init__(self, stacked):
-        self.stacked = stacked
+    def __init__(self, decomposed):
+        self.decomposed = decomposed
 
     def __missing__(self, name):
-        return self.setdefault(name, self.stacked(self.ANGLES[name]))
+        scc = StackedCrossCorrelation(**OPTIONS, position_angle=self.ANGLES[name])
+        found = scc.measure(self.decomposed, n_trials=200, rng=1)
+        return self.setdefault(name, found)
 
 
 @pytest.fixture(scope="session")
-def jet_results(jet_stacked):
-    """Results of the same epochs by the kind of their axes."""
-    return Results(jet_stacked)
+def jet_results(decomposed):
+    return Results(decomposed)
 
 
 @pytest.fixture(scope="session")
 def sky_result(jet_results):
     """The small jet, measured along east and north."""
     return jet_results["sky"]
+
+
+@pytest.fixture(scope="session")
+def with_cube():
+    """A copy of a result of another cube, with the same features."""
+
+    def make(result, cube):
+        decomposed = replace(result.decomposed, cube=cube)
+        decomposed._followed.append(result.tracked_features)
+        return replace(result, decomposed=decomposed)
+
+    return make
 
 
 @pytest.fixture(scope="session")
@@ -145,7 +143,6 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def read_page():
-    """Read a page or its text, of which every tag is to be closed."""
     return Page
 
 
@@ -177,10 +174,8 @@ def make_epochs(make_fits):
     """Write VLBI images of consecutive years, each with changes of its own."""
 
     def make(*changes):
-        return [
-            make_fits(f"{i}.fits", **{"DATE_OBS": f"200{i}-01-01"} | own)
-            for i, own in enumerate(changes)
-        ]
+        pairs = [({"DATE_OBS": f"200{i}-01-01"}, k) for i, k in enumerate(changes)]
+        return [make_fits(f"{i}.fits", **a | b) for i, (a, b) in enumerate(pairs)]
 
     return make
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from astro_scc.cli import main
-from astro_scc.parallel import _result, as_done, in_order, workers_of
+from astro_scc.parallel import _result, as_done, in_order
 
 distributed = pytest.importorskip("distributed")
 
@@ -56,8 +56,6 @@ def test_results_come_in_order_and_as_needed():
         # An address is as good as a client.
         address = cluster.scheduler.address
         assert list(in_order(operator.neg, [1, 2], address)) == [-1, -2]
-        with workers_of(cluster) as same:
-            assert same is cluster
         assert cluster.status == "running"
 
 
@@ -120,11 +118,8 @@ def test_a_scheduler_that_is_lost(monkeypatch):
 
 def test_without_dask_or_a_scheduler(monkeypatch):
     monkeypatch.setattr("astro_scc.parallel.TIMEOUT", 0.2)
-    for address, message in {
-        "tcp://127.0.0.1:9": "tcp://127.0.0.1:9: cannot be reached",
-        "node1": "node1: cannot be reached: missing port number",
-    }.items():
-        with pytest.raises(OSError, match=message):
+    for address in ("tcp://127.0.0.1:9", "node1"):
+        with pytest.raises(OSError, match=f"{address}: cannot be reached"):
             list(in_order(operator.neg, [1], address))
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ImportError, match="pip install distributed"):

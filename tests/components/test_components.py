@@ -22,32 +22,26 @@ MAS = u.mas.to(u.deg)
 
 def columns(**changes):
     values = {
-        "times": Time(["2006-07-01", "2006-01-01"]),
-        "epoch": [0, 1, 1],
-        "flux": [800, 1000, 500] * u.mJy,
-        "east": [0.4, 0.0, 2.0] * u.mas,
-        "north": [0.2, 0.0, 1.0] * u.mas,
-        "major": [0.3, np.nan, 0.8] * u.mas,
-        "minor": [0.3, np.nan, 0.4] * u.mas,
+        "times": Time(["2006-07-01", "2006-01-01"]), "epoch": [0, 1, 1],
+        "flux": [800, 1000, 500] * u.mJy, "feature": [1, 0, 1],
+        "east": [0.4, 0.0, 2.0] * u.mas, "north": [0.2, 0.0, 1.0] * u.mas,
+        "major": [0.3, np.nan, 0.8] * u.mas, "minor": [0.3, np.nan, 0.4] * u.mas,
         "pa": [0, np.nan, 60] * u.deg,
-        "feature": [1, 0, 1],
-    }
+    }  # fmt: skip
     return {**values, **changes}
 
 
 def mojave(**changes):
     """A table as MOJAVE's: positions from the core, the core's from the map."""
+    nan = np.nan
     values = {
         "epoch": ["2006-03-09", "2006-03-09", "2006-12-01", "2006-12-01"],
-        "feature": [0, 1, 0, 2],
-        "flux": [489.0, 7.2, 320.0, 20.9] * u.mJy,
-        "separation": [0.5, 4.0, 1.0, 2.0] * u.mas,
+        "feature": [0, 1, 0, 2], "flux": [489.0, 7.2, 320.0, 20.9] * u.mJy,
+        "separation": [0.5, 4.0, 1.0, 2.0] * u.mas, "axial_ratio": [0.5, nan, nan, 1.0],
         "position_angle": [270.0, 90.0, 0.0, 180.0] * u.deg,
-        "major_fwhm": [0.2, np.nan, 0.4, 0.3] * u.mas,
-        "axial_ratio": [0.5, np.nan, np.nan, 1.0],
-        "major_pa": [292.0, np.nan, np.nan, np.nan] * u.deg,
-    }
-    values = {**values, **changes}
+        "major_fwhm": [0.2, nan, 0.4, 0.3] * u.mas, "major_pa": [292, nan, nan, nan]
+        * u.deg, **changes,
+    }  # fmt: skip
     return QTable({k: v for k, v in values.items() if v is not None}, masked=True)
 
 
@@ -60,13 +54,11 @@ def write(table, path, **meta):
 def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_path):
     wide = Beam(2 * u.mas, 1 * u.mas)
     components = ComponentList(**columns(beams=[BEAM, wide]))
-    assert components.times.isot.tolist()[0] == "2006-01-01T00:00:00.000"
     assert components.epoch.tolist() == [1, 0, 0]
     assert components.labels == ("2006-01-01", "2006-07-01")
     assert components.beams == (wide, BEAM)
     assert components.flux.unit == u.Jy
     assert components.major.value.tolist() == [0.3, 0.0, 0.8]
-    assert components.pa.value.tolist() == [0, 0, 60]
     assert "3 components at 2 epochs" in repr(components)
     assert components.select(before="2006-07-01").feature.tolist() == [0, 1]
     last = components.select(after=Time("2006-07-01"))
@@ -82,19 +74,16 @@ def test_epochs_are_sorted_units_unified_sizes_optional_and_some_selected(tmp_pa
         assert_allclose(getattr(back, name), getattr(own, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_bad_lists():
+    for changes, message in [
         ({"flux": [1, 2] * u.Jy}, "flux has shape"),
         ({"flux": [1, np.nan, 2] * u.Jy}, "component 2 of 3: flux is blank or not"),
         ({"minor": [0.3, -1, 0] * u.mas}, "component 2 of 3: axes must be"),
         ({"epoch": [0, 1, 2]}, "indices into an array of times"),
         ({"east": [1, 2, 3] * u.Jy}, "not convertible"),
-    ],
-)
-def test_bad_lists(changes, message):
-    with pytest.raises((ValueError, u.UnitConversionError), match=message):
-        ComponentList(**columns(**changes))
+    ]:
+        with pytest.raises((ValueError, u.UnitConversionError), match=message):
+            ComponentList(**columns(**changes))
 
 
 CARTESIAN = {
@@ -126,9 +115,8 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     assert components.meta == {"object": "S4", "frequency": 15.4e9}
 
 
-@pytest.mark.parametrize(
-    ("changes", "options", "message"),
-    [
+def test_bad_tables(tmp_path):
+    for changes, options, message in [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
         ({"epoch": None, "flux": None}, {}, "no column for 'epoch', 'flux'; the"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
@@ -140,14 +128,11 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
         ({}, {"origin": "jet"}, "origin = .jet. must be"),
         ({}, {"dates": ["then"]}, "dates: 'then' is no date"),
-    ],
-)
-def test_bad_tables(tmp_path, changes, options, message):
-    path = write(mojave(**changes), tmp_path / "t.ecsv")
-    with pytest.raises(ValueError, match=message) as error:
-        read_components(path, **options)
-    assert "\n" not in str(error.value)
-    assert str(path) in str(error.value) or not {"source"} >= options.keys()
+    ]:
+        path = write(mojave(**changes), tmp_path / "t.ecsv")
+        with pytest.raises(ValueError, match=message) as error:
+            read_components(path, **options)
+        assert "\n" not in str(error.value)
 
 
 #: As the journals print tables of jet features of many sources.
@@ -184,8 +169,7 @@ Note (2): a = Individual feature epoch not used in kinematic fits.
 def test_machine_readable_tables_with_their_description_or_beside_it(tmp_path):
     (tmp_path / "features.txt").write_text(JOURNAL)
     components = read_components(tmp_path / "features.txt", source="0000+000")
-    days = components.times.strftime("%Y-%m-%d").tolist()
-    assert days == ["2006-03-09", "2006-12-01"]
+    assert components.labels == ("2006-03-09", "2006-12-01")
     assert components.feature.tolist() == [0, 1, 0, 1]
     assert components.major.value.tolist() == [0.23, 0, 0.25, 1.63]
     assert components.east[1].value == pytest.approx(3.98 * np.sin(np.radians(121.8)))
@@ -232,7 +216,6 @@ def model(tmp_path, text=MODEL, name="1226+023.u.2006_03_09.mod"):
 
 def test_difmap_model(tmp_path):
     components = read_components(model(tmp_path))
-    assert components.times[0].isot.startswith("2006-03-09")
     assert components.labels == ("1226+023.u.2006_03_09.mod",)
     expected = {
         "flux": [0.9, 0.1, -0.001], "east": [0.1, -np.sqrt(2), 0], "pa": [-20, 0, 0],
@@ -254,30 +237,30 @@ def test_difmap_model(tmp_path):
 
 NAME = "1226+023.u.2006_03_09.mod"
 BAD = [
-    (NAME, b"1 2\n", {}, "line 1: expected 3, 6 or 7 finite values"),
-    (NAME, b"1 2 3 4 1 0 2\n", {}, "row 1: component type 2 is neither"),
-    (NAME, b"1 2 many\n", {}, "line 1: not numbers"),
-    (NAME, b"! nothing\n", {}, "no components in the file"),
-    (NAME, b"\xff\xfe\x00", {}, "it is not text"),
-    ("jet.mod", b"1 2 3\n", {}, "no date in a name like .*.mod; write"),
-    ("jet.model", b"1 2 3\n", {}, "its suffix is none of .ecsv, .*; rename it"),
-    ("t.fits", b"SIMPLE = no\n", {}, "not a readable FITS file"),
-    ("t.ecsv", b"<html>not found</html>\n", {}, "not a readable ascii.ecsv"),
+    (NAME, b"1 2\n", "line 1: expected 3, 6 or 7 finite values"),
+    (NAME, b"1 2 3 4 1 0 2\n", "row 1: component type 2 is neither"),
+    (NAME, b"1 2 many\n", "line 1: not numbers"),
+    (NAME, b"! nothing\n", "no components in the file"),
+    (NAME, b"\xff\xfe\x00", "it is not text"),
+    ("jet.mod", b"1 2 3\n", "no date in a name like .*.mod; write"),
+    ("jet.model", b"1 2 3\n", "its suffix is none of .ecsv, .*; rename it"),
+    ("t.fits", b"SIMPLE = no\n", "not a readable FITS file"),
+    ("t.ecsv", b"<html>not found</html>\n", "not a readable ascii.ecsv"),
     # Options of a FITS file with an AIPS CC table.
-    ("a.fits", {"tables": 0}, {}, "no AIPS CC table"),
-    ("a.fits", {"header": {"DATE-OBS": "never"}}, {}, "'never' is no date"),
-    ("a.fits", {"header": {"DATE-OBS": None}}, {}, "no DATE-OBS in the header"),
+    ("a.fits", {"tables": 0}, "no AIPS CC table"),
+    ("a.fits", {"header": {"DATE-OBS": "never"}}, "'never' is no date"),
+    ("a.fits", {"header": {"DATE-OBS": None}}, "no DATE-OBS in the header"),
 ]
 
 
-@pytest.mark.parametrize(("name", "content", "options", "message"), BAD)
-def test_bad_files(tmp_path, name, content, options, message):
+@pytest.mark.parametrize(("name", "content", "message"), BAD)
+def test_bad_files(tmp_path, name, content, message):
     if isinstance(content, dict):
         aips(tmp_path / name, **content)
     else:
         (tmp_path / name).write_bytes(content)
     with pytest.raises((ValueError, OSError), match=message) as error:
-        read_components(tmp_path / name, **options)
+        read_components(tmp_path / name)
     assert str(error.value).startswith(str(tmp_path / name))
     assert "\n" not in str(error.value)
 
@@ -326,7 +309,6 @@ def test_aips_table(tmp_path):
         hdus[0].data = None
         hdus.writeto(tmp_path / "list.fits")
     assert kind_of(tmp_path / "list.fits") == "components"
-    assert components.times[0].isot.startswith("2009-01-07")
 
 
 def test_a_table_of_sources_without_rows(tmp_path):
@@ -341,15 +323,8 @@ def test_a_table_of_sources_without_rows(tmp_path):
         read_sources(tmp_path / "t.ecsv")
 
 
-@pytest.fixture
-def models(tmp_path):
-    """Difmap models of a core and a feature that moves by 0.5 mas."""
-    texts = [f"1v 0v 0v 0.2v 1 0 1\n0.3v {r}v 45v 0.5v 1 0 1\n" for r in (2, 2.5)]
-    names = [f"source_2006-0{month}-09.mod" for month in (3, 9)]
-    return [model(tmp_path, *pair) for pair in zip(texts, names, strict=True)]
-
-
-def test_lists_that_cannot_be_images(models, tmp_path, make_fits):
+def test_lists_that_cannot_be_images(tmp_path, make_fits):
+    models = [model(tmp_path, name=f"s_2006-0{month}-09.mod") for month in (3, 9)]
     image = make_fits()
     beside = aips(tmp_path / "image.fits", header={"CTYPE1": None})
     wrong = read_components(models[0], beams=BEAM).to_table()

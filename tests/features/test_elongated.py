@@ -119,21 +119,16 @@ def test_units_change_nothing_else(data, usual, interval, pixel, brightness):
     for new, old in zip(found.motions, usual.motions, strict=True):
         for name, unit in (("place", mas), ("velocity", mas / years)):
             was, error = (getattr(old, name + err) for err in ("", "_err"))
-            np.testing.assert_allclose(
-                getattr(new, name) / unit, was, rtol=0, atol=0.01 * error.min()
-            )
-            np.testing.assert_allclose(
-                getattr(new, name + "_err") / unit, error, rtol=1e-3
-            )
+            now, its = (getattr(new, name + err) / unit for err in ("", "_err"))
+            np.testing.assert_allclose(now, was, rtol=0, atol=0.01 * error.min())
+            np.testing.assert_allclose(its, error, rtol=1e-3)
     flux = found.detections.flux / brightness
     np.testing.assert_allclose(flux, usual.detections.flux, rtol=1e-4)
 
 
 def test_fast_and_small_ones_on_the_command_line(data, tmp_path):
-    cube = cube_of(data, 0.1 * u.s, 1 * u.uas)
-    cube.write(tmp_path / "cube.fits")
-    options = ["-o", str(tmp_path / "out"), "--quiet"]
-    assert main(["track", str(tmp_path / "cube.fits"), *options]) == 0
+    cube_of(data, 0.1 * u.s, 1 * u.uas).write(tmp_path / "cube.fits")
+    assert main(f"track {tmp_path}/cube.fits -o {tmp_path}/out --quiet".split()) == 0
     table = QTable.read(tmp_path / "out" / "features.ecsv")
     assert table["secure"].sum() == len(KNOTS)
     speed = (table["pm"] * 0.1 * u.s / u.uas).to_value(1)

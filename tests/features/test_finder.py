@@ -75,8 +75,7 @@ def test_speeds_of_a_jet_are_true_and_what_stands_is_not_secure(seed):
 
 
 def test_misaligned_epochs_are_aligned_on_the_core():
-    how = {"alignment_error": 0.2, "rng": 1}
-    jet = simulate_jet(n_epochs=10, dispersion=0.1, **how)
+    jet = simulate_jet(n_epochs=10, dispersion=0.1, alignment_error=0.2, rng=1)
     found = find_features(jet.cube)
     _, off = against_truth(jet, found)
     assert found.secure.sum() >= 5
@@ -144,7 +143,6 @@ def test_choices_that_do_not_exist(known_jet, change, how, words):
 
 
 def test_settings_are_used(known_jet):
-    few = known_jet.cube[:5]
-    none = find_features(few, settings=TrackSettings(core=0.0, least_epochs=6))
+    how = TrackSettings(core=0.0, least_epochs=6)
+    none = find_features(known_jet.cube[:5], settings=how)
     assert len(none) == len(none.core) == 0
-    assert none.core_error == 0.0

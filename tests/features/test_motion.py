@@ -19,17 +19,13 @@ def on_line(time, place, velocity):
     return np.add(place, np.multiply.outer(time - time.mean(), velocity))
 
 
-def test_a_straight_line():
+def test_a_straight_line_and_a_parabola():
     fit = fit_motion(TIME, on_line(TIME, (3.0, -1.0), (0.4, -0.2)), ERROR, 1.0)
     assert fit.date == pytest.approx(TIME.mean())
     np.testing.assert_allclose([fit.place, fit.velocity], [[3, -1], [0.4, -0.2]])
     np.testing.assert_allclose(fit.residual, 0, atol=1e-12)
-    assert fit.used.all()
     assert not fit.accelerated
     assert np.isnan([fit.acceleration, fit.acceleration_err]).all()
-
-
-def test_a_parabola():
     dt = TIME - TIME.mean()
     place = on_line(TIME, (3.0, 0.0), (0.4, 0.0))
     place += 0.5 * np.multiply.outer(dt**2, (0.1, -0.2))
@@ -45,9 +41,10 @@ def test_a_parabola():
     # The velocity is the mean one over the dates, that of a line.
     line = np.polyfit(dt, place, 1)[0]
     np.testing.assert_allclose(fit.velocity, line, atol=1e-9)
-    # Six positions are too few.
-    few = fit_motion(TIME[:6], place[:6], ERROR[:6], 1.0)
-    assert not few.accelerated
+    # Six positions are too few, and one date has no motion.
+    assert not fit_motion(TIME[:6], place[:6], ERROR[:6], 1.0).accelerated
+    with pytest.raises(ValueError, match="at least two dates"):
+        fit_motion(TIME[[0, 0, 0]], place[:3], ERROR[:3], 1.0)
 
 
 def test_accelerations_are_rare_where_there_is_none():
@@ -56,11 +53,6 @@ def test_accelerations_are_rare_where_there_is_none():
     place = on_line(time, (3, 0), (0.4, 0)) + rng.normal(0, 0.06, (80, 15, 2))
     fits = [fit_motion(time, one, np.zeros((15, 2)), 1.0) for one in place]
     assert np.mean([fit.accelerated for fit in fits]) < 0.07
-
-
-def test_one_date_has_no_motion():
-    with pytest.raises(ValueError, match="at least two dates"):
-        fit_motion(np.full(3, 2000.0), np.ones((3, 2)), np.ones((3, 2)), 1.0)
 
 
 def motion(place=(4.0, 3.0), velocity=(0.4, 0.3), **changes):
@@ -90,25 +82,22 @@ def test_its_error_is_that_of_many_draws(core_error):
     assert error == pytest.approx((high - low) / 2, rel=0.04)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"velocity": np.array([0.3, 0.4])},
-        {"velocity": -np.array([0.4, 0.3])},
-        {"velocity_err": np.array([0.2, 0.2])},
-        {"velocity_err": np.array([0.08, 0.08])},
-        {"place_err": np.array([0.8, 0.8])},
-        {"acceleration": np.array([0.01, 0.0])},
-        {"place": np.zeros(2)},
-        {"place": 4 * np.array([4.3, 2.6])},
-    ],
-    ids=[
-        *("not radial", "inwards", "slow", "direction unsure", "radius unsure"),
-        *("accelerated", "at the core", "misses the core"),
-    ],
-)
-def test_dates_without_meaning_are_not_given(bad):
-    assert np.isnan(motion(**bad).ejection(0.0, 1.0)).all()
+#: Why a motion has no date of ejection.
+DATELESS = {
+    "not radial": {"velocity": np.array([0.3, 0.4])},
+    "inwards": {"velocity": -np.array([0.4, 0.3])},
+    "slow": {"velocity_err": np.array([0.2, 0.2])},
+    "direction unsure": {"velocity_err": np.array([0.08, 0.08])},
+    "radius unsure": {"place_err": np.array([0.8, 0.8])},
+    "accelerated": {"acceleration": np.array([0.01, 0.0])},
+    "at the core": {"place": np.zeros(2)},
+    "misses the core": {"place": 4 * np.array([4.3, 2.6])},
+}
+
+
+@pytest.mark.parametrize("why", DATELESS)
+def test_dates_without_meaning_are_not_given(why):
+    assert np.isnan(motion(**DATELESS[why]).ejection(0.0, 1.0)).all()
     # The core may be missed by one beam.
     aside = {"place": 4 * np.array([4.3, 2.6]), "place_err": np.zeros(2)}
     assert np.isfinite(motion(**aside).ejection(0.0, 2.0)[0])
@@ -118,12 +107,11 @@ def test_dates_without_meaning_are_not_given(bad):
 def track_of(series):
     """Make a track of the first detection of each epoch, and its motion."""
 
-    def make(rows, **options):
-        d = series(rows, **options)
+    def make(rows):
+        d = series(rows)
         own = np.flatnonzero(d.number == 0)
         args = (part[own] for part in (d.time, d.place, d.place_error))
-        track = Track(own, 1.0, True)
-        return d, track, fit_motion(*args, d.fwhm)
+        return d, Track(own, 1.0, True), fit_motion(*args, d.fwhm)
 
     return make
 

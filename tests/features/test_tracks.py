@@ -17,7 +17,6 @@ from astro_scc.features.tracks import (
     Assignment,
     find_tracks,
     log_t,
-    position_scatter,
     steady_hypotheses,
 )
 
@@ -163,14 +162,6 @@ def is_packing(paths, chosen):
     return len(used) == len(set(used)) and len(chosen) == len(set(chosen.tolist()))
 
 
-def hard(n_detections=60, n_tracks=1200):
-    """Short tracks that all compete; prices alone do not settle them."""
-    rng = np.random.default_rng(0)
-    choices = (rng.choice(n_detections, 3, replace=False) for _ in range(n_tracks))
-    paths = sorted({tuple(np.sort(path).tolist()) for path in choices})
-    return paths, rng.uniform(1, 1.2, len(paths))
-
-
 problems = st.lists(
     st.tuples(
         st.sets(st.integers(0, 7), min_size=1, max_size=4), st.floats(0.01, 10.0)
@@ -214,15 +205,12 @@ def test_prices_alone_do_not_solve_all_pairs():
 def test_without_time_or_all_tracks_nothing_is_proven(monkeypatch, limits):
     for name, value in limits.items():
         monkeypatch.setattr(module, name, value)
-    paths, score = hard()
+    # Short tracks that all compete; prices alone do not settle them.
+    rng = np.random.default_rng(0)
+    choices = (rng.choice(60, 3, replace=False) for _ in range(1200))
+    paths = sorted({tuple(np.sort(path).tolist()) for path in choices})
+    score = rng.uniform(1, 1.2, len(paths))
     chosen, proven = Assignment(paths, 60).best(score)
     assert is_packing(paths, chosen)
     assert len(chosen) > 0
     assert not proven
-
-
-def test_scatter_adds_its_parts(series):
-    d = replace(series([(0, 3.0, 4.0)], error=0.3), size=np.array([2.0]))
-    o = SETTINGS
-    parts = o.scatter, 2 * o.size_scatter, 5 * o.far_scatter, 0.3
-    assert position_scatter(d, o) == pytest.approx([np.linalg.norm(parts)])

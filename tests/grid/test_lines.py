@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube
-from astro_scc.grid import (
-    default_scales,
-    flow_grids,
-    has_core,
-    sample_mask,
-    seen_flow,
-)
+from astro_scc.grid import default_scales, flow_grids, has_core, sample_mask, seen_flow
 from astro_scc.kinematics import (
     ExpansionFrame,
     PositionAngleFrame,

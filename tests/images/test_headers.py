@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What headers tell: dates, units, beams, facts and coordinates."""
+"""What headers tell, also those that archives have."""
 
 import warnings
 from types import SimpleNamespace
@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
+from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs import Beam
 from astro_scc.images.cards import parse_unit
+from astro_scc.images.fits import read_plane
 from astro_scc.images.headers import celestial_wcs, read_header
-from astro_scc.images.positions import (
-    axis_words,
-    name_by_frame,
-    sky_columns,
-)
+from astro_scc.images.positions import axis_words, name_by_frame, sky_columns
 from astro_scc.quantities import parse_date
 
 DAY = "2006-03-09T00:00:00.000"
@@ -29,9 +27,8 @@ def header_beam(header, tables=()):
     return read_header(header, tables)["beam"]
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
+def test_dates_of_all_sorts():
+    for text, expected in [
         *((text, DAY) for text in (
             " 2006-03-09 ", "2006-03-09Z", "2006-3-9", "20060309", "2006 Mar 9")),
         ("2006-03-09T12:34:56.789012", "2006-03-09T12:34:56.789"),
@@ -43,14 +40,12 @@ def header_beam(header, tables=()):
         ("2016-12-31T23:59:60", "2016-12-31T23:59:60.000"),
         *((text, None) for text in (
             "", "yesterday", "2006-02-30", "31/31/95", "2006.2")),
-    ],
-)  # fmt: skip
-def test_dates_of_all_sorts(text, expected):
-    if expected is not None:
-        assert parse_date(text).isot == expected
-        return
-    with pytest.raises(ValueError, match="is no date; write it as 2006-03-09"):
-        parse_date(text)
+    ]:  # fmt: skip
+        if expected is not None:
+            assert parse_date(text).isot == expected
+        else:
+            with pytest.raises(ValueError, match="is no date; write it as 2006-03-09"):
+                parse_date(text)
 
 
 @pytest.mark.parametrize(
@@ -99,8 +94,6 @@ def test_beam_from_the_history(aips_header):
         found = header_beam(own)
         assert found.major.value == pytest.approx(1, rel=1e-4)
         assert found.pa == BEAM.pa
-    line = {"history": "AIPS CLEAN BMAJ= 2.0E-7 BMIN= 1.0E-7 BPA= 3.0"}
-    assert header_beam(line).pa == 3 * u.deg
     assert header_beam({"HISTORY": "AIPS CLEAN BMAJ= 0.0 BMIN= 0.0 BPA= 0.0"}) is None
 
 
@@ -111,10 +104,8 @@ def test_beam_from_a_table(aips_header):
         ("BEAMS", None, 1 / 3.6e6),
     ):
         values = {"BMAJ": (unit, scale), "BMIN": (unit, scale / 2), "BPA": ("deg", -7)}
-        columns = [
-            fits.Column(key, "1E", unit=own, array=[value])
-            for key, (own, value) in values.items()
-        ]
+        pairs = values.items()
+        columns = [fits.Column(k, "1E", unit=w, array=[v]) for k, (w, v) in pairs]
         tables = [fits.BinTableHDU.from_columns(columns, name=n) for n in ("CC", name)]
         beam = header_beam(aips_header(BMAJ=None), tables)
         assert [beam.major.value, beam.minor.value] == pytest.approx([1, 0.5], rel=1e-6)
@@ -144,9 +135,8 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, cha
     assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_unusable_coordinates_are_refused_in_one_line(aips_header):
+    for changes, message in [
         ({"CTYPE1": None, "CTYPE2": None}, "no celestial coordinates.*from_arrays"),
         ({"CTYPE1": "RA---XYZ", "CTYPE2": "DEC--XYZ"}, "cannot be read"),
         ({"CDELT1": None, "CDELT2": None}, "no pixel scale"),
@@ -155,12 +145,10 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, cha
         ({"RADESYS": "MYFRAME"}, "RADESYS = 'MYFRAME' is no frame; write ICRS, FK5"),
         ({"CRPIX1": "here"}, "CRPIX1 = 'here' is not a finite number"),
         ({"CTYPE1": "DEC--SIN", "CTYPE2": "RA---SIN"}, "transpose the image"),
-    ],
-)
-def test_unusable_coordinates_are_refused_in_one_line(aips_header, changes, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        celestial_wcs(aips_header(**changes))
-    assert "\n" not in str(caught.value)
+    ]:
+        with pytest.raises(ValueError, match=message) as caught:
+            celestial_wcs(aips_header(**changes))
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("terms", [{}, {"PV1_1": 1.0, "PV1_4": 0.02, "PV2_1": 1.0}])
@@ -179,9 +167,7 @@ def test_polynomials_are_of_degrees(aips_header, terms):
 
 
 def in_frame(*ctype):
-    wcs = WCS(naxis=2)
-    wcs.wcs.ctype = ctype
-    return SimpleNamespace(wcs=wcs)
+    return SimpleNamespace(wcs=WCS({"CTYPE1": ctype[0], "CTYPE2": ctype[1]}))
 
 
 def test_words_of_the_axes_and_columns_named_by_them():
@@ -195,8 +181,119 @@ def test_words_of_the_axes_and_columns_named_by_them():
     table = QTable({"pm_ra_cosdec": [1.0], "pm_dec_err": [0.1], "east": [2.0]})
     table["east"].info.description = "offset to the east"
     assert name_by_frame(table, in_frame("RA---SIN", "DEC--SIN")) is table
-    assert sky_columns(table) == ("pm_ra_cosdec", "pm_dec")
     name_by_frame(table, in_frame("HPLN-TAN", "HPLT-TAN"))
     assert table.colnames == ["pm_lon_coslat", "pm_lat_err", "lon_offset"]
     assert table["lon_offset"].info.description == "offset to solar west"
     assert sky_columns(table) == ("pm_lon_coslat", "pm_lat")
+
+
+SHAPE = (24, 36)
+PIXELS = np.random.default_rng(1).normal(size=SHAPE)
+ARCSEC = 1 / 3600
+
+
+def sky(projection="TAN", scale=0.05, **changes):
+    return {
+        "CTYPE1": f"RA---{projection}", "CTYPE2": f"DEC--{projection}",
+        "CRVAL1": 83.0, "CRVAL2": 22.0, "CRPIX1": 18.0, "CRPIX2": 12.0,
+        "CDELT1": -scale * ARCSEC, "CDELT2": scale * ARCSEC, **changes,
+    }  # fmt: skip
+
+
+def cd():
+    own = sky()
+    steps = own.pop("CDELT1"), own.pop("CDELT2")
+    return own | {"CD1_1": steps[0], "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": steps[1]}
+
+
+def sun(scale, **changes):
+    own = {"CTYPE1": "HPLN-TAN", "CTYPE2": "HPLT-TAN", "CUNIT1": "arcsec",
+           "CUNIT2": "arcsec", "CDELT1": scale, "CDELT2": scale, "CRVAL1": 0.0,
+           "CRVAL2": 0.0}  # fmt: skip
+    return sky() | own | changes
+
+
+def image(cards, pixels=PIXELS, name=None):
+    """An HDU; cards that are text stand as they are."""
+    made = fits.ImageHDU(pixels) if name else fits.PrimaryHDU(pixels)
+    for key, value in cards.items():
+        if key in ("HISTORY", "COMMENT"):
+            for line in value:
+                made.header[key] = line
+        else:
+            made.header[key] = value
+    if name:
+        made.name = name
+    return made
+
+
+STOKES = {"CTYPE4": "STOKES", "CRVAL4": 1.0, "CDELT4": 1.0, "CRPIX4": 1.0}
+FOUR = PIXELS[None, None]
+WIDE = Beam(5 * u.arcsec, 4 * u.arcsec, 30 * u.deg)
+AIPS = ["AIPS   IMNAME='3C273' IMCLASS='ICLN'",
+        "AIPS   CLEAN BMAJ=  1.3889E-03 BMIN=  1.1111E-03 BPA=  30.00"]  # fmt: skip
+SCI = PIXELS.astype("f4")
+WEIGHT = np.where(PIXELS > 2, 0, 1).astype("f4")
+FLAGS = np.where(PIXELS > 2, 4096, 0).astype("i2")
+#: HDUs; and the date, unit, beam, filter, wavelength and bad pixels.
+HEADERS = {
+    "THINGS": (
+        [image({"OBJECT": "NGC628", "TELESCOP": "VLA", "DATE-OBS": "1997-01-24",
+                "BUNIT": "JY/B*M/S", "EPOCH": 2000.0, **sky("SIN", 1.5),
+                "CTYPE3": "VELOCITY", "CRVAL3": 7e5, "CDELT3": 2.6e3, "CRPIX3": 1.0,
+                **STOKES, "HISTORY": AIPS}, FOUR)],
+        ("1997-01-24T00:00:00", u.one, WIDE, None, None, 0)),
+    "HST flt": (
+        [image({"TELESCOP": "HST", "INSTRUME": "WFC3", "TARGNAME": "HH1",
+                "FILTER": "F164N", "DATE-OBS": "2016-04-05", "TIME-OBS": "06:07:08",
+                "EXPSTART": 57483.25495370, "EXPEND": 57483.26189815,
+                "EXPTIME": 600.0}, None),
+         image({"BUNIT": "ELECTRONS/S", **cd()}, SCI, "SCI"),
+         image({"BUNIT": "ELECTRONS/S"}, SCI * 0 + 0.1, "ERR"),
+         image({}, FLAGS, "DQ"), image({}, FLAGS * 0 + 9, "SAMP"),
+         image({}, SCI * 0 + 600, "TIME")],
+        ("2016-04-05T06:12:08", u.electron / u.s, None, "F164N", None, 15)),
+    "JWST i2d": (
+        [image({"TELESCOP": "JWST", "INSTRUME": "NIRCAM", "TARGNAME": "HH 211",
+                "FILTER": "F444W", "PUPIL": "F470N", "DATE-OBS": "2022-08-28",
+                "TIME-OBS": "17:02:17.123", "DATE-BEG": "2022-08-28T17:02:17.123",
+                "TIMESYS": "UTC", "EFFEXPTM": 600.0}, None),
+         image({"BUNIT": "MJy/sr", "MJD-BEG": 59819.71, "MJD-AVG": 59819.713667,
+                **sky(scale=0.063, PC1_1=1.0, PC2_2=1.0)}, SCI, "SCI"),
+         image({"BUNIT": "MJy/sr"}, SCI * 0 + 0.1, "ERR"), image({}, FLAGS, "CON"),
+         image({}, WEIGHT, "WHT"), image({}, WEIGHT, "VAR_POISSON"),
+         image({}, WEIGHT, "VAR_RNOISE"), image({}, WEIGHT, "VAR_FLAT")],
+        ("2022-08-28T17:07:40.829", u.MJy / u.sr, None, "F444W + F470N", None, 15)),
+    "AIA": (
+        [image({}, None),
+         image({"TELESCOP": "SDO/AIA", "INSTRUME": "AIA_3", "WAVELNTH": 171,
+                "WAVEUNIT": "angstrom", "DATE-OBS": "2011-06-07T06:33:00.34",
+                "T_OBS": "2011-06-07T06:33:01.34Z", "EXPTIME": 1.999,
+                "T_REC": "2011-06-07T06:33:02Z", **sun(0.6)}, None, "COMPRESSED")],
+        ("2011-06-07T06:33:01.34", u.one, None, None, "171 angstrom", 0)),
+    "HMI": (
+        [image({"TELESCOP": "SDO/HMI", "DATE-OBS": "2014-01-01T00:00:07.30", "CONTENT":
+                "MAGNETOGRAM", "T_OBS": "2014.01.01_00:00:42.50_TAI", "BUNIT": "Gauss",
+                "T_REC": "2014.01.01_00:00:45_TAI", "WAVELNTH": 6173.0,
+                **sun(0.504, CROTA2=0.0)})],
+        ("2014-01-01T00:00:07.5", u.Gauss, None, None, "6173", 0)),
+}  # fmt: skip
+HEADERS["AIA"][0][1].data = PIXELS.astype("f4")
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_headers_of_archives(tmp_path, name):
+    hdus, expected = HEADERS[name]
+    path = tmp_path / "a.fits"
+    fits.HDUList(hdus).writeto(path, output_verify="ignore")
+    plane = read_plane(path)
+    date, unit, beam, *facts, bad = expected
+    assert abs((plane.time - Time(date)).to_value(u.s)) < 2e-3
+    assert (plane.unit, plane.beam is None) == (unit, beam is None)
+    if beam is not None:
+        assert u.isclose(plane.beam.major, beam.major, rtol=1e-4)
+        assert u.isclose(plane.beam.minor, beam.minor, rtol=1e-4)
+    assert [plane.facts.get(k) for k in ("filter", "wavelength")] == facts
+    assert plane.mask.sum() == bad
+    assert np.allclose(plane.data, PIXELS, atol=1e-6)
+    assert ("unit" in "".join(plane.notes)) == (name == "THINGS")

@@ -4,6 +4,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+import regions
 from astropy.coordinates import FK4, SkyCoord
 from astropy.io import fits
 from astropy.nddata import CCDData
@@ -11,15 +12,6 @@ from astropy.wcs import WCS
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from regions import (
-    CircleAnnulusSkyRegion,
-    CircleSkyRegion,
-    EllipseAnnulusSkyRegion,
-    EllipseSkyRegion,
-    PolygonSkyRegion,
-    RectangleAnnulusSkyRegion,
-    RectangleSkyRegion,
-)
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
@@ -61,11 +53,8 @@ def header(code, place=(0.0, 0.0), step=1e-4, turn=0.0, mirrored=False, kind="RA
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     left = 1 if mirrored else -1
     matrix = step * np.array([[left * c, -left * s], [s, c]])
-    for i in (0, 1):
-        for k in (0, 1):
-            made[f"CD{i + 1}_{k + 1}"] = matrix[i, k]
-    wcs = WCS(made)
-    wcs.wcs.bounds_check(False, False)
+    for (i, k), value in np.ndenumerate(matrix):
+        made[f"CD{i + 1}_{k + 1}"] = value
     made["CRPIX1"], made["CRPIX2"] = 0.0, 0.0
     x, y = WCS(made).world_to_pixel_values(*place)
     made["CRPIX1"], made["CRPIX2"] = (NX - 1) / 2 - x, (NY - 1) / 2 - y
@@ -79,9 +68,9 @@ def spots_of(shape, *spots):
     return made + 1e-4 * np.sin(7.0 * x + 3.1 * y * y + spots[-1][0])
 
 
-def images(shape=(NY, NX), at=None):
+def images():
     """Return three images of a spot that moves along x, and one that stands still."""
-    x, y = ((shape[1] - 1) / 2, (shape[0] - 1) / 2) if at is None else at
+    x, y, shape = (NX - 1) / 2, (NY - 1) / 2, (NY, NX)
     return [spots_of(shape, (x, y, 1.0), (x + 4 + 2.0 * i, y, 0.5)) for i in range(3)]
 
 
@@ -106,64 +95,40 @@ def step_on_sky(wcs, x, y, dx, dy):
     return one.separation(other).to_value(u.mas), one.position_angle(other).rad
 
 
-places = st.tuples(st.floats(0, 360), st.floats(-80, 80))
-
-
 @settings(deadline=None, max_examples=30)
 @given(
     code=st.sampled_from([*CYLINDERS, *OTHERS, *ZENITHAL]),
-    place=places,
+    kind=st.sampled_from(["RA", "GLON", "CRLN", "HPLN"]),
+    place=st.tuples(st.floats(0, 360), st.floats(-80, 80)),
     turn=st.floats(0, 360),
     mirrored=st.booleans(),
     step=st.sampled_from([1e-8, 3e-5, 3e-4]),
     angle=st.floats(0, 2 * np.pi),
 )
 def test_a_step_is_as_long_as_on_the_sky_and_of_the_same_direction(
-    code, place, turn, mirrored, step, angle
+    code, kind, place, turn, mirrored, step, angle
 ):
-    head = header(code, place, step, turn, mirrored)
+    # Near the equator NCP shows nothing.
+    assume(code != "NCP" or (kind == "RA" and abs(place[1]) > 25))
+    head = header(code, place, step, turn, mirrored, kind)
     assume(np.all(np.isfinite([head["CRPIX1"], head["CRPIX2"]])))
     x, y = (NX - 1) / 2, (NY - 1) / 2
     dx, dy = 2 * np.cos(angle), 2 * np.sin(angle)
     length, pa = step_on_sky(WCS(head), x, y, dx, dy)
     assume(np.isfinite(length))
     cube = read(head)
-    assert cube.shape == (3, NY, NX)
-    east, north = np.subtract(
-        u.Quantity(cube.pixel_to_offset(x + dx, y + dy)).value,
-        u.Quantity(cube.pixel_to_offset(x, y)).value,
-    )
+    places = (cube.pixel_to_offset(x + dx, y + dy), cube.pixel_to_offset(x, y))
+    east, north = np.subtract(*(u.Quantity(place).value for place in places))
     assert_allclose(np.hypot(east, north), length, rtol=1e-3)
     turn = (np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi
     assert abs(turn) < 1e-3
     # Pixels stay where they are on the sky, to a hundredth of their side.
-    found = cube.wcs.pixel_to_world(x, y).spherical
     there = WCS(head)
     there.wcs.bounds_check(False, False)
-    lon, lat = there.pixel_to_world_values(x, y)
-    off = SkyCoord(found.lon, found.lat).separation(SkyCoord(lon, lat, unit="deg"))
-    assert off.deg < 0.03 * step
+    places = (wcs.pixel_to_world_values(x, y) for wcs in (cube.wcs, there))
+    found, true = (SkyCoord(*place, unit="deg") for place in places)
+    assert found.separation(true).deg < 0.03 * step
     assert np.hypot(*cube.pixel_to_offset(x, y)).value < 20 * length
-
-
-def assert_as_on_sky(cube, wcs, x, y, rtol=1e-3):
-    """Compare two steps on the cube's grid with those on the sky."""
-    for dx, dy in ((1.0, 0.0), (0.5, 1.0)):
-        length, pa = step_on_sky(wcs, x, y, dx, dy)
-        east, north = cube.pixel_matrix.value @ [dx, dy]
-        assert_allclose(np.hypot(east, north), length, rtol=rtol)
-        assert abs((np.arctan2(east, north) - pa + np.pi) % (2 * np.pi) - np.pi) < rtol
-
-
-@pytest.mark.parametrize(
-    ("kind", "turn", "code"),
-    [("GLON", 130.0, "CAR"), ("CRLN", 0.0, "CEA"), ("HPLN", 130.0, "TAN")],
-)
-def test_axes_of_the_galaxy_and_of_the_sun(kind, turn, code):
-    head = header(code, (120.5, 55.0), 3e-4, turn, kind != "GLON", kind)
-    cube = read(head)
-    assert cube.wcs.wcs.ctype[0].startswith(kind)
-    assert_as_on_sky(cube, WCS(head), (NX - 1) / 2, (NY - 1) / 2)
 
 
 @pytest.mark.parametrize("code", ["CAR", "HPX"])
@@ -176,11 +141,9 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     wcs = WCS(head)
     spots = [(20, 15), (40, 60), (25, 45)]
     own = [spots_of(shape, *((a + i, b, 1.0) for a, b in spots)) for i in range(3)]
-    with pytest.warns(EpochWarning, match=".") as said:
+    with pytest.warns(EpochWarning, match="all images are resa|north turns by") as said:
         cube = stack(own, wcs, "ct / pix")
-    said = " ".join(str(w.message) for w in said)
-    assert "all images are resampled onto a tangent plane" in said
-    assert "north turns by" in said
+    assert len({str(warning.message)[:5] for warning in said}) == 2
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
     with pytest.raises(ValueError, match="a.reg: is in pixels, .* that are resampled"):
@@ -209,8 +172,6 @@ def test_structure_over_much_of_the_sky_is_refused():
     with pytest.raises(ValueError, match=words):
         read(head, own)
     wide = header("CAR", (120.0, 0.0), 5.0)
-    with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
-        EpochCube(np.array(own), DATES, WCS(wide), "ct")
     flat = EpochCube.from_arrays(own, DATES, pixel_scale=1 * u.deg)
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
         flat.reproject_to(WCS(wide), (NY, NX))
@@ -296,10 +257,10 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
     ring |= {"inner_height": 0.05 * MAS, "outer_height": 1 * MAS}
     # Places on the sky in the frame of the drawing, along and across the region.
     for region in (
-        EllipseSkyRegion(**long),
-        RectangleSkyRegion(**long),
-        EllipseAnnulusSkyRegion(**ring),
-        RectangleAnnulusSkyRegion(**ring),
+        regions.EllipseSkyRegion(**long),
+        regions.RectangleSkyRegion(**long),
+        regions.EllipseAnnulusSkyRegion(**ring),
+        regions.RectangleAnnulusSkyRegion(**ring),
     ):
         inside = region_mask(cube, region)
         # The angle runs from the axis of longitude, which is west in DS9's images.
@@ -312,24 +273,17 @@ def test_regions_are_turned_from_the_frame_in_which_they_were_drawn(
             place = centre.directional_offset_by(pa + 90 * u.deg, away * MAS)
             x, y = np.rint(wcs.world_to_pixel(place)).astype(int)
             assert not inside[y, x]
-    alone, ball = EllipseSkyRegion(**long), CircleSkyRegion(centre, 2 * MAS)
+    alone, ball = (
+        regions.EllipseSkyRegion(**long),
+        regions.CircleSkyRegion(centre, 2 * MAS),
+    )
     both = region_mask(cube, alone) & region_mask(cube, ball)
     assert np.array_equal(region_mask(cube, alone & ball), both)
     corners = [(10, 2), (120, 2), (250, 3)]
     vertices = [centre.directional_offset_by(a * u.deg, r * MAS) for a, r in corners]
-    assert region_mask(cube, PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
-    hollow = CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
+    assert region_mask(cube, regions.PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
+    hollow = regions.CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
     assert not region_mask(cube, hollow)[39, 39]
-
-
-def test_structure_is_where_most_bright_pixels_are():
-    image = images((60, 90), (60, 40))[0]
-    box, peak = local.structure(image)
-    assert peak == (60, 40)
-    assert 50 < box[0] < 60 < box[1] < 72
-    empty = np.full((6, 8), np.nan)
-    assert local.structure(empty) == ((0, 7, 0, 5), (3, 2))
-    assert local.structure(np.zeros((6, 8)))[0] == (0, 7, 0, 5)
 
 
 def test_pixels_without_sky():

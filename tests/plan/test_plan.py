@@ -8,19 +8,10 @@ from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc import Beam, EpochCube
+from astro_scc import Beam, EpochCube, plan
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.plan import (
-    choose_alignment,
-    choose_direction,
-    choose_scales,
-    motion_of,
-    scale_numbers,
-    structure_size,
-)
 from astro_scc.simulation import simulate_jet
 
-YEAR = 365.25
 PIXEL = 0.1 * u.mas
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
 
@@ -38,23 +29,23 @@ SMALL = cube_of(shape=(8, 8))
 def test_angles_name_the_scale_that_they_are_near(half, factor):
     number = half / 2
     size = factor * scale_size(number)
-    (found,) = scale_numbers(SMALL, [size * 0.1] * u.mas)
+    (found,) = plan.scale_numbers(SMALL, [size * 0.1] * u.mas)
     # Between two scales the nearer one.
     assert abs(np.log(scale_size(found) / size)) <= abs(np.log(factor)) + 1e-9
     if 0.9 < factor < 1.1:
         assert found == number
 
 
-YEARLY = cube_of((0, YEAR))
+YEARLY = cube_of((0, 365.25))
 REFUSED = [
     # Midway between 1 and 1.5 pixels.
-    (lambda: scale_numbers(SMALL, [0.122, 0.4] * u.mas),
+    (lambda: plan.scale_numbers(SMALL, [0.122, 0.4] * u.mas),
      r"^scale 0.122 mas is 1.2 px, not near 2\^j or 1.5 x 2\^j px$"),
-    (lambda: scale_numbers(SMALL, [2.0] * u.arcsec), r"scale 2.0 arcsec is 2e\+04"),
-    (lambda: motion_of(YEARLY, 1e9, np.ones(1)),
+    (lambda: plan.scale_numbers(SMALL, [2.0] * u.arcsec), "scale 2.0 arcsec is 2e.04"),
+    (lambda: plan.motion_of(YEARLY, 1e9, np.ones(1)),
      r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, in images of 7.21 "
      "mas with pixels of 0.1 mas: give a smaller one$"),
-    (lambda: motion_of(YEARLY, 1e-9, np.ones(1)),
+    (lambda: plan.motion_of(YEARLY, 1e-9, np.ones(1)),
      "1e-09 mas .*: give a larger one$"),
 ]  # fmt: skip
 
@@ -81,11 +72,11 @@ def spots(*places, beams=BEAM, bright=0.1):
 @pytest.mark.parametrize("angle", [60, 270])
 def test_the_direction_is_that_of_the_jet(angle):
     way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
-    found, _ = choose_direction(spots(1.5 * way, 3 * way))
+    found, _ = plan.choose_direction(spots(1.5 * way, 3 * way))
     assert abs(found.value - angle) <= 1
     # Where the other side is not seen, and the sky is not zero.
     cube = spots(1.5 * way, 3 * way).crop((slice(15, 106), slice(0, 108)))
-    found, _ = choose_direction(cube.with_step("a sky", data=cube.data + 3))
+    found, _ = plan.choose_direction(cube.with_step("a sky", data=cube.data + 3))
     assert abs(found.value - angle) <= 1
 
 
@@ -99,7 +90,7 @@ def test_the_direction_is_that_of_the_jet(angle):
     ],
 )
 def test_no_direction_has_a_reason(cube, reason):
-    found, said = choose_direction(cube())
+    found, said = plan.choose_direction(cube())
     assert found is None
     assert reason in said
 
@@ -116,26 +107,21 @@ def test_no_direction_has_a_reason(cube, reason):
     ],
 )  # fmt: skip
 def test_epochs_are_aligned_on_the_core_if_they_scatter(cube, align, reason):
-    found, said = choose_alignment(cube())
+    found, said = plan.choose_alignment(cube())
     assert found == align
     assert reason in said
 
 
-def test_a_core_that_is_not_found_aligns_nothing(monkeypatch):
-    def fail(self, *args, **kwargs):
-        raise ValueError("no core")
-
-    cube = spots()
+def test_a_core_that_is_not_found_aligns_nothing():
+    cube = spots(beams=None)
     object.__setattr__(cube, "misalignment", 0.3)
-    monkeypatch.setattr(EpochCube, "align", fail)
     text = "the epochs scatter by 0.30 beams, no less on the core"
-    assert choose_alignment(cube) == ("none", text)
+    assert plan.choose_alignment(cube) == ("none", text)
 
 
 def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None):
     """Two epochs of Gaussians of a width in pixels, with noise."""
-    rng = np.random.default_rng(3)
-    y, x = np.mgrid[: shape[0], : shape[1]]
+    rng, (y, x) = np.random.default_rng(3), np.indices(shape)
     image = np.zeros(shape)
     for x0, y0 in rng.uniform(0, 1, (30, 2)) * shape[::-1]:
         r2 = (x - x0) ** 2 + (y - y0) ** 2
@@ -149,20 +135,19 @@ def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None):
 
 @pytest.mark.parametrize(("fwhm", "noise"), [(3, 0.0), (8, 0.3)])
 def test_the_size_of_structures(fwhm, noise):
-    assert structure_size(field(fwhm, noise=noise)) == pytest.approx(fwhm, rel=0.2)
+    assert plan.structure_size(field(fwhm, noise=noise)) == pytest.approx(fwhm, rel=0.2)
 
 
 @pytest.mark.parametrize(
     ("fwhm", "beam", "scales"),
     [
         # From a quarter of the beam to two; none larger than half of the image.
-        (2, 2, (1, 2)), (6, 6, (1, 2, 3, 4)), (16, 16, (2, 3, 4, 5)),
-        (9, 60, (4, 5, 6)),
+        (2, 2, (1, 2)), (6, 6, (1, 2, 3, 4)), (9, 60, (4, 5, 6)),
         # Without a beam up to half of the size of the structures.
         (3, None, (1,)), (7, None, (1, 2)), (24, None, (1, 2, 3)),
     ],
 )  # fmt: skip
 def test_scales_that_suit_the_resolution(fwhm, beam, scales):
-    found, reason = choose_scales(field(fwhm, beam=beam))
+    found, reason = plan.choose_scales(field(fwhm, beam=beam))
     assert found == scales
     assert beam is None or f"({beam}.0 px)" in reason

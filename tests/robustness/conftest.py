@@ -19,11 +19,8 @@ def load_tool(name):
 
 def pytest_generate_tests(metafunc):
     if "case" in metafunc.fixturenames:
-        cases = [
-            pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow)
-            for case in load_tool("inputs").CASES
-        ]
-        metafunc.parametrize("case", cases)
+        cases = load_tool("inputs").CASES
+        metafunc.parametrize("case", cases, ids=lambda case: case.name)
 
 
 @pytest.fixture
@@ -32,13 +29,8 @@ def inputs():
 
 
 @pytest.fixture
-def fuzz():
-    return load_tool("fuzz")
-
-
-@pytest.fixture
-def interrupts():
-    return load_tool("interrupts")
+def tool():
+    return load_tool
 
 
 @pytest.fixture

@@ -5,18 +5,13 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
 
 # Every example is a measurement of its own.
-few = settings(
-    max_examples=2,
-    deadline=None,
-    phases=(Phase.explicit, Phase.generate),
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+few = settings(max_examples=2, phases=(Phase.explicit, Phase.generate))
 SHAPE = (40, 48)
 STEP = (1.6, -0.7)
 TIMES = Time(2451910.5 + 30.0 * np.arange(6), format="jd", scale="tai")

@@ -103,13 +103,18 @@ def test_a_feature_of_a_shell_moves_away_from_the_centre_at_its_rate(kind):
 
 
 ONE = Stream("s", half_width=5.0)
+TABLE = {
+    "distance": [0.5, 2.0, 6.0] * u.mas,
+    "speed": [1.0, 8.0, 10.0] * u.mas / u.yr,
+    "half_width": [0.2, 0.4, 0.6] * u.mas,
+    "brightness": [20, 10, 5] * u.mJy / u.beam,
+}
 NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
-          JetSimulation: {"streams": [ONE]}}  # fmt: skip
+          JetSimulation: {"streams": [ONE]}, Layer: {"name": "l"} | TABLE}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("make", "options", "message"),
-    [
+def test_what_is_refused():
+    for make, options, message in [
         (Stream, {"motion": "circular"}, "stream 's': motion = .* must be one of"),
         (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
         (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
@@ -129,11 +134,16 @@ NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
          "speed, size: give them to"),
         (simulate_jet, {"noise": -0.001}, r"must be zero or p.* got -0.00\d+$"),
         (simulate_jet, {"standing": -1}, "flow 'standing': n_features must be zero or"),
-    ],
-)  # fmt: skip
-def test_what_is_refused(make, options, message):
-    with pytest.raises(ValueError, match=message):
-        make(**NEEDED.get(make, {}) | options)
+        (Layer, {"scatter": -1}, "layer 'l': scatter must be zero or positive, got -1"),
+        (Layer, {"speed": [0, 1, 1] * u.mas / u.yr}, "speed must be positive, or zero"),
+        (Layer, {"across": ()}, "across needs one place or more"),
+        (Layer, {"speed": [1, 1] * u.mas / u.yr}, "brightness must have one len"),
+        (Layer, {"distance": [1, 1, 2] * u.mas}, "distance must increase, got"),
+        (Layer, {"size": (2, 1) * u.mas}, "size must be two limits, got"),
+        (Layer, {"life": np.inf * u.yr}, "life must be positive, and finite for a l"),
+    ]:  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            make(**NEEDED.get(make, {}) | options)
 
 
 def test_written_simulation(tmp_path):
@@ -143,61 +153,38 @@ def test_written_simulation(tmp_path):
     assert sorted((tmp_path / "jet").iterdir()) == sorted([*images, table])
     truth = QTable.read(table)
     assert_allclose(truth["x"].value, jet.truth["x"].value)
-    assert truth["flux"].unit == u.Jy
     assert truth.meta["streams"][1]["dx"] == 20.0
     header = fits.getheader(images[2])
     assert header["DATE-OBS"].startswith("2000-03-01")
     assert (header["CRPIX1"], header["CRPIX2"]) == (21, 65)
-    assert header["BMAJ"] == pytest.approx((1 * u.mas).to_value(u.deg))
     with pytest.raises(OSError, match="truth.ecsv: exists already"):
         write_simulation(jet, tmp_path / "jet")
     assert write_simulation(jet, tmp_path / "jet", overwrite=True)[-1] == table
 
 
-ANGLE = 288 * u.deg
-DISTANCE, SPEED = [0.5, 2.0, 6.0], [1.0, 8.0, 10.0]
-TABLE = {
-    "distance": DISTANCE * u.mas,
-    "speed": SPEED * u.mas / u.yr,
-    "half_width": [0.2, 0.4, 0.6] * u.mas,
-    "brightness": [20, 10, 5] * u.mJy / u.beam,
-}
-BARE = {"core": 0.0, "flux_variation": 0.0, "noise": 0.0}
-
-
-def layer(**changes):
-    return Layer("layer", **TABLE | changes)
-
-
-def along_and_across(truth):
-    """Distances along and across the axis in mas."""
-    east, north = truth["east"].to_value(u.mas), truth["north"].to_value(u.mas)
-    sine, cosine = np.sin(ANGLE).value, np.cos(ANGLE).value
-    return east * sine + north * cosine, east * cosine - north * sine
-
-
-def lone_clump(**changes):
+def lone_clump():
     """A jet whose one clump is visible at all epochs."""
-    for seed in range(50):
-        own = layer(n_clumps=1, life=0.6 * u.yr, **changes)
-        settings = {"layers": [own], "n_epochs": 6, "interval": 10 * u.day, **BARE}
-        jet = simulate_resolved_jet(**settings, rng=seed)
-        if len(jet.truth) == 6 and jet.truth["visible"].all():
-            return jet
-    raise AssertionError("no seed has one clump")
+    own = Layer("layer", **TABLE, n_clumps=1, life=0.6 * u.yr)
+    how = {"core": 0.0, "flux_variation": 0.0, "noise": 0.0, "n_epochs": 6}
+    how |= {"layers": [own], "interval": 10 * u.day}
+    jets = (simulate_resolved_jet(**how, rng=seed) for seed in range(50))
+    return next(k for k in jets if len(k.truth) == 6 and k.truth["visible"].all())
 
 
 def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
     jet = lone_clump()
-    r, across = along_and_across(jet.truth)
+    east, north = (jet.truth[name].to_value(u.mas) for name in ("east", "north"))
+    sine, cosine = np.sin(288 * u.deg).value, np.cos(288 * u.deg).value
+    r, across = east * sine + north * cosine, east * cosine - north * sine
     years = (jet.cube.times - jet.cube.times[0]).to_value(u.yr)
-    way = solve_ivp(lambda t, r: np.interp(r, DISTANCE, SPEED), years[[0, -1]], r[:1],
+    distance, speed, width = (v.value for v in [*TABLE.values()][:3])
+    way = solve_ivp(lambda t, r: np.interp(r, distance, speed), years[[0, -1]], r[:1],
                     t_eval=years, rtol=1e-8)  # fmt: skip
     assert np.ptp(r) > 0.5
     assert_allclose(r, way.y[0], atol=1e-3)
     # It keeps its place in the jet, which widens.
-    assert_allclose(across / np.interp(r, DISTANCE, [0.2, 0.4, 0.6]), across[0] / (
-        np.interp(r[0], DISTANCE, [0.2, 0.4, 0.6])))  # fmt: skip
+    place = across / np.interp(r, distance, width)
+    assert_allclose(place, place[0])
     y, x = np.indices(jet.cube.shape[1:])
     for image, row in zip(jet.cube.data, jet.truth, strict=True):
         assert np.sum(x * image) / image.sum() == pytest.approx(row["x"].value)
@@ -205,34 +192,10 @@ def test_the_centroid_of_a_clump_moves_by_its_speed_at_each_distance():
 
 
 def test_layers_of_m87():
-    slow, fast = m87_layers(length=20 * u.mas)
-    assert_allclose(slow.speed.to_value(u.mas / u.yr) * 0.264, 0.3)
+    _, fast = m87_layers(length=20 * u.mas)
     at = np.interp([0.5, 2, 20], fast.distance.value, fast.speed.value) * 0.264
     assert_allclose(at, [0.3, 2.3, 2.7], rtol=0.01)
-    assert slow.across == (-1, 1)
     with pytest.raises(ValueError, match="layers: give a sequence of Layer, at least"):
         simulate_resolved_jet(layers=[])
     with pytest.raises(ValueError, match=r"length must be above 0.5 mas, got 0.2 mas"):
         m87_layers(length=0.2 * u.mas)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"scatter": -1}, "layer 'layer': scatter must be zero or positive, got -1"),
-        ({"speed": [0, 1, 1] * u.mas / u.yr}, "speed must be positive, or zero every"),
-        ({"across": ()}, "across needs one place or more"),
-        ({"speed": [1, 1] * u.mas / u.yr}, "half_width, brightness must have one len"),
-        ({"distance": [1, 1, 2] * u.mas}, "distance must increase, got"),
-        ({"size": (2, 1) * u.mas}, "size must be two limits, got"),
-        ({"life": np.inf * u.yr}, "life must be positive, and finite for a layer that"),
-    ],
-)
-def test_what_a_layer_refuses(changes, message):
-    with pytest.raises(ValueError, match=message):
-        layer(**changes)
-
-
-def test_streams_have_their_own_parameters():
-    with pytest.raises(ValueError, match="speed: give them to each of the streams"):
-        simulate_jet(streams=[Flow("fast")], speed=0.9)

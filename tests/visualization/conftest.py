@@ -11,11 +11,6 @@ from astro_scc.simulation import simulate_static
 
 
 @pytest.fixture(scope="session")
-def cube(jet_cube):
-    return jet_cube
-
-
-@pytest.fixture(scope="session")
 def result(jet_results):
     return jet_results["jet"]
 

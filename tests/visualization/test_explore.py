@@ -44,13 +44,13 @@ def path(result, tmp_path_factory):
 
 
 @contextmanager
-def browser(path, width=1280):
+def browser(path):
     playwright = pytest.importorskip("playwright.sync_api")
     if CHROMIUM is None:
         pytest.skip("there is no chromium or chrome")
     how = {"executable_path": CHROMIUM, "args": ["--no-sandbox"]}
     with playwright.sync_playwright() as driver, driver.chromium.launch(**how) as own:
-        tab = own.new_page(viewport={"width": width, "height": 900})
+        tab = own.new_page(viewport={"width": 1280, "height": 900})
         problems, local = [], ("file:", "data:", "blob:")
         tab.on("pageerror", lambda error: problems.append(str(error)))
         tab.on("request", lambda r: r.url.startswith(local) or problems.append(r.url))
@@ -70,10 +70,6 @@ def selected(tab, expected):
     return found == expected
 
 
-def places(tab, name, *points):
-    return [tab.evaluate(PLACE, [name, *map(float, point)]) for point in points]
-
-
 @pytest.mark.slow
 def test_a_reader_selects_and_looks(path, page, result):
     stream, own = result.streams[0], result.features["stream"]
@@ -84,11 +80,10 @@ def test_a_reader_selects_and_looks(path, page, result):
         # A click on the first stream selects its features in all panels.
         names = "pm_parallel", "pm_transverse"
         peak = [stream[k].to_value(page.pm_unit) for k in names]
-        tab.mouse.click(*places(tab, "velocity", peak)[0])
+        tab.mouse.click(*tab.evaluate(PLACE, ["velocity", *map(float, peak)]))
         assert selected(tab, rows)
         words = status.inner_text().split()
         assert words[:2] == [str(len(rows)), "selected"]
-        assert tab.locator(".slick-row input:checked").count() == len(rows)
         # Their mean and dispersion are those of the streams.
         names = ("pm", "pm_err", "n_epochs")
         model = mean_speed(*(np.asarray(page.features.data[k])[rows] for k in names))
@@ -97,16 +92,6 @@ def test_a_reader_selects_and_looks(path, page, result):
         )
         assert mean == pytest.approx(model.mean, rel=0.01)
         assert spread == pytest.approx(model.dispersion, rel=0.05, abs=0.01)
-        # A box on the sky.
-        x, y, row = (page.points.data[name] for name in ("x", "y", "row"))
-        inside = (x > -4.5) & (x < -2.5) & (np.abs(y) < 1)
-        start, end = places(tab, "sky", (-4.5, -1), (-2.5, 1))
-        tab.mouse.move(*start)
-        tab.mouse.down()
-        tab.mouse.move(*end, steps=4)
-        tab.mouse.up()
-        assert selected(tab, np.unique(row[inside]).tolist())
-        assert 0 < len(np.unique(row[inside])) < len(own)
 
 
 def test_large_images_are_binned_and_there_may_be_no_features(bare, monkeypatch):
@@ -135,7 +120,8 @@ def test_one_small_file_that_loads_nothing_and_runs_no_code(result, path, tmp_pa
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_planes_are_the_images(cube, turned):
+def test_planes_are_the_images(jet_cube, turned):
+    cube = jet_cube
     if turned:
         wcs = cube.wcs.deepcopy()
         wcs.wcs.pc = [[0, -1], [1, 0]]
@@ -151,8 +137,3 @@ def test_planes_are_the_images(cube, turned):
     expected = [axis.value for axis in cube.pixel_to_offset(x, y)]
     found = sides[:, 0] + step * (np.array([column, row]) + 0.5)
     np.testing.assert_allclose(found, expected, atol=step)
-    if not turned:
-        # East increases from left to right in the planes, to the left in images.
-        image = cube.data[2][:, ::-1][: planes.shape[1], : planes.shape[2]]
-        order = np.argsort(image, axis=None)
-        assert np.all(np.diff(planes[2].ravel()[order].astype(int)) >= 0)

@@ -1,12 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""What every figure keeps to, and what those of streams and of features show."""
+"""What figures keep to, and what those of streams, features and images show."""
 
-import itertools
-import subprocess
-import sys
+import re
 from dataclasses import replace
 from functools import partial
 from io import BytesIO
+from types import SimpleNamespace
 
 import astropy.units as u
 import matplotlib
@@ -14,11 +13,16 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 from astropy.time import Time
-from matplotlib.colors import Normalize
+from matplotlib.colors import AsinhNorm, LogNorm
 from matplotlib.figure import Figure
 
-from astro_scc.units import PM_UNIT
-from astro_scc.visualization import FIGURES, style
+from astro_scc import EpochCube
+from astro_scc.flow import fit_profile
+from astro_scc.units import PM_UNIT, offset_unit, speed_unit
+from astro_scc.units import PM_UNIT as PM
+from astro_scc.visualization import FIGURES, speeds, style
+from astro_scc.visualization.images import epoch_names, ticks_of
+from astro_scc.visualization.speeds import plot_profile
 from astro_scc.visualization.tracks import ejections, plot_separation, plot_tracks
 
 ON_FIGURES = ["spectrum", "paper", "epochs", "tracks"]
@@ -76,23 +80,6 @@ def test_what_is_refused(result, bare, what, options, words):
         bare.plot("sensitivity")
 
 
-NORM = Normalize(-1, 2)
-#: Keywords of matplotlib by the kind of figure, and the artist that has them.
-KEYWORDS = [
-    ("velocity_map", {"cmap": "magma"}, lambda ax: ax.images[0].get_cmap().name),
-    ("distance", {"cmap": "Blues"}, lambda ax: ax.collections[0].get_cmap().name),
-    ("spectrum", {"lw": 3.0}, lambda ax: ax.lines[0].get_linewidth()),
-    ("significance", {"color": "red"}, lambda ax: ax.lines[2].get_color()),
-    ("paper", {"norm": NORM}, lambda ax: ax.images[0].norm),
-    ("tracks", {"lw": 2.5}, lambda ax: ax.lines[0].get_linewidth()),
-]
-
-
-@pytest.mark.parametrize(("kind", "look", "seen"), KEYWORDS)
-def test_keywords_of_matplotlib_pass_through(result, kind, look, seen):
-    assert [seen(result.plot(kind, **look).axes[0])] == [*look.values()]
-
-
 def test_files_have_fonts_that_journals_take(result, monkeypatch):
     monkeypatch.setattr(style, "DPI", 20)
     before = dict(matplotlib.rcParams)
@@ -103,37 +90,12 @@ def test_files_have_fonts_that_journals_take(result, monkeypatch):
     assert dict(matplotlib.rcParams) == before
 
 
-@pytest.mark.slow
-def test_matplotlib_is_imported_when_something_is_drawn():
-    code = (
-        "import sys, astro_scc.visualization, astro_scc.report;"
-        "sys.exit('matplotlib' in sys.modules or 'jinja2' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-#: Labels of the velocities, and of the displacement, by the kind of axes.
-LABELS = {
-    "jet": ("Proper motion parallel to the jet", "along the jet (mas)"),
-    "sky": ("Proper motion to the east", "towards PA 2"),
-    "radial": ("Radial proper motion", "outward ("),
-}
-
-
-def parts(figure, gid):
-    return [artist for artist in figure.findobj() if artist.get_gid() == gid]
-
-
-@pytest.mark.parametrize("frame", LABELS)
-def test_the_ray_is_on_the_red_ridge(frame, jet_results):
+@pytest.mark.parametrize("frame", ["jet", "sky", "radial"])
+def test_the_red_ridge_is_that_of_the_stream(frame, jet_results):
     # Features that move to the west: down the jet, and towards PA 270 deg.
     figure = jet_results[frame].plot("diagram")
-    ax = figure.axes[0]
-    assert ax.get_ylabel().startswith(f"Displacement {LABELS[frame][1]}")
     speed = jet_results[frame].streams["pm"][0].to_value(PM_UNIT)
-    assert parts(figure, "ray")[0].get_slope() == pytest.approx(speed, rel=0.02)
-    (mesh,) = parts(figure, "excess")
-    assert mesh.norm.vmin == -mesh.norm.vmax < 0
+    (mesh,) = (part for part in figure.findobj() if part.get_gid() == "excess")
     coordinates, values = mesh.get_coordinates(), mesh.get_array()
     interval = coordinates[0, :-1, 0] + np.diff(coordinates[0, :, 0]) / 2
     middle = coordinates[:-1, 0, 1] + np.diff(coordinates[:, 0, 1]) / 2
@@ -143,64 +105,24 @@ def test_the_ray_is_on_the_red_ridge(frame, jet_results):
     np.testing.assert_allclose(peaks, speed * interval[moved], atol=0.2)
 
 
-MODULE = "astro_scc.visualization.tracks"
-
-
-@pytest.fixture(scope="module")
-def features(result):
-    """Features of which one is not secure, and one is accelerated."""
-    found = replace(result.tracked_features)
-    vars(found)["secure"] = np.arange(len(found)) != 1
+def test_features_are_drawn_with_published_ones_or_none(result, monkeypatch):
+    """One of them is not secure, one is accelerated, and all were ejected."""
+    name = "astro_scc.visualization.tracks.ejections"
+    monkeypatch.setattr(name, partial(ejections, earlier=20.0))
+    features, cube = replace(result.tracked_features), result.cube
     first, *others = result.tracked_features.motions
     bent = replace(first, acceleration=np.array([1.0, 0.0]))
-    vars(found)["motions"] = (bent, *others)
-    return found
-
-
-def dots(ax):
-    """Positions that are drawn, shape (2, n)."""
-    own = [line for line in ax.lines if line.get_marker() == "o"]
-    return np.concatenate([line.get_xydata() for line in own]).T
-
-
-def lines_of(ax, gid):
-    return [line for line in ax.lines if line.get_gid() == gid]
-
-
-def test_paths_over_the_mean_image_and_published_ones(features):
-    cube = features.cube
-    (ax,) = plot_tracks(features, unit=u.mas).axes
-    x, y = dots(ax)
-    assert x == pytest.approx(features.positions["ra_offset"].value)
-    assert y == pytest.approx(features.positions["dec_offset"].value)
-    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    assert np.all((x < left) & (x > right) & (y > bottom) & (y < top))
-    later = Time([*cube.times[:3].jyear, cube.times[-1].jyear + 9], format="jyear")
-    published = QTable({"published": [7] * 4, "date": later})
+    secure = np.arange(len(features)) != 1
+    vars(features).update({"secure": secure, "motions": (bent, *others)})
+    published = QTable({"published": [7] * 3, "date": cube.times[:3] + 0 * u.d})
     for name in ("separation", "ra_offset", "dec_offset"):
-        published[name] = np.arange(1.0, 5.0) * u.mas
-    # Of the time of the images.
-    ax = plot_tracks(features, published=published, unit=u.mas).axes[0]
-    assert list(lines_of(ax, "published 7")[0].get_xdata()) == [1, 2, 3]
-    plot_separation(features, published=published)
+        published[name] = np.arange(1.0, 4.0) * u.mas
+    for plot in (plot_separation, plot_tracks):
+        plot(features, published=published).draw_without_rendering()
     nothing = features.detections.select(np.zeros(len(features.detections), bool))
     core = features.core.select(np.zeros(len(features.core), bool))
     for plot in (plot_separation, plot_tracks):
         plot(replace(features, detections=nothing, core=core, tracks=()))
-
-
-def test_dashes_lead_to_the_ejections(features, monkeypatch):
-    all_of_them = partial(ejections, earlier=20.0)
-    monkeypatch.setattr(f"{MODULE}.ejections", all_of_them)
-    upper, _ = plot_separation(features).axes
-    years, fwhm = features.cube.times.jyear, features.detections.fwhm
-    secure = itertools.compress(features.motions, features.secure)
-    known = sorted(m.ejection(features.core_error, fwhm)[0] for m in secure)
-    known = [date for date in known if date >= years[0] - 20 * np.ptp(years)]
-    drawn = [line.get_data() for line in lines_of(upper, "ejection")]
-    assert sorted(x[0] for x, _ in drawn) == pytest.approx(known)
-    assert all(y[0] == 0 for _, y in drawn)
-    assert drawn
 
 
 def test_streams_of_no_known_speed_or_error_are_drawn(result):
@@ -209,3 +131,110 @@ def test_streams_of_no_known_speed_or_error_are_drawn(result):
         rows[name] = np.nan * rows[name].unit
     for kind in ("diagram", "velocity_map", "paper"):
         result.plot(kind, components=rows).draw_without_rendering()
+
+
+def small_cube(**kwargs):
+    data = np.random.default_rng(1).standard_normal((3, 20, 30))
+    data[:, 5, 7] = 100
+    times = ["2000-01-01", "2000-07-01", "2001-01-01"]
+    values = {"data": data, "times": times, "pixel_scale": 0.1 * u.mas, **kwargs}
+    return EpochCube.from_arrays(**values)
+
+
+def test_brightness_has_limits_unit_and_ticks_that_fit():
+    mask = np.zeros((3, 20, 30), bool)
+    mask[0, :5, :5] = True
+    data = np.where(mask, 1e6, 1.0)
+    ax = small_cube(data=data, mask=mask, unit="Jy / beam").plot(0).axes[0]
+    (drawn,) = ax.images
+    assert np.ma.getmaskarray(drawn.get_array()).sum() == 25
+    assert drawn.norm.vmin < drawn.norm.vmax < 1e6
+    for value in (0.0, -1.0):
+        (drawn,) = small_cube(data=np.full(mask.shape, value)).plot(0).axes[0].images
+        assert drawn.norm.vmin < drawn.norm.vmax
+    ax = small_cube().plot(0, norm=LogNorm(vmin=0.5), colorbar=False).axes[0]
+    assert ax.images[0].norm.vmax == 100
+    with pytest.raises(TypeError, match="norm must be one of matplotlib.colors, got"):
+        small_cube().plot(0, norm="log")
+    assert ticks_of(AsinhNorm(0.004, vmin=-1e-3, vmax=3)) == [0, 0.01, 0.1, 1]
+    assert ticks_of(AsinhNorm(0.4, vmin=-1, vmax=3)) is None
+
+
+def test_the_sun_has_west_to_the_right(jet_results, with_cube):
+    sky, wcs = jet_results["sky"], jet_results["sky"].cube.wcs.deepcopy()
+    wcs.wcs.ctype = "HPLN-TAN", "HPLT-TAN"
+    sun = with_cube(sky, replace(sky.cube, wcs=wcs))
+    ssps = sun.ssps.copy()
+    ssps["in_region"] = ssps["lat_offset"].value > 0
+    assert not sun.cube.plot(0, ssps).axes[0].xaxis_inverted()
+    ax, other = (result.plot("velocity_map").axes[0] for result in (sun, sky))
+    assert (ax.xaxis_inverted(), other.xaxis_inverted()) == (False, True)
+    assert list(sun.velocity_map().wcs.wcs.ctype) == ["LON", "LAT"]
+
+
+def test_units_and_dates_are_easily_read():
+    units = {1e-4: "uas", 0.1: "mas", 300: "arcsec", 2e4: "arcmin", 2e6: "deg"}
+    assert {scale: offset_unit(20 * scale) for scale in units} == units
+    for span, resolution, interval, unit in (
+        (12 * u.yr, 2 * u.arcsec, 1 * u.yr, u.arcsec / u.yr),
+        (11 * u.d, 30 * u.mas, 1 * u.d, u.mas / u.d),
+        (8 * u.h, 20 * u.uas, 2 * u.min, u.mas / u.h),
+    ):
+        assert speed_unit(span, resolution, interval) == unit
+    for days, names in (
+        ([0, 0.25], ["2000-01-01 00:00:00", "2000-01-01 06:00:00"]),
+        ([0, 0], ["2000-01-01 (0)", "2000-01-01 (1)"]),
+    ):
+        assert epoch_names(Time("2000-01-01", scale="utc") + days * u.day) == names
+
+
+WEST = SimpleNamespace(
+    at=lambda s: (-s, 0 * s), position_angle=lambda s: np.full(len(s), 270) * u.deg
+)
+
+
+def test_components_fits_and_others_have_names(jet_cube):
+    middle = [0.5, 1.5, 2.5] * u.mas
+    table = QTable({
+        "r_min": middle - 0.5 * u.mas, "r_max": middle + 0.5 * u.mas, "r_mid": middle,
+        "kind": ["moving", "not significant", "stationary"],
+        "main": [True, False, True], "n_features": [3, 2, 1],
+        "pm_parallel": [1.0, 1.2, 0.0] * PM, "pm_parallel_err": [0.1, 9.0, np.inf] * PM,
+    })  # fmt: skip
+    fit = fit_profile([1, 2, 4] * u.mas, [1.0, 1.2, 1.6] * PM, [0.1] * 3 * PM)
+    assert re.match(r"linear: 0.2\d* ± 0.0\d+ 1/yr$", str(fit))
+    _, ax = plot_profile(
+        table, cube=replace(jet_cube, beams=None), line=WEST, fits=[fit],
+        beta_per_pm=2.0, others=[("MOJAVE", [4] * u.mas, [1] * PM, [0.1] * PM)],
+    ).axes  # fmt: skip
+    wanted = {"moving", "not significant", "stationary", str(fit), "MOJAVE"}
+    assert {text.get_text() for text in ax.get_legend().get_texts()} == wanted
+    # The large error does not squeeze the rest.
+    assert ax.get_ylim()[1] < 2
+    plot_profile(table[:0]).draw_without_rendering()
+    table["scale_group"] = ["1, 2", "3", "3"]
+    plot_profile(table, markersize=9).draw_without_rendering()
+    angles = {"a": [240, 250, 251] * u.deg, "b": [] * u.deg}
+    speeds.plot_position_angles(angles).draw_without_rendering()
+
+
+def test_the_features_of_many_sources():
+    """Outward, inward, stationary and accelerated ones, and a doubtful one."""
+    table = QTable({"source": list("aabbb"), "n_epochs": [5, 12, 12, 12, 5]})
+    table["secure"] = [True, True, False, True, False]
+    table["p_false"] = [0.1, 0.1, 0.2, 0.1, 0.9]
+    table["pm"], table["pm_radial"] = [1, 2, 0.1, 3, 9] * PM, [1, -2, 0, 3, 9] * PM
+    for name in ("acc_parallel", "acc_perpendicular"):
+        table[name] = [np.nan, np.nan, np.nan, 0.4, 0.4] * PM / u.yr
+    for name in ("pm", "pm_radial", "acc_parallel", "acc_perpendicular"):
+        table[f"{name}_err"] = np.full(5, 0.1) * table[name].unit
+    table["beta_app"] = 10 * table["pm"].value
+    found = {k: [*np.flatnonzero(use)] for k, use in speeds.population(table).items()}
+    assert found == {
+        "moving": [0, 1, 3], "at rest": [2], "inward": [1], "judged": [1, 3],
+        "accelerated": [3],
+    }  # fmt: skip
+    assert speeds.fastest_of(table, "pm").tolist() == [2.0, 3.0]
+    speeds.plot_population(table)
+    table["beta_app"] = np.nan
+    speeds.plot_population(table)

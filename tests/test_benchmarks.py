@@ -1,7 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Every table of the documentation can be made again, and is what its command makes."""
+"""The benchmarks: every table can be made again, what they simulate and read."""
 
 import csv
+import importlib
 import re
 import runpy
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
@@ -62,21 +64,14 @@ def test_what_changed_in_a_table_is_said(tmp_path):
     first, *lines = TOOL.compare(before, TOOL.read_cells(path))
     assert first == "3 of 6 changed, at most by words"
     assert lines[0] == "  row 1, speed: 2.0 ± 0.1 -> 2.5 ± 0.1"
-    assert lines[1] == "  row 3, jet: (none) -> C"
     assert TOOL.compare(before, before) == []
-
-
-#: Cheap tables: the arguments that make some of their rows.
-CHEAP = {
-    "files": ["{data}"],
-    "real_images": ["{data}"],
-    "subpixel": [],
-    "mojave": ["{data}/mojave_xviii", "--only", "0003+380"],
-}
 
 
 #: Columns of the time and memory of a machine.
 TIMES = {"CPU s", "GB"}
+#: Cheap tables: the arguments that make some of their rows.
+CHEAP = {"files": ["{data}"], "real_images": ["{data}"], "subpixel": []}
+CHEAP["mojave"] = ["{data}/mojave_xviii", "--only", "0003+380"]
 
 
 def read_rows(path):
@@ -103,3 +98,41 @@ def test_rows_of_cheap_tables_are_what_their_commands_make(
         for column in one.keys() - TIMES:
             change = TOOL.largest_change(one[column], other[column])
             assert change < 0.05, (column, one, other)
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Import a benchmark by its name."""
+    monkeypatch.syspath_prepend(str(PATH.parent))
+    return importlib.import_module
+
+
+def test_movies_in_true_and_in_scrambled_order(script):
+    resolved = script("resolved")
+    jet = resolved.simulate("two", "11x21d", 1)
+    slow, fast = resolved.true_speeds(jet)
+    assert slow == pytest.approx(0.3 / 0.264)
+    assert 5 < fast < 9
+    cube = resolved.scrambled(jet, 1)
+    assert np.array_equal(cube.times.mjd, jet.cube.times.mjd)
+    old, new = (c.data.reshape(11, -1) for c in (jet.cube, cube))
+    order = [int(np.flatnonzero((old == image).all(axis=1))[0]) for image in new]
+    assert sorted(order) == list(range(11)) != order
+    assert resolved.true_speeds(resolved.simulate("static", "11x21d", 1)) == []
+
+
+def test_static_series_of_each_kind(script):
+    level = script("level")
+    for kind in level.KINDS:
+        cube = level.static_cube(kind, 1, n_epochs=3)
+        again = level.static_cube(kind, np.random.default_rng(1), n_epochs=3)
+        assert np.array_equal(cube.data, again.data)
+
+
+@pytest.mark.parametrize("speeds", [(5,), (2, 7, 12), (-8, 0, 25)])
+def test_all_speeds_that_other_packages_find_are_read(script, speeds):
+    reading, rng = script("comparison_reading"), np.random.default_rng(1)
+    along = np.concatenate([rng.normal(speed, 1, 90) for speed in speeds])
+    here = np.zeros(len(along))
+    sample = reading.Sample(np.arange(len(along)) % 9, here, here, along, here)
+    np.testing.assert_allclose(reading.read_speeds(sample), speeds, atol=0.5)
