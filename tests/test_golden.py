@@ -75,7 +75,6 @@ def compare(table, path):
             assert list(new) == list(old), name
 
 
-#: Folder of the tables.
 GOLDEN = Path(__file__).parent / "golden"
 
 

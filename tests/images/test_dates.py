@@ -24,7 +24,7 @@ DATES = [
     # The day alone, and the time of day elsewhere.
     (DAY, MIDNIGHT),
     (DAY | {"MJD-OBS": MJD}, START),
-    # The end of the day before.
+    ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
     ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
     ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
     (DAY | {"TIME-OBS": "14:24:00.0"}, START),

@@ -55,6 +55,7 @@ def test_what_is_missing_or_too_much():
         ({"redshift": -0.1}, "redshift = -0.1 must be above 0; give the distance"),
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
         ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
+        ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
         ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": 47367 * u.km / u.s},
