@@ -13,7 +13,7 @@ import scipy
 from astro_scc import kinematics
 from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.exceptions import AstroSccWarning, MeasurementWarning, warn
+from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
 from astro_scc.settings import require
 from astro_scc.spectrum.permutations import EVERY, within
@@ -189,28 +189,24 @@ def alignment_errors(cube, error=None):
 def used_intervals(cube, baseline):
     """Return the shortest and the longest interval that is used, in years."""
     years = cube.years.to_value(u.yr)
-    if len(years) < 3:
-        raise ValueError(
-            f"velocities need three epochs or more, {FEWEST_EPOCHS} to show that "
-            f"anything moves; the cube has {len(years)}: give images of other dates (a "
-            "file that is given twice counts once)"
-        )
     limits = EVERY if baseline is None else tuple(baseline.to_value(u.yr).tolist())
     apart = years - years[:, None]
-    require_pairs(cube, baseline, within(apart[apart > 0], limits).sum())
+    number = within(apart[apart > 0], limits).sum()
+    require_pairs(cube, baseline, number, least=3)
     return limits
 
 
-def require_pairs(cube, baseline, number):
+def require_pairs(cube, baseline, number, *, least=2):
     """Refuse a cube of which no two epochs are as far apart as the settings want."""
     years = cube.years.to_value(u.yr)
+    if len(years) < least:
+        raise ValueError(
+            f"velocities need at least {least} epochs, {FEWEST_EPOCHS} to show that "
+            f"anything moves; the cube has {len(years)}: give images of other dates (a "
+            "file that is given twice counts once)"
+        )
     if number > 0:
         return
-    if len(years) < 2:
-        raise ValueError(
-            "velocities need at least two epochs, the cube has one: give images of "
-            "other dates (a file that is given twice counts once)"
-        )
     if baseline is None:
         raise ValueError(
             f"all {len(years)} epochs are of one date ({cube.times[0].isot}): "
@@ -232,19 +228,18 @@ def search_settings(scc, cube, n_trials):
     )  # fmt: skip
 
 
-def warn_of_limits(smallest, n_epochs, settings):
-    """Warn if no p-value can be as small as the level."""
-    if smallest <= settings.alpha:
-        return
-    what = f"{settings.n_trials} trials"
-    more = f"give n_trials of {int(np.ceil(1 / settings.alpha))} or more"
+def out_of_reach(smallest, n_epochs, n_trials, alpha):
+    """Return why no p-value can be as small as the level, or an empty text."""
+    if smallest <= alpha:
+        return ""
+    what = f"{n_trials} trials"
+    more = f"give n_trials of {int(np.ceil(1 / alpha))} or more"
     if n_epochs < FEWEST_EPOCHS:
         what = f"{n_epochs} epochs"
         more = f"measure {FEWEST_EPOCHS} epochs or more"
-    warn(
+    return (
         f"{what} allow no p_global below {smallest:.2g}, so nothing that moves can "
-        f"reach level {settings.alpha:g}: {more}",
-        MeasurementWarning,
+        f"reach level {alpha:g}: {more}"
     )
 
 

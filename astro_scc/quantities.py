@@ -401,12 +401,6 @@ def random_generator(rng):
 
 #: Estimates of the noise of wavelet planes.
 NOISES = ("plane", "local", "propagated")
-#: Checks of the settings of a correlation, and their arguments after the value.
-CORRELATION = {
-    "kappa": (check_number, 0, 1, "must be between 0 and 1"),
-    "target": (check_choice, "segments", "plane"),
-    "min_overlap": (check_number, 0, math.nextafter(1, 2), "must be above 0, up to 1"),
-}
 
 
 def check_range(

@@ -23,7 +23,7 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
-from astro_scc.plan import flow_beam, used_intervals, velocity_frame
+from astro_scc.plan import flow_beam, out_of_reach, used_intervals, velocity_frame
 from astro_scc.progress import progress
 from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.scc import StackedCrossCorrelation
@@ -322,8 +322,12 @@ def completeness(
         12.0       2.0          3
     """
     n_trials = require("n_trials", n_trials)
-    _require_findable(len(cube), n_trials, scc.alpha)
-    position_angle, along = _direction(position_angle, scc.position_angle)
+    smallest = max(1 / factorial(max(len(cube) - 1, 0)), 1 / (n_trials + 1))
+    if said := out_of_reach(smallest, len(cube), n_trials, scc.alpha):
+        raise ValueError(said)
+    position_angle = _direction(position_angle, scc.position_angle)
+    axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
+    along = 1.0 if scc.position_angle is None else abs(axis[0])
     width, tolerance = _lengths(cube, fwhm, tolerance)
     region = None if region is None else cube.region_mask(region)
     speeds = _searched(speeds, along, cube, scc)
@@ -336,7 +340,6 @@ def completeness(
     generator, seed = seeded(rng)
     bare_rng, root = generator.spawn(2)
     area, bare = _bare(cube, scc, region, n_trials, bare_rng)
-    axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
 
     def recover(cell, rng):
         (speed, peak), (path_rng, trial_rng) = cell, rng.spawn(2)
@@ -356,8 +359,14 @@ def completeness(
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
     claimed = dict(enumerate(bare))
-    there = [_nearest(claimed, v * axis, tolerance) is not None for v, _ in cells]
-    table = _table_of_cells(cells, outcomes, there, noise, cube.unit)
+    rows = [
+        _counted(found) | {
+            "speed": speed, "snr": peak / noise if noise > 0 else None,
+            "own": _nearest(claimed, speed * axis, tolerance) is not None,
+        } for (speed, peak), found in zip(cells, outcomes, strict=True)
+    ]  # fmt: skip
+    peaks = np.array([peak for _, peak in cells]) * cube.unit
+    table = build_table("completeness", rows, flux=peaks)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,
         "tolerance": tolerance * PM_UNIT, "alpha": scc.alpha, "n_features": n_features,
@@ -365,29 +374,6 @@ def completeness(
         "seed": seed, "versions": versions(),
     }  # fmt: skip
     return table
-
-
-def _table_of_cells(cells, outcomes, there, noise, unit):
-    """Return the table of `completeness` without its meta."""
-    rows = []
-    for (speed, peak), found, seen in zip(cells, outcomes, there, strict=True):
-        row = {"speed": speed, "snr": peak / noise if noise > 0 else None, "own": seen}
-        rows.append(row | _counted(found))
-    peaks = np.array([peak for _, peak in cells]) * unit
-    return build_table("completeness", rows, flux=peaks)
-
-
-def _require_findable(n_epochs, n_trials, alpha):
-    """Refuse so few epochs or trials that nothing could be found."""
-    orders = factorial(max(n_epochs - 1, 0))
-    smallest = max(1 / orders, 1 / (n_trials + 1))
-    if smallest > alpha:
-        few = 1 / orders > alpha
-        more = "measure more epochs" if few else "give more n_trials"
-        raise ValueError(
-            f"{n_epochs} epochs (1/(N-1)!) and {n_trials} trials allow no p_global "
-            f"below {smallest:.2g}, so nothing can be found at level {alpha:g}: {more}"
-        )
 
 
 def _lengths(cube, fwhm, tolerance):
@@ -444,12 +430,12 @@ def _streams(scc, decomposed, n_trials, rng):
 
 
 def _direction(position_angle, axis):
-    """Return the direction of motion, and the fraction of a speed along the axis."""
+    """Return the direction of motion."""
     axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
     given = axis if position_angle is None else position_angle
     radial = [isinstance(k, str) and k == "radial" for k in (axis, given)]
     if all(radial):
-        return given, 1.0
+        return given
     straight = axis is None or isinstance(axis, u.Quantity)
     if given is None or any(radial) or not straight:
         raise ValueError(
@@ -457,8 +443,7 @@ def _direction(position_angle, axis):
             "features move on straight lines, so give both an angle, or both 'radial'"
         )
     wanted = "an angle", "65 deg", False
-    angle = q.named("position_angle", q.one_quantity, given, *wanted).to(u.deg)
-    return angle, 1.0 if axis is None else float(abs(np.cos(angle - axis)))
+    return q.named("position_angle", q.one_quantity, given, *wanted).to(u.deg)
 
 
 def _peaks(fluxes, unit, noise):

@@ -297,7 +297,9 @@ class StackedCrossCorrelation(MeasurementSettings):
             flow = self.flow(decomposed)
             search = find_streams(flow, features, settings, rng=generator)
             choices = parts_of(search)
-        plan.warn_of_limits(search.test.p_smallest, len(cube), settings)
+        smallest = search.test.p_smallest
+        if said := plan.out_of_reach(smallest, len(cube), n_trials, self.alpha):
+            warn(said, MeasurementWarning)
         angle = plan.flow_direction(decomposed, flow.frame)
         meta = meta_of(self, n_trials, seed) | {
             "jet_position_angle": angle, "misalignment_beams": cube.misalignment,

@@ -56,6 +56,7 @@ def _text_for(value, module, parse):
 
 # Checks, and their arguments after the value.
 POSITIVE = (q.check_number, 0, math.inf, "must be above 0")
+SHARE = (q.check_number, 0, 1, "must be between 0 and 1")
 BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
 
 
@@ -94,16 +95,16 @@ class MeasurementSettings:
         q.check_range, "a shortest and a longest time", "0.2 yr 1.0 yr", 0, le
     )
     min_error_beams: float = _setting(*BEAMS, default=0.2)
-    kappa: float = _setting(*q.CORRELATION["kappa"], default=0.6)
-    target: str = _setting(*q.CORRELATION["target"], default="segments")
-    min_overlap: float = _setting(*q.CORRELATION["min_overlap"], default=0.8)
+    kappa: float = _setting(*SHARE, default=0.6)
+    target: str = _setting(q.check_choice, "segments", "plane", default="segments")
+    min_overlap: float = _setting(
+        q.check_number, 0, math.nextafter(1, 2), "must be above 0, up to 1", default=0.8
+    )
     wavelet: str = _setting(q.check_choice, "b1", "b3", default="b1")
     detection: float = _setting(*POSITIVE, default=4.0)
     segmentation: float = _setting(*POSITIVE, default=3.0)
     noise: str = _setting(q.check_choice, *q.NOISES, default="plane")
-    alpha: float = _setting(
-        q.check_number, 0, 1, "must be between 0 and 1", default=0.01
-    )
+    alpha: float = _setting(*SHARE, default=0.01)
     outward: bool = _setting(q.check_boolean, default=False)
     alignment_error: u.Quantity | Sequence[str] | None = _setting(
         q.check_alignment_error

@@ -345,7 +345,7 @@ def _plan(cube, speed):
         row = {f"speed ({unit})": f"{value.value:.2g}"}
         row["beams in the median interval"] = f"{plan.motion(value):.2g}"
         rows.append(row | {"--baseline for it alone": text, "pairs": str(pairs)})
-    return [*plan.lines(), "", *table_lines(rows)]
+    return [str(plan), "", *table_lines(rows)]
 
 
 def _rounded(interval, how):

@@ -15,7 +15,7 @@ from astro_scc.flow import compare_scales, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.products import write_epoch_regions, write_products
-from astro_scc.products.folder import product_folder, write_files, write_paper_products
+from astro_scc.products.folder import product_folder, write_files
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
@@ -43,32 +43,36 @@ FIRST, LAST = 60, 160
 def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
-    output = inputs.output_of(args, settings)
+    output, as_in_paper = inputs.output_of(args, settings), settings.method == "paper"
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(
-            settings, args, note=reporter.note, moving=settings.method != "paper"
+            settings, args, note=reporter.note, moving=not as_in_paper
         )
-        if settings.method == "paper":
-            lines = _as_in_paper(epochs, folder, args, reporter)
-            reporter.say(*lines, *epochs.found, f"\nTables and maps: {output}")
-            return
-        result = _measured(epochs, reporter)
-        # Nobody reads them otherwise.
-        told = not (reporter.quiet and args.no_report)
-        flow = flow_lines(result) if told else []
+        result, page = _measured(epochs, reporter), {"pdf": args.pdf}
+        if not as_in_paper:
+            # Nobody reads them otherwise.
+            told = not (reporter.quiet and args.no_report)
+            flow = flow_lines(result) if told else []
+            page |= {"all_figures": args.all_figures, "flow": flow}
         streams = write_measurement(
             result, epochs, folder, output=output, report=not args.no_report,
-            warnings=reporter.warnings, pdf=args.pdf, all_figures=args.all_figures,
-            compare=args.compare, flow=flow,
+            warnings=reporter.warnings, compare=args.compare, **page,
         )  # fmt: skip
-        if args.ds9_regions:
+        if args.ds9_regions and not as_in_paper:
             write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
-    found = result.features, result.tracked_features
-    features = with_published(*found, epochs.published)
-    lines = *answer.stream_lines(streams, features), *answer.published_lines(features)
-    where = f"Report: {output / 'report.html'}"
-    where = f"Tables and maps: {output}" if args.no_report else where
-    reporter.say(*lines, *flow, *epochs.found, f"\n{where}")
+    where = f"\nTables and maps: {output}"
+    if as_in_paper:
+        lines = answer.paper_lines(streams, result.level)
+    else:
+        found = result.features, result.tracked_features
+        features = with_published(*found, epochs.published)
+        lines = (
+            *answer.stream_lines(streams, features),
+            *answer.published_lines(features),
+        )
+        where = where if args.no_report else f"\nReport: {output / 'report.html'}"
+        lines = *lines, *flow
+    reporter.say(*lines, *epochs.found, where)
 
 
 def _measured(epochs, reporter):
@@ -80,28 +84,11 @@ def _measured(epochs, reporter):
     return scc(epochs.cube, region=settings.region, **given)
 
 
-def _as_in_paper(epochs, folder, args, reporter):
-    """Measure epochs by the paper's method, write the products; return lines on it."""
-    settings, result = epochs.settings, _measured(epochs, reporter)
-    streams = inputs.with_speeds_in_c(result.streams, settings)
-    write_paper_products(
-        result, streams, folder, configuration=settings.to_dict(),
-        text=settings.to_toml(versions=versions()), archives=not args.no_report,
-    )  # fmt: skip
-    if not args.no_report:
-        per_pm = beta_per_pm(streams)
-        files = style.figure_files(
-            ("paper",), lambda _: result.plot(beta_per_pm=per_pm), pdf=args.pdf
-        )
-        write_files(files, folder)
-    return answer.paper_lines(streams, result.level)
-
-
 def write_measurement(
     result, epochs, folder, *, output, report=True, compare=None, **page
 ):  # fmt: skip
     """
-    Write tables, maps, settings and report of a measurement.
+    Write tables, maps, settings and report, or the paper's figure, of a measurement.
 
     Parameters
     ----------
@@ -131,7 +118,13 @@ def write_measurement(
         text=settings.to_toml(versions=versions()), published=published,
         archives=report,
     )  # fmt: skip
-    if report:
+    if report and settings.method == "paper":
+        per_pm = beta_per_pm(streams)
+        files = style.figure_files(
+            ("paper",), lambda _: result.plot(beta_per_pm=per_pm), pdf=page["pdf"]
+        )
+        write_files(files, folder)
+    elif report:
         rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
         if compare:
             rerun += f" --compare {shlex.quote(compare)}"

@@ -234,8 +234,7 @@ class IntervalPlan:
         """
         return (u.Quantity(speed) * self.median / self.resolution).to_value(u.one)
 
-    def lines(self):
-        """Return the plan as sentences."""
+    def __str__(self):
         low, high = self.consecutive
         lines = [
             f"{self.n_epochs} epochs over {self.span:.3g}, "
@@ -247,10 +246,7 @@ class IntervalPlan:
             "Slower features show in pairs of epochs that are further apart, which "
             "are used for them.",
         ]
-        return lines if self.n_epochs > 2 else lines[:3]
-
-    def __str__(self):
-        return "\n".join(self.lines())
+        return "\n".join(lines if self.n_epochs > 2 else lines[:3])
 
 
 def plan_intervals(cube: series.ImageSeries) -> IntervalPlan:

@@ -264,15 +264,15 @@ class ExpansionFrame:
             Orthogonal except for the factor ``radius / r``; NaN within a
             fifth of the radius, where an expansion is hardly a motion.
         """
-        axes, r = self._radial(east, north)
-        r = np.where(r >= INNERMOST * self.radius.value, r, np.nan)
-        return axes * (self.radius.value / r)[..., None, None]
+        return self._scaled(east, north, np.nan)
 
-    def _radial(self, east, north):
-        """Return the axes of `RadialFrame`, and the distances from the centre."""
+    def _scaled(self, east, north, least):
+        """Return axes times ``radius / r``, with another r in the innermost part."""
         x0, y0 = self.centre.value
-        distance = np.hypot(np.subtract(east, x0), np.subtract(north, y0))
-        return RadialFrame(self.centre).matrix(east, north), distance
+        r = np.hypot(np.subtract(east, x0), np.subtract(north, y0))
+        r = np.where(r >= INNERMOST * self.radius.value, r, least)
+        axes = RadialFrame(self.centre).matrix(east, north)
+        return axes * (self.radius.value / r)[..., None, None]
 
     def displacement(self, position: ArrayLike, motion: ArrayLike) -> np.ndarray:
         """
@@ -288,10 +288,9 @@ class ExpansionFrame:
         `numpy.ndarray`, shape (n, 2)
         """
         motion = np.asarray(motion, dtype=float)
-        axes, r = self._radial(*(np.asarray(position, dtype=float) + 0.5 * motion).T)
+        middle = np.asarray(position, dtype=float) + 0.5 * motion
         # A chance match may cross the centre.
-        r = np.maximum(r, INNERMOST * self.radius.value)
-        axes = axes * (self.radius.value / r)[:, None, None]
+        axes = self._scaled(*middle.T, INNERMOST * self.radius.value)
         return np.einsum("nai,ni->na", axes, motion)
 
     def rate(self, speed: u.Quantity) -> u.Quantity:

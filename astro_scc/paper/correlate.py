@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from astro_scc.decomposition.segmentation import Decomposition
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.zncc import Template, find_peaks
 from astro_scc.parallel import Workers, in_order
-from astro_scc.quantities import CORRELATION, named
+from astro_scc.settings import require
 
 #: Fewest pixels of an SSP: with two pixels anything matches anything.
 FEWEST_PIXELS = 3
@@ -196,8 +196,8 @@ class Correlator:
     min_overlap: float = 0.8
 
     def __post_init__(self):
-        for name, (check, *limits) in CORRELATION.items():
-            named(name, check, getattr(self, name), *limits)
+        for one in fields(self):
+            require(one.name, getattr(self, one.name))
 
     def __call__(
         self, decompositions: Sequence[Decomposition], pairs: ArrayLike,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
@@ -145,7 +145,8 @@ def component_row(component, frame, angle, alpha):
 
     Parameters
     ----------
-    component : ``PaperComponent``
+    component : dict
+        Of ``PaperStack.components``.
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Position angle of the jet.
@@ -157,15 +158,11 @@ def component_row(component, frame, angle, alpha):
     dict
         What is within three standard errors of zero is ``stationary``.
     """
-    errors = np.array([component.v1_err, component.v2_err])
-    correlations = np.full((2, 2), component.correlation)
-    np.fill_diagonal(correlations, 1.0)
-    covariance = correlations * np.outer(errors, errors)
-    velocity = np.array([component.v1, component.v2])
-    still = np.hypot(*(velocity / errors)) <= 3
+    velocity, covariance = component["velocity"], component["covariance"]
+    still = np.hypot(*(velocity / np.sqrt(np.diag(covariance)))) <= 3
     kind = "stationary" if still else "moving"
-    kind = kind if component.p_global <= alpha else "not significant"
-    row = velocity_columns(velocity, covariance, frame, angle) | asdict(component)
+    kind = kind if component["p_global"] <= alpha else "not significant"
+    row = component | velocity_columns(velocity, covariance, frame, angle)
     return row | {"kind": kind, "pm_err_jitter": row["pm_err"]}
 
 

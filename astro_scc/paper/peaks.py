@@ -16,51 +16,6 @@ from astro_scc.paper import stack
 from astro_scc.spectrum.maps import VelocityMap
 
 
-@dataclass(frozen=True)
-class PaperComponent:
-    """
-    A maximum of a stack: a velocity component of the paper.
-
-    Attributes
-    ----------
-    v1, v2 : float
-        Velocity along the two axes, of a Gaussian fitted in a box of a beam.
-    v1_err, v2_err, correlation : float
-        Standard deviations of the maximum over trials with shifted SSPs, and their
-        correlation; NaN if fewer than three trials have it.
-    coefficient : float
-        Stacked correlation coefficient.
-    z_score : float
-        Height above the mean of the trials, in their standard deviations.
-    p_global : float
-        Probability that permuted epochs have as large a z-score at any velocity.
-    offset1, offset2 : float
-        Mean of the maximum over the trials with shifted SSPs, from the velocity: a
-        small part of the error where the error is valid.
-    p_normal : float
-        Probability that a normal distribution of these trials looks less normal.
-    found : float
-        Share of these trials in which the maximum is found again.
-    n_ssp, n_pairs : int
-        SSPs with a match within two standard errors, and their pairs of dates.
-    """
-
-    v1: float
-    v2: float
-    v1_err: float
-    v2_err: float
-    correlation: float
-    coefficient: float
-    z_score: float
-    p_global: float
-    offset1: float
-    offset2: float
-    p_normal: float
-    found: float
-    n_ssp: int
-    n_pairs: int
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperStack:
     """
@@ -73,15 +28,25 @@ class PaperStack:
         epochs, zero where no trial has a correlation.
     trial_z : `~numpy.ndarray`, shape (n_trials,)
         The largest z-score of each trial among all the others and the observed order.
-    components : tuple of ``PaperComponent``
-        The largest z-score first.
+    components : tuple of dict
+        The maxima of the stack, the largest z-score first: ``velocity``, shape (2,), of
+        a Gaussian fitted in a box of a beam; ``covariance`` over trials with shifted
+        SSPs, NaN if fewer than three have it; ``coefficient``; ``z_score``, the height
+        above the mean of the trials in their standard deviations; ``p_global``, the
+        probability that permuted epochs have as large a z-score at any velocity;
+        ``offset1`` and ``offset2``, the mean over the trials with shifted SSPs from the
+        velocity, a small part of the error where that is valid; ``p_normal``, the
+        probability that a normal distribution of these trials looks less normal;
+        ``found``, the share of them in which the maximum is found again; ``n_ssp`` and
+        ``n_pairs``, SSPs with a match within two standard errors, and their pairs of
+        dates.
     n_ssp : int
         Number of SSPs, the denominator of the stack where weights are one.
     """
 
     velocities: VelocityMap
     trial_z: np.ndarray
-    components: tuple[PaperComponent, ...]
+    components: tuple[dict[str, Any], ...]
     n_ssp: int
 
     def __repr__(self):
@@ -152,7 +117,7 @@ def stack_patterns(
     ...     n_ssps=np.bincount(ssps.epoch, minlength=len(cube)))
     >>> found = stack_patterns(
     ...     displacements, pairs, orders, fwhm=10.0, max_speed=30.0, rng=rng)
-    >>> [round(component.v1) for component in found.components[:1]]
+    >>> [round(component["velocity"][0]) for component in found.components[:1]]
     [5]
     """
     orders, n = np.asarray(orders), pairs.n_dates
@@ -236,15 +201,14 @@ def _component(matches, velocity, box, heights, trial_z, rng):
     covariance, offset = np.full((2, 2), np.nan), np.full(2, np.nan)
     if len(away) >= 3:
         covariance, offset = np.cov(away.T), away.mean(axis=0)
-    error = np.sqrt(np.diag(covariance))
     member = np.hypot(*((columns[:2].T - velocity).T / columns[2:4])) <= 2
-    n_ssp = len(np.unique(ends[0, member]))
-    return PaperComponent(
-        *velocity.tolist(), *error.tolist(), float(covariance[0, 1] / np.prod(error)),
-        float(coefficient), float(z_score), p_global,
-        *offset.tolist(), normal_probability(away), len(away) / n_trials,
-        n_ssp, len(np.unique(pair[member])),
-    )  # fmt: skip
+    return {
+        "velocity": velocity, "covariance": covariance, "coefficient": coefficient,
+        "z_score": z_score, "p_global": p_global, "offset1": offset[0],
+        "offset2": offset[1], "p_normal": normal_probability(away),
+        "found": len(away) / n_trials, "n_ssp": len(np.unique(ends[0, member])),
+        "n_pairs": len(np.unique(pair[member])),
+    }  # fmt: skip
 
 
 # -- maxima and their errors -------------------------------------------------------

@@ -150,6 +150,7 @@ def write_products(
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
+        Or a ``PaperMeasurement``.
     streams : `~astropy.table.QTable`
         Its ``streams``, with apparent speeds if there are any.
     directory : path
@@ -174,7 +175,8 @@ def write_products(
         them, ``positions.ecsv``, ``sensitivity.ecsv``, ``epochs.ecsv``, ``ssps.ecsv``,
         ``citations.bib``, if ``text`` is given ``config.toml``, ``scc.fits``, and the
         folder ``publication``, see
-        ``astro_scc.products.publication.write_publication``.
+        ``astro_scc.products.publication.write_publication``.  The paper's method has
+        no spectrum, features, sensitivity and table of epochs.
 
     Raises
     ------
@@ -201,58 +203,32 @@ def write_products(
     >>> [path.name for path in paths if path.parent.name == "out"][:3]
     ['streams.ecsv', 'components.ecsv', 'spectrum.ecsv']
     """
-    features = table_in_c_as(result.features, streams)
-    features = with_published(features, result.tracked_features, published)
-    meta = {**result.meta, **streams.meta}
-    epochs, used = result.cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
-    epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
-    tables = {
-        "streams": streams, "components": streams, "spectrum": result.spectrum,
-        "features": features,
-        "positions": result.feature_positions, "sensitivity": result.sensitivity,
-        "epochs": describe(epochs, "epochs"), "ssps": result.ssps,
-    }  # fmt: skip
-    hdus, printed = velocity_hdus(result, text=text), PRINTED if archives else ()
-    given = {"configuration": configuration, "text": text, "published": published}
-    return _write_all(tables, hdus, directory, meta, result.cube, printed, **given)
-
-
-def write_paper_products(
-    result, streams, directory, *, configuration=None, text=None, archives=True
-):
-    """
-    Write tables and maps of a measurement by the paper's method.
-
-    Parameters
-    ----------
-    result : `~astro_scc.paper.method.PaperMeasurement`
-    streams : `~astropy.table.QTable`
-        Its ``streams``, with apparent speeds if there are any.
-    directory, configuration, text, archives
-        See `write_products`.
-
-    Returns
-    -------
-    list of `~pathlib.Path`
-        ``streams.ecsv``, ``components.ecsv``, the same, ``ssps.ecsv``,
-        ``citations.bib``, with ``text`` ``config.toml``, ``scc.fits`` and the folder
-        ``publication``.
-    """
-    tables = {"streams": streams, "components": streams, "ssps": result.ssps}
-    meta, hdus = {**result.meta, **streams.meta}, map_hdus(result, text=text)
-    given = {"configuration": configuration, "text": text}
-    printed = ("streams",) if archives else ()
-    return _write_all(tables, hdus, directory, meta, result.cube, printed, **given)
-
-
-def _write_all(tables, hdus, directory, meta, cube, printed, **given):
-    """Write tables, maps, and some of the tables in forms of journals and archives."""
-    written, paths = write_tables(tables, directory, meta, cube, **given)
+    tables = {"streams": streams, "components": streams}
+    meta, cube, journals = {**result.meta, **streams.meta}, result.cube, ["streams"]
+    hdus = map_hdus(result, text=text)
+    if isinstance(result, SCCResult):
+        features = table_in_c_as(result.features, streams)
+        features = with_published(features, result.tracked_features, published)
+        epochs, used = cube.epochs, result.ssps["epoch"][result.ssps["in_region"]]
+        epochs["n_ssp"] = np.bincount(used, minlength=len(epochs))
+        tables |= {
+            "spectrum": result.spectrum, "features": features,
+            "positions": result.feature_positions, "sensitivity": result.sensitivity,
+            "epochs": describe(epochs, "epochs"),
+        }  # fmt: skip
+        hdus, journals = velocity_hdus(result, text=text), PRINTED
+    else:
+        # Nothing of it is compared.
+        published = None
+    written, paths = write_tables(
+        tables | {"ssps": result.ssps}, directory, meta, cube,
+        configuration=configuration, text=text, published=published,
+    )  # fmt: skip
     paths.append(Path(directory, "scc.fits"))
     hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
-    if printed:
-        journals = {name: written[name] for name in printed}
-        paths += write_publication(journals, directory, {"ssps": tables["ssps"]})
+    if archives:
+        printed = {name: written[name] for name in journals}
+        paths += write_publication(printed, directory, {"ssps": result.ssps})
     return paths
 
 

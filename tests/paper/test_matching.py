@@ -69,7 +69,7 @@ def test_pairs_of_dates():
 @pytest.mark.parametrize(
     ("days", "baseline", "words"),
     [
-        ((0,), None, "^velocities need at least two epo"),
+        ((0,), None, "^velocities need at least 2 epo"),
         ((0, 0, 0), None, "^all 3 epochs are of one date .2010-01-01T00:00:00.000.: v"),
     ],
 )  # fmt: skip

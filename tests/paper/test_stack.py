@@ -152,8 +152,8 @@ def test_z_scores_are_among_all_other_stacks(shift):
             assert (std < floor).any()
             np.testing.assert_allclose(found.velocities.z_score, z, atol=2e-3)
     for c in found.components:
-        larger = np.count_nonzero(found.trial_z >= c.z_score)
-        assert c.p_global == (1 + larger) / 13
+        larger = np.count_nonzero(found.trial_z >= c["z_score"])
+        assert c["p_global"] == (1 + larger) / 13
 
 
 def test_p_global_is_uniform_where_epochs_are_unrelated():
@@ -170,7 +170,7 @@ def test_p_global_is_uniform_where_epochs_are_unrelated():
         highest = found.velocities.z_score.max() * (1 - 1e-6)
         p.append((1 + np.sum(found.trial_z >= highest)) / 20)
         # A component is at most as significant as the map is anywhere.
-        assert min(c.p_global for c in found.components) >= p[-1]
+        assert min(c["p_global"] for c in found.components) >= p[-1]
     for level in (0.05, 0.1, 0.25, 0.5):
         share = np.mean(np.array(p) <= level + 1e-9)
         assert share <= level + 3 * np.sqrt(level / 60)
@@ -180,18 +180,19 @@ def test_p_global_is_uniform_where_epochs_are_unrelated():
 def test_two_flows_are_two_significant_components():
     d = flows(np.random.default_rng(1), (1.0, 4.0))
     found = measure(d, consecutive_pairs(EVEN), 200)
-    own = [c for c in found.components if c.p_global <= 0.01]
+    own = [c for c in found.components if c["p_global"] <= 0.01]
     assert len(own) == 2
-    assert sorted(c.v1 for c in own) == pytest.approx([1.0, 4.0], abs=0.15)
+    assert sorted(c["velocity"][0] for c in own) == pytest.approx([1.0, 4.0], abs=0.15)
     for c in own:
-        assert abs(c.v2) < 3 * c.v2_err
-        assert 0.01 < c.v1_err < 0.3
-        assert abs(c.offset1) < 0.5 * c.v1_err
-        assert (c.found, c.p_global) == (1.0, 1 / 201)
-        assert c.n_pairs == 11
-        assert 10 < c.n_ssp <= d.n_ssps[:-1].sum()
-        assert abs(c.correlation) < 0.5
-    z = [c.z_score for c in found.components]
+        velocity, error = c["velocity"], np.sqrt(np.diag(c["covariance"]))
+        assert abs(velocity[1]) < 3 * error[1]
+        assert 0.01 < error[0] < 0.3
+        assert abs(c["offset1"]) < 0.5 * error[0]
+        assert (c["found"], c["p_global"]) == (1.0, 1 / 201)
+        assert c["n_pairs"] == 11
+        assert 10 < c["n_ssp"] <= d.n_ssps[:-1].sum()
+        assert abs(c["covariance"][0, 1]) < 0.5 * np.prod(error)
+    z = [c["z_score"] for c in found.components]
     assert z == sorted(z, reverse=True)
 
 
@@ -207,17 +208,19 @@ def test_turned_axes_and_other_units_change_nothing_else():
     # Pairs of dates of any weights in common.
     heavy = measure(d, replace(pairs, weight=7 * pairs.weight))
     first = found.components[0]
-    for other, (v1, v2) in (
-        (turned, (-first.v2, first.v1)),
-        (large, (100 * first.v1, 100 * first.v2)),
-        (fast, (10 * first.v1, 10 * first.v2)),
-        (heavy, (first.v1, first.v2)),
+    v1, v2 = first["velocity"]
+    for other, expected in (
+        (turned, (-v2, v1)),
+        (large, (100 * v1, 100 * v2)),
+        (fast, (10 * v1, 10 * v2)),
+        (heavy, (v1, v2)),
     ):
         c = other.components[0]
-        assert (c.v1, c.v2) == pytest.approx((v1, v2), abs=2e-3 * abs(v1 + v2))
-        assert c.z_score == pytest.approx(first.z_score, rel=1e-3)
-        assert c.coefficient == pytest.approx(first.coefficient, rel=1e-6)
-        assert c.p_global == first.p_global
+        tolerance = 2e-3 * abs(sum(expected))
+        assert c["velocity"] == pytest.approx(expected, abs=tolerance)
+        assert c["z_score"] == pytest.approx(first["z_score"], rel=1e-3)
+        assert c["coefficient"] == pytest.approx(first["coefficient"], rel=1e-6)
+        assert c["p_global"] == first["p_global"]
 
 
 @pytest.mark.parametrize(
