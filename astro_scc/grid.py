@@ -20,6 +20,9 @@ from astro_scc.spectrum.planes import REACH, FlowPlanes, flow_planes
 #: Part of the flow on the other side of the core that makes a counter-jet, and the gap
 #: between both halves of the grid, in beams.
 COUNTER, GAP = 0.02, 2.0
+#: With less of the flow on its side of the core, a position angle is of the other one;
+#: the light of the core takes 0.02 to 0.05.
+AHEAD = 0.1
 #: Smallest radius of an expansion, relative to the distance of what is seen.
 SMALLEST = 0.1
 #: Margin around what is seen, in beams.
@@ -134,6 +137,8 @@ def straight_grid(cube, angle, east, north, step, beam, *, core=False):
     `FlowGrid`
     """
     axes = axes_along(np.sin(angle), np.cos(angle))
+    if core and np.mean(axes[0] @ np.stack([east, north]) > 0) < AHEAD:
+        angle, axes = angle + np.pi, -axes
     s, n = axes @ np.stack([east, north]) / beam
     side = np.ones(len(s))
     if core:

@@ -238,8 +238,8 @@ def out_of_reach(smallest, n_epochs, n_trials, alpha):
         what = f"{n_epochs} epochs"
         more = f"measure {FEWEST_EPOCHS} epochs or more"
     return (
-        f"{what} allow no p_global below {smallest:.2g}, so nothing that moves can "
-        f"reach level {alpha:g}: {more}"
+        f"{what} allow no p_global below {smallest:.2g}, so nothing without "
+        f"secure features can reach level {alpha:g}: {more}"
     )
 
 

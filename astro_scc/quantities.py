@@ -17,7 +17,8 @@ Seed: TypeAlias = "np.random.Generator | int"
 #: Number of the largest scale, far above that of any image.
 LARGEST_SCALE = 20
 _ISO = re.compile(
-    r"(\d{4})[-/. ]?(\d{1,2}|[A-Z]{3})[-/. ]?(\d{1,2})(?:[T ]+([\d:.]+))?$"
+    r"(\d{4})(?:([-/. ])(\d{1,2}|[A-Z]{3})\2(\d{1,2})|(\d\d|[A-Z]{3})(\d\d))"
+    r"(?:[T ]+([\d:.]+))?$"
 )
 _OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
 _DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
@@ -209,7 +210,8 @@ def parse_date(text, scale="utc"):
                     # Digital images are of 1950 to 2049.
                     year = f"{20 if int(year) < 50 else 19}{year}"
             elif match := _ISO.match(plain):
-                year, month, day, clock = match.groups()
+                year, _, *parts, clock = match.groups()
+                month, day = filter(None, parts)
                 if month.isalpha():
                     month = datetime.strptime(month, "%b").month
                 if clock and ":" not in clock:

@@ -16,6 +16,7 @@ from astropy.wcs import WCS
 from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.citations import citations_of
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
@@ -263,9 +264,14 @@ def _cautions(search, row, alpha, unit):
     p, speed = row["p_global"], row["pm"]
     (a, e), (b, f) = ((row[k], row[f"{k}_err"]) for k in ("pm_features", "pm_spectrum"))
     off = np.nan_to_num(abs(a - b) / np.hypot(e, f)) if e > 0 and f > 0 else 0.0
+    given = isinstance(search.flow.frame, PositionAngleFrame)
+    turned = given and np.cos(search.angle) < 0
+    outward = -row["pm_parallel"] if turned else row["pm_parallel"]
     close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
     cautions = {
-        "moves towards the core": row["pm_parallel"] < -abs(row["pm_transverse"]),
+        "moves towards the core": outward < -abs(row["pm_transverse"]),
+        "the jet is on the other side of the core than the given position angle":
+            turned,
         f"p_global {p:.2g} is above alpha, {alpha:g}: the motion rests on its secure "
         "features too": p > alpha,
         f"p_global may be above or below {alpha:g} by chance: take more trials":

@@ -404,7 +404,8 @@ def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
         if len(members):
             mean = mean_speed(sign * members.along, members.along_err, members.weight)
             features = mean.mean, mean.error
-            slowest, fastest = np.sort(sign * members.along)[[0, -1]]
+            lengths = np.hypot(members.along, members.across)
+            slowest, fastest = lengths.min(), lengths.max()
             # Of two streams the spectrum knows which is which.
             if (covered and len(rows) == 1) or not np.isfinite(error):
                 source, side = "features", mean_across(members, mean)

@@ -82,6 +82,7 @@ def test_the_most_precise_date_counts(cards, expected):
 #: Cards of which no date is made, or one of which doubts are told.
 DOUBTS = [
     ({"DATE-OBS": "soon"}, None, "DATE-OBS: 'soon' is no date"),
+    *(({"DATE-OBS": d}, None, "is no date") for d in ("2004-11", "2004-121", "200412")),
     ({"DATE-OBS": "2015-06-18T24:00:01"}, None, "'2015-06-18T24:00:01' is no date"),
     ({"MJD-OBS": 457191.6}, None, "MJD-OBS: 457191.6 is no (modified) Julian date; w"),
     (DAY | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "

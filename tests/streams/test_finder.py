@@ -60,6 +60,9 @@ def test_one_stream_is_that_of_its_features():
     assert (row["kind"], row["pm_from"]) == ("moving", "features")
     assert row["pm_min"] <= row["pm"] <= row["pm_max"]
     assert np.sum(found.streams["kind"] == "moving") == 1
+    row = measured(jet.cube, position_angle=90 * u.deg).streams[0]
+    assert "on the other side of the core" in row["caution"]
+    assert row["pm_pa"].value == pytest.approx(270, abs=10)
 
 
 def test_speed_towards_the_core_has_its_sign(two):
