@@ -64,13 +64,13 @@ def test_speeds_of_a_jet_are_true_and_what_stands_is_not_secure(seed):
     assert purity[found.secure].mean() > 0.9
     assert (off[found.secure] < 3).mean() >= 0.8
     assert found.core_error < 0.05
-    assert len(found.core) == 10
     for still in (
         simulate_static(**STATIC, density=0.4, rng=seed),
         simulate_jet(n_epochs=8, n_features=0, standing=6, rng=seed),
     ):
         standing = find_features(still.cube)
-        assert len(standing) and not standing.secure.any()
+        assert len(standing) > 0
+        assert not standing.secure.any()
 
 
 def test_misaligned_epochs_are_aligned_on_the_core():
