@@ -9,7 +9,7 @@ from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.program import one_line
+from astro_scc.cli.program import one_line, option_name
 from astro_scc.columns import table_lines
 from astro_scc.flow import compare_scales, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
@@ -44,6 +44,11 @@ def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     output, as_in_paper = inputs.output_of(args, settings), settings.method == "paper"
+    for name in ("ds9_regions", "compare", "all_figures") if as_in_paper else ():
+        if getattr(args, name):
+            raise ValueError(
+                f"{option_name(name)} is for --method spectrum: leave it out"
+            )
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(
             settings, args, note=reporter.note, moving=not as_in_paper
@@ -58,7 +63,7 @@ def measure(args, reporter):
             result, epochs, folder, output=output, report=not args.no_report,
             warnings=reporter.warnings, compare=args.compare, **page,
         )  # fmt: skip
-        if args.ds9_regions and not as_in_paper:
+        if args.ds9_regions:
             write_epoch_regions(result.decomposed.ssps, epochs.cube, folder)
     where = f"\nTables and maps: {output}"
     if as_in_paper:

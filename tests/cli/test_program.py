@@ -146,6 +146,7 @@ REFUSED = {
 --region no.reg | no.reg: No such file or directory
 --config no.toml | no.toml: No such file or directory
 -o full | full: exists and is not empty
+--method paper --ds9-regions | --ds9-regions is for --method spectrum
 """,
     "profile JET -o out": """
 | --bins is missing
@@ -156,7 +157,6 @@ REFUSED = {
 model.mod --beam "1 mas" | model.mod: no DATE-OBS in the header, or no date in a name
 """,
     "inspect": """
-| no epochs were given; name the FITS files
 JET --speed fast | --speed 'fast' has 'fast' where a number is expected; it must be an
 note.fits more.fits | (and 1 more like it)
 """,
