@@ -6,7 +6,9 @@ Grids are straight, along a ridge line, radial or in ln r; where the flow is see
 wavelet planes of all epochs are sampled on them.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import astropy.units as u
 import numpy as np
@@ -29,6 +31,8 @@ SMALLEST = 0.1
 MARGIN = 0.5
 #: Margin around the grid, in sizes of the largest scale.
 BORDER = 10
+#: Lines that diverge do so from so many beams behind the core.
+BEHIND = 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,6 +60,8 @@ class FlowGrid:
         Position angle of a straight grid, in radians, or NaN.
     outward : bool
         Whether positive speeds lead away from a core.
+    diverges : bool
+        Whether ``across`` is the offset at the mean distance of lines that diverge.
     """
 
     x: np.ndarray
@@ -68,6 +74,7 @@ class FlowGrid:
     beam: float
     angle: float = np.nan
     outward: bool = False
+    diverges: bool = False
 
     @property
     def axes(self) -> np.ndarray:
@@ -310,6 +317,38 @@ class SampledPlanes:
             across=grid.across, years=self.years, scales=self.scales, sizes=self.sizes,
             weight=None if np.ptp(grid.weight) == 0 else grid.weight,
             normalise=normalise, reach=self.reach,
+        )  # fmt: skip
+
+    def diverging(self) -> SampledPlanes:
+        """
+        Return the planes of a straight grid along lines that diverge from the core.
+
+        They meet a beam behind it, and stay as they are at the mean distance.
+        """
+        grid = self.grid
+        rows = np.arange(len(grid.along))[:, None]
+        width = np.abs(grid.along)[:, None] + BEHIND
+        mean = (width * self.mask).sum() / max(self.mask.sum(), 1)
+        step = grid.along[1] - grid.along[0]
+        column = np.arange(len(grid.across))
+        at = column + grid.across * (width / mean - 1) / step
+        near = np.clip(np.rint(at).astype(int), 0, len(column) - 1)
+        # No line leads from one half of the grid to the other.
+        known = (np.abs(at - near) <= 0.5) & (grid.counter[near] == grid.counter)
+        where = np.stack(np.broadcast_arrays(rows, at))
+        sampled = scipy.ndimage.map_coordinates
+        planes = np.empty_like(self.planes)
+        for scale, found in zip(self.planes, planes, strict=True):
+            for k, plane in enumerate(scale):
+                found[k] = sampled(plane, where, order=3)
+        x, y = (
+            sampled(pixel, where, order=1, mode="nearest") for pixel in (grid.x, grid.y)
+        )
+        weight = width / width.max()
+        lines = replace(grid, x=x, y=y, weight=weight, diverges=True)
+        return replace(
+            self, planes=planes, valid=self.valid[:, rows, near] & known,
+            mask=self.mask[rows, near] & known, grid=lines,
         )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ from astro_scc.scc import StackedCrossCorrelation, meta_of
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.finder import find_streams
-from astro_scc.streams.parts import PartFit, fit_part, has_flow
+from astro_scc.streams.parts import PartFit, fit_along_lines, fit_part, has_flow
 from astro_scc.units import PM_UNIT
 from astro_scc.visualization import speeds, style
 
@@ -295,6 +295,8 @@ def measure_profile(
         if len(flow.grids) > 1:
             # Bins need one direction, that of the whole flow.
             flow = find_streams(flow, features, settings, rng=generator).flow
+        elif lines := fit_along_lines(flow, intervals=settings.intervals):
+            flow = lines.flow
         flows = {ALL: flow}
         if groups is not None:
             numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}

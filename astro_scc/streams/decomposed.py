@@ -119,7 +119,10 @@ class DecomposedFlow:
         `DecomposedFlow`
             With the same axes of velocities.
         """
-        scales = tuple(scales or self.planes[0].scales)
+        scales, diverges = (
+            tuple(scales or self.planes[0].scales),
+            self.grids[0].diverges,
+        )
         if angle is None and self.sampled and scales == self.sampled.scales:
             planes = self.sampled.changes(normalise)
             return replace(self, planes=(planes,))
@@ -130,7 +133,33 @@ class DecomposedFlow:
             scales=scales, beam=self.beam, region=self.inside,
             max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
         )  # fmt: skip
+        made = made.diverging(normalise) if self.grids[0].diverges else made
         return replace(made, frame=self.frame)
+
+    def diverging(self, normalise: str = "local") -> DecomposedFlow:
+        """
+        Return the same flow along lines that diverge from the core.
+
+        Parameters
+        ----------
+        normalise : {"local", "along"}
+            See ``flow_planes``.
+
+        Returns
+        -------
+        `DecomposedFlow`
+            Itself if its lines are not straight, or there is no core.
+        """
+        straight = self.sampled is not None and np.isfinite(self.grids[0].angle)
+        if not straight or not self.outward or self.grids[0].diverges:
+            return self
+        sampled, regions = self.sampled.diverging(), self.regions
+        if self.inside is not None:
+            regions = (sample_mask(self.inside, sampled.grid).astype(np.float32),)
+        planes = (sampled.changes(normalise),)
+        return replace(
+            self, grids=(sampled.grid,), planes=planes, regions=regions, sampled=sampled
+        )
 
     def diagram(self, k: int) -> Diagram:
         """Return the displacement-interval diagram along direction k."""

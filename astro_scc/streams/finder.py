@@ -14,7 +14,6 @@ from astro_scc.spectrum.errors import SpeedErrors, fit_errors
 from astro_scc.spectrum.gaussians import (
     GAIN,
     StreamFit,
-    one_stream,
     two_are_better,
     two_streams,
 )
@@ -32,6 +31,7 @@ from astro_scc.streams.members import (
     moving_features,
     turn_to_flow,
 )
+from astro_scc.streams.parts import fit_along_lines
 from astro_scc.streams.spread import (
     chance_of_separation,
     mean_speed,
@@ -257,24 +257,34 @@ def find_streams(
     flow, test = find_motion(flow, settings, rng)
     planes = flow.planes[0].square_root if root else flow.planes[0]
     sheet, aside = _sheet(planes, flow.regions[0], 3)
-    diagram = sheet[len(sheet) // 2]
-    equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
-    search = StreamSearch(
-        flow, test, diagram, equations.speed * flow.beam, deconvolve(equations),
-        settings.intervals,
-    )  # fmt: skip
+    sign = float(np.sign(test.speed[test.best[1]]))
     diffusion = measure_diffusion(features)
     walk = diffusion.variance if diffusion.is_walk else None
     moving = moving_features(features, flow.frame, flow.angle, inside, walk)
     if walk is None:
-        moving = moving[moving.along * search.sign > 0]
+        moving = moving[moving.along * sign > 0]
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
     passes, diffusing = test.p_global <= enough, walk is not None
-    fit, p = _fit_of(
-        search, equations, moving, settings, map_rng, several=passes,
-        diffusing=diffusing,
+    part = fit_along_lines(
+        flow, diverge=passes, sign=sign, root=root, intervals=settings.intervals,
+        diagram=sheet[len(sheet) // 2],
     )  # fmt: skip
+    one, diagram = None, sheet[len(sheet) // 2]
+    if part is None:
+        equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
+    else:
+        flow, planes, one = part.flow, part.planes, part.fit
+        diagram, equations = part.diagram, part.equations
+    search = StreamSearch(
+        flow, test, diagram, equations.speed * flow.beam, deconvolve(equations),
+        settings.intervals,
+    )  # fmt: skip
+    fit, p = one, 1.0
+    if one is not None and passes:
+        fit, p = _streams_of(
+            search, equations, one, moving, settings, map_rng, diffusing=diffusing
+        )
     if fit is not None:
         errors = fit_errors(planes, diagram, equations, fit, region=flow.regions[0])
         search = replace(search, fit=fit, errors=errors)
@@ -295,12 +305,9 @@ def find_streams(
     return replace(search, streams=tuple(streams), velocities=velocities)
 
 
-def _fit_of(search, equations, moving, settings, rng, *, several, diffusing):
-    """Return one stream or two that are fitted, or None, and the p-value of one."""
+def _streams_of(search, equations, fit, moving, settings, rng, *, diffusing):
+    """Return one stream or two that are fitted, and the p-value of one."""
     test, least = search.test, 1 / np.ptp(search.flow.years)
-    fit, p_distinct = one_stream(equations, least, search.sign), 1.0
-    if fit is None or not several:
-        return fit, p_distinct
     first = test.speed[test.best[1]]
     second, p_distinct = test.beside(first, least / 2)
     if p_distinct > settings.alpha and not diffusing and len(moving) >= FEWEST:

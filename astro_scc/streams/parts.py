@@ -8,26 +8,42 @@ import numpy as np
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
-from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
+from astro_scc.spectrum.gaussians import (
+    StreamFit,
+    amplitudes_of,
+    fit_streams,
+    one_stream,
+)
 from astro_scc.spectrum.permutations import EVERY
 from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.streams.decomposed import DecomposedFlow
+
+#: Lines that diverge explain so much more of the diagram where they are those of the
+#: flow.
+DIVERGE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class PartFit:
     """Streams that are fitted to a part of a flow."""
 
+    flow: DecomposedFlow
     planes: FlowPlanes
-    region: np.ndarray | None
     diagram: Diagram
     equations: Equations
     fit: StreamFit
 
+    @property
+    def explained(self) -> float:
+        """The share of the variance of the diagram that is explained by motion."""
+        none = amplitudes_of(self.equations, [], []).misfit
+        return 1 - self.fit.misfit / max(none, np.finfo(float).tiny)
+
     def errors(self, travel=None, stream=None):
         """Return the errors, of clusters that move at a speed; those of one stream."""
         return fit_errors(
-            self.planes, self.diagram, self.equations, self.fit, region=self.region,
-            travel=travel, stream=stream,
+            self.planes, self.diagram, self.equations, self.fit,
+            region=self.flow.regions[0], travel=travel, stream=stream,
         )  # fmt: skip
 
     def knows(self, stream: int) -> bool:
@@ -73,7 +89,37 @@ def fit_part(
         fit = one_stream(equations, 1 / np.ptp(flow.years), sign)
     elif fit is None:
         fit = fit_streams(equations, start)
-    return None if fit is None else PartFit(planes, region, diagram, equations, fit)
+    return None if fit is None else PartFit(flow, planes, diagram, equations, fit)
+
+
+def fit_along_lines(flow, *, diverge=True, **settings):
+    """
+    Fit one stream along the lines of its flow.
+
+    Images that are longer than wide mistake motion off the axis for faster motion along
+    it, so that lines should follow the flow: they are parallel, or diverge from the
+    core if one stream along these explains more of the diagram.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+        Along one direction.
+    diverge : bool, optional
+        Whether lines may diverge.
+    settings
+        See `fit_part`.
+
+    Returns
+    -------
+    `PartFit` or None
+    """
+    part, lines = fit_part(flow, **settings), flow.diverging() if diverge else flow
+    if part is None or lines is flow:
+        return part
+    settings["diagram"] = None
+    other = fit_part(lines, **settings)
+    better = other is not None and other.explained > part.explained + DIVERGE
+    return other if better else part
 
 
 def has_flow(flow):
