@@ -90,7 +90,8 @@ def _measured(epochs, reporter):
 
 
 def write_measurement(
-    result, epochs, folder, *, output, report=True, compare=None, **page
+    result, epochs, folder, *, output, report=True, compare=None, command="measure",
+    **page
 ):  # fmt: skip
     """
     Write tables, maps, settings and report, or the paper's figure, of a measurement.
@@ -108,6 +109,8 @@ def write_measurement(
         Write the report, and the tables in the forms of journals and archives.
     compare : str, optional
         The file of the published features.
+    command : str, optional
+        The one that gives the same results from the settings, "measure" or "profile".
     **page
         Further arguments of `~astro_scc.report.write_report`.
 
@@ -119,8 +122,8 @@ def write_measurement(
     settings, published = epochs.settings, epochs.published
     streams = inputs.with_speeds_in_c(result.streams, settings)
     write_products(
-        result, streams, folder, configuration=settings.to_dict(),
-        text=settings.to_toml(versions=versions()), published=published,
+        result, streams, folder, configuration=settings.to_dict(command),
+        text=settings.to_toml(command, versions=versions()), published=published,
         archives=report,
     )  # fmt: skip
     if report and settings.method == "paper":
@@ -130,7 +133,7 @@ def write_measurement(
         )
         write_files(files, folder)
     elif report:
-        rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
+        rerun = f"astro-scc {command} --config {output / 'config.toml'} -o FOLDER"
         if compare:
             rerun += f" --compare {shlex.quote(compare)}"
         write_report(
