@@ -9,7 +9,7 @@ from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.program import one_line, option_name
+from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
 from astro_scc.flow import compare_scales, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
@@ -19,7 +19,7 @@ from astro_scc.products.folder import product_folder, write_files
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
-from astro_scc.settings import Settings, read_config
+from astro_scc.settings import Settings, read_config, refuse_other_method
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style
 from astro_scc.writing import versions
@@ -44,11 +44,7 @@ def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     output, as_in_paper = inputs.output_of(args, settings), settings.method == "paper"
-    for name in ("ds9_regions", "compare", "all_figures") if as_in_paper else ():
-        if getattr(args, name):
-            raise ValueError(
-                f"{option_name(name)} is for --method spectrum: leave it out"
-            )
+    refuse_other_method(settings.method, vars(args))
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(
             settings, args, note=reporter.note, moving=not as_in_paper
