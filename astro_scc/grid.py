@@ -197,12 +197,13 @@ def radial_grid(cube, frame, east, north, step, beam):
     r = np.maximum(np.hypot(dx, dy), 1e-3 * beam)
     unit = frame.radius.to_value(u.mas) if shell else float(np.mean(r))
     angle = np.arctan2(dx, dy)
-    # Angles are cut where nothing or least is seen.
-    angle = np.mod(angle, 2 * np.pi)
-    middle = np.sort(angle)
-    gaps = np.diff(np.append(middle, middle[0] + 2 * np.pi))
-    start = middle[(gaps.argmax() + 1) % len(middle)]
-    turned = np.mod(angle - start, 2 * np.pi)
+    # Angles are cut where the flow is not seen far out; near the origin it may be seen
+    # all around, for the sake of the core's sidelobes.
+    far = np.sort(angle[r >= np.median(r)])
+    gaps = np.diff(np.append(far, far[0] + 2 * np.pi))
+    cut = far[gaps.argmax()] + gaps.max() / 2
+    turned = np.mod(angle - cut, 2 * np.pi)
+    start, turned = cut + turned.min(), turned - turned.min()
     if shell and not unit > SMALLEST * np.median(r):
         raise ValueError(
             f"the radius of the ExpansionFrame, {unit:.4g} mas, is far below the "

@@ -15,7 +15,7 @@ from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
-from astro_scc.settings import require
+from astro_scc.settings import refuse_other_method, require
 from astro_scc.spectrum.permutations import EVERY, within
 from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
 from astro_scc.units import PM_UNIT
@@ -221,6 +221,7 @@ def require_pairs(cube, baseline, number, *, least=2):
 
 def search_settings(scc, cube, n_trials):
     """Return what a search for streams needs to know of the settings."""
+    refuse_other_method("spectrum", scc.to_dict())
     return SearchSettings(
         misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
         n_trials=n_trials, outward=scc.outward,

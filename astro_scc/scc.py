@@ -36,7 +36,12 @@ from astro_scc.paper.matching import SearchPlan, match
 from astro_scc.parallel import Workers
 from astro_scc.progress import progress
 from astro_scc.quantities import Seed, seeded
-from astro_scc.settings import MeasurementSettings, Settings, require
+from astro_scc.settings import (
+    MeasurementSettings,
+    Settings,
+    refuse_other_method,
+    require,
+)
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import find_streams
 from astro_scc.writing import versions
@@ -334,10 +339,11 @@ class StackedCrossCorrelation(MeasurementSettings):
         ------
         ValueError
             If no two epochs make a pair, the beams differ, no epoch has an SSP,
-            or a setting does not fit the images.
+            or a setting does not fit the images or the method.
         """
         # Refused before the decomposition.
         n_trials = require("n_trials", n_trials)
+        refuse_other_method(self.method, self.to_dict())
         if self.method == "paper":
             from astro_scc.paper.method import measure_as_in_paper
 

@@ -30,6 +30,11 @@ __all__ = ["Settings", "read_config"]
 
 #: `~astro_scc.kinematics.paper_cosmology`, as text for a file.
 PAPER_COSMOLOGY = "H0=71,Om0=0.27"
+#: Settings, and options of the command line, that one method alone uses.
+METHODS = {
+    "paper": "min_error_beams kappa target min_overlap small_displacement_correction",
+    "spectrum": "outward alignment_error ds9_regions compare all_figures",
+}
 #: Comment at the head of a settings file; the command is filled in.
 REMARKS = """\
 # What determined the results.  To get them again, in the folder it was done in, with
@@ -183,11 +188,12 @@ class Settings(MeasurementSettings):
         by_redshift = redshift is not None or cosmology is not None
         if made["distance"] is not None and by_redshift:
             text = "distance needs neither redshift nor cosmology; leave one out"
-            raise ValueError(text)
+            raise _error(text, "distance")
         if redshift is not None and cosmology is None:
             made["cosmology"] = PAPER_COSMOLOGY
         if cosmology is not None and redshift is None:
-            raise ValueError("cosmology needs a redshift")
+            raise _error("cosmology needs a redshift", "cosmology")
+        refuse_other_method(made["method"], made)
         return made
 
     def changed(self, **values: Any) -> Settings:
@@ -291,6 +297,13 @@ OPTIONS = _read_options()
 GROUPS = tuple(dict.fromkeys(facts["group"] for facts in OPTIONS.values()))
 
 
+def _error(text, name):
+    """Return an error that has the name of its setting."""
+    error = ValueError(text)
+    error.setting = name
+    return error
+
+
 def check_setting(name, value):
     """Return the value of a setting; an error has the attribute ``setting``."""
     if value is None:
@@ -301,6 +314,25 @@ def check_setting(name, value):
     except ValueError as error:
         error.setting = name
         raise
+
+
+def refuse_other_method(method, given):
+    """
+    Refuse what another method alone uses.
+
+    Parameters
+    ----------
+    method : str
+    given : dict
+        Values of settings, or of arguments of the command line, by their names.
+    """
+    other = "spectrum" if method == "paper" else "paper"
+    for name in METHODS[other].split():
+        known = OPTIONS.get(name, {"default": None})
+        if _comparable(given.get(name)) not in (None, False, known["default"]):
+            # What is no setting is an option.
+            shown = name if name in OPTIONS else f"--{name.replace('_', '-')}"
+            raise _error(f"{shown} is for method {other}: leave it out", name)
 
 
 def in_unit(name, value):

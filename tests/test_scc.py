@@ -100,6 +100,9 @@ def test_what_cannot_be_meant_is_refused(cube):
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least 2 epochs"),
         (lambda scc, cube: scc(cube, rng="abc"), "^rng must be a seed"),
+        (lambda _, cube: make_scc(kappa=0.7)(cube), "^kappa is for method paper"),
+        (lambda _, cube: make_scc(min_overlap=1).measure(make_scc().decompose(cube)),
+         "^min_overlap is for method paper: leave it out"),
         (lambda scc, cube: make_scc(method="paper").measure(scc.decompose(cube)),
          "^method = 'paper' measures images"),
     ]:  # fmt: skip
@@ -121,10 +124,9 @@ def test_finds_the_motion(result):
 @pytest.mark.parametrize(
     "settings",
     [
-        {"scales": [1, 2], "wavelet": "b3", "target": "plane"},
-        {"noise": "local", "min_error_beams": 0.1, "kappa": 0.8},
+        {"scales": [1, 2], "wavelet": "b3"},
+        {"noise": "local", "baseline": [20, 70] * u.day},
         {"noise": "propagated", "position_angle": 288 * u.deg, "outward": True},
-        {"small_displacement_correction": True, "baseline": [20, 70] * u.day},
     ],
     ids=repr,
 )

@@ -15,10 +15,10 @@ PM = u.mas / u.yr
 FULL = {
     "epochs": ["a.fits", "b c.fits"], "after": "1995-01-01", "before": "2011.0",
     "align": "core", "beam": "1.0 mas 0.5 mas -7 deg", "common_beam": True,
-    "crop": "part.reg", "region": "jet.reg", "method": "paper",
+    "crop": "part.reg", "region": "jet.reg", "method": "spectrum",
     "scales": "0.2 mas, 0.4 mas",
     "max_speed": "2 mas/yr", "position_angle": "-112 deg", "baseline": "70 d 1.0 yr",
-    "min_error_beams": 0.2, "kappa": 0.6, "target": "plane", "min_overlap": 0.8,
+    "min_error_beams": 0.2, "kappa": 0.6, "target": "segments", "min_overlap": 0.8,
     "wavelet": "b3", "detection": 4, "segmentation": 3.0, "noise": "local",
     "alpha": 0.05, "outward": True, "alignment_error": "0.02 mas",
     "small_displacement_correction": False, "n_trials": 1000, "seed": 2**63 - 1,
@@ -55,12 +55,12 @@ def test_settings_survive_the_file_to_the_bit(tmp_path):
     # They are equal by their values, also those of another process.
     assert len({one, other, pickle.loads(pickle.dumps(one))}) == 1
     assert made == again == pickle.loads(pickle.dumps(made))
-    assert made != made.changed(kappa=0.5)
+    assert made != made.changed(alpha=0.5)
     assert one not in (made, 1)
     # A command keeps its own settings.
     for command in ("profile", "track"):
         plain = Settings(epochs="a.fits", **OTHERS).to_dict(command)
-        assert ("bins" in plain) == ("kappa" in plain) == (command == "profile")
+        assert ("bins" in plain) == ("alpha" in plain) == (command == "profile")
         assert ("detections" in plain) == (command == "track")
         assert Settings(**plain).to_dict(command) == plain
 

@@ -114,7 +114,12 @@ def settings_of(args, reporter, **defaults):
         reporter.note(f"{args.config} was written with {other}: numbers may differ")
     every = vars(args).items()
     typed = {k: v for k, v in every if k in OPTIONS and v not in (None, [])}
-    settings = Settings(**defaults | override(given, typed))
+    try:
+        settings = Settings(**defaults | override(given, typed))
+    except ValueError as error:
+        if getattr(error, "setting", None) in given.keys() - typed.keys():
+            raise ValueError(f"{args.config}: {error}") from None
+        raise
     if not settings.epochs:
         raise ValueError("no epochs were given; name the FITS files, or a --config")
     # Refused before the images are read.

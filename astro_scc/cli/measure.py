@@ -9,7 +9,7 @@ from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli import inputs
-from astro_scc.cli.program import one_line, option_name
+from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
 from astro_scc.flow import compare_scales, measure_profile
 from astro_scc.flow.profile import bins_of, write_profile
@@ -19,7 +19,7 @@ from astro_scc.products.folder import product_folder, write_files
 from astro_scc.products.publication import with_published, write_publication
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
-from astro_scc.settings import Settings, read_config
+from astro_scc.settings import Settings, read_config, refuse_other_method
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style
 from astro_scc.writing import versions
@@ -44,11 +44,7 @@ def measure(args, reporter):
     """Measure according to the arguments."""
     settings = inputs.settings_of(args, reporter, n_trials=1000)
     output, as_in_paper = inputs.output_of(args, settings), settings.method == "paper"
-    for name in ("ds9_regions", "compare", "all_figures") if as_in_paper else ():
-        if getattr(args, name):
-            raise ValueError(
-                f"{option_name(name)} is for --method spectrum: leave it out"
-            )
+    refuse_other_method(settings.method, vars(args))
     with product_folder(output, overwrite=args.overwrite, stale=STALE) as folder:
         epochs = inputs.read_epochs(
             settings, args, note=reporter.note, moving=not as_in_paper
@@ -90,7 +86,8 @@ def _measured(epochs, reporter):
 
 
 def write_measurement(
-    result, epochs, folder, *, output, report=True, compare=None, **page
+    result, epochs, folder, *, output, report=True, compare=None, command="measure",
+    **page
 ):  # fmt: skip
     """
     Write tables, maps, settings and report, or the paper's figure, of a measurement.
@@ -108,6 +105,8 @@ def write_measurement(
         Write the report, and the tables in the forms of journals and archives.
     compare : str, optional
         The file of the published features.
+    command : str, optional
+        The one that gives the same results from the settings, "measure" or "profile".
     **page
         Further arguments of `~astro_scc.report.write_report`.
 
@@ -119,8 +118,8 @@ def write_measurement(
     settings, published = epochs.settings, epochs.published
     streams = inputs.with_speeds_in_c(result.streams, settings)
     write_products(
-        result, streams, folder, configuration=settings.to_dict(),
-        text=settings.to_toml(versions=versions()), published=published,
+        result, streams, folder, configuration=settings.to_dict(command),
+        text=settings.to_toml(command, versions=versions()), published=published,
         archives=report,
     )  # fmt: skip
     if report and settings.method == "paper":
@@ -130,7 +129,7 @@ def write_measurement(
         )
         write_files(files, folder)
     elif report:
-        rerun = f"astro-scc measure --config {output / 'config.toml'} -o FOLDER"
+        rerun = f"astro-scc {command} --config {output / 'config.toml'} -o FOLDER"
         if compare:
             rerun += f" --compare {shlex.quote(compare)}"
         write_report(

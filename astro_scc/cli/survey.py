@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import astropy.units as u
 import numpy as np
 from astropy.table import Column, MaskedColumn, QTable, vstack
 
@@ -23,8 +24,9 @@ from astro_scc.cli import inputs
 from astro_scc.cli import survey_sources as sources
 from astro_scc.cli.measure import write_measurement
 from astro_scc.cli.program import one_line
-from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE
+from astro_scc.cli.survey_sources import FEATURES, SOURCES, STATE, WHOLE
 from astro_scc.columns import round_to_errors
+from astro_scc.flow import measure_profile
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stream_table
@@ -268,10 +270,22 @@ def _measured(part, folder, output, report, said):
     decomposed = scc.decompose(cube, region=settings.region)
     if not decomposed.select.any():
         return replace(part, status="empty", message=NO_PATTERN, **known)
-    result = scc.measure(decomposed, n_trials=settings.n_trials, rng=settings.seed)
+    how, command = {"n_trials": settings.n_trials, "rng": settings.seed}, "measure"
+    if settings.scale_groups is None:
+        result = scc.measure(decomposed, **how)
+    else:
+        # One bin has all: nothing is farther along the flow than both sides together.
+        command, far = "profile", sum(cube.shape[1:]) * cube.pixel_scale
+        settings = settings.changed(bins=u.Quantity([0 * far, far]))
+        found = measure_profile(
+            scc, decomposed, settings.bins, scale_groups=settings.scale_groups, **how
+        )
+        (result,) = found.results[part.scale_group]
+        if result is None:
+            return replace(part, status="empty", message=NO_PATTERN, **known)
     write_measurement(
-        result, epochs, folder, output=output / part.folder, report=report,
-        title=part.title, warnings=_lines(said),
+        result, epochs._replace(settings=settings), folder, output=output / part.folder,
+        report=report, title=part.title, warnings=_lines(said), command=command,
     )  # fmt: skip
     return replace(part, status="measured", **known)
 
@@ -308,17 +322,19 @@ def catalogues(parts, output):
         See `run_survey`.
     features : `~astropy.table.QTable`
         The tables of features of all sources, with the columns of ``HEAD`` that
-        identify them.
+        identify them.  As a feature has no scale, those of several groups are there
+        once, under the group ``all``.
     """
     empty, numbers = stream_table([]), set(range(len(parts)))
     found = _stacked(parts, output, "streams.ecsv", empty.copy())
-    features = _stacked(parts, output, FEATURES, QTable())
+    whole = _without_groups(parts)
+    features = _stacked(whole, output, FEATURES, QTable())
     searched = {k for k in numbers if parts[k].status != "failed"}
     nothing = dict.fromkeys(searched - set(found["part"]), empty)
     tested = false_discovery_rate({"all": found} | nothing)
     rest = np.array(sorted(numbers - set(found["part"])), dtype=int)
     table = vstack([tested["all"], QTable({"part": rest})], "outer", "silent")
-    table, features = (_with_head(t, parts) for t in (table, features))
+    table, features = _with_head(table, parts), _with_head(features, whole)
     in_c = {parts[k].source: parts[k].settings.in_c for k in sorted(searched)}
     table.meta = {
         "versions": writing.versions(),
@@ -331,6 +347,16 @@ def catalogues(parts, output):
     features.remove_columns(["status", "message"])
     features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
     return table, features
+
+
+def _without_groups(parts):
+    """Return one part for the groups of each region, measured if one of them is."""
+    found = {}
+    for part in parts:
+        place = part.source, part.region
+        if place not in found or found[place].status != "measured":
+            found[place] = replace(part, scale_group=WHOLE)
+    return list(found.values())
 
 
 def _stacked(parts, output, name, empty):

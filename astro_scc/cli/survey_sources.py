@@ -20,7 +20,7 @@ from astropy.io import ascii
 from astro_scc.cli import images, inputs
 from astro_scc.exceptions import first_line, naming_all
 from astro_scc.parallel import in_order
-from astro_scc.quantities import check_scales, finite_quantities, named
+from astro_scc.quantities import finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
 from astro_scc.writing import make_folder, replace_when_complete, versions
 
@@ -96,7 +96,8 @@ class Part:
         given = self.settings
         others = given.region, given.crop, given.align, self.compare
         files = map(_facts, sorted({*others}.difference(ALIGNMENTS) | self.epochs()))
-        text = json.dumps([given.to_dict(), versions(), *files], sort_keys=True)
+        settings = given.to_dict(), given.to_dict("profile")
+        text = json.dumps([settings, versions(), *files], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def size(self):
@@ -177,9 +178,11 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     path : path
         A TOML file with a table ``[sources.NAME]`` for each source, with its
         ``epochs``, ``regions`` (a table of region files), ``scale_groups`` (a table of
-        scales), ``published_pm`` and ``compare``, a speed and a table of published
-        features to compare with, and any setting of a measurement; and a table
-        ``[defaults]`` for what a source does not set.  Paths are relative to the file.
+        scales, two or more, that are measured as by
+        `~astro_scc.flow.measure_profile`), ``published_pm`` and ``compare``, a speed
+        and a table of published features to compare with, and any setting of a
+        measurement; and a table ``[defaults]`` for what a source does not set.  Paths
+        are relative to the file.
     redshifts : dict of float, optional
         Redshifts of sources, in place of those in the file.
 
@@ -268,20 +271,20 @@ def _published_pm(value):
 
 def _parts(name, folder, given, base):
     """Yield the parts of a source from its table; paths are relative to ``base``."""
-    published, compare, regions, groups = (
-        given.pop(key, None) for key in ("published_pm", "compare", *TABLES)
+    published, compare, regions = (
+        given.pop(key, None) for key in ("published_pm", "compare", "regions")
     )
     if published is not None:
         published = named("published_pm", _published_pm, published)
-    regions, groups = regions or {WHOLE: None}, groups or {}
+    regions = regions or {WHOLE: None}
     files = {f"regions.{label}": file for label, file in regions.items()}
     for label, file in (files | {"compare": compare}).items():
         if file is not None and not (isinstance(file, str) and file):
             raise ValueError(f"{label} must be the path of a file")
-    groups = {k: named(f"scale_groups.{k}", check_scales, v) for k, v in groups.items()}
     if "redshift" not in given:
         given.pop("cosmology", None)
-    settings = Settings(**given)
+    # A source may override the groups of the defaults by none.
+    settings = Settings(**given | {"scale_groups": given.get("scale_groups") or None})
     if not settings.epochs:
         raise ValueError("has no epochs; name the FITS files")
 
@@ -295,14 +298,13 @@ def _parts(name, folder, given, base):
         align=align if align in ALIGNMENTS else of_base(align),
         crop=of_base(settings.crop),
     )  # fmt: skip
-    groups = groups or {WHOLE: settings.scales}
-    of_region, of_group = folder_names(list(regions)), folder_names(list(groups))
-    for (region, file), (group, scales) in product(regions.items(), groups.items()):
+    groups = list(settings.scale_groups or [WHOLE])
+    of_region, of_group = folder_names(list(regions)), folder_names(groups)
+    for (region, file), group in product(regions.items(), groups):
         yield Part(
             name, region, group,
             f"{SOURCES}/{folder}/{of_region[region]}/{of_group[group]}",
-            settings.changed(region=of_base(file), scales=scales),
-            published, of_base(compare),
+            settings.changed(region=of_base(file)), published, of_base(compare),
         )  # fmt: skip
 
 

@@ -152,7 +152,11 @@ def measure_field(
     rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
     for low, high in pairwise(across.value):
         for r_min, r_max in pairwise(along.value):
-            inside = (r >= r_min) & (r < r_max) & (offset >= low) & (offset < high)
+            ahead = offset - low
+            if unit == u.deg:
+                # Position angles are the same a turn later.
+                ahead = ahead % 360
+            inside = (r >= r_min) & (r < r_max) & (ahead >= 0) & (ahead < high - low)
             cell = flow.part(places=[(inside & ~flow.grids[0].counter) * 1.0])
             found = _measure_cell(cell, result.search, settings, next(rngs))
             rows.append((r_min, r_max, low, high, *found))
@@ -222,5 +226,5 @@ def cell_coordinates(flow):
     east, north = ((p - origin).to_value(u.mas) for p, origin in place)
     # The last row, as a radial grid begins at the origin.  Angles do not jump at north.
     angle = np.degrees(np.unwrap(np.arctan2(east[-1], north[-1])))
-    angle -= np.floor(angle.min() / 360) * 360
+    angle -= np.floor(angle.mean() / 360) * 360
     return np.hypot(east, north), np.broadcast_to(angle, shape), u.deg

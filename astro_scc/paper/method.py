@@ -24,7 +24,7 @@ from astro_scc.patterns import check_cube, empty_region
 from astro_scc.plan import flow_direction, velocity_frame
 from astro_scc.progress import progress
 from astro_scc.quantities import Seed, seeded
-from astro_scc.settings import MeasurementSettings, require
+from astro_scc.settings import MeasurementSettings, refuse_other_method, require
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.units import in_speed_unit
 from astro_scc.writing import versions
@@ -251,10 +251,5 @@ def measure_as_in_paper(
 
 def _check(cube, settings):
     """Refuse settings that are not the paper's and beams that differ."""
-    if settings.outward or settings.alignment_error is not None:
-        name = "outward" if settings.outward else "alignment_error"
-        raise ValueError(
-            f"{name} is not used by the paper's method: leave it out, or use "
-            "method='spectrum'"
-        )
+    refuse_other_method("paper", settings.to_dict())
     check_cube(cube, settings.common_beam)

@@ -217,8 +217,8 @@ def _part_cells(part, row, features, unit, folder):
     cells["kind"], more["kind"] = row["kind"], row["caution"].removeprefix("-")
     cells["n_features"] = str(row["n_features"])
     cells |= {name: cell(row, name, form=".2g") for name in ("p_global", "p_fdr")}
-    # What has no feature has no speed.
-    if row["n_features"]:
+    # What has no feature has no speed, but a scale group has none of its own.
+    if row["n_features"] or part.scale_group != "all":
         for name in {"pm", "beta_app"} & {*row.colnames}:
             cells[name] = cell(row, name).removeprefix("-")
         cells["speed"], error = (row[k].to_value(unit) for k in ("pm", "pm_err"))

@@ -146,7 +146,8 @@ REFUSED = {
 --region no.reg | no.reg: No such file or directory
 --config no.toml | no.toml: No such file or directory
 -o full | full: exists and is not empty
---method paper --ds9-regions | --ds9-regions is for --method spectrum
+--method paper --ds9-regions | --ds9-regions is for method spectrum: leave it out
+--kappa 0.9 | --kappa is for method paper: leave it out
 """,
     "profile JET -o out": """
 | --bins is missing

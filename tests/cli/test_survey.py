@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 from astropy.io.votable import validate
 from astropy.table import QTable, Table
+from numpy.testing import assert_allclose
 
+from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_part, run_survey
 from astro_scc.cli.survey_sources import Part, alone, folder_names, read_survey
+from astro_scc.flow import measure_profile
 from astro_scc.report.page import write_overview
+from astro_scc.settings import Settings, read_config
 
 TEXT = """
 [defaults]
@@ -84,6 +88,17 @@ def test_every_source_region_and_group_has_a_row(serial):
     assert "gone/*.fits" in gone["message"]
     assert gone["pm"].mask
     assert np.all(np.isfinite(table["p_fdr"][table["status"] == "measured"]))
+    # Groups have speeds of their own, and features, which have no scale, are once.
+    config = read_config(out / "sources/Two/all/fine/config.toml")[0]
+    scc = StackedCrossCorrelation.from_settings(Settings(**config))
+    cube, groups = EpochCube.read(config["epochs"][0]), config["scale_groups"]
+    how = {"scale_groups": groups, "n_trials": config["n_trials"], "rng": 1}
+    found = measure_profile(scc, cube, config["bins"], **how).components["pm"]
+    assert_allclose(found, table["pm"][table["source"] == "Two"], rtol=1e-6)
+    features = QTable.read(out / "features.ecsv")
+    one = features[features["source"] == "Two"]
+    assert set(one["scale_group"]) == {"all"}
+    assert len(np.unique(one["feature"])) == len(one) > 0
 
 
 def test_the_overview_counts_sources(tmp_path):
@@ -95,14 +110,14 @@ def test_the_overview_counts_sources(tmp_path):
         (own[0], str(k), own[2:], "") if own[2:] in ("empty", "failed") else
         (own[0], str(k), "measured", own[2:]) for k, own in enumerate(kinds)
     ]  # fmt: skip
-    table = QTable(rows=rows, names=("source", "scale_group", "status", "kind"))
-    table["region"], table["caution"] = "all", "-"
+    table = QTable(rows=rows, names=("source", "region", "status", "kind"))
+    table["scale_group"], table["caution"] = "all", "-"
     table["pm"] = np.r_[np.full(8, 2.0), 7.0] * u.mas / u.yr
     table["pm_err"] = np.full(9, 0.1) * u.mas / u.yr
     table["p_global"], table["p_fdr"] = 0.01, 0.02
     table["n_features"] = [3] * 8 + [0]
     known = {"A": [1.9] * u.mas / u.yr} | {k: [np.nan] * u.mas / u.yr for k in "BCDEFG"}
-    parts = [Part(k, "all", g, "", None, known[k], status=s) for k, g, s, _ in rows]
+    parts = [Part(k, r, "all", "", None, known[k], status=s) for k, r, s, _ in rows]
     page = write_overview(table, QTable(), parts, tmp_path).read_text("utf-8")
     said = "significant motion, 1 is stationary, 1 has nothing to test and 2 failed."
     words = "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "
@@ -168,7 +183,7 @@ def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
     real = survey.write_measurement
 
     def wrong(result, epochs, folder, **options):
-        if epochs.settings.scales == (1,):
+        if options["title"] == "Two, fine":
             # As a mistake of the program, half way.
             (folder / "streams.ecsv").touch()
             (folder / "publication").mkdir()
@@ -207,7 +222,7 @@ WRONG = [
     ("[sources.A]", "sources.A: has no epochs"),
     (f"{A}region = 'b'", "region is no setting of a survey"),
     (f"{A}regions = 'b'", "regions must be a table"),
-    (f"{A}scale_groups = {{b = 'c'}}", "scale_groups.b = 'c'"),
+    (f"{A}scale_groups = {{b = 'c'}}", "scale_groups = {'b': 'c'} must be two groups"),
     ("[defaults]\npublished_pm = '1 mas/yr'\n[sources.A]", "published_pm is no"),
     (f"{A}published_pm = '-1 mas/yr'", "A: published_pm = '-1 mas/yr' must be a sp"),
     (f"{A}max_speed = '2 mas'", "max_speed = '2 mas' must"),
@@ -234,8 +249,8 @@ def test_defaults_and_what_replaces_them(tmp_path):
     (tmp_path / "s.toml").write_text(
         "[defaults]\nredshift = 0.1\ncosmology = 'Planck18'\nalign = 't.csv'\n"
         "[sources.A]\nepochs = ['a*', '/b']\ndistance = '3 Mpc'\n"
-        "[sources.B]\nepochs = 'b'\nscale_groups = {x = '0.2 mas', y = '0.1,0.4 mas'}\n"
-        "[sources.C]\nepochs = 'c'\nalign = 'core'\nscale_groups = {x = [3, 1]}\n"
+        "[sources.B]\nepochs = 'b'\nscale_groups = {x = '0.2 mas', y = '0.1 mas'}\n"
+        "[sources.C]\nepochs = 'c'\nalign = 'core'\nscales = [3, 1]\n"
         "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
     )
     parts = read_survey(tmp_path / "s.toml", {"B": 0.3}).parts
@@ -245,8 +260,8 @@ def test_defaults_and_what_replaces_them(tmp_path):
     assert a.epochs == [str(tmp_path / "a*"), "/b"]
     assert a.align == str(tmp_path / "t.csv")
     assert b.cosmology == "Planck18"
-    assert b.scales.to_value(u.mas).tolist() == [0.2]
-    assert other.scales.to_value(u.mas).tolist() == [0.1, 0.4]
+    assert (b.scales, [*b.scale_groups]) == (None, ["x", "y"])
+    assert b.scale_groups == other.scale_groups
     assert (c.scales, c.redshift, c.align) == ((3, 1), 0.158, "core")
     assert c.position_angle == -112 * u.deg
 

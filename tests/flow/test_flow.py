@@ -21,12 +21,10 @@ from astro_scc.flow import (
     measure_profile,
 )
 from astro_scc.flow.acceleration import PartSpeeds, slope_of, speeds_in_parts
-from astro_scc.flow.field import cell_coordinates
 from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import distances_along
-from astro_scc.kinematics import ExpansionFrame, RadialFrame, RidgeLine
+from astro_scc.kinematics import ExpansionFrame, RidgeLine
 from astro_scc.simulation import simulate_jet
-from astro_scc.streams.decomposed import decompose_flow
 from astro_scc.streams.parts import fit_part
 
 PM = u.mas / u.yr
@@ -211,13 +209,20 @@ def test_cells_of_distance_and_offset(result):
     assert_allclose(wcs.wcs_pix2world([[1, 0]], 0), [[5.2, 0.0]])
 
 
-def test_cells_of_radial_flows_have_azimuths(jet):
-    flow = decompose_flow(jet.cube, RadialFrame(), beam=0.8)
-    distance, angle, unit = cell_coordinates(flow)
-    seen = flow.planes[0].mask
-    assert unit == u.deg
-    assert abs(np.median(angle[seen]) - 270) < 20
-    assert distance[seen].max() > 6
+@settings(max_examples=1, deadline=None)
+@given(st.floats(0, 360))
+@example(0.0)
+@example(180.0)
+def test_cells_of_radial_flows_turn_with_the_jet(turn):
+    how = {"n_epochs": 10, "length": 8, "shape": (200, 200), "rng": 1}
+    cube = simulate_jet(position_angle=turn * u.deg, **how).cube
+    result = StackedCrossCorrelation(position_angle="radial")(cube, n_trials=99, rng=1)
+    how = {"along": [1.6, 5] * u.mas, "n_trials": 19, "rng": 1}
+    for edges in (np.array([-20, 0, 20]) + turn, [turn - 380, turn - 340]):
+        table = measure_field(result, across=edges * u.deg, **how).table
+        assert_allclose(table["pm_parallel"].value, [2.36, 1.91][: len(table)], 0.05)
+    table = measure_field(result, **how).table
+    assert_allclose(table["pm_parallel"].value, [np.nan, 2.28, np.nan], 0.02)
 
 
 REFUSED = [
