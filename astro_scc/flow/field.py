@@ -218,11 +218,14 @@ def cell_coordinates(flow):
         Of the offset: mas, or degrees of the position angle in radial flows.
     """
     grid, frame, beam = flow.grids[0], flow.frame, flow.beam
-    shape = grid.x.shape
+    shape, place = grid.x.shape, flow.cube.pixel_to_offset(grid.x, grid.y)
     distance = distances(grid) * beam
-    if np.isfinite(grid.angle) or isinstance(frame, RidgeLine):
+    if isinstance(frame, RidgeLine):
         return distance, np.broadcast_to(grid.across * beam, shape), u.mas
-    place = zip(flow.cube.pixel_to_offset(grid.x, grid.y), frame.origin, strict=True)
+    if np.isfinite(grid.angle):
+        offset = np.tensordot(grid.axes[1], [p.to_value(u.mas) for p in place], 1)
+        return distance, offset, u.mas
+    place = zip(place, frame.origin, strict=True)
     east, north = ((p - origin).to_value(u.mas) for p, origin in place)
     # The last row, as a radial grid begins at the origin.  Angles do not jump at north.
     angle = np.degrees(np.unwrap(np.arctan2(east[-1], north[-1])))

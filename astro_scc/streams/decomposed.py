@@ -119,10 +119,7 @@ class DecomposedFlow:
         `DecomposedFlow`
             With the same axes of velocities.
         """
-        scales, diverges = (
-            tuple(scales or self.planes[0].scales),
-            self.grids[0].diverges,
-        )
+        scales = tuple(scales or self.planes[0].scales)
         if angle is None and self.sampled and scales == self.sampled.scales:
             planes = self.sampled.changes(normalise)
             return replace(self, planes=(planes,))

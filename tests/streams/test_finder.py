@@ -5,7 +5,11 @@ import astropy.units as u
 import numpy as np
 import pytest
 
-from astro_scc import StackedCrossCorrelation
+from astropy.time import Time
+
+from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc.epochs import ComponentList, restore
+from astro_scc.flow import compare_scales
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
@@ -63,6 +67,32 @@ def test_one_stream_is_that_of_its_features():
     row = measured(jet.cube, position_angle=90 * u.deg).streams[0]
     assert "on the other side of the core" in row["caution"]
     assert row["pm_pa"].value == pytest.approx(270, abs=10)
+
+
+@pytest.mark.parametrize("angles", [(-12, 12), (20, 20)])
+def test_long_beams_do_not_mistake_motion_off_the_axis_for_speed(angles):
+    """Knots of 1 mas/yr on straight lines from the core."""
+    years = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
+    start = np.arange(-2, 6, 1.1)
+    r = (start + years[:, None]).ravel()
+    angle = np.radians(np.resize(angles, start.shape) + 0 * years[:, None]).ravel()
+    use = (r > 0.4) & (r < 7)
+    core = np.zeros(len(years))
+    list_ = ComponentList(
+        times=Time(2004 + years, format="jyear"),
+        epoch=np.r_[np.arange(len(years)), np.arange(len(r))[use] // len(start)],
+        flux=np.r_[core + 1, 0.4 * np.exp(-r / 6)[use]] * u.Jy,
+        east=np.r_[core, (r * np.sin(angle))[use]] * u.mas,
+        north=np.r_[core, (r * np.cos(angle))[use]] * u.mas,
+    )
+    beam, pixel, noise = Beam(1 * u.mas, 0.5 * u.mas), 0.1 * u.mas, 0.3 * u.mJy / u.beam
+    cube = restore(list_, beam=beam, pixel_scale=pixel, noise=noise, rng=1)
+    found = measured(cube, position_angle=0 * u.deg)
+    assert found.streams["pm_spectrum"][0].value == pytest.approx(1.0, abs=0.08)
+    compared = compare_scales(found)[0]
+    both = compared["first_speed"].value, compared["second_speed"].value
+    assert both == pytest.approx([1.0, 1.0], abs=0.06)
+    assert found.flow.grids[0].diverges
 
 
 def test_speed_towards_the_core_has_its_sign(two):
