@@ -4,7 +4,6 @@
 import astropy.units as u
 import numpy as np
 import pytest
-
 from astropy.time import Time
 
 from astro_scc import Beam, StackedCrossCorrelation
