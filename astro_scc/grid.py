@@ -60,8 +60,8 @@ class FlowGrid:
         Position angle of a straight grid, in radians, or NaN.
     outward : bool
         Whether positive speeds lead away from a core.
-    diverges : bool
-        Whether ``across`` is the offset at the mean distance of lines that diverge.
+    lines : `~numpy.ndarray`, shape (n_along, n_across), optional
+        Columns of the straight grid through which its lines lead, if these bend.
     """
 
     x: np.ndarray
@@ -74,7 +74,7 @@ class FlowGrid:
     beam: float
     angle: float = np.nan
     outward: bool = False
-    diverges: bool = False
+    lines: np.ndarray | None = None
 
     @property
     def axes(self) -> np.ndarray:
@@ -320,37 +320,60 @@ class SampledPlanes:
             normalise=normalise, reach=self.reach,
         )  # fmt: skip
 
-    def diverging(self) -> SampledPlanes:
-        """
-        Return the planes of a straight grid along lines that diverge from the core.
-
-        They meet a beam behind it, and stay as they are at the mean distance.
-        """
-        grid = self.grid
-        rows = np.arange(len(grid.along))[:, None]
-        width = np.abs(grid.along)[:, None] + BEHIND
-        mean = (width * self.mask).sum() / max(self.mask.sum(), 1)
-        step = grid.along[1] - grid.along[0]
-        column = np.arange(len(grid.across))
-        at = column + grid.across * (width / mean - 1) / step
-        near = np.clip(np.rint(at).astype(int), 0, len(column) - 1)
+    def along_lines(self, lines: np.ndarray) -> SampledPlanes:
+        """Return the planes of a straight grid along lines through its columns."""
+        grid, rows = self.grid, np.arange(len(self.grid.along))[:, None]
+        near = np.clip(np.rint(lines).astype(int), 0, len(grid.across) - 1)
         # No line leads from one half of the grid to the other.
-        known = (np.abs(at - near) <= 0.5) & (grid.counter[near] == grid.counter)
-        where = np.stack(np.broadcast_arrays(rows, at))
+        known = (np.abs(lines - near) <= 0.5) & (grid.counter[near] == grid.counter)
+        where = np.stack(np.broadcast_arrays(rows, lines))
         sampled = scipy.ndimage.map_coordinates
         planes = np.empty_like(self.planes)
         for scale, found in zip(self.planes, planes, strict=True):
             for k, plane in enumerate(scale):
                 found[k] = sampled(plane, where, order=3)
-        x, y = (
-            sampled(pixel, where, order=1, mode="nearest") for pixel in (grid.x, grid.y)
-        )
-        weight = width / width.max()
-        lines = replace(grid, x=x, y=y, weight=weight, diverges=True)
+        pixels = grid.x, grid.y
+        x, y = (sampled(p, where, order=1, mode="nearest") for p in pixels)
+        weight = lines[:, 1:2] - lines[:, :1]
+        grid = replace(grid, x=x, y=y, weight=weight / weight.max(), lines=lines)
         return replace(
             self, planes=planes, valid=self.valid[:, rows, near] & known,
-            mask=self.mask[rows, near] & known, grid=lines,
+            mask=self.mask[rows, near] & known, grid=grid,
         )  # fmt: skip
+
+
+def flow_lines(grid, values):
+    """
+    Return lines of a straight grid along which the flow may move.
+
+    Parameters
+    ----------
+    grid : ``FlowGrid``
+    values : `~numpy.ndarray`, shape (n_scales, n_epochs, n_along, n_across)
+        The planes along it, zero where nothing is seen.
+
+    Returns
+    -------
+    list of `~numpy.ndarray`, shape (n_along, n_across)
+        Columns of lines that diverge from a beam behind the core, unchanged at the mean
+        distance; and of those that bend with the middle of what changes, a parabola.
+    """
+    columns, step = np.arange(len(grid.across)), grid.along[1] - grid.along[0]
+    power = (values**2).sum(axis=(0, 1)) * ~grid.counter
+    weight = power.sum(axis=1)
+    seen = weight > 0
+    if seen.sum() < 3:
+        return []
+    width = np.abs(grid.along) + BEHIND
+    width = (width / (weight @ width / weight.sum()))[:, None]
+    middle = power[seen] @ grid.across / weight[seen]
+    middle = np.polynomial.Polynomial.fit(
+        grid.along[seen], middle, 2, w=np.sqrt(weight[seen])
+    )(grid.along)[:, None]
+    return [
+        columns + grid.across * (width - 1) / step,
+        columns + ~grid.counter * middle / step,
+    ]
 
 
 def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH):

@@ -16,6 +16,7 @@ from astro_scc.grid import (
     SampledPlanes,
     default_scales,
     flow_grids,
+    flow_lines,
     has_core,
     sample_mask,
     sample_planes,
@@ -130,33 +131,29 @@ class DecomposedFlow:
             scales=scales, beam=self.beam, region=self.inside,
             max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
         )  # fmt: skip
-        made = made.diverging(normalise) if self.grids[0].diverges else made
+        if self.grids[0].lines is not None:
+            made = made.along_lines(self.grids[0].lines, normalise)
         return replace(made, frame=self.frame)
 
-    def diverging(self, normalise: str = "local") -> DecomposedFlow:
-        """
-        Return the same flow along lines that diverge from the core.
-
-        Parameters
-        ----------
-        normalise : {"local", "along"}
-            See ``flow_planes``.
-
-        Returns
-        -------
-        `DecomposedFlow`
-            Itself if its lines are not straight, or there is no core.
-        """
-        straight = self.sampled is not None and np.isfinite(self.grids[0].angle)
-        if not straight or not self.outward or self.grids[0].diverges:
-            return self
-        sampled, regions = self.sampled.diverging(), self.regions
+    def along_lines(
+        self, lines: np.ndarray, normalise: str = "local"
+    ) -> DecomposedFlow:
+        """Return the flow of a straight grid along lines, see ``SampledPlanes``."""
+        sampled, regions = self.sampled.along_lines(lines), self.regions
         if self.inside is not None:
             regions = (sample_mask(self.inside, sampled.grid).astype(np.float32),)
         planes = (sampled.changes(normalise),)
         return replace(
             self, grids=(sampled.grid,), planes=planes, regions=regions, sampled=sampled
         )
+
+    def lines(self) -> list[np.ndarray]:
+        """Return other lines than straight ones along which a jet may flow."""
+        grid = self.grids[0]
+        straight = self.sampled is not None and np.isfinite(grid.angle)
+        if not straight or not grid.outward or grid.lines is not None:
+            return []
+        return flow_lines(grid, self.planes[0].values)
 
     def diagram(self, k: int) -> Diagram:
         """Return the displacement-interval diagram along direction k."""

@@ -267,7 +267,7 @@ def find_streams(
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
     passes, diffusing = test.p_global <= enough, walk is not None
     part = fit_along_lines(
-        flow, diverge=passes, sign=sign, root=root, intervals=settings.intervals,
+        flow, straight=not passes, sign=sign, root=root, intervals=settings.intervals,
         diagram=sheet[len(sheet) // 2],
     )  # fmt: skip
     one, diagram = None, sheet[len(sheet) // 2]

@@ -8,19 +8,14 @@ import numpy as np
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
-from astro_scc.spectrum.gaussians import (
-    StreamFit,
-    amplitudes_of,
-    fit_streams,
-    one_stream,
-)
-from astro_scc.spectrum.permutations import EVERY
+from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
+from astro_scc.spectrum.permutations import EVERY, LENGTH
 from astro_scc.spectrum.planes import FlowPlanes
 from astro_scc.streams.decomposed import DecomposedFlow
 
-#: Lines that diverge explain so much more of the diagram where they are those of the
-#: flow.
-DIVERGE = 0.02
+#: Lines are those of the flow if patterns keep so much more of their correlation along
+#: them than along straight ones, between such displacements in beams.
+KEPT, FROM, TO = 0.03, 0.3, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +29,20 @@ class PartFit:
     fit: StreamFit
 
     @property
-    def explained(self) -> float:
-        """The share of the variance of the diagram that is explained by motion."""
-        none = amplitudes_of(self.equations, [], []).misfit
-        return 1 - self.fit.misfit / max(none, np.finfo(float).tiny)
+    def kept(self) -> float:
+        """The largest mean correlation of patterns that move, over that at rest."""
+        equations, x = self.equations, self.diagram.displacement
+        mean = equations.data / np.sqrt(equations.number)[:, None]
+        odd = mean - mean[:, ::-1]
+        moved = np.abs(equations.speed[:, None]) * equations.interval
+        weight = equations.share * np.exp(-moved / LENGTH)
+        weight *= (moved > FROM) & (moved < TO)
+        at = moved * np.sign(equations.speed)[:, None]
+        pairs = zip(at.T, odd, strict=True)
+        found = np.array([np.interp(v, x, values) for v, values in pairs]).T
+        total = weight.sum(axis=1)
+        found = (weight * found).sum(axis=1) / np.where(total > 0, total, np.inf)
+        return float(found.max() / max(self.diagram.power, np.finfo(float).tiny))
 
     def errors(self, travel=None, stream=None):
         """Return the errors, of clusters that move at a speed; those of one stream."""
@@ -92,20 +97,20 @@ def fit_part(
     return None if fit is None else PartFit(flow, planes, diagram, equations, fit)
 
 
-def fit_along_lines(flow, *, diverge=True, **settings):
+def fit_along_lines(flow, *, straight=False, **settings):
     """
     Fit one stream along the lines of its flow.
 
     Images that are longer than wide mistake motion off the axis for faster motion along
-    it, so that lines should follow the flow: they are parallel, or diverge from the
-    core if one stream along these explains more of the diagram.
+    it, so that lines should follow the flow: they are straight, or diverge from the
+    core or bend with it if patterns keep more of their correlation along these.
 
     Parameters
     ----------
     flow : ``DecomposedFlow``
         Along one direction.
-    diverge : bool, optional
-        Whether lines may diverge.
+    straight : bool, optional
+        Whether lines must be straight.
     settings
         See `fit_part`.
 
@@ -113,13 +118,15 @@ def fit_along_lines(flow, *, diverge=True, **settings):
     -------
     `PartFit` or None
     """
-    part, lines = fit_part(flow, **settings), flow.diverging() if diverge else flow
-    if part is None or lines is flow:
+    part = fit_part(flow, **settings)
+    if part is None or straight:
         return part
-    settings["diagram"] = None
-    other = fit_part(lines, **settings)
-    better = other is not None and other.explained > part.explained + DIVERGE
-    return other if better else part
+    settings["diagram"], most = None, part.kept * (1 + KEPT)
+    for lines in flow.lines():
+        other = fit_part(flow.along_lines(lines), **settings)
+        if other is not None and other.kept > most:
+            part, most = other, other.kept
+    return part
 
 
 def has_flow(flow):
