@@ -252,7 +252,7 @@ class ImageSeries:
     @property
     def facts(self) -> dict[str, Any]:
         """Name and position of the source, dates and beam, for the meta of tables."""
-        first, last = dates.date_labels(self.times[[0, -1]])
+        first, *_, last = dates.date_labels(self.times)
         found = {"n_epochs": len(self), "first_epoch": first, "last_epoch": last}
         if name := self.meta.get("object"):
             found["object"] = str(name)
