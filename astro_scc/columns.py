@@ -18,7 +18,6 @@ from typing import Any
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
-from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from astro_scc.quantities import decimals, with_error
@@ -170,8 +169,6 @@ def cell(row, name, sign="±", form=None):
     ('2.128 ± 0.072', '2.1')
     """
     value, names = row[name], row.colnames
-    if isinstance(value, Time):
-        return value.strftime("%Y-%m-%d")
     # What stands still is not tested.
     still = name.startswith("p_") and "kind" in names and row["kind"] == "stationary"
     if still or np.any(getattr(value, "mask", False)):

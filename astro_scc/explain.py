@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates
 from astro_scc.features import Features, TrackSettings, trust
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
+from astro_scc.images.dates import date_labels
 
 __all__ = ["explain_feature"]
 
@@ -49,7 +50,7 @@ def explain_feature(
     offset : `~astropy.units.Quantity`, shape (2,), optional
         A place, to the east and to the north of the core, with its ``date``.
     date : `~astropy.time.Time`, optional
-        The nearest epoch is explained.
+        The nearest epoch is explained, which the first sentence names.
     published : `~astropy.table.QTable`, optional
         Rows of one published feature, with ``date``, ``ra_offset`` and
         ``dec_offset``.
@@ -76,7 +77,7 @@ def explain_feature(
     >>> explain_feature(features, feature=number)[-1]
     'It is secure.'
     """
-    years, d = features.detections.years, features.detections
+    years, d, said = features.detections.years, features.detections, []
     if feature is not None:
         epoch, place = _of_feature(features, feature)
     elif published is not None and len(published):
@@ -86,9 +87,11 @@ def explain_feature(
     elif offset is not None and date is not None:
         epoch = np.abs(date.jyear - years).argmin(keepdims=True)
         place = u.Quantity(offset).to_value(u.mas)[None]
+        said = [_epoch_line(features.cube, epoch[0], date)]
     else:
         raise ValueError("give a feature, a published one, or an offset with a date")
     seen, bright, lines = _detected(features, epoch, place)
+    lines = said + lines
     owner = np.full(len(d), -1)
     for k, track in enumerate(features.tracks):
         owner[track.detection] = k
@@ -123,12 +126,26 @@ def _of_feature(features, number):
     return epoch, motion.at(d.years[epoch])
 
 
+def _epoch_line(cube, epoch, date):
+    """Return which epoch is the nearest to a date, and how far it is, as a line."""
+    days = cube.times.utc.mjd * u.d
+    away = abs(date.utc.mjd * u.d - days[epoch])
+    unit = next((k for k in (u.yr, u.d, u.h) if away >= 1 * k), u.min)
+    far = away > np.median(np.diff(days)) / 2
+    return (
+        f"The nearest epoch to the date is {date_labels(cube.times)[epoch]}, "
+        f"{away.to_value(unit):.3g} {unit} from it"
+        f"{', more than half the median interval' if far else ''}."
+    )
+
+
 # -- is it detected? -----------------------------------------------------------------
 
 
 def _detected(features, epoch, place):
     """Return the detections at places, whether all are bright, and lines on them."""
     cube, d = features.cube, features.detections
+    labels = date_labels(cube.times)
     signal = _signal(cube, epoch, place)
     nearest, away, beside = np.full((3, len(epoch)), np.inf)
     for i, (one, there) in enumerate(zip(epoch, d.to_beams(place), strict=True)):
@@ -146,7 +163,7 @@ def _detected(features, epoch, place):
     lines = [f"{said}."]
     missed = np.flatnonzero(~found).tolist()
     each = [
-        f"{cube.times[epoch[i]].isot[:10]}, S/N {_number(signal[i])}, "
+        f"{labels[epoch[i]]}, S/N {_number(signal[i])}, "
         f"at {away[i]:.2g} beams" for i in missed[:MOST]
     ]  # fmt: skip
     each += [f"and {len(missed) - MOST} more"] * (len(missed) > MOST)

@@ -54,18 +54,6 @@ def test_commands_are_those_of_scripts_that_are_there():
         assert (REPOSITORY / script).is_file(), name
 
 
-def test_what_changed_in_a_table_is_said(tmp_path):
-    path = tmp_path / "a.csv"
-    assert TOOL.read_cells(path) == {}
-    path.write_text("jet,speed\nA,2.0 ± 0.1\nB,3.0\n")
-    before = TOOL.read_cells(path)
-    path.write_text("jet,speed\nA,2.5 ± 0.1\nB,3.0\nC,1\n")
-    first, *lines = TOOL.compare(before, TOOL.read_cells(path))
-    assert first == "3 of 6 changed, at most by words"
-    assert lines[0] == "  row 1, speed: 2.0 ± 0.1 -> 2.5 ± 0.1"
-    assert TOOL.compare(before, before) == []
-
-
 #: Columns of the time and memory of a machine.
 TIMES = {"CPU s", "GB"}
 #: Cheap tables: the arguments that make some of their rows.

@@ -184,9 +184,8 @@ def test_a_folder_and_a_file_that_are_gone_unless_complete(tmp_path):
         part.write_text("complete")
     assert names(tmp_path) == ["a", "whole"]
     said = {"a": "a: exists; pass overwrite", "whole": "whole: is a directory; give"}
-    for path, words in (
-        said | {"nowhere/a": "folder .*nowhere does not exist"}
-    ).items():
+    said |= {"nowhere/a": "folder .*nowhere does not exist"}
+    for path, words in said.items():
         with pytest.raises(OSError, match=words):
             replace_when_complete(tmp_path / path).__enter__()
 

@@ -143,10 +143,8 @@ def test_features_are_counted_once(result):
     said = f"1 secure feature belongs to no stream ({number}): moving across the flow"
     assert any(line.startswith(said) for line in answer.notes(streams, table))
     table["secure"] = np.arange(len(table)) == alone
-    n = len(table) - 1
-    assert (
-        answer.feature_count(table) == f"{n + 1} features ({n} of stream 1, 1 of none)"
-    )
+    n, said = len(table) - 1, answer.feature_count(table)
+    assert said == f"{n + 1} features ({n} of stream 1, 1 of none)"
 
 
 @pytest.fixture(scope="module")

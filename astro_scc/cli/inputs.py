@@ -213,8 +213,8 @@ def require_epochs(cube):
     if n < FEWEST_EPOCHS:
         raise ValueError(
             f"too few epochs: {n} image{'' if n == 1 else 's'}, {FEWEST_EPOCHS} are "
-            "needed to show that anything moves; astro-scc track follows features in "
-            "four or more"
+            "needed to show that anything moves (a file that is given twice counts "
+            "once); astro-scc track follows features in four or more"
         )
 
 

@@ -270,16 +270,17 @@ def _measured(part, folder, output, report, said):
     decomposed = scc.decompose(cube, region=settings.region)
     if not decomposed.select.any():
         return replace(part, status="empty", message=NO_PATTERN, **known)
-    how, command = {"n_trials": settings.n_trials, "rng": settings.seed}, "measure"
+    command, n_trials, seed = "measure", settings.n_trials, settings.seed
     if settings.scale_groups is None:
-        result = scc.measure(decomposed, **how)
+        result = scc.measure(decomposed, n_trials=n_trials, rng=seed)
     else:
         # One bin has all: nothing is farther along the flow than both sides together.
         command, far = "profile", sum(cube.shape[1:]) * cube.pixel_scale
         settings = settings.changed(bins=u.Quantity([0 * far, far]))
         found = measure_profile(
-            scc, decomposed, settings.bins, scale_groups=settings.scale_groups, **how
-        )
+            scc, decomposed, settings.bins, scale_groups=settings.scale_groups,
+            n_trials=n_trials, rng=seed,
+        )  # fmt: skip
         (result,) = found.results[part.scale_group]
         if result is None:
             return replace(part, status="empty", message=NO_PATTERN, **known)

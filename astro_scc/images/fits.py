@@ -130,7 +130,10 @@ def find_files(paths, *, missing_ok=False):
             raise FileNotFoundError(f"{name}: no {what}")
     if not found:
         raise FileNotFoundError("no files were given")
-    files = [Path(name) for name in dict.fromkeys(found)]
+    once = {}
+    for name in found:
+        once.setdefault(os.path.abspath(name), Path(name))
+    files = list(once.values())
     for path in files:
         if path.exists() and not (path.is_file() or path.is_dir()):
             # Pipes, sockets and devices may have no end.

@@ -252,8 +252,9 @@ class ImageSeries:
     @property
     def facts(self) -> dict[str, Any]:
         """Name and position of the source, dates and beam, for the meta of tables."""
-        first, last = dates.date_labels(self.times[[0, -1]])
-        found = {"n_epochs": len(self), "first_epoch": first, "last_epoch": last}
+        labels = dates.date_labels(self.times)
+        found = {"n_epochs": len(self), "first_epoch": labels[0]}
+        found["last_epoch"] = labels[-1]
         if name := self.meta.get("object"):
             found["object"] = str(name)
         place = tuple(self.wcs.wcs.crval)

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from astro_scc.columns import with_errors
+from astro_scc.images.dates import date_labels
 from astro_scc.spectrum.permutations import within
 from astro_scc.streams import decomposed, finder, parts
 from astro_scc.units import offset_unit
@@ -98,7 +99,7 @@ def _pairs_of_parts(search):
     )
     middle = len(flow.years) // 2
     if middle >= finder.FEWEST_EPOCHS:
-        date = flow.cube.times[middle].strftime("%Y-%m-%d")
+        date = date_labels(flow.cube.times)[middle]
         yield (
             (f"epochs before {date}", flow.part(epochs=slice(middle)), every),
             (f"epochs from {date} on", flow.part(epochs=slice(middle, None)), every),

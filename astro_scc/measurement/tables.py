@@ -16,6 +16,7 @@ from astropy.wcs import WCS
 from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
+from astro_scc.images.dates import date_labels
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.citations import citations_of
@@ -199,7 +200,7 @@ def paper_table(table, *, sign="±"):
     >>> print(paper_table(table)["pm"][0])
     2.128 ± 0.072
     """
-    shown, paper = table.copy(copy_data=False), Table()
+    shown, paper = dates_as_text(table), Table()
     if "p_global_err" in shown.colnames:
         shown.remove_column("p_global_err")
     for name, texts in cells(shown, PAPER, sign=sign).items():
@@ -207,6 +208,24 @@ def paper_table(table, *, sign="±"):
         unit = None if unit == u.one else unit
         paper[name] = Column(np.array(texts, dtype=str), unit=unit)
     return paper
+
+
+def dates_as_text(table):
+    """
+    Return a copy with dates as text, with times where epochs share a day.
+
+    The dates of a table may be fewer than the epochs, which its meta knows.
+    """
+    table = table.copy(copy_data=False)
+    names = [name for name in table.colnames if isinstance(table[name], Time)]
+    if names and len(table):
+        every = Time(np.concatenate([table[name].utc.isot for name in names]))
+        clock = "T" in table.meta.get("first_epoch", "")
+        texts = np.reshape(date_labels(every, clock=clock), (len(names), -1))
+        for name, column in zip(names, texts, strict=True):
+            about = table[name].info.description
+            table.replace_column(name, Column(column, description=about))
+    return table
 
 
 def stream_row(result, k):

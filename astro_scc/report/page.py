@@ -19,6 +19,7 @@ from astro_scc.flow.acceleration import accelerations
 from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in_c_as
 from astro_scc.measurement import SCCResult
+from astro_scc.measurement.tables import dates_as_text
 from astro_scc.products.folder import write_files
 from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
@@ -98,7 +99,8 @@ def feature_rows(features, most=MOST):
 
     Of more than ``most`` secure features, the first are those seen in most epochs.
     """
-    columns = headed(features, FEATURES, of_table="features").values()
+    shown = dates_as_text(features)
+    columns = headed(shown, FEATURES, of_table="features").values()
     heads, _, columns = zip(*columns, strict=True)
     rows = [*zip(zip(*columns, strict=True), features["secure"], strict=True)]
     first = answer.longest(features, most)

@@ -96,6 +96,9 @@ def test_what_cannot_be_measured(jet, series, refused, here):
     (here / "p.toml").write_text("method = 'paper'\nbins = '1 2 mas'\n")
     line = refused("profile", *jet, "--config", here / "p.toml", "-o", "out")
     assert "method is 'paper', which astro-scc measure has: leave it out" in line
+    (here / "c.toml").write_text("cosmology = 'Planck18'\n")
+    line = refused("measure", *jet, "--config", "c.toml", "-o", "out")
+    assert line.endswith("error: c.toml: cosmology needs a redshift")
     for words in (["measure"], ["profile", "--bins", "1 2 mas"]):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
         assert "too few epochs: 5 images, 6 are needed" in line

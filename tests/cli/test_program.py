@@ -151,7 +151,6 @@ REFUSED = {
 """,
     "profile JET -o out": """
 | --bins is missing
---bins "1 mas" | 2 distance
 """,
     "track -o out": """
 | no epochs were given

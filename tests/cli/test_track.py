@@ -76,6 +76,9 @@ def test_why_it_is_a_feature(done, refused, jet, here):
     offset = f"{place['ra_offset'].value} {place['dec_offset'].value} mas"
     again, _ = done("explain", "out", "--at", offset, "--date", place["date"].isot)
     assert again.splitlines()[-1] == out.splitlines()[-1]
+    assert f"the date is {place['date'].isot[:10]}, 0 min from it.\n" in again
+    again, _ = done("explain", "out", "--at", offset, "--date", "2030-01-01")
+    assert " yr from it, more than half the median interval.\n" in again
     # A table of published features.
     published = QTable(
         {

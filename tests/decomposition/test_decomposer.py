@@ -205,17 +205,6 @@ def test_no_maximum_at_the_edge_of_what_exists():
     np.testing.assert_allclose(ssps.x, [40], atol=0.01)
 
 
-def test_catalogues_are_joined():
-    first = find_ssps(gaussians([(12, 16), (32, 46)]), 1, 0.01)
-    second = find_ssps(gaussians([(20, 20)]), 2, 0.01)
-    joined = SSPs.concatenate([first, SSPs.empty(), second])
-    assert repr(joined) == "<SSPs: 2 on scale 1, 1 on scale 2>"
-    np.testing.assert_array_equal(joined.pixels_of(1), first.pixels_of(1))
-    np.testing.assert_array_equal(joined.pixels_of(2), second.pixels_of(0))
-    np.testing.assert_array_equal(joined.x, [*first.x, *second.x])
-    assert repr(SSPs.of_epochs([])) == "<SSPs: none>"
-
-
 def test_the_noise_of_the_image_is_propagated():
     how = {"beam_covariance": np.array([[9, 1], [1, 4]])}
     image = gaussians([(24, 30)])

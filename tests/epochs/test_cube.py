@@ -151,7 +151,9 @@ def test_read_sorts_and_lays_on_reference_pixels(make_fits):
 
 def test_patterns_and_paths(make_fits, make_epochs, tmp_path, monkeypatch):
     paths = make_epochs({}, {}, {})
-    assert find_files([paths[0], f"{tmp_path}/*.fits"]) == paths
+    # A file that is given twice counts once.
+    again = f"{tmp_path}/../{tmp_path.name}/0.fits"
+    assert find_files([paths[0], f"{tmp_path}/*.fits", again]) == paths
     monkeypatch.setenv("HOME", str(tmp_path))
     assert find_files("~/0.fits") == paths[:1]
     odd = tmp_path / "[1].fits"

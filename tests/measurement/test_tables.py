@@ -78,9 +78,8 @@ def table(p, **columns):
     return QTable({"p_global": np.array(p, dtype=float), **columns})
 
 
-probabilities = st.lists(
-    st.integers(1, 40).map(lambda b: b / 40), min_size=1, max_size=9
-)
+probability = st.integers(1, 40).map(lambda b: b / 40)
+probabilities = st.lists(probability, min_size=1, max_size=9)
 
 
 @settings(max_examples=30)
@@ -146,6 +145,18 @@ def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
     assert abs(sky_result.position_angle - 270 * u.deg) < 3 * u.deg
     moving = sky_result.components[0]
     assert 0.9 * moving["pm"] < moving["pm_parallel"] <= moving["pm"]
+
+
+def test_dates_have_times_where_epochs_share_a_day():
+    hours = Time("2010-01-01") + [1.0, 9.5, 25.0] * u.h
+    table = QTable({"first": hours[[0, 0]], "last": hours[1:], "n_epochs": [2, 3]})
+    printed = paper_table(table)
+    assert printed["first"].tolist() == ["2010-01-01T01:00:00"] * 2
+    assert printed["last"].tolist() == ["2010-01-01T09:30:00", "2010-01-02T01:00:00"]
+    assert paper_table(table[1:])["last"].tolist() == ["2010-01-02"]
+    # As some of its epochs, which the table lacks, share a day.
+    table.meta["first_epoch"] = "2010-01-01T01:00:00"
+    assert paper_table(table[1:])["last"].tolist() == ["2010-01-02T01:00:00"]
 
 
 def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):

@@ -82,8 +82,6 @@ def test_maps_are_those_of_the_stack(found, tmp_path):
         assert list(wcs.wcs.cunit) == [PM_UNIT] * 2
         assert world == pytest.approx([found.grid.v1[x], found.grid.v2[y]])
     found.plot(unit="mas/yr").draw_without_rendering()
-    with pytest.raises(ValueError, match="unknown map 'mean': use 'coefficient'"):
-        found.velocity_map("mean")
 
 
 def test_settings_that_do_not_fit_the_images_are_refused(jet_cube):
@@ -92,7 +90,6 @@ def test_settings_that_do_not_fit_the_images_are_refused(jet_cube):
         ({"max_speed": 1e-4 * PM_UNIT}, "max_speed moves .* give a larger one"),
         ({"baseline": [5, 6] * u.yr}, "no two epochs are 5 to 6 yr apart"),
         ({"outward": True}, "^outward is for method spectrum"),
-        ({"alignment_error": 1 * u.mas}, "^alignment_error is for method spec"),
     ]:
         with pytest.raises(ValueError, match=words):
             measure_as_in_paper(jet_cube, settings(**change), n_trials=2)
