@@ -242,8 +242,8 @@ class IntervalPlan:
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
             f"What is slower than {self.slowest:.2g} moves by less than a beam and is "
             f"not searched; what is faster than {self.fastest:.3g} leaves the image.",
-            f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}, those up "
-            f"to {(self.resolution / self.median).to(high.unit):.2g} without ambiguity.",
+            f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}, up to "
+            f"{(self.resolution / self.median).to(high.unit):.2g} without ambiguity.",
             "Slower features show in pairs of epochs that are further apart, which "
             "are used for them.",
         ]
