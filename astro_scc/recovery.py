@@ -22,6 +22,7 @@ from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
+from astro_scc.intervals import median_interval
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
 from astro_scc.plan import flow_beam, out_of_reach, used_intervals, velocity_frame
 from astro_scc.progress import progress
@@ -386,8 +387,7 @@ def _lengths(cube, fwhm, tolerance):
     else:
         width = flow_beam(cube)
     if tolerance is None:
-        gaps = np.diff(cube.years.to_value(u.yr))
-        return width, 0.2 * width / np.median(gaps[gaps > 0])
+        return width, 0.2 * width / median_interval(cube.years.to_value(u.yr))
     wanted = "a proper motion", "2 mas/yr"
     tolerance = q.named("tolerance", q.one_quantity, tolerance, *wanted)
     return width, tolerance.to_value(PM_UNIT)

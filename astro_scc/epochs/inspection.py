@@ -23,6 +23,7 @@ from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images import cards, extensions, fits, grid, local, series
 from astro_scc.images.dates import as_times, date_labels, order_of
 from astro_scc.images.positions import readable_angle
+from astro_scc.intervals import median_interval
 
 POLARISED = "Q", "U", "V", "RL", "LR", "XY", "YX"
 #: What to do with an image that is slightly different.
@@ -193,7 +194,8 @@ class IntervalPlan:
       faster ones change before they can be recognised.
 
     ``shortest``, ``median`` and ``longest`` are intervals between consecutive epochs
-    of different date.
+    of different date; the median leaves out those inside of pairs and campaigns of
+    epochs that are close together, if there are many.
     """
 
     n_epochs: int
@@ -293,7 +295,7 @@ def plan_intervals(cube: series.ImageSeries) -> IntervalPlan:
     width = cube.resolution
     sides = np.hypot(*cube.pixel_matrix.value) * cube.shape[:0:-1] * u.mas
     gaps, span = np.diff(days), days[-1] - days[0]
-    median = np.median(gaps)
+    median = median_interval(days)
     speed = cube.speed_unit
     time = speed.bases[1]
     return IntervalPlan(

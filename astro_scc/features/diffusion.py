@@ -7,6 +7,7 @@ import numpy as np
 
 from astro_scc.features.finder import Features
 from astro_scc.features.trust import LEAST_EPOCHS
+from astro_scc.intervals import median_interval
 
 #: Variance of the slope of a straight line through a random walk, times its duration
 #: over the variance of the walk in unit time.
@@ -91,10 +92,10 @@ def measure_diffusion(features: Features) -> Diffusion:
         v, v_var = d.velocity(members[:half])
         w, w_var = d.velocity(members[-half:])
         difference += years * ((v - w) ** 2 - v_var - w_var).sum()
-    interval = np.median(np.diff(np.unique(d.time)))
+    walk = random_walk(features) * median_interval(d.time)
     return Diffusion(
         n_features=len(long), change=float(difference / variance.sum()),
-        step=float(np.sqrt(random_walk(features) * interval / SLOPE) / d.fwhm),
+        step=float(np.sqrt(walk / SLOPE) / d.fwhm),
         isotropy=float(np.sqrt(variance[1] / variance[0])),
         variance=float(variance.sum() / 2 / (len(long) - 1)),
     )  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from astro_scc.features.detections import Detections, rank_in_group
+from astro_scc.intervals import median_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,7 +325,7 @@ class _Filter:
 
     def __init__(self, d, o):
         # Times are in median intervals.
-        step = np.median(np.diff(np.unique(d.time)))
+        step = median_interval(d.time)
         self.o, self.u, self.time = o, d.in_beams.T, (d.time - d.time.min()) / step
         self.square = position_scatter(d, o) ** 2
         self.light = np.log(d.flux)

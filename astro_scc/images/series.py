@@ -25,6 +25,7 @@ from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
 from astro_scc.images import cards, dates, headers, local, pixels, positions
 from astro_scc.images.beam import Beam, as_beam, different_beam
+from astro_scc.intervals import median_interval
 from astro_scc.units import PM_UNIT, speed_unit
 
 Series = TypeVar("Series", bound="ImageSeries")
@@ -247,7 +248,7 @@ class ImageSeries:
         days = np.unique((self.times - self.times[0]).jd) * u.day
         if len(days) < 2:
             return PM_UNIT
-        return speed_unit(days[-1], self.resolution, np.median(np.diff(days)))
+        return speed_unit(days[-1], self.resolution, median_interval(days))
 
     @property
     def facts(self) -> dict[str, Any]:

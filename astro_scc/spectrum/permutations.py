@@ -7,6 +7,7 @@ from math import factorial
 
 import numpy as np
 
+from astro_scc.intervals import median_interval, without_short
 from astro_scc.spectrum.diagram import LEAST_NORM, LEAST_OVERLAP
 
 #: Length in beams over which features keep their shape.
@@ -151,13 +152,12 @@ def memory_of(years, zero, *, shortest=0.3, longest=2.0, number=24):
         Cholesky factor of the covariance of the differences.
     """
     n, tau = len(years), np.abs(years[:, None] - years)
-    gaps = np.diff(years)
-    median = np.median(gaps[gaps > 0])
     differ = difference_matrix(n)
     # In these combinations of the epochs the white part is white.
     whiten = np.linalg.inv(np.linalg.cholesky(differ @ differ.T)) @ differ
     data, best = whiten @ zero @ whiten.T, (np.inf,)
-    times = np.geomspace(shortest * median, longest * np.ptp(years), number)
+    shortest, longest = shortest * median_interval(years), longest * np.ptp(years)
+    times = np.geomspace(shortest, longest, number)
     for time in (0.0, *times):
         decay = np.exp(-tau / time) if time else np.eye(n)
         variance, axes = np.linalg.eigh(whiten @ decay @ whiten.T)
@@ -188,7 +188,7 @@ def within(interval, limits):
 def fastest_speed(years, intervals=EVERY):
     """Return the speed of two beams in the shorter quarter of the intervals."""
     gaps = np.diff(years)
-    gaps = gaps[(gaps > 0) & within(gaps, intervals)]
+    gaps = without_short(gaps[within(gaps, intervals)])
     if len(gaps) == 0:
         every = np.abs(years - years[:, None])
         every = every[(every > 0) & within(every, intervals)]

@@ -22,6 +22,7 @@ from astro_scc.grid import (
     sample_planes,
     seen_flow,
 )
+from astro_scc.intervals import without_short
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.planes import REACH, FlowPlanes
@@ -199,7 +200,7 @@ def _reach(cube, max_speed, beam):
     if max_speed is None:
         return REACH
     gaps = np.diff(cube.years.to_value(u.yr))
-    way = max_speed.to_value(PM_UNIT) / beam * np.quantile(gaps[gaps > 0], 0.25)
+    way = max_speed.to_value(PM_UNIT) / beam * np.quantile(without_short(gaps), 0.25)
     return max(REACH, float(way) + MARGIN)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.intervals import median_interval
 from astro_scc.spectrum.diagram import Diagram, correlate_aside
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import SpeedErrors, fit_errors
@@ -226,8 +227,7 @@ class StreamSearch:
     @property
     def unambiguous(self) -> float:
         """The largest speed that the dates do not alias, in mas/yr."""
-        gaps = np.diff(self.flow.years)
-        return self.beam / np.median(gaps[gaps > 0])
+        return self.beam / median_interval(self.flow.years)
 
 
 def find_streams(

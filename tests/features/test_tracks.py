@@ -61,14 +61,15 @@ def test_what_holds_for_all_tracks(series, seed):
     assert found(d) == [track.detection.tolist() for track in tracks]
 
 
-def test_crossing_features_keep_their_identity(series):
-    """Two features that meet between two epochs; even and odd detections."""
-    rows = []
-    for t in range(8):
-        rows += [(t, 0.4 * t, 0.3 * t - 1.05, 1.0), (t, 0.4 * t, 1.05 - 0.3 * t, 0.3)]
-    tracks = find_tracks(series(rows))
+@pytest.mark.parametrize("days", [(0,), (0, 0.007), (0, 1, 5, 6)])
+def test_crossing_features_keep_their_identity(series, days):
+    """Two features that meet between two epochs, pairs or campaigns."""
+    years, rows = np.add.outer(np.arange(8.0), np.array(days) / 365).ravel(), []
+    for k, t in enumerate(years):
+        rows += [(k, 0.4 * t, 0.3 * t - 1.05, 1.0), (k, 0.4 * t, 1.05 - 0.3 * t, 0.3)]
+    tracks = find_tracks(series(rows, years=2000 + years), seed=1)
     each = sorted(track.detection.tolist() for track in tracks)
-    assert each == [list(range(0, 16, 2)), list(range(1, 16, 2))]
+    assert each == [list(range(k, 2 * len(years), 2)) for k in range(2)]
     assert all(track.proven and track.same_speed > 0.9 for track in tracks)
 
 

@@ -51,6 +51,8 @@ def test_speeds_that_are_promised_are_tested():
     speed = permutations.speeds_tested(years)
     assert speed[0] == pytest.approx(0.5)
     assert speed[-1] >= 2 / np.quantile(np.diff(years), 0.25)
+    pairs = permutations.speeds_tested(np.sort([*years, *(years + 1e-5)]))
+    assert pairs == pytest.approx(speed, rel=1e-3)
     assert permutations.speeds_tested(years, 50.0)[-1] == 50.0
     limited = permutations.speeds_tested(years, None, (0.25, 1.0))
     assert limited[-1] >= 2 / np.quantile([0.6], 0.25)
