@@ -13,9 +13,9 @@ from astro_scc.spectrum.permutations import EVERY, LENGTH
 from astro_scc.spectrum.planes import FlowPlanes
 from astro_scc.streams.decomposed import DecomposedFlow
 
-#: Lines are those of the flow if patterns keep so much more of their correlation along
-#: them than along straight ones, between such displacements in beams.
-KEPT, FROM, TO = 0.03, 0.3, 4.0
+#: Displacements in beams at which patterns keep their correlation along the lines of a
+#: flow, and not along others; lines are others if they keep more by so many errors.
+FROM, TO, ERRORS = 0.3, 4.0, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,22 +27,6 @@ class PartFit:
     diagram: Diagram
     equations: Equations
     fit: StreamFit
-
-    @property
-    def kept(self) -> float:
-        """The largest mean correlation of patterns that move, over that at rest."""
-        equations, x = self.equations, self.diagram.displacement
-        mean = equations.data / np.sqrt(equations.number)[:, None]
-        odd = mean - mean[:, ::-1]
-        moved = np.abs(equations.speed[:, None]) * equations.interval
-        weight = equations.share * np.exp(-moved / LENGTH)
-        weight *= (moved > FROM) & (moved < TO)
-        at = moved * np.sign(equations.speed)[:, None]
-        pairs = zip(at.T, odd, strict=True)
-        found = np.array([np.interp(v, x, values) for v, values in pairs]).T
-        total = weight.sum(axis=1)
-        found = (weight * found).sum(axis=1) / np.where(total > 0, total, np.inf)
-        return float(found.max() / max(self.diagram.power, np.finfo(float).tiny))
 
     def errors(self, travel=None, stream=None):
         """Return the errors, of clusters that move at a speed; those of one stream."""
@@ -121,12 +105,46 @@ def fit_along_lines(flow, *, straight=False, **settings):
     part = fit_part(flow, **settings)
     if part is None or straight:
         return part
-    settings["diagram"], most = None, part.kept * (1 + KEPT)
+    settings["diagram"], best = None, part
     for lines in flow.lines():
         other = fit_part(flow.along_lines(lines), **settings)
-        if other is not None and other.kept > most:
-            part, most = other, other.kept
-    return part
+        if other is None or correlation_kept(other)[0] <= correlation_kept(best)[0]:
+            continue
+        more = correlation_kept(other) - correlation_kept(part)
+        n = len(more) - 1
+        error = np.sqrt((n - 1) * more[1:].var())
+        best = other if more[0] > ERRORS * error else best
+    return best
+
+
+def correlation_kept(part):
+    """
+    Return the mean correlation of the patterns of a stream, over that at rest.
+
+    Parameters
+    ----------
+    part : `PartFit`
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs + 1,)
+        Of all epochs, and of all but each of them.
+    """
+    diagram, n = part.diagram, len(part.diagram.years)
+    moved = part.fit.mean[0] * (diagram.years - diagram.years[:, None])
+    x = diagram.displacement
+    at = np.clip((moved - x[0]) / (x[1] - x[0]), 0, len(x) - 1.001)
+    low, odd = at.astype(int)[..., None], diagram.means - diagram.means[:, :, ::-1]
+    odd = [np.take_along_axis(odd, low + k, 2)[..., 0] for k in (0, 1)]
+    found = odd[0] + (at - low[..., 0]) * (odd[1] - odd[0])
+    far, later = np.abs(moved), part.equations.bins >= 0
+    weight = np.exp(-far / LENGTH) * ((far > FROM) & (far < TO) & later)
+    power = np.diagonal(diagram.sums[:, :, diagram.zero]).astype(float)
+    keep = 1 - np.eye(n + 1, n, -1)
+    both = weight * found, weight
+    sums, total = (np.einsum("ka,ab,kb->k", keep, pairs, keep) for pairs in both)
+    rest = keep @ power / keep.sum(axis=1)
+    return sums / np.maximum(total * rest, np.finfo(float).tiny)
 
 
 def has_flow(flow):
