@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
@@ -86,8 +87,9 @@ def fit_along_lines(flow, *, straight=False, **settings):
     Fit one stream along the lines of its flow.
 
     Images that are longer than wide mistake motion off the axis for faster motion along
-    it, so that lines should follow the flow: they are straight, or diverge from the
-    core or bend with it if patterns keep more of their correlation along these.
+    it, so that lines should follow the flow.  They are straight if the position angle
+    is given, and else diverge from the core, unless patterns keep more of their
+    correlation along other lines, by two standard errors: straight, diverging or bent.
 
     Parameters
     ----------
@@ -105,16 +107,19 @@ def fit_along_lines(flow, *, straight=False, **settings):
     part = fit_part(flow, **settings)
     if part is None or straight:
         return part
-    settings["diagram"], best = None, part
-    for lines in flow.lines():
-        other = fit_part(flow.along_lines(lines), **settings)
-        if other is None or correlation_kept(other)[0] <= correlation_kept(best)[0]:
-            continue
-        more = correlation_kept(other) - correlation_kept(part)
-        n = len(more) - 1
+    settings["diagram"] = None
+    others = [fit_part(flow.along_lines(one), **settings) for one in flow.lines()]
+    given = isinstance(flow.frame, PositionAngleFrame)
+    parts = [part, *others] if given else [*others, part]
+    parts = [one for one in parts if one is not None]
+    kept = [correlation_kept(one) for one in parts]
+    best, n = 0, len(flow.years)
+    for k in range(1, len(parts)):
+        more = kept[k] - kept[0]
         error = np.sqrt((n - 1) * more[1:].var())
-        best = other if more[0] > ERRORS * error else best
-    return best
+        if kept[k][0] > kept[best][0] and more[0] > ERRORS * error:
+            best = k
+    return parts[best]
 
 
 def correlation_kept(part):
