@@ -30,12 +30,12 @@ def test_innovations_have_no_memory():
 
 def test_orders_begin_with_the_observed_one():
     rng = np.random.default_rng(2)
-    every = permutations.orders_of(4, 1000, rng)
-    assert len(every) == 24
-    assert every[0].tolist() == [0, 1, 2, 3]
-    some = permutations.orders_of(9, 50, rng)
-    assert some.shape == (51, 9)
-    assert some[0].tolist() == list(range(9))
+    for gaps, number in ([1] * 4, 24), ([1e-3, 1] * 3, 36), ([1] * 9, 1001):
+        gaps = np.array(gaps)
+        orders = permutations.orders_of(gaps, 1000, rng)
+        assert orders.shape == (number, len(gaps))
+        assert orders[0].tolist() == list(range(len(gaps)))
+        assert (gaps[orders] == gaps).all()
 
 
 @given(hypothesis.extra.numpy.arrays(float, (7, 3), elements=st.floats(-9, 9)))
