@@ -2,8 +2,8 @@
 """Whether anything moves along the flow: permutations of innovations."""
 
 from dataclasses import dataclass
-from itertools import permutations
-from math import factorial
+from itertools import permutations, product
+from math import factorial, prod
 
 import numpy as np
 
@@ -214,12 +214,23 @@ def speeds_tested(years, fastest=None, intervals=EVERY, spacing=0.35):
     return np.array(speeds)
 
 
-def orders_of(n, n_trials, rng):
-    """Return the observed order of n innovations first, and permutations of it."""
-    if factorial(n) <= n_trials + 1:
-        return np.array(list(permutations(range(n))))
-    drawn = [rng.permutation(n) for _ in range(n_trials)]
-    return np.array([np.arange(n), *drawn])
+def orders_of(gaps, n_trials, rng):
+    """
+    Return the observed order of the innovations first, and permutations of it.
+
+    Inside of a pair or campaign of epochs an innovation is noise, after a long gap it
+    is a change of the structure, so both kinds are permuted apart.
+    """
+    short = gaps < min(without_short(gaps), default=0.0)
+    kinds = [np.flatnonzero(~short), np.flatnonzero(short)]
+    if prod(factorial(len(kind)) for kind in kinds) <= n_trials + 1:
+        drawn = list(product(*map(permutations, kinds)))
+    else:
+        drawn = [[rng.permutation(kind) for kind in kinds] for _ in range(n_trials)]
+        drawn.insert(0, kinds)
+    orders = np.empty((len(drawn), len(gaps)), dtype=int)
+    orders[:, np.concatenate(kinds)] = [np.concatenate(each) for each in drawn]
+    return orders
 
 
 def autocorrelation(diagram, farthest=2.2):
@@ -273,7 +284,7 @@ def permutation_test(
     years = diagrams[0].years
     speed = speeds_tested(years, fastest, intervals)
     tau = years - years[:, None]
-    orders = orders_of(len(years) - 1, n_trials, rng)
+    orders = orders_of(np.diff(years), n_trials, rng)
     found, memories, grams, shares = [], [], [], []
     for diagram in diagrams:
         scores, gram, share, *memory = _scores(diagram, speed, tau, orders, intervals)

@@ -76,10 +76,9 @@ def test_crossing_features_keep_their_identity(series, days):
 @pytest.mark.parametrize("left_out", [0, 3])
 def test_one_epoch_more_or_less(separated, left_out):
     index = np.flatnonzero(separated.epoch != left_out)
-    part = separated.select(index)
-    later = (part.epoch > left_out).astype(int)
     years = np.delete(separated.years, left_out)
-    part = replace(part, epoch=part.epoch - later, years=years)
+    part = replace(separated.select(index), years=years)
+    part = replace(part, epoch=part.epoch - (part.epoch > left_out))
     expected = [[k for k in own if k // 4 != left_out] for own in found(separated)]
     assert [index[own].tolist() for own in found(part)] == expected
 
