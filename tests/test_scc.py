@@ -95,7 +95,6 @@ def result(cube):
 
 def test_what_cannot_be_meant_is_refused(cube):
     for call, words in [
-        (lambda scc, cube: scc(cube, n_trials=1), "n_trials = 1 must be 2"),
         (lambda scc, cube: scc(cube, n_trials="many"), "'many' must be a whole"),
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least 2 epochs"),

@@ -4,11 +4,9 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import QTable
 from astropy.time import Time
 from scipy.ndimage import gaussian_filter
 
-from astro_scc.cli import main
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import find_features
 from astro_scc.features.gaussians import fit_gaussians
@@ -124,12 +122,3 @@ def test_units_change_nothing_else(data, usual, interval, pixel, brightness):
             np.testing.assert_allclose(its, error, rtol=1e-3)
     flux = found.detections.flux / brightness
     np.testing.assert_allclose(flux, usual.detections.flux, rtol=1e-4)
-
-
-def test_fast_and_small_ones_on_the_command_line(data, tmp_path):
-    cube_of(data, 0.1 * u.s, 1 * u.uas).write(tmp_path / "cube.fits")
-    assert main(f"track {tmp_path}/cube.fits -o {tmp_path}/out --quiet".split()) == 0
-    table = QTable.read(tmp_path / "out" / "features.ecsv")
-    assert table["secure"].sum() == len(KNOTS)
-    speed = (table["pm"] * 0.1 * u.s / u.uas).to_value(1)
-    np.testing.assert_allclose(speed, STEP, rtol=0.02)
