@@ -15,11 +15,14 @@ from astropy.wcs import WCS
 
 from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.images import positions
 from astro_scc.images.dates import date_labels
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement.citations import citations_of
+from astro_scc.streams.finder import FEWEST
+from astro_scc.streams.members import frame_velocities
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 
 if TYPE_CHECKING:
@@ -32,6 +35,8 @@ LIMIT = 1.645
 NEAR, DISAGREE, AMBIGUOUS = 0.8, 2.5, 1.0
 #: Offsets of SSPs.
 SKY = "east", "north"
+#: Scatter of directions, in radians, of which a projection loses 5%.
+DIRECTIONS = 0.3
 #: Columns of a table in a paper, in their order.
 PAPER = (
     "source redshift feature stream r_min r_max kind scale n_epochs first last "
@@ -252,8 +257,10 @@ def stream_row(result, k):
     }  # fmt: skip
     # ECSV reads empty text as a missing value.
     said = [stream.reason, *_doubts(result, stream, alpha)]
+    if k == 0 and stream.kind != "stationary":
+        said += _other_directions(result)
     if stream.kind == "moving":
-        said += _cautions(search, row, alpha, result.cube.speed_unit)
+        said += _cautions(search, stream, row, alpha, result.cube.speed_unit)
         if k == _main(search):
             said.append(result.sensitivity_line)
     return row | {"caution": "; ".join(filter(None, said)) or "-"}
@@ -278,16 +285,38 @@ def _doubts(result, stream, alpha):
     ]
 
 
-def _cautions(search, row, alpha, unit):
+def _other_directions(result):
+    """Return that the features move in several directions, as a list of text."""
+    velocity, covariance = frame_velocities(result.frame, result.tracked_features)
+    speed = np.hypot(*velocity.T)
+    error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+    use = result.tracked_features.secure & (speed > SIGNIFICANT * error)
+    if use.sum() < FEWEST:
+        return []
+    # Opposite directions are those of a jet and its counter-jet.
+    turns = 2 if result.flow.grids[0].counter.any() else 1
+    angle = np.arctan2(*velocity[use].T[::-1])
+    together = abs(np.exp(1j * turns * angle).mean())
+    scatter = np.sqrt(-2 * np.log(max(together, 1e-3))) / turns
+    if not scatter > max(DIRECTIONS, 2 * np.median(error[use] / speed[use])):
+        return []
+    return [
+        f"directions of secure features scatter by {np.degrees(scatter):.0f} deg, and "
+        "speeds are those along one: try the position angles 'ridge' and 'radial'"
+    ]
+
+
+def _cautions(search, stream, row, alpha, unit):
     """Return what the row of a stream that moves depends on, as a list of text."""
     p, speed = row["p_global"], row["pm"]
     (a, e), (b, f) = ((row[k], row[f"{k}_err"]) for k in ("pm_features", "pm_spectrum"))
     off = np.nan_to_num(abs(a - b) / np.hypot(e, f)) if e > 0 and f > 0 else 0.0
     given = isinstance(search.flow.frame, PositionAngleFrame)
     turned = given and np.cos(search.angle) < 0
-    outward = -row["pm_parallel"] if turned else row["pm_parallel"]
+    outward = row["pm_parallel"] * (-1 if turned != stream.counter else 1)
     close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
     cautions = {
+        "it is of the counter-jet": stream.counter,
         "moves towards the core": outward < -abs(row["pm_transverse"]),
         "the jet is on the other side of the core than the given position angle":
             turned,

@@ -32,7 +32,7 @@ from astro_scc.streams.members import (
     moving_features,
     turn_to_flow,
 )
-from astro_scc.streams.parts import fit_along_lines
+from astro_scc.streams.parts import fit_along_lines, is_behind
 from astro_scc.streams.spread import (
     chance_of_separation,
     mean_speed,
@@ -104,6 +104,8 @@ class MeasuredStream:
         Speeds of its slowest and fastest feature.
     angle : float
         Direction from the first axis of the frame, in radians.
+    counter : bool
+        Whether it is a stream of the counter-jet.
     """
 
     kind: str
@@ -124,6 +126,7 @@ class MeasuredStream:
     slowest: float = np.nan
     fastest: float = np.nan
     angle: float = 0.0
+    counter: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +263,10 @@ def find_streams(
     sign = float(np.sign(test.speed[test.best[1]]))
     diffusion = measure_diffusion(features)
     walk = diffusion.variance if diffusion.is_walk else None
-    moving = moving_features(features, flow.frame, flow.angle, inside, walk)
+    folded = bool(flow.grids[0].counter.any())
+    moving = moving_features(
+        features, flow.frame, flow.angle, inside, walk, folded=folded
+    )
     if walk is None:
         moving = moving[moving.along * sign > 0]
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
@@ -289,10 +295,12 @@ def find_streams(
         errors = fit_errors(planes, diagram, equations, fit, region=flow.regions[0])
         search = replace(search, fit=fit, errors=errors)
     shift = _alignment(flow.years, settings.misaligned)
+    rows = _of_spectrum(search, equations, settings.whole)
     streams = _streams(
-        search, _of_spectrum(search, equations, settings.whole), moving,
-        (sheet, aside), shift, covered=covered, p_distinct=p,
-    )  # fmt: skip
+        search, rows, moving, (sheet, aside), shift, covered=covered, p_distinct=p
+    )
+    if passes and folded:
+        streams = [_on_its_side(s, search, moving, planes) for s in streams]
     if passes:
         streams = [_judged(s, search, diffusing=diffusing) for s in streams]
     streams += _standing(features, flow, streams, inside)
@@ -432,6 +440,19 @@ def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
             angle=search.angle + (0.0 if sign > 0 else np.pi),
         ))  # fmt: skip
     return found
+
+
+def _on_its_side(stream, search, moving, planes):
+    """Return a stream of both sides of a core with the direction of its own side."""
+    members = moving[np.isin(moving.number, stream.members)]
+    behind = members.weight @ members.side < 0
+    if not len(members):
+        speed = search.sign * stream.spectrum[0] / search.beam
+        behind = is_behind(search.flow, planes, speed)
+    if not behind:
+        return stream
+    turned = {"velocity": -stream.velocity, "angle": stream.angle + np.pi}
+    return replace(stream, counter=True, **turned)
 
 
 def _of_spectrum(search, equations, whole):

@@ -6,19 +6,22 @@ import numpy as np
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.trust import LEAST_EPOCHS
 
-#: A secure feature that moves, along a direction: speeds, errors, epochs, number.
+#: A secure feature that moves, along a direction: speeds, errors, epochs, number, and
+#: 1 on the side of the jet, -1 on that of a counter-jet.
 MOVING = {
-    "names": "along along_err across across_err weight number".split(),
-    "formats": [float] * 5 + [int],
+    "names": "along along_err across across_err weight number side".split(),
+    "formats": [float] * 5 + [int] * 2,
 }
 
 
-def moving_features(features, frame, angle, use=None, walk=None):
+def moving_features(features, frame, angle, use=None, walk=None, *, folded=False):
     """
     Return the secure features that move, with speeds in mas/yr, as a record array.
 
     If they diffuse, ``walk`` is the variance of their speeds times years, and all that
-    are followed count: a random walk cannot be told from motion by one of them.
+    are followed count: a random walk cannot be told from motion by one of them.  If
+    both sides of a core are ``folded``, the directions of those of the counter-jet are
+    turned by 180 degrees.
     """
     chosen = features.secure if walk is None else np.ones(len(features.tracks), bool)
     chosen = np.flatnonzero(chosen if use is None else chosen & use)
@@ -32,13 +35,15 @@ def moving_features(features, frame, angle, use=None, walk=None):
         local = turn @ np.asarray(frame.matrix(*motion.place))
         if not np.isfinite(local).all():
             continue
-        along, across = local @ motion.velocity
+        behind = folded and (local @ motion.place)[0] < 0
+        side = -1 if behind else 1
+        along, across = side * (local @ motion.velocity)
         errors = np.hypot(*(local * motion.velocity_err).T)
         if walk is not None:
             errors = np.hypot(errors, np.sqrt(walk / motion.span))
         elif abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
             continue
-        rows.append((along, errors[0], across, errors[1], n, k))
+        rows.append((along, errors[0], across, errors[1], n, k, side))
     return np.array(rows, dtype=MOVING).view(np.recarray)
 
 

@@ -112,7 +112,7 @@ def fit_along_lines(flow, *, straight=False, **settings):
     given = isinstance(flow.frame, PositionAngleFrame)
     parts = [part, *others] if given else [*others, part]
     parts = [one for one in parts if one is not None]
-    kept = [correlation_kept(one) for one in parts]
+    kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]
     best, n = 0, len(flow.years)
     for k in range(1, len(parts)):
         more = kept[k] - kept[0]
@@ -122,34 +122,49 @@ def fit_along_lines(flow, *, straight=False, **settings):
     return parts[best]
 
 
-def correlation_kept(part):
+def correlation_kept(diagram, speed):
     """
-    Return the mean correlation of the patterns of a stream, over that at rest.
+    Return the mean correlation of patterns that move at a speed, over that at rest.
 
     Parameters
     ----------
-    part : `PartFit`
+    diagram : ``Diagram``
+    speed : float
+        In beams/yr.
 
     Returns
     -------
     `~numpy.ndarray`, shape (n_epochs + 1,)
         Of all epochs, and of all but each of them.
     """
-    diagram, n = part.diagram, len(part.diagram.years)
-    moved = part.fit.mean[0] * (diagram.years - diagram.years[:, None])
-    x = diagram.displacement
+    n, x = len(diagram.years), diagram.displacement
+    tau = diagram.years - diagram.years[:, None]
+    moved = speed * tau
     at = np.clip((moved - x[0]) / (x[1] - x[0]), 0, len(x) - 1.001)
     low, odd = at.astype(int)[..., None], diagram.means - diagram.means[:, :, ::-1]
     odd = [np.take_along_axis(odd, low + k, 2)[..., 0] for k in (0, 1)]
     found = odd[0] + (at - low[..., 0]) * (odd[1] - odd[0])
-    far, later = np.abs(moved), part.equations.bins >= 0
-    weight = np.exp(-far / LENGTH) * ((far > FROM) & (far < TO) & later)
+    far = np.abs(moved)
+    weight = np.exp(-far / LENGTH) * ((far > FROM) & (far < TO) & (tau > 0))
     power = np.diagonal(diagram.sums[:, :, diagram.zero]).astype(float)
     keep = 1 - np.eye(n + 1, n, -1)
     both = weight * found, weight
     sums, total = (np.einsum("ka,ab,kb->k", keep, pairs, keep) for pairs in both)
     rest = keep @ power / keep.sum(axis=1)
     return sums / np.maximum(total * rest, np.finfo(float).tiny)
+
+
+def is_behind(flow, planes, speed):
+    """Return whether most of what moves at a speed is on the side of a counter-jet."""
+    counter, moves = flow.grids[0].counter, []
+    if not counter.any():
+        return False
+    for side in (counter, ~counter):
+        weight = weight_of(flow) * side
+        diagram = correlate(planes, region=weight)
+        kept = correlation_kept(diagram, speed)[0]
+        moves.append(kept * diagram.power * weight.sum())
+    return bool(moves[0] > moves[1])
 
 
 def has_flow(flow):

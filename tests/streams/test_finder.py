@@ -68,26 +68,44 @@ def test_one_stream_is_that_of_its_features():
     assert row["pm_pa"].value == pytest.approx(270, abs=10)
 
 
-@pytest.mark.parametrize("angles", [(-12, 12), (20, 20)])
-def test_long_beams_do_not_mistake_motion_off_the_axis_for_speed(angles):
-    """Knots of 1 mas/yr on straight lines from the core."""
+def knots(angles, speeds=(1.0,), n=8):
+    """Images of knots that leave a core in turn, with a long beam to the north."""
     years = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
-    epoch, knot = np.indices((10, 8)).reshape(2, -1)
-    r, turn = 1.1 * knot - 3.1 + years[epoch], np.radians(np.resize(angles, 8))[knot]
+    epoch, knot = np.indices((10, n)).reshape(2, -1)
+    turn, speed = np.radians(np.resize(angles, n))[knot], np.resize(speeds, n)[knot]
+    r = 8.8 / n * knot - 3.1 + speed * years[epoch]
     r[knot == 0] = 0
     use = (knot == 0) | ((r > 0.4) & (r < 7))
     east, north = np.array([r * np.sin(turn), r * np.cos(turn)])[:, use] * u.mas
     flux = np.where(knot, 0.4 * np.exp(-r / 6), 1.0)[use] * u.Jy
     dates, beam = Time(2004 + years, format="jyear"), Beam(1 * u.mas, 0.5 * u.mas)
-    knots = ComponentList(dates, epoch[use], flux=flux, east=east, north=north)
+    table = ComponentList(dates, epoch[use], flux=flux, east=east, north=north)
     noise = 0.3 * u.mJy / u.beam
-    cube = restore(knots, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=1)
-    found = measured(cube, position_angle=0 * u.deg)
+    return restore(table, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=1)
+
+
+@pytest.mark.parametrize("angles", [(-12, 12), (20, 20)])
+def test_long_beams_do_not_mistake_motion_off_the_axis_for_speed(angles):
+    found = measured(knots(angles), position_angle=0 * u.deg)
     assert found.streams["pm_spectrum"][0].value == pytest.approx(1.0, abs=0.08)
     compared = compare_scales(found)[0]
     both = compared["first_speed"].value, compared["second_speed"].value
     assert both == pytest.approx([1.0, 1.0], abs=0.06)
     assert found.flow.grids[0].lines is not None
+
+
+def test_the_counter_jet_moves_to_its_own_side():
+    found = measured(knots((0, 180), (1.8, 0.7), 16), position_angle=0 * u.deg).streams
+    row = found[np.abs(found["pm"].value - 0.7).argmin()]
+    assert row["pm_pa"].value == pytest.approx(180, abs=10)
+    assert "counter-jet" in row["caution"]
+    assert "towards the core" not in row["caution"]
+    assert found["n_features"].min() > 0
+
+
+def test_one_direction_does_not_speak_for_several():
+    found = measured(knots((-35, 35)), position_angle=0 * u.deg)
+    assert "directions of secure features scatter" in found.streams["caution"][0]
 
 
 def test_speed_towards_the_core_has_its_sign(two):
