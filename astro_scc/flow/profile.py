@@ -291,16 +291,18 @@ def measure_profile(
     limits = bins.to_value(u.mas)
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
-        flow = scc.flow(decomposed)
+        flow, numbers = scc.flow(decomposed), {}
+        if groups is not None:
+            numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}
         if len(flow.grids) > 1:
             # Bins need one direction, that of the whole flow.
             flow = find_streams(flow, features, settings, rng=generator).flow
-        elif lines := fit_along_lines(flow, intervals=settings.intervals):
-            flow = lines.flow
-        flows = {ALL: flow}
-        if groups is not None:
-            numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}
-            flows = flows_by_scale(flow, numbers)
+        else:
+            every = sorted(set().union(*numbers.values()))
+            flow = flow.along(scales=every) if every else flow
+            lines = fit_along_lines(flow, intervals=settings.intervals)
+            flow = flow if lines is None else lines.flow
+        flows = flows_by_scale(flow, numbers) if numbers else {ALL: flow}
         with progress(len(flows) * len(bins), "Searching", show=progress_bar) as done:
             searches = {
                 name: _search_bins(
