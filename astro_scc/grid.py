@@ -60,8 +60,8 @@ class FlowGrid:
         Position angle of a straight grid, in radians, or NaN.
     outward : bool
         Whether positive speeds lead away from a core.
-    lines : `~numpy.ndarray`, shape (n_along, n_across), optional
-        Columns of the straight grid through which its lines lead, if these bend.
+    lines : `~numpy.ndarray`, shape (2, n_along, n_across), optional
+        Rows and columns of the straight grid through which its lines lead.
     """
 
     x: np.ndarray
@@ -75,6 +75,11 @@ class FlowGrid:
     angle: float = np.nan
     outward: bool = False
     lines: np.ndarray | None = None
+
+    @property
+    def bends(self) -> bool:
+        """Whether its lines bend, so that speeds along them are lengths."""
+        return self.lines is not None and bool((self.lines[0] % 1).any())
 
     @property
     def axes(self) -> np.ndarray:
@@ -321,24 +326,29 @@ class SampledPlanes:
         )  # fmt: skip
 
     def along_lines(self, lines: np.ndarray) -> SampledPlanes:
-        """Return the planes of a straight grid along lines through its columns."""
-        grid, rows = self.grid, np.arange(len(self.grid.along))[:, None]
-        near = np.clip(np.rint(lines).astype(int), 0, len(grid.across) - 1)
+        """Return the planes of a straight grid along lines through its points."""
+        grid = self.grid
+        row, column = (
+            np.clip(np.rint(at).astype(int), 0, n - 1)
+            for at, n in zip(lines, self.mask.shape, strict=True)
+        )
         # No line leads from one half of the grid to the other.
-        known = (np.abs(lines - near) <= 0.5) & (grid.counter[near] == grid.counter)
-        where = np.stack(np.broadcast_arrays(rows, lines))
+        known = np.abs(lines - [row, column]).max(axis=0) <= 0.5
+        known &= grid.counter[column] == grid.counter
         sampled = scipy.ndimage.map_coordinates
-        planes = np.empty_like(self.planes)
-        for scale, found in zip(self.planes, planes, strict=True):
-            for k, plane in enumerate(scale):
-                found[k] = sampled(plane, where, order=3)
+        planes = [[sampled(plane, lines, order=3) for plane in k] for k in self.planes]
         pixels = grid.x, grid.y
-        x, y = (sampled(p, where, order=1, mode="nearest") for p in pixels)
-        weight = lines[:, 1:2] - lines[:, :1]
-        grid = replace(grid, x=x, y=y, weight=weight / weight.max(), lines=lines)
+        x, y = (sampled(p, lines, order=1, mode="nearest") for p in pixels)
+        weight = lines[1, :, 1:2] - lines[1, :, :1]
+        step = grid.along[1] - grid.along[0]
+        along = grid.along[0] + step * np.arange(len(weight))
+        grid = replace(
+            grid, x=x, y=y, along=along, distance=np.abs(along),
+            weight=weight / weight.max(), lines=lines,
+        )  # fmt: skip
         return replace(
-            self, planes=planes, valid=self.valid[:, rows, near] & known,
-            mask=self.mask[rows, near] & known, grid=grid,
+            self, planes=np.array(planes), valid=self.valid[:, row, column] & known,
+            mask=self.mask[row, column] & known, grid=grid,
         )  # fmt: skip
 
 
@@ -354,11 +364,13 @@ def flow_lines(grid, values):
 
     Returns
     -------
-    list of `~numpy.ndarray`, shape (n_along, n_across)
-        Columns of lines that diverge from a beam behind the core, unchanged at the mean
-        distance; and of those that bend with the middle of what changes, a parabola.
+    list of `~numpy.ndarray`, shape (2, n_points, n_across)
+        Rows and columns of lines that diverge from a beam behind the core, unchanged at
+        the mean distance; and of those that bend with the middle of what changes, a
+        parabola, at even steps of the way.
     """
-    columns, step = np.arange(len(grid.across)), grid.along[1] - grid.along[0]
+    step, columns = grid.along[1] - grid.along[0], np.arange(len(grid.across))
+    rows = np.arange(float(len(grid.along)))[:, None]
     power = (values**2).sum(axis=(0, 1)) * ~grid.counter
     weight = power.sum(axis=1)
     seen = weight > 0
@@ -367,13 +379,14 @@ def flow_lines(grid, values):
     width = np.abs(grid.along) + BEHIND
     width = (width / (weight @ width / weight.sum()))[:, None]
     middle = power[seen] @ grid.across / weight[seen]
-    middle = np.polynomial.Polynomial.fit(
+    curve = np.polynomial.Polynomial.fit(
         grid.along[seen], middle, 2, w=np.sqrt(weight[seen])
-    )(grid.along)[:, None]
-    return [
-        columns + grid.across * (width - 1) / step,
-        columns + ~grid.counter * middle / step,
-    ]
+    )
+    way = np.cumsum(np.hypot(1, curve.deriv()(grid.along)))
+    at = np.interp(np.arange(way[0], way[-1]), way, rows[:, 0])[:, None]
+    bent = columns + ~grid.counter * curve(grid.along[0] + step * at) / step
+    lines = (rows, columns + grid.across * (width - 1) / step), (at, bent)
+    return [np.stack(np.broadcast_arrays(*each)) for each in lines]
 
 
 def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH):

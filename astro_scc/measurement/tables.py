@@ -291,7 +291,8 @@ def _other_directions(result):
     speed = np.hypot(*velocity.T)
     error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
     use = result.tracked_features.secure & (speed > SIGNIFICANT * error)
-    if use.sum() < FEWEST:
+    # Speeds along lines that bend are lengths.
+    if use.sum() < FEWEST or result.flow.grids[0].bends:
         return []
     # Opposite directions are those of a jet and its counter-jet.
     turns = 2 if result.flow.grids[0].counter.any() else 1

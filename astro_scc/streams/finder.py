@@ -282,6 +282,9 @@ def find_streams(
     else:
         flow, planes, one = part.flow, part.planes, part.fit
         diagram, equations = part.diagram, part.equations
+    if flow.grids[0].bends:
+        length = np.hypot(moving.along, moving.across)
+        moving.along = np.copysign(length, moving.along)
     search = StreamSearch(
         flow, test, diagram, equations.speed * flow.beam, deconvolve(equations),
         settings.intervals,
@@ -428,6 +431,9 @@ def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
                 variance = np.array([mean.error, side[1]]) ** 2
                 if len(members) > 2:
                     spread, spread_err = mean.dispersion, mean.dispersion_err
+        if search.flow.grids[0].bends:
+            # The speed along the lines is the length of the velocity.
+            velocity *= abs(velocity[0]) / np.hypot(*velocity)
         v = int(np.abs(test.speed - velocity[0] / beam).argmin())
         found.append(MeasuredStream(
             kind="not significant", reason="", velocity=turn.T @ velocity,
