@@ -451,7 +451,8 @@ def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
 def _on_its_side(stream, search, moving, planes):
     """Return a stream of both sides of a core with the direction of its own side."""
     members = moving[np.isin(moving.number, stream.members)]
-    behind = members.weight @ members.side < 0
+    # Where both sides move so, the direction is that of the jet.
+    behind = members.weight @ members.side < -members.weight.sum() / 2
     if not len(members):
         speed = search.sign * stream.spectrum[0] / search.beam
         behind = is_behind(search.flow, planes, speed)
