@@ -453,8 +453,6 @@ def check_scales(value):
         return angles
     if not numbers:
         raise ValueError(wanted)
-    if numbers == (0,):
-        raise ValueError(f"{wanted}; scale 0 is single pixels, and none alone")
     if len(set(numbers)) < len(numbers):
         raise ValueError("must differ: leave out what is there twice")
     if not all(0 <= j <= LARGEST_SCALE and j % 0.5 == 0 for j in numbers):

@@ -103,7 +103,6 @@ def test_values_that_make_no_sense():
         *(("baseline", k, "shortest and a longest") for k in ("1 yr", "2 yr 1 yr")),
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
-        ("scales", "0", "scale 0 is single pixels, and none alone"),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
         ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
@@ -124,6 +123,8 @@ def test_values_that_make_no_sense():
     [
         ("max_speed", "2 mas/yr", 2 * PM),
         ("scales", np.array([1, 2]), (1.0, 2.0)),
+        # Groups are compared on scale 0 alone, which is a default too.
+        ("scale_groups", "0;1", {"0": (0.0,), "1": (1.0,)}),
         ("scales", 0.4 * u.mas, [0.4] * u.mas),
         ("position_angle", "115 deg", 115 * u.deg),
         ("position_angle", "\N{MINUS SIGN}112deg", -112 * u.deg),

@@ -9,6 +9,7 @@ import shutil
 import sys
 import traceback
 import warnings
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -18,6 +19,7 @@ from typing import Any
 import astropy.units as u
 import numpy as np
 from astropy.table import Column, MaskedColumn, QTable, vstack
+from astropy.time import Time
 
 from astro_scc import parallel, writing
 from astro_scc.cli import inputs
@@ -44,6 +46,8 @@ TABLE = "survey.ecsv"
 PARTIAL = ".partial-"
 #: Why there is nothing to test.
 NO_PATTERN = "no significant pattern here on these scales"
+#: Zeros of dates at the core: of Julian years and MJD.
+DATES = {u.yr: 2000 * u.yr, u.day: Time("J2000", scale="utc").mjd * u.day}
 #: Columns that identify a row of the table, and their descriptions.
 HEAD = {
     "source": "name of the source",
@@ -385,7 +389,48 @@ def _stacked(parts, output, name, empty):
         table.meta.clear()
         table["part"] = numbers
         tables.append(table)
+    _share_units(tables)
     return round_to_errors(vstack(tables, metadata_conflicts="silent"))
+
+
+def _share_units(tables):
+    """
+    Convert columns to the unit of most parts, in place.
+
+    Numbers of which the unit cannot be converted, as of counts to Jy, are masked.
+    """
+    units = defaultdict(Counter)
+    for table in tables:
+        n = len(set(table["part"]))
+        for name in table.colnames:
+            units[name][_unit_of(table[name])] += n
+    for name, found in units.items():
+        if len(found) == 1:
+            continue
+        alike = {k: sum(found[n] for n in found if k.is_equivalent(n)) for k in found}
+        # Of equals, a unit is better than none.
+        unit = max(found, key=lambda k: (alike[k], found[k], k != u.one))
+        others = [str(k) or "none" for k in found if not k.is_equivalent(unit)]
+        having = [table for table in tables if name in table.colnames]
+        in_unit = next(table for table in having if _unit_of(table[name]) == unit)
+        about = in_unit[name].info.description
+        if others:
+            about = f"{about}; masked of sources in other units: {', '.join(others)}"
+        for table in having:
+            own = _unit_of(table[name])
+            if not own.is_equivalent(unit):
+                column = MaskedColumn(np.full(len(table), np.nan), mask=True)
+                column.unit = None if unit == u.one else unit
+                table[name] = column
+            elif own != unit:
+                zero = DATES if name == "t_ej" else {own: 0 * own, unit: 0 * unit}
+                table[name] = (table[name] - zero[own]).to(unit) + zero[unit]
+            table[name].info.description = about
+
+
+def _unit_of(column):
+    """Return the unit of a column, one if it has none."""
+    return u.Unit(getattr(column, "unit", None) or u.one)
 
 
 def _with_head(table, parts):

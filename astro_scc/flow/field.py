@@ -41,7 +41,7 @@ class FlowField:
         ``pm_parallel`` with ``pm_parallel_err``; ``p_global`` and, adjusted for all
         cells, ``p_fdr``.  What is unknown is NaN.
     along, across : `~astropy.units.Quantity`
-        Edges of the cells.
+        Edges of the cells; ``to_fits`` needs even ones.
 
     Examples
     --------
@@ -61,7 +61,7 @@ class FlowField:
 
     def to_fits(self) -> fits.HDUList:
         """
-        Return the cells as images with a WCS of distance and offset.
+        Return the cells, of even edges, as images with a WCS of distance and offset.
 
         Returns
         -------
@@ -111,6 +111,7 @@ def measure_field(
     result : `~astro_scc.measurement.SCCResult`
     along : `~astropy.units.Quantity` or str, optional
         Edges of the cells: increasing distances, by default every two beams.
+        `FlowField.to_fits` needs even ones, also across.
     across : `~astropy.units.Quantity`, optional
         Increasing offsets or, of radial and expanding flows, position angles; by
         default three cells over what is seen.

@@ -175,7 +175,10 @@ def overview(table, features, parts, folder):
     for row in table:
         kind = "kind" if row["status"] == "measured" else "status"
         every_kind[row["source"]].add(row[kind])
-    first = {tuple(row[PART]): row for row in table[::-1]}
+    # The main stream is that of the largest share of those that move, or the first.
+    shares = np.where(np.asarray(table["kind"]) == "moving", table["share"], -1.0)
+    order = np.argsort(-shares, kind="stable")[::-1]
+    main = {tuple(row[PART]): row for row in table[order]}
     of_part = defaultdict(list)
     for k, names in enumerate(features[PART] if len(features) else ()):
         of_part[tuple(names)].append(k)
@@ -183,7 +186,7 @@ def overview(table, features, parts, folder):
     for part in parts:
         names = tuple(getattr(part, name) for name in PART)
         of_features = features[of_part[names]]
-        rows.append(_part_cells(part, first[names], of_features, unit, folder))
+        rows.append(_part_cells(part, main[names], of_features, unit, folder))
     moving = [cells for cells in rows if cells["kind"] == "moving"]
     if speeds := [cells["speed"] for cells in moving if "speed" in cells]:
         low, middle, high = (f"{v:.2g}" for v in np.quantile(speeds, [0, 0.5, 1]))
@@ -219,10 +222,11 @@ def _part_cells(part, row, features, unit, folder):
     cells["kind"], more["kind"] = row["kind"], row["caution"].removeprefix("-")
     cells["n_features"] = str(row["n_features"])
     cells |= {name: cell(row, name, form=".2g") for name in ("p_global", "p_fdr")}
-    # What has no feature has no speed, but a scale group has none of its own.
-    if row["n_features"] or part.scale_group != "all":
+    # Without a feature only what moves has a speed; a scale group has none of its own.
+    if row["n_features"] or row["kind"] == "moving" or part.scale_group != "all":
         for name in {"pm", "beta_app"} & {*row.colnames}:
             cells[name] = cell(row, name).removeprefix("-")
+        more["pm"] = f"from {row['pm_from']}"
         cells["speed"], error = (row[k].to_value(unit) for k in ("pm", "pm_err"))
         if np.isfinite(error + known):
             off = (cells["speed"] - known) / np.hypot(error, np.nan_to_num(known_error))

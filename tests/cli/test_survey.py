@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io.votable import validate
-from astropy.table import QTable, Table
+from astropy.table import QTable, Table, vstack
 
 from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_part, run_survey
@@ -108,7 +108,10 @@ def test_the_overview_counts_sources(tmp_path):
     table["pm"] = np.r_[np.full(8, 2.0), 7.0] * u.mas / u.yr
     table["pm_err"] = np.full(9, 0.1) * u.mas / u.yr
     table["p_global"], table["p_fdr"] = 0.01, 0.02
-    table["n_features"] = [3] * 8 + [0]
+    table["n_features"], table["share"] = [0] + [3] * 7 + [0], 0.5
+    table["pm_from"] = ["spectrum"] + ["features"] * 8
+    table = vstack([table[:1], table])
+    table["pm"][0], table["share"][0] = 9 * u.mas / u.yr, 0.4
     known = {"A": [1.9] * u.mas / u.yr} | {k: [np.nan] * u.mas / u.yr for k in "BCDEFG"}
     parts = [Part(k, r, "all", "", None, known[k], status=s) for k, r, s, _ in rows]
     page = write_overview(table, QTable(), parts, tmp_path).read_text("utf-8")
@@ -116,7 +119,28 @@ def test_the_overview_counts_sources(tmp_path):
     words = "Of 7 sources, 1 moves, 1 has motion that is not confirmed, 1 shows no "
     assert words + said in page
     assert "of the published one: 1 of 1." in page
-    assert not re.search(">7.0|nan standard errors", page)
+    assert "from spectrum" in page
+    assert not re.search(">[79].0|nan standard errors", page)
+
+
+def test_sources_in_other_units_share_those_of_most():
+    jy, none = [1.0] * u.Jy, [3.0]
+    hours = {"pm": [1] * u.mas / u.h, "t_ej": [51544.5] * u.d, "t_ej_err": [1] * u.d}
+    years = {"pm": [2] * u.mas / u.yr, "t_ej": [2001] * u.yr, "t_ej_err": [1] * u.yr}
+    tables = [
+        QTable(hours | {"flux": none, "part": [0]}),
+        QTable(years | {"flux": jy, "part": [1]}),
+        QTable(years | {"flux": 1000 * jy.to(u.mJy), "part": [2]}),
+    ]
+    survey._share_units(tables)
+    both = vstack(tables)
+    assert [both[k].unit for k in hours] == [u.mas / u.yr, u.yr, u.yr]
+    np.testing.assert_allclose(both["pm"].value, [8766, 2, 2])
+    np.testing.assert_allclose(both["t_ej"].value, [2000, 2001, 2001], rtol=1e-12)
+    assert both["t_ej_err"][0] == 1 * u.d
+    assert both["flux"].mask.tolist() == [True, False, False]
+    assert both["flux"][2] == 1000 * u.Jy
+    assert "other units: none" in both["flux"].info.description
 
 
 def test_folder_names_are_harmless(tmp_path):
