@@ -195,8 +195,7 @@ def scale_lines(of_scales):
         if np.isfinite(row["r_max"]):
             where = f"{row['r_min'].value:g} to {row['r_max'].value:g} {far}: "
         first, second = (
-            f"{row[f'{k}_speed'].value:.3g} on "
-            f"{'scales' if ',' in row[k] else 'scale'} {row[k]}"
+            f"{row[f'{k}_speed'].value:.3g} on {_on(row[k])}"
             for k in ("first", "second")
         )
         apart, p = cell(row, "difference", "+-"), row["p_value"]
@@ -406,7 +405,29 @@ def profile_lines(streams):
         if name not in rows["bin"]:
             why = "no speed exceeds its error" if name in tested else "nothing is seen"
             lines.append(f"{name} {unit_name(unit)}: {why}")
+    lines += _remarks(rows[rows["kind"] != "not significant"])
     return [*lines, *EXPLANATION, PROFILE_EXPLANATION, *speed_lines(streams.meta)]
+
+
+def _remarks(rows):
+    """Return the cautions of rows of a profile, each with all bins that it is on."""
+    places = {}
+    for row in rows:
+        on = _on(row["scale_group"]) if "scale_group" in rows.colnames else ""
+        for text in row["caution"].removeprefix("-").split("; "):
+            # The table has the number of features.
+            if text and not text.startswith("no secure feature"):
+                places.setdefault((text, on), []).append(row["bin"])
+    unit = unit_name(rows["r_min"].unit)
+    return [
+        f"{', '.join(dict.fromkeys(bins))} {unit}{on and f' on {on}'}: {text}"
+        for (text, on), bins in places.items()
+    ]
+
+
+def _on(group):
+    """Return the scales of a group in words."""
+    return f"{'scales' if ',' in group else 'scale'} {group}"
 
 
 def misalignment_text(scatter):

@@ -54,6 +54,8 @@ REST_ERRORS, DOUBTFUL_ERRORS = 1.0, 2.0
 #: A speed of the spectrum needs images that resemble one another: at least such a part
 #: of their variance has no memory, and less than such a share moves.
 WHITE, LEAST_MOVING = 0.7, 0.15
+#: Neighbours of the fast speeds of the test differ by such a factor, and look alike.
+STEP = 1.12
 UNLIKE = (
     "the images of neighbouring dates have little in common, so that patterns may be "
     "mistaken for one another: shorter intervals are needed"
@@ -223,6 +225,10 @@ class StreamSearch:
     def fastest(self) -> float:
         """The fastest speed that was searched, in mas/yr."""
         return self.beam * np.abs(self.test.speed).max()
+
+    def tested(self, speed: float) -> bool:
+        """Return whether the test searched a speed in mas/yr, or its neighbour."""
+        return bool(self.slowest / STEP <= abs(speed) <= self.fastest * STEP)
 
     @property
     def unambiguous(self) -> float:
@@ -460,6 +466,10 @@ def _judged(stream, search, *, diffusing):
         doubtful=diffusing or fast,
         unlike=stream.source == "spectrum" and _unlike(search.test),
     )  # fmt: skip
+    # The spectrum reaches beyond what the test searches, features have their own test.
+    if stream.source == "spectrum" and not search.tested(speed):
+        than = "faster" if speed > search.fastest else "slower"
+        kind, reason = "not confirmed", f"it is {than} than what was searched"
     return replace(stream, kind=kind, reason=reason)
 
 

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Streams of simulated jets, means of features, and the speed across the flow."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from astropy.time import Time
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import ComponentList, restore
 from astro_scc.flow import compare_scales
+from astro_scc.report.answer import profile_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
-from astro_scc.streams.finder import verdict
+from astro_scc.streams.finder import _judged, verdict
 from astro_scc.streams.spread import mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
 
@@ -125,6 +128,20 @@ def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     assert ("of rest" in reason) == (not known)
     assert ("little in common" in reason) == (known and unlike)
     assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
+
+
+@pytest.mark.parametrize(("factor", "than"), [(3.0, "faster"), (0.01, "slower")])
+def test_a_speed_that_was_not_searched_is_not_confirmed(two, factor, than):
+    search = two.search
+    far = replace(search.streams[1], velocity=factor * search.streams[1].velocity)
+    far = _judged(replace(far, covariance=np.eye(2) * 1e-4), search, diffusing=False)
+    assert far.kind == "not confirmed"
+    assert far.reason == f"it is {than} than what was searched"
+    profile = two.streams[:1]
+    profile["r_min"], profile["r_max"] = [[1.0] * u.mas, [2.0] * u.mas]
+    profile["main"], profile["caution"] = [True], [far.reason]
+    profile.meta["bins"] = [[1.0, 2.0]]
+    assert f"1 to 2 mas: {far.reason}" in profile_lines(profile)
 
 
 def test_means_of_features():
