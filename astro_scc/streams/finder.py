@@ -212,6 +212,13 @@ class StreamSearch:
         return self.flow.angle
 
     @property
+    def both(self) -> list[tuple[float, float]] | None:
+        """Mean and dispersion of two streams, in beams/yr, or None."""
+        if self.fit is None or len(self.fit.mean) < 2:
+            return None
+        return list(zip(self.fit.mean, self.fit.sd, strict=True))
+
+    @property
     def sign(self) -> float:
         """Sign of the speed at which motion is clearest."""
         return float(np.sign(self.test.speed[self.test.best[1]]))

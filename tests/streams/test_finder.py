@@ -10,8 +10,8 @@ from astropy.time import Time
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import ComponentList, restore
-from astro_scc.flow import compare_scales
-from astro_scc.report.answer import profile_lines
+from astro_scc.flow import compare_scales, measure_profile
+from astro_scc.report.answer import profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
@@ -38,6 +38,22 @@ def test_both_streams_of_the_paper_are_found(two):
     assert streams["share"].sum() == pytest.approx(1.0)
     assert streams["pm_pa"].value == pytest.approx([270, 270], abs=8)
     assert streams["stream"].tolist() == [1, 2]
+
+
+def test_scales_of_two_streams_are_compared_stream_by_stream(two):
+    whole = compare_scales(two)
+    scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    groups = {"scale_groups": "1; 2", "n_trials": 119, "rng": 1}
+    bins = compare_scales(measure_profile(scc, two.cube, [2, 10, 18] * u.mas, **groups))
+    for found in (whole, bins):
+        known = found[np.isfinite(found["p_value"])]
+        slow = known["stream"] == 1
+        assert 0 < slow.sum() < len(known)
+        for k in ("first_speed", "second_speed"):
+            assert np.all((known[k].value < 12) == slow)
+        assert np.all(known["p_value"] > 1e-3)
+    assert whole["first_share"].sum() == pytest.approx(1)
+    assert "stream 2: 24" in scale_lines(whole)[1]
 
 
 @pytest.mark.slow
