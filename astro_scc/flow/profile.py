@@ -219,6 +219,7 @@ def _main(table):
     share = np.nan_to_num(np.asarray(table["share"], dtype=float))
     for wanted in ("moving", "not confirmed", "not significant"):
         moves = (table["kind"] == wanted) & (table["pm"] > table["pm_err"])
+        moves &= np.isfinite(table["p_global"])
         if moves.any():
             chosen[np.where(moves, share, -np.inf).argmax()] = True
             break

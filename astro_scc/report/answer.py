@@ -88,7 +88,7 @@ def headline(streams):
     for kind, said in (("moving", "Motion: "), ("not confirmed", "Not confirmed: ")):
         if rows := [_motion(row) for row in streams[kinds == kind]]:
             parts.append(said + "; and ".join(rows))
-    if parts:
+    if parts and np.isfinite(streams["p_global"][kinds != "not significant"]).any():
         return f"{'. '.join(parts)}."
     some, meta = streams[kinds == "not significant"], streams.meta
     more = [f"p_global {some['p_global'][0]:.2g}"] if len(some) else []
@@ -102,7 +102,8 @@ def headline(streams):
             f"speeds of {low} to {high} {unit_name(unit)} were searched",
             f"unambiguous to {safe}",
         ]
-    return f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}."
+    nothing = f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}"
+    return f"{'. '.join([nothing, *parts])}."
 
 
 def _speed(row):

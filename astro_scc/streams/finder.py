@@ -73,6 +73,9 @@ FEWEST, SEPARATE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.9, 6.0, 0.03, 0.2
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
+#: Standing features do not stand still if their mean is so many errors from zero, of
+#: two dimensions: as rare by chance as three errors in one.
+TOGETHER = 3.44
 #: A pair of numbers that are not known.
 UNKNOWN = (np.nan, np.nan)
 
@@ -308,7 +311,7 @@ def find_streams(
     )  # fmt: skip
     if passes:
         streams = [_judged(s, search, diffusing=diffusing) for s in streams]
-    streams += _standing(features, flow, streams, inside)
+    streams += _standing(features, flow, streams, inside, shift)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
     velocities = velocity_map(
         sheet, aside * (np.arange(len(sheet)) - len(sheet) // 2),
@@ -549,8 +552,13 @@ def _alignment(years, misaligned):
     return np.diag(response**2 @ misaligned**2)
 
 
-def _standing(features, flow, streams, inside):
-    """Return the stream of the features that stand still, if there are any."""
+def _standing(features, flow, streams, inside, shift):
+    """
+    Return the stream of the features that stand still, if there are any.
+
+    Each of them may, but if their mean moves by more than its error, all features or
+    the core, the reference, do: images do not tell which.
+    """
     n = len(features.tracks)
     if n == 0:
         return []
@@ -573,11 +581,19 @@ def _standing(features, flow, streams, inside):
     velocity = np.array([share @ first, share @ second])
     scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
     variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
-    speeds = np.hypot(first, second)
+    speeds, covariance = np.hypot(first, second), np.eye(2) * variance + shift
+    errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
+    kind, reason = "stationary", ""
+    if len(members) > 1 and errors > TOGETHER:
+        kind = "not confirmed"
+        reason = (
+            "its features, none of which moves significantly, move together by "
+            f"{errors:.1f} standard errors: they do, or the reference, the core, does"
+        )
     return [
         MeasuredStream(
-            kind="stationary", reason="", velocity=velocity,
-            covariance=np.eye(2) * variance, alignment=np.zeros((2, 2)),
+            kind=kind, reason=reason, velocity=velocity,
+            covariance=covariance, alignment=shift,
             source="features", members=np.array(members),
             features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
             slowest=speeds.min(), fastest=speeds.max(),

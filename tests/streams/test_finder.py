@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Streams of simulated jets, means of features, and the speed across the flow."""
 
+from copy import copy
 from dataclasses import replace
 
 import astropy.units as u
@@ -10,12 +11,13 @@ from astropy.time import Time
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import ComponentList, restore
-from astro_scc.flow import compare_scales, measure_profile
-from astro_scc.report.answer import profile_lines, scale_lines
+from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
-from astro_scc.streams.finder import _judged, verdict
+from astro_scc.streams.finder import _judged, _standing, verdict
 from astro_scc.streams.spread import mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
 
@@ -73,6 +75,23 @@ def test_a_static_jet_does_not_move(seed):
     assert kinds[0] == "not significant"
     assert "were searched" in found.streams["caution"][0]
     assert not len(found.sensitivity)
+    # What is too slow in each feature is seen in their mean.
+    features, search = found.tracked_features, found.search
+    error = 1.5 * np.median([m.speed_err for m in features.motions])
+    moved = [replace(m, velocity=[error, 0] + m.velocity) for m in features.motions]
+    drift = copy(features)
+    vars(drift)["motions"] = moved
+    for known, kind in ((False, "stationary"), (True, "not confirmed")):
+        shift = np.eye(2) * (0 if known else error**2)
+        (row,) = _standing(drift, search.flow, [], None, shift)
+        assert row.kind == kind
+        assert ("move together by" in row.reason) == known
+    found = replace(found, search=replace(search, streams=(search.streams[0], row)))
+    assert found.streams["pm_limit"][1] > found.streams["pm"][1]
+    assert np.any(found.features["stream"] == 2)
+    assert headline(found.streams).startswith("Nothing moves significantly: p_global")
+    assert np.isnan(measure_acceleration(found, 1).p_value)
+    assert false_discovery_rate([found.streams])[0]["p_fdr"][0] > 0.01
 
 
 def test_one_stream_is_that_of_its_features():
