@@ -106,26 +106,43 @@ def test_one_stream_is_that_of_its_features():
     assert row["pm_pa"].value == pytest.approx(270, abs=10)
 
 
-@pytest.mark.parametrize("angles", [(-12, 12), (20, 20)])
-def test_long_beams_do_not_mistake_motion_off_the_axis_for_speed(angles):
-    """Knots of 1 mas/yr on straight lines from the core."""
-    years = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
-    epoch, knot = np.indices((10, 8)).reshape(2, -1)
-    r, turn = 1.1 * knot - 3.1 + years[epoch], np.radians(np.resize(angles, 8))[knot]
+def knots_on_lines(years, apart, angles, beam):
+    """Return knots of 1 mas/yr on straight lines from the core."""
+    n = round(8.8 / apart)
+    epoch, knot = np.indices((len(years), n)).reshape(2, -1)
+    turn = np.radians(np.resize(angles, n))[knot]
+    r = apart * knot - 3.1 + years[epoch]
     r[knot == 0] = 0
     use = (knot == 0) | ((r > 0.4) & (r < 7))
     east, north = np.array([r * np.sin(turn), r * np.cos(turn)])[:, use] * u.mas
     flux = np.where(knot, 0.4 * np.exp(-r / 6), 1.0)[use] * u.Jy
-    dates, beam = Time(2004 + years, format="jyear"), Beam(1 * u.mas, 0.5 * u.mas)
+    dates, beam = Time(2004 + years, format="jyear"), Beam(*beam * u.mas)
     knots = ComponentList(dates, epoch[use], flux=flux, east=east, north=north)
     noise = 0.3 * u.mJy / u.beam
-    cube = restore(knots, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=1)
+    return restore(knots, beam=beam, pixel_scale=0.1 * u.mas, noise=noise, rng=1)
+
+
+YEARS = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
+
+
+@pytest.mark.parametrize("angles", [(-12, 12), (20, 20)])
+def test_long_beams_do_not_mistake_motion_off_the_axis_for_speed(angles):
+    cube = knots_on_lines(YEARS, 1.1, angles, (1.0, 0.5))
     found = measured(cube, position_angle=0 * u.deg)
     assert found.streams["pm_spectrum"][0].value == pytest.approx(1.0, abs=0.08)
     compared = compare_scales(found)[0]
     both = compared["first_speed"].value, compared["second_speed"].value
     assert both == pytest.approx([1.0, 1.0], abs=0.06)
     assert found.flow.grids[0].lines is not None
+
+
+def test_knots_that_leave_at_equal_intervals_have_their_speed():
+    """Each looks like the next after 0.9 years."""
+    years = np.append(YEARS, YEARS[-1] + np.cumsum([0.44, 0.32, 0.35, 0.25, 0.45]))
+    cube = knots_on_lines(years, 0.9, (0, 0), (1.2, 0.5))
+    row = measured(cube, position_angle=0 * u.deg).streams[0]
+    assert row["pm_spectrum"].value == pytest.approx(1.0, abs=0.1)
+    assert row["share"] == 1
 
 
 def test_speed_towards_the_core_has_its_sign(two):
