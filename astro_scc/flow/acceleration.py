@@ -254,14 +254,13 @@ def accelerations(result, rows):
     """Return the acceleration of each of some rows; the parts are fitted once."""
     search = result.search
     flow, fit, known = search.flow, search.fit, []
-    moving = [search.streams[row].kind != "stationary" for row in rows]
+    # Features that are not tested have no speed of the spectrum.
+    moving = [np.isfinite(search.streams[row].p_global) for row in rows]
     if any(moving) and fit is not None:
         known = [flow.between(low, high) for low, high in parts_along(flow)]
-    start, sign = None, 1 if fit is None else np.sign(fit.mean[0])
-    if fit is not None and len(fit.mean) > 1:
-        start = list(zip(fit.mean, fit.sd, strict=True))
+    sign = 1 if fit is None else np.sign(fit.mean[0])
     fits = [
-        fit_part(part, sign=sign, start=start, intervals=search.intervals)
+        fit_part(part, sign=sign, start=search.both, intervals=search.intervals)
         for part in known
     ]
     places = [place_of(part) for part in known]

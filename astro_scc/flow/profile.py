@@ -77,8 +77,11 @@ class Profile(Components):
         By the name of the group of scales, "all" if there are none: one per bin, None
         if nothing is seen there.
     fits, speeds : dict
-        By the same names: one stream fitted to each bin, and its speeds with their
-        covariance, in beams and years.
+        By the same names: one stream fitted to each bin, None if its speed is not
+        known, and its speeds with their covariance, in beams and years.
+    both : tuple of (sequence of (float, float) or None)
+        For each bin, with groups: mean and dispersion of two streams of the whole flow
+        or, if it has one, of a group in this bin.
     flow : ``DecomposedFlow``
         The flow that is divided.
     along : {"radius", "ridge"}
@@ -103,6 +106,7 @@ class Profile(Components):
     speeds: dict[str, PartSpeeds]
     flow: DecomposedFlow
     along: str = "radius"
+    both: tuple[list[tuple[float, float]] | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.bins)
@@ -215,6 +219,7 @@ def _main(table):
     share = np.nan_to_num(np.asarray(table["share"], dtype=float))
     for wanted in ("moving", "not confirmed", "not significant"):
         moves = (table["kind"] == wanted) & (table["pm"] > table["pm_err"])
+        moves &= np.isfinite(table["p_global"])
         if moves.any():
             chosen[np.where(moves, share, -np.inf).argmax()] = True
             break
@@ -310,7 +315,11 @@ def measure_profile(
                 )
                 for name, part in flows.items()
             }
-        sign = _sign_of(searches, bins)
+        sign, both = _sign_of(searches, bins), None
+        if groups is not None:
+            # Bins and groups have fewer patterns to tell two streams from one.
+            whole = find_streams(flow, features, settings, rng=generator.spawn(1)[0])
+            both = whole.both
         fits = {
             name: tuple(_fit_again(search, sign, root=root) for search in found)
             for name, found in searches.items()
@@ -325,7 +334,11 @@ def measure_profile(
         for name, found in searches.items()
     }
     along = "ridge" if isinstance(flow.frame, RidgeLine) else "radius"
-    return Profile(bins, results, fits, speeds, flow, along)
+    pairs = tuple(
+        both or next((one.both for one in found if one and one.both), None)
+        for found in zip(*searches.values(), strict=True)
+    )
+    return Profile(bins, results, fits, speeds, flow, along, pairs)
 
 
 def _sign_of(searches, bins):
@@ -355,15 +368,22 @@ def _search_bins(flow, limits, features, settings, generator, *, root, done):
 
 
 def _fit_again(search, sign, *, root):
-    """Return the fit of one stream to a bin."""
+    """Return the fit of one stream to a bin, None if its speed is not known."""
     if search is None:
         return None
-    fit = search.fit
+    fit, error = search.fit, search.errors and search.errors.mean[0]
     same = fit is not None and len(fit.mean) == 1 and fit.mean[0] * sign > 0
-    return fit_part(
+    part = fit_part(
         search.flow, sign=sign, root=root, intervals=search.intervals,
         diagram=search.diagram, fit=fit if same else None,
     )  # fmt: skip
+    if part is None:
+        return None
+    speed = part.fit.mean[0]
+    error = error if same else part.errors().mean[0]
+    # The table has another mean of the spectrum then, or does not confirm it.
+    known = error < abs(speed) and search.tested(speed * search.beam)
+    return part if known else None
 
 
 def write_profile(profile, streams, directory, **settings):

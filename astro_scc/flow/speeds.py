@@ -30,9 +30,9 @@ DIFFERENCES = 1.5
 BINS = ("stream", "n_features", "r_min", "r_max", "r_mid", "pm_parallel",
         "pm_parallel_err", "dispersion", "dispersion_err")  # fmt: skip
 #: Columns of a comparison of speeds, of which the first two are distances.
-COMPARED = ("r_min", "r_max", "first", "first_speed", "first_speed_err", "second",
-            "second_speed", "second_speed_err", "difference", "difference_err",
-            "p_value")  # fmt: skip
+COMPARED = ("r_min", "r_max", "stream", "first", "first_speed", "first_speed_err",
+            "first_share", "second", "second_speed", "second_speed_err", "second_share",
+            "difference", "difference_err", "p_value")  # fmt: skip
 
 
 def feature_profile(result: SCCResult) -> QTable:
@@ -117,11 +117,13 @@ def compare_scales(
     """
     Compare the speeds of groups of scales.
 
-    One stream is fitted to each group, with the variance of the images normalised
-    along the flow only, as what differs across it belongs to the scales.  What the same
-    clusters and epochs add to both groups cancels in a difference, and so does not
-    count in its error; in simulated jets that error is too small by a factor of 1.5, by
-    which it is multiplied.
+    The streams of the whole flow, or of the bin, are fitted to each group, and each is
+    compared by itself: one stream would be the slow one in some groups and the fast one
+    in others.  Layers of two speeds differ in the shares of both.  The variance of the
+    images is normalised along the flow only, as what differs across it belongs to the
+    scales.  What the same clusters and epochs add to both groups cancels in a
+    difference, and so does not count in its error; in simulated jets that error is too
+    small by a factor of 1.5, by which it is multiplied.
 
     Parameters
     ----------
@@ -134,10 +136,11 @@ def compare_scales(
     Returns
     -------
     `~astropy.table.QTable` or None
-        A row for each pair of groups, and bin: ``r_min`` and ``r_max`` (0 and infinity
-        for the whole); ``first`` and ``second``, their names; the speed of each with
-        its error; ``difference`` with its error, and ``p_value``.  What is unknown is
-        NaN.  None with one scale.
+        A row for each pair of groups, bin and stream: ``r_min`` and ``r_max`` (0 and
+        infinity for the whole); ``stream``, of two 1 is the slower; ``first`` and
+        ``second``, their names; the speed of each with its error, and its share of what
+        moves; ``difference`` with its error, and ``p_value``.  What is unknown is NaN.
+        None with one scale.
 
     Raises
     ------
@@ -163,22 +166,33 @@ def compare_scales(
     rows = []
     if hasattr(measured, "results"):
         for k, limits in enumerate(measured.bins.to_value(u.mas)):
-            fits = {name: found[k] for name, found in measured.fits.items()}
-            rows += [(*limits, *row) for row in _compared(fits, measured.flow.beam)]
+            fits, both = {}, measured.both[k]
+            for name, results in measured.results.items():
+                fit, one = measured.fits[name][k], results[k]
+                if both and one is not None:
+                    fit = fit_part(
+                        one.flow, root=False, start=both, diagram=one.search.diagram,
+                        intervals=one.search.intervals,
+                    )  # fmt: skip
+                fits[name] = fit
+            compared = _compared(fits, measured.flow.beam, both)
+            rows += [(*limits, *row) for row in compared]
     else:
         flow, fit = measured.flow, measured.search.fit
         if scale_groups is None and len(flow.planes[0].scales) < 2:
             return None
         groups = scale_groups or halves(flow.planes[0].scales)
         sign, used = 1.0 if fit is None else np.sign(fit.mean[0]), measured.search
+        settings = {"root": False, "intervals": used.intervals, "start": used.both}
         fits = {
-            name: fit_part(part, sign=sign, root=False, intervals=used.intervals)
+            name: fit_part(part, sign=sign, **settings)
             for name, part in flows_by_scale(flow, groups).items()
         }
-        rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam)]
+        rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam, used.both)]
     speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
     units = dict.fromkeys(COMPARED[:2], u.mas) | dict.fromkeys(speeds, PM_UNIT)
-    kinds = [str if name in ("first", "second") else float for name in COMPARED]
+    kinds = dict.fromkeys(COMPARED, float) | {"stream": int}
+    kinds = [*(kinds | {"first": str, "second": str}).values()]
     return QTable(rows=rows or None, names=COMPARED, units=units, dtype=kinds)
 
 
@@ -206,18 +220,24 @@ def halves(scales):
     return {", ".join(f"{s:g}" for s in part): part.tolist() for part in parts}
 
 
-def _compared(fits, beam):
+def _compared(fits, beam, both):
     """Return the rows of a comparison of groups of scales."""
     rows = []
     for (one, first), (other, second) in combinations(fits.items(), 2):
-        speeds, errors, off, error = difference(first, second)
-        p = 2 * scipy.special.ndtr(-abs(off / error)) if error > 0 else np.nan
-        v, e = beam * np.array(speeds), beam * np.array(errors)
-        rows.append((one, v[0], e[0], other, v[1], e[1], beam * off, beam * error, p))
+        for k in range(len(both or [None])):
+            speeds, errors, off, error = difference(first, second, k, both)
+            p = 2 * scipy.special.ndtr(-abs(off / error)) if error > 0 else np.nan
+            groups = [
+                (name, beam * v, beam * e, part.fit.share[k] if v > 0 else np.nan)
+                for name, part, v, e in zip(
+                    (one, other), (first, second), speeds, errors, strict=True
+                )
+            ]
+            rows.append((k + 1, *groups[0], *groups[1], beam * off, beam * error, p))
     return rows
 
 
-def difference(first, second):
+def difference(first, second, stream=0, both=None):
     """
     Return the difference of the speeds of two groups of scales, and its error.
 
@@ -227,6 +247,11 @@ def difference(first, second):
     ----------
     first, second : `PartFit`
         Of the same places.
+    stream : int, optional
+        Number of the stream, from 0.
+    both : sequence of (mean, sd), optional
+        Of two streams, those of the whole: speeds that are nearer to that of the other,
+        by ratio, are not known.
 
     Returns
     -------
@@ -235,22 +260,30 @@ def difference(first, second):
     difference, error : float
         All in beams/yr; NaN where a speed is not known.
     """
-    if not all(part is not None and part.knows(0) for part in (first, second)):
+    if not all(_knows(part, stream, both) for part in (first, second)):
         return (np.nan, np.nan), (np.nan, np.nan), np.nan, np.nan
-    travel = (first.fit.mean[0] + second.fit.mean[0]) / 2
-    both = first.errors(travel), second.errors(travel)
-    speeds = abs(first.fit.mean[0]), abs(second.fit.mean[0])
+    means = [part.fit.mean[stream] for part in (first, second)]
+    found = [part.errors(np.mean(means), stream) for part in (first, second)]
+    speeds = abs(means[0]), abs(means[1])
     factors = [
         scipy.special.stdtrit(max(error.number[0] - 1, 1.0), ONE_SIGMA)
-        for error in both
+        for error in found
     ]
-    variance = ((both[1].epochs[0] - both[0].epochs[0]) ** 2).sum()
+    variance = ((found[1].epochs[0] - found[0].epochs[0]) ** 2).sum()
     for half in (0, 1):
-        one, other = (both[k].clusters[0][half] / factors[k] for k in (0, 1))
+        one, other = (found[k].clusters[0][half] / factors[k] for k in (0, 1))
         apart = other - one
         used = apart[apart != 0]
         m = len(used)
         square = ((used - used.mean()) ** 2).sum() if m else 0.0
         variance += max(factors) ** 2 * square * m / max(m - 1, 1) / 2
-    errors = both[0].mean[0], both[1].mean[0]
+    errors = found[0].mean[0], found[1].mean[0]
     return speeds, errors, speeds[1] - speeds[0], DIFFERENCES * np.sqrt(variance)
+
+
+def _knows(part, stream, both):
+    """Return whether a group of scales has a stream, and that of the whole."""
+    if part is None or not part.knows(stream):
+        return False
+    speed, slow_and_fast = abs(part.fit.mean[stream]), [abs(v) for v, _ in both or ()]
+    return not both or (speed > np.sqrt(np.prod(slow_and_fast))) == bool(stream)

@@ -244,8 +244,9 @@ def stream_row(result, k):
     # All orders of a few epochs leave nothing to chance.
     p_err = np.sqrt(p * (1 - p) / n) if test.p_smallest <= 1 / n else 0.0
     limit = row["pm"] + LIMIT * row["pm_err"]
-    # A limit that one of its features exceeds is none.
-    limited = stream.kind != "moving" and not stream.fastest > limit
+    # A limit that one of its features exceeds is none, unless it is of all together.
+    together = stream.kind == "not confirmed" and np.isnan(stream.p_global)
+    limited = together or (stream.kind != "moving" and not stream.fastest > limit)
     same = "kind share dispersion dispersion_err p_local p_global p_distinct".split()
     row |= {name: getattr(stream, name) for name in same}
     row |= with_errors(pm_features=stream.features, pm_spectrum=stream.spectrum) | {
@@ -327,6 +328,8 @@ def _cautions(search, stream, row, alpha, unit):
             close and p <= alpha,
         "no secure feature moves at this speed: it is that of the spectrum alone":
             row["n_features"] == 0,
+        "the spectrum has no such stream, so that its share is not known":
+            np.isnan(row["share"]),
         f"faster than {_shown(search.unambiguous, unit)}, a beam in the median "
         "interval, patterns could be mistaken for one another":
             speed > AMBIGUOUS * search.unambiguous,
@@ -349,7 +352,8 @@ def stream_of_features(result):
     """Return the number of the stream of each feature, 0 for none."""
     found = np.zeros(len(result.tracked_features), dtype=int)
     for number, stream in enumerate(result.search.streams, start=1):
-        if stream.kind in ("moving", "stationary"):
+        # What is not tested rests on its features alone.
+        if stream.kind == "moving" or np.isnan(stream.p_global):
             found[stream.members] = number
     return found
 
@@ -515,9 +519,12 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
     for name, table in tables.items():
         if "p_global" not in table.colnames:
             raise ValueError(f"table {name!r} has no column p_global: give streams")
-        # What stands still is not tested.
+        # What stands still, alone or on average, is not tested.
+        p = np.asarray(table["p_global"], dtype=float)
         kinds = table["kind"] if "kind" in table.colnames else [""] * len(table)
-        tested[name] = np.array([kind != "stationary" for kind in kinds], dtype=bool)
+        kinds = np.array(kinds, dtype=str)
+        together = (kinds == "not confirmed") & np.isnan(p)
+        tested[name] = (kinds != "stationary") & ~together
     # A region where nothing could be tested was searched all the same.
     p = [
         np.asarray(tables[name]["p_global"], dtype=float)[use] if use.any() else [1.0]

@@ -88,7 +88,7 @@ def headline(streams):
     for kind, said in (("moving", "Motion: "), ("not confirmed", "Not confirmed: ")):
         if rows := [_motion(row) for row in streams[kinds == kind]]:
             parts.append(said + "; and ".join(rows))
-    if parts:
+    if parts and np.isfinite(streams["p_global"][kinds != "not significant"]).any():
         return f"{'. '.join(parts)}."
     some, meta = streams[kinds == "not significant"], streams.meta
     more = [f"p_global {some['p_global'][0]:.2g}"] if len(some) else []
@@ -102,7 +102,8 @@ def headline(streams):
             f"speeds of {low} to {high} {unit_name(unit)} were searched",
             f"unambiguous to {safe}",
         ]
-    return f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}."
+    nothing = f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}"
+    return f"{'. '.join([nothing, *parts])}."
 
 
 def _speed(row):
@@ -189,16 +190,22 @@ def scale_lines(of_scales):
         Without pairs of which a speed is not known.
     """
     unit, far = unit_name(of_scales["first_speed"].unit), unit_name(u.mas)
-    lines = []
+    lines, several = [], np.any(of_scales["stream"] > 1)
     for row in of_scales[np.isfinite(of_scales["p_value"])]:
         where = ""
         if np.isfinite(row["r_max"]):
             where = f"{row['r_min'].value:g} to {row['r_max'].value:g} {far}: "
+        if several:
+            where += f"stream {row['stream']}: "
         first, second = (
-            f"{row[f'{k}_speed'].value:.3g} on "
-            f"{'scales' if ',' in row[k] else 'scale'} {row[k]}"
+            f"{row[f'{k}_speed'].value:.3g} on {_on(row[k])}"
             for k in ("first", "second")
         )
+        if several:
+            first, second = (
+                f"{text} (share {row[f'{k}_share']:.2g})"
+                for k, text in (("first", first), ("second", second))
+            )
         apart, p = cell(row, "difference", "+-"), row["p_value"]
         lines.append(
             f"{where}{first}, {second}: {apart} {unit} apart; p of equal speeds {p:.2g}"
@@ -406,7 +413,29 @@ def profile_lines(streams):
         if name not in rows["bin"]:
             why = "no speed exceeds its error" if name in tested else "nothing is seen"
             lines.append(f"{name} {unit_name(unit)}: {why}")
+    lines += _remarks(rows[rows["kind"] != "not significant"])
     return [*lines, *EXPLANATION, PROFILE_EXPLANATION, *speed_lines(streams.meta)]
+
+
+def _remarks(rows):
+    """Return the cautions of rows of a profile, each with all bins that it is on."""
+    places = {}
+    for row in rows:
+        on = _on(row["scale_group"]) if "scale_group" in rows.colnames else ""
+        for text in row["caution"].removeprefix("-").split("; "):
+            # The table has the number of features.
+            if text and not text.startswith("no secure feature"):
+                places.setdefault((text, on), []).append(row["bin"])
+    unit = unit_name(rows["r_min"].unit)
+    return [
+        f"{', '.join(dict.fromkeys(bins))} {unit}{on and f' on {on}'}: {text}"
+        for (text, on), bins in places.items()
+    ]
+
+
+def _on(group):
+    """Return the scales of a group in words."""
+    return f"{'scales' if ',' in group else 'scale'} {group}"
 
 
 def misalignment_text(scatter):

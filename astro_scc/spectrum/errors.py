@@ -76,7 +76,9 @@ def fit_errors(flow, diagram, equations, fit, *, region=None, travel=None, strea
     rows.append(fit.amplitude[free, None] * of_sd[free])
     rows = np.concatenate(rows)
     square = rows @ equations.gram @ rows.T
-    square += 1e-8 * np.diag(np.maximum(np.diag(square), np.finfo(float).tiny))
+    # A stream without amplitude has no other parameters.
+    diagonal = np.diag(square)
+    square += np.diag(np.where(diagonal > 0, 1e-8 * diagonal, 1.0))
     weights = np.linalg.solve(square, rows)
     all_rows = np.concatenate([of_amplitude, standing_columns(equations)])
     model = np.concatenate([fit.amplitude, fit.standing]) @ all_rows

@@ -46,6 +46,9 @@ WITH_FEATURES = 0.1
 #: Error of the speed of a spectrum beyond that of its patterns, relative to it, where
 #: its Gaussian has at least the other one.
 MODEL_ERROR, WELL_KNOWN = 0.25, 0.1
+#: A mean over the spectrum is that of speeds within such a factor of the clearest one:
+#: in the jets of a survey, restored and CLEANed, it errs least for 4 to 6.
+AROUND = 5.0
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
 #: Smallest speed of a stream in errors, and of what the test may take for motion:
@@ -54,6 +57,8 @@ REST_ERRORS, DOUBTFUL_ERRORS = 1.0, 2.0
 #: A speed of the spectrum needs images that resemble one another: at least such a part
 #: of their variance has no memory, and less than such a share moves.
 WHITE, LEAST_MOVING = 0.7, 0.15
+#: Neighbours of the fast speeds of the test differ by such a factor, and look alike.
+STEP = 1.12
 UNLIKE = (
     "the images of neighbouring dates have little in common, so that patterns may be "
     "mistaken for one another: shorter intervals are needed"
@@ -71,6 +76,9 @@ FEWEST, SEPARATE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.9, 6.0, 0.03, 0.2
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
+#: Standing features do not stand still if their mean is so many errors from zero, of
+#: two dimensions: as rare by chance as three errors in one.
+TOGETHER = 3.44
 #: A pair of numbers that are not known.
 UNKNOWN = (np.nan, np.nan)
 
@@ -213,6 +221,13 @@ class StreamSearch:
         return self.flow.angle
 
     @property
+    def both(self) -> list[tuple[float, float]] | None:
+        """Mean and dispersion of two streams, in beams/yr, or None."""
+        if self.fit is None or len(self.fit.mean) < 2:
+            return None
+        return list(zip(self.fit.mean, self.fit.sd, strict=True))
+
+    @property
     def sign(self) -> float:
         """Sign of the speed at which motion is clearest."""
         return float(np.sign(self.test.speed[self.test.best[1]]))
@@ -226,6 +241,10 @@ class StreamSearch:
     def fastest(self) -> float:
         """The fastest speed that was searched, in mas/yr."""
         return self.beam * np.abs(self.test.speed).max()
+
+    def tested(self, speed: float) -> bool:
+        """Return whether the test searched a speed in mas/yr, or its neighbour."""
+        return bool(self.slowest / STEP <= abs(speed) <= self.fastest * STEP)
 
     @property
     def unambiguous(self) -> float:
@@ -306,7 +325,7 @@ def find_streams(
         streams = [_on_its_side(s, search, moving, planes) for s in streams]
     if passes:
         streams = [_judged(s, search, diffusing=diffusing) for s in streams]
-    streams += _standing(features, flow, streams, inside)
+    streams += _standing(features, flow, streams, inside, shift)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
     velocities = velocity_map(
         sheet, aside * (np.arange(len(sheet)) - len(sheet) // 2),
@@ -488,6 +507,10 @@ def _judged(stream, search, *, diffusing):
         doubtful=diffusing or fast,
         unlike=stream.source == "spectrum" and _unlike(search.test),
     )  # fmt: skip
+    # The spectrum reaches beyond what the test searches, features have their own test.
+    if stream.source == "spectrum" and not search.tested(speed):
+        than = "faster" if speed > search.fastest else "slower"
+        kind, reason = "not confirmed", f"it is {than} than what was searched"
     return replace(stream, kind=kind, reason=reason)
 
 
@@ -533,14 +556,16 @@ def _harmonic(search, equations):
     """
     Return the mean speed of the spectrum of one stream and its error, in mas/yr.
 
-    What is the same at v and -v is noise.  The mean is harmonic, as a fast pattern
-    covers more of the way in a time.
+    What is the same at v and -v is noise, and so is what is far from the speed at which
+    motion is clearest.  The mean is harmonic, as a fast pattern covers more of the way
+    in a time.
     """
     sign, spectrum = search.sign, search.spectrum
+    clearest = abs(search.test.speed[search.test.best[1]])
     half = len(spectrum) // 2
     forward = equations.speed[half + 1 :]
     share = sign * (spectrum[half + 1 :] - spectrum[:half][::-1])
-    used = forward >= 1 / equations.interval.max()
+    used = (forward > clearest / AROUND) & (forward < AROUND * clearest)
     share = np.where(used, np.maximum(share, 0), 0)
     if not share.sum() > 0:
         speed = search.fit.mean[0] * search.beam
@@ -560,8 +585,13 @@ def _alignment(years, misaligned):
     return np.diag(response**2 @ misaligned**2)
 
 
-def _standing(features, flow, streams, inside):
-    """Return the stream of the features that stand still, if there are any."""
+def _standing(features, flow, streams, inside, shift):
+    """
+    Return the stream of the features that stand still, if there are any.
+
+    Each of them may, but if their mean moves by more than its error, all features or
+    the core, the reference, do: images do not tell which.
+    """
     n = len(features.tracks)
     if n == 0:
         return []
@@ -584,11 +614,19 @@ def _standing(features, flow, streams, inside):
     velocity = np.array([share @ first, share @ second])
     scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
     variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
-    speeds = np.hypot(first, second)
+    speeds, covariance = np.hypot(first, second), np.eye(2) * variance + shift
+    errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
+    kind, reason = "stationary", ""
+    if len(members) > 1 and errors > TOGETHER:
+        kind = "not confirmed"
+        reason = (
+            "its features, none of which moves significantly, move together by "
+            f"{errors:.1f} standard errors: they do, or the reference, the core, does"
+        )
     return [
         MeasuredStream(
-            kind="stationary", reason="", velocity=velocity,
-            covariance=np.eye(2) * variance, alignment=np.zeros((2, 2)),
+            kind=kind, reason=reason, velocity=velocity,
+            covariance=covariance, alignment=shift,
             source="features", members=np.array(members),
             features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
             slowest=speeds.min(), fastest=speeds.max(),

@@ -167,7 +167,7 @@ def measure_flow(kind, seed, n_trials):
         warnings.simplefilter("ignore", MeasurementWarning)
         result = scc(cube, n_trials=n_trials, rng=seed)
     found = measure_acceleration(result)
-    (row,) = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})
+    row = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})[0]
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
     fine, coarse = ((row[f"{k}_speed"] / unit).value for k in ("first", "second"))

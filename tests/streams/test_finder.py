@@ -1,6 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Streams of simulated jets, means of features, and the speed across the flow."""
 
+from copy import copy
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -8,11 +11,13 @@ from astropy.time import Time
 
 from astro_scc import Beam, StackedCrossCorrelation
 from astro_scc.epochs import ComponentList, restore
-from astro_scc.flow import compare_scales, measure_acceleration
+from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
+from astro_scc.measurement import false_discovery_rate
+from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
-from astro_scc.streams.finder import verdict
+from astro_scc.streams.finder import _judged, _standing, verdict
 from astro_scc.streams.spread import mean_speed, separation
 from astro_scc.streams.transverse import transverse_speed
 
@@ -37,6 +42,22 @@ def test_both_streams_of_the_paper_are_found(two):
     assert streams["stream"].tolist() == [1, 2]
 
 
+def test_scales_of_two_streams_are_compared_stream_by_stream(two):
+    whole = compare_scales(two)
+    scc = StackedCrossCorrelation(position_angle=270 * u.deg)
+    groups = {"scale_groups": "1; 2", "n_trials": 119, "rng": 1}
+    bins = compare_scales(measure_profile(scc, two.cube, [2, 10, 18] * u.mas, **groups))
+    for found in (whole, bins):
+        known = found[np.isfinite(found["p_value"])]
+        slow = known["stream"] == 1
+        assert 0 < slow.sum() < len(known)
+        for k in ("first_speed", "second_speed"):
+            assert np.all((known[k].value < 12) == slow)
+        assert np.all(known["p_value"] > 1e-3)
+    assert whole["first_share"].sum() == pytest.approx(1)
+    assert "stream 2: 24" in scale_lines(whole)[1]
+
+
 @pytest.mark.slow
 def test_a_direction_that_is_not_known_is_found(two):
     found = measured(two.cube)
@@ -54,6 +75,23 @@ def test_a_static_jet_does_not_move(seed):
     assert kinds[0] == "not significant"
     assert "were searched" in found.streams["caution"][0]
     assert not len(found.sensitivity)
+    # What is too slow in each feature is seen in their mean.
+    features, search = found.tracked_features, found.search
+    error = 1.5 * np.median([m.speed_err for m in features.motions])
+    moved = [replace(m, velocity=[error, 0] + m.velocity) for m in features.motions]
+    drift = copy(features)
+    vars(drift)["motions"] = moved
+    for known, kind in ((False, "stationary"), (True, "not confirmed")):
+        shift = np.eye(2) * (0 if known else error**2)
+        (row,) = _standing(drift, search.flow, [], None, shift)
+        assert row.kind == kind
+        assert ("move together by" in row.reason) == known
+    found = replace(found, search=replace(search, streams=(search.streams[0], row)))
+    assert found.streams["pm_limit"][1] > found.streams["pm"][1]
+    assert np.any(found.features["stream"] == 2)
+    assert headline(found.streams).startswith("Nothing moves significantly: p_global")
+    assert np.isnan(measure_acceleration(found, 1).p_value)
+    assert false_discovery_rate([found.streams])[0]["p_fdr"][0] > 0.01
 
 
 def test_one_stream_is_that_of_its_features():
@@ -68,10 +106,12 @@ def test_one_stream_is_that_of_its_features():
     assert row["pm_pa"].value == pytest.approx(270, abs=10)
 
 
-def knots(angles, speeds=(1.0,), n=8, bend=0.0):
+YEARS = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
+
+
+def knots(angles, speeds=(1.0,), n=8, bend=0.0, years=YEARS):
     """Images of knots that leave a core in turn, with a long beam to the north."""
-    years = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
-    epoch, knot = np.indices((10, n)).reshape(2, -1)
+    epoch, knot = np.indices((len(years), n)).reshape(2, -1)
     turn, speed = np.radians(np.resize(angles, n))[knot], np.resize(speeds, n)[knot]
     r = 8.8 / n * knot - 3.1 + speed * years[epoch]
     r[knot == 0] = 0
@@ -120,6 +160,15 @@ def test_one_direction_does_not_speak_for_several():
     assert "directions of secure features scatter" in found.streams["caution"][0]
 
 
+def test_knots_that_leave_at_equal_intervals_have_their_speed():
+    """Each looks like the next after 0.88 years."""
+    years = np.append(YEARS, YEARS[-1] + np.cumsum([0.44, 0.32, 0.35, 0.25, 0.45]))
+    cube = knots((0,), n=10, years=years)
+    row = measured(cube, position_angle=0 * u.deg).streams[0]
+    assert row["pm_spectrum"].value == pytest.approx(1.0, abs=0.1)
+    assert row["share"] == 1
+
+
 def test_speed_towards_the_core_has_its_sign(two):
     found = measured(two.cube, position_angle=90 * u.deg)
     row = found.streams[found.streams["kind"] == "moving"][0]
@@ -155,6 +204,20 @@ def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     assert ("of rest" in reason) == (not known)
     assert ("little in common" in reason) == (known and unlike)
     assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
+
+
+@pytest.mark.parametrize(("factor", "than"), [(3.0, "faster"), (0.01, "slower")])
+def test_a_speed_that_was_not_searched_is_not_confirmed(two, factor, than):
+    search = two.search
+    far = replace(search.streams[1], velocity=factor * search.streams[1].velocity)
+    far = _judged(replace(far, covariance=np.eye(2) * 1e-4), search, diffusing=False)
+    assert far.kind == "not confirmed"
+    assert far.reason == f"it is {than} than what was searched"
+    profile = two.streams[:1]
+    profile["r_min"], profile["r_max"] = [[1.0] * u.mas, [2.0] * u.mas]
+    profile["main"], profile["caution"] = [True], [far.reason]
+    profile.meta["bins"] = [[1.0, 2.0]]
+    assert f"1 to 2 mas: {far.reason}" in profile_lines(profile)
 
 
 def test_means_of_features():
