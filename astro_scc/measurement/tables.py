@@ -298,6 +298,8 @@ def _cautions(search, row, alpha, unit):
             close and p <= alpha,
         "no secure feature moves at this speed: it is that of the spectrum alone":
             row["n_features"] == 0,
+        "the spectrum has no such stream, so that its share is not known":
+            np.isnan(row["share"]),
         f"faster than {_shown(search.unambiguous, unit)}, a beam in the median "
         "interval, patterns could be mistaken for one another":
             speed > AMBIGUOUS * search.unambiguous,

@@ -36,8 +36,8 @@ class StreamFit:
 
     @property
     def share(self) -> np.ndarray:
-        """Share of each stream in the variance that moves."""
-        return self.amplitude / max(self.amplitude.sum(), np.finfo(float).tiny)
+        """Share of each stream in the variance that moves, NaN if nothing does."""
+        return self.amplitude / (self.amplitude.sum() or np.nan)
 
 
 def shares_of(equations, mean, sd):
@@ -158,6 +158,11 @@ def one_stream(equations, least, sign=1):
     mass = sum(p[2] for p in peaks)
     mean = sum(p[0] * p[2] for p in peaks) / mass
     starts = [(mean, 0.2 * abs(mean)), *((p[0], p[1]) for p in peaks[:2])]
+    # Patterns at equal distances fill a spectrum with aliases: the best single speed.
+    v = equations.speed[equations.speed * sign >= least]
+    fits = [amplitudes_of(equations, [speed], [0.2 * abs(speed)]) for speed in v]
+    best = min(fits, key=lambda fit: fit.misfit)
+    starts.append((best.mean[0], best.sd[0]))
     return min((fit_streams(equations, [s]) for s in starts), key=lambda f: f.misfit)
 
 
