@@ -73,6 +73,18 @@ def test_exact_speeds_are_found(shares):
     assert one_stream(equations, 1e3, sign) is None
 
 
+@pytest.mark.usefixtures("known")
+@pytest.mark.parametrize("speed", [0.5, -2.0])
+def test_a_spectrum_of_aliases_does_not_hide_the_speed(speed, monkeypatch):
+    equations = set_up(exact_diagram({speed: 1.0}, YEARS))
+    far = 1.0 * (np.abs(equations.speed) > 0.8 * equations.speed[-1])
+    monkeypatch.setattr("astro_scc.spectrum.gaussians.deconvolve", lambda _: far)
+    fit = one_stream(equations, 0.1, np.sign(speed))
+    assert fit.mean == pytest.approx(speed, rel=0.06)
+    assert fit.share == 1
+    assert np.isnan(amplitudes_of(equations, [-speed], [0.1]).share)
+
+
 def test_nothing_is_no_stream():
     still = Diagram(np.zeros((5, 5, 11), np.float32), np.ones(11),
                     np.arange(-5, 6) / 4, np.arange(5.0))  # fmt: skip
