@@ -35,7 +35,7 @@ LIMIT = 1.645
 NEAR, DISAGREE, AMBIGUOUS = 0.8, 2.5, 1.0
 #: Offsets of SSPs.
 SKY = "east", "north"
-#: Scatter of directions, in radians, of which a projection loses 5%.
+#: Difference of directions, in radians, of which a projection loses 5%.
 DIRECTIONS = 0.3
 #: Columns of a table in a paper, in their order.
 PAPER = (
@@ -287,25 +287,37 @@ def _doubts(result, stream, alpha):
 
 
 def _other_directions(result):
-    """Return that the features move in several directions, as a list of text."""
-    velocity, covariance = frame_velocities(result.frame, result.tracked_features)
-    speed = np.hypot(*velocity.T)
+    """Return that directions of features depend on their place, as a list of text."""
+    features, frame = result.tracked_features, result.frame
+    velocity, covariance = frame_velocities(frame, features)
     error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    use = result.tracked_features.secure & (speed > SIGNIFICANT * error)
+    use = features.secure & (np.hypot(*velocity.T) > SIGNIFICANT * error)
     # Speeds along lines that bend are lengths.
     if use.sum() < FEWEST or result.flow.grids[0].bends:
         return []
+    place = np.array([motion.place for motion in features.motions])[use]
+    local = (np.asarray(frame.matrix(*place.T)) @ place[..., None])[..., 0]
     # Opposite directions are those of a jet and its counter-jet.
     turns = 2 if result.flow.grids[0].counter.any() else 1
-    angle = np.arctan2(*velocity[use].T[::-1])
-    together = abs(np.exp(1j * turns * angle).mean())
-    scatter = np.sqrt(-2 * np.log(max(together, 1e-3))) / turns
-    if not scatter > max(DIRECTIONS, 2 * np.median(error[use] / speed[use])):
+    angle, outward = (turns * np.arctan2(*v.T[::-1]) for v in (velocity[use], local))
+    scatter, about = _scatter(angle), _scatter(angle - outward)
+    order = np.argsort(np.hypot(*place.T))
+    inner, outer = np.array_split(angle[order], 2)
+    apart = np.angle(np.exp(1j * outer).mean() / np.exp(1j * inner).mean())
+    error = np.hypot(*(_scatter(half) / np.sqrt(len(half)) for half in (inner, outer)))
+    bends = abs(apart) > max(turns * DIRECTIONS, 3 * error)
+    if not (bends or (scatter > turns * DIRECTIONS and about < scatter / 2)):
         return []
     return [
-        f"directions of secure features scatter by {np.degrees(scatter):.0f} deg, and "
-        "speeds are those along one: try the position angles 'ridge' and 'radial'"
+        f"directions of secure features scatter by {np.degrees(scatter / turns):.0f} "
+        "deg with their place, and speeds are those along one: try the position angles "
+        "'ridge' and 'radial'"
     ]
+
+
+def _scatter(angle):
+    """Return the standard deviation of angles in radians."""
+    return np.sqrt(-2 * np.log(max(abs(np.exp(1j * angle).mean()), 1e-3)))
 
 
 def _cautions(search, stream, row, alpha, unit):
