@@ -32,7 +32,7 @@ class Detections:
     place, place_error : `~numpy.ndarray`, shape (n, 2)
         Offsets from the core on two axes, in mas, with standard errors.
     flux : `~numpy.ndarray`, shape (n,)
-        Positive.
+        Positive, in the unit of `pixel_flux`.
     size : `~numpy.ndarray`, shape (n,)
         Full width at half maximum, in mas.
     years : `~numpy.ndarray`, shape (n_epochs,)
@@ -287,6 +287,8 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         for name in ("y", "x", "y_err", "x_err", "flux", "size", "group")
     )
     epoch = np.repeat(every, [len(model) for model in models])
+    pixels = 2 * np.pi * np.sqrt(np.linalg.det(beams)) / cube.pixel_scale.value**2
+    flux *= (pixels * pixel_flux(cube).value)[epoch]
     x0, y0 = cube.reference_pixel
     errors = np.stack([y_err, x_err], axis=1)
     return Detections(
@@ -364,10 +366,35 @@ def ssps_of(cube, ssps, which):
     errors = positions.position_errors(ssps.snr, widths, 0.0)
     return Detections(
         epoch=ssps.epoch[which], place=place[which], place_error=errors[which],
-        flux=ssps.flux[which], size=np.zeros(len(which)), years=_years(cube),
+        flux=ssps.flux[which] * pixel_flux(cube).value[ssps.epoch[which]],
+        size=np.zeros(len(which)), years=_years(cube),
         beam=beams.mean(axis=0), number=rank_in_group(ssps.epoch[which]),
         group=np.zeros(len(which), dtype=int),
     )  # fmt: skip
+
+
+def pixel_flux(cube):
+    """
+    Return the flux in a pixel of unit brightness at each epoch, shape (n_epochs,).
+
+    It is in Jy for images in Jy/beam, Jy/pix and Jy/sr, and in K mas2 for images in K;
+    other values count as those of whole pixels.
+    """
+    unit, area = u.Unit(cube.unit), cube.pixel_scale**2
+    per = dict(zip(unit.bases, unit.powers, strict=True))
+    if u.beam in per and cube.beams is not None:
+        beams = [np.sqrt(np.linalg.det(b.covariance.value)) for b in cube.beams]
+        return area.value / (2 * np.pi * np.array(beams)) * unit * u.beam
+    flux = 1 * unit
+    if u.beam in per or u.pix in per:
+        flux = flux * u.pix
+    elif unit.is_equivalent(u.K):
+        flux = flux * area
+    else:
+        for base, power in per.items():
+            if (base**-power).is_equivalent(u.sr):
+                flux = flux * area.to(base**-power)
+    return np.full(len(cube), flux.value) * flux.unit
 
 
 def _years(cube):

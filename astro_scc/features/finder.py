@@ -19,6 +19,7 @@ from astro_scc.features.detections import (
     Detections,
     finest_patterns,
     gaussians_of,
+    pixel_flux,
     ssps_of,
 )
 from astro_scc.features.motion import Motion, fit_motion
@@ -147,7 +148,7 @@ class Features:
         table = build_table(
             "positions", feature=number, epoch=d.epoch, used=used,
             date=_dates(cube, d.epoch), **offsets,
-            flux=d.flux * flux_unit(cube), size=d.size * u.mas,
+            flux=d.flux * pixel_flux(cube).unit, size=d.size * u.mas,
         )  # fmt: skip
         table.meta.update(cube.facts)
         return round_to_errors(name_by_frame(table, cube))
@@ -321,7 +322,7 @@ def feature_table(features, stream=0):
     years = np.array([motion.date for motion in features.motions], dtype=float)
     date = Time(years, format="jyear", scale="utc")
     date.format = "isot"
-    flux = np.array([np.median(d.flux[k]) for k in each], float) * flux_unit(cube)
+    flux = np.array([np.median(d.flux[k]) for k in each], float) * pixel_flux(cube).unit
     table = build_table(
         "features", rows, date=date, flux=flux, feature=features.number,
         stream=np.full(len(features), stream), motion=features.moved * u.one,
@@ -340,11 +341,6 @@ def feature_table(features, stream=0):
     in_speed_unit(table, unit)
     table.meta.update(cube.facts)
     return round_to_errors(name_by_frame(table, cube))
-
-
-def flux_unit(cube):
-    """Return the unit of fluxes of images: Jy for images in Jy/beam."""
-    return u.Unit(cube.unit) * u.beam if "beam" in str(cube.unit) else cube.unit
 
 
 def _dates(cube, epoch):

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Knots are longer than wide, beams of headers are off, and units are arbitrary."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import find_features
+from astro_scc.features.detections import gaussians_of, pixel_flux
 from astro_scc.features.gaussians import fit_gaussians
 
 FWHM = np.sqrt(8 * np.log(2))
@@ -76,6 +79,30 @@ def test_an_ellipse_is_found_with_its_place_and_flux():
     ratio = np.linalg.det(covariance) / np.linalg.det(beam)
     assert found.flux[k] == pytest.approx(np.sqrt(ratio), rel=1e-3)
     assert found.size[k] == pytest.approx(FWHM * np.sqrt(10), rel=1e-3)
+
+
+INTEGRAL = 18 * np.pi  # of the Gaussian, in pixels of 0.01 mas2
+FLUXES = [
+    ("Jy / beam", 2 * np.log(2) * u.Jy), ("Jy / pix", INTEGRAL * u.Jy),
+    ("Jy / arcsec2", 1e-8 * INTEGRAL * u.Jy), ("adu", INTEGRAL * u.adu),
+    ("Jy / mas2", 0.01 * INTEGRAL * u.Jy), ("K", 0.01 * INTEGRAL * u.K * u.mas**2),
+    ("MJy / sr", 0.01 * INTEGRAL * u.MJy * u.mas.to(u.rad) ** 2),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "flux"), FLUXES)
+def test_fluxes_are_integrals(unit, flux):
+    cube = EpochCube.from_arrays(
+        [gaussian(40.3, 45.6, 9 * np.eye(2))] * 2, ["2000-01-01", "2001-01-01"],
+        pixel_scale=0.1 * u.mas, unit=unit, noise=1e-3 * u.Unit(unit),
+        beams=[Beam(0.6 * u.mas, 0.6 * u.mas), Beam(0.3 * u.mas, 0.3 * u.mas)],
+    )  # fmt: skip
+    found = gaussians_of(cube).flux * pixel_flux(cube).unit
+    assert found.unit == flux.unit
+    ratio = 4 if "beam" in unit else 1
+    assert found.value == pytest.approx(flux.value * np.array([1, ratio]), rel=1e-3)
+    without = pixel_flux(replace(cube, beams=None))
+    assert without.unit == ("Jy pix / beam" if "beam" in unit else flux.unit)
 
 
 @pytest.mark.parametrize("apart", [0.6, 0.8, 1.2])

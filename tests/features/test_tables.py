@@ -9,7 +9,7 @@ import pytest
 from astropy.time import Time
 
 from astro_scc.columns import columns_of
-from astro_scc.epochs import EpochCube
+from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import Features
 from astro_scc.features.tracks import Track
 
@@ -26,8 +26,9 @@ def features(series):
     core = series([(t, 0.02 * (-1) ** t, 0.0) for t in range(N)])
     dates = Time([f"{2000 + t}-01-01" for t in range(N)])
     cube = EpochCube.from_arrays(
-        np.ones((N, 8, 8)), dates, pixel_scale=0.1 * u.mas, unit=u.Jy / u.beam
-    )
+        np.ones((N, 8, 8)), dates, pixel_scale=0.1 * u.mas, unit=u.Jy / u.beam,
+        beams=Beam(1 * u.mas, 1 * u.mas),
+    )  # fmt: skip
     d = series(rows, years=dates.jyear)
     tracks = [Track(np.arange(k, 3 * N, 3), 1.0, True) for k in (0, 1)]
     late = Track(np.arange(5, 3 * N, 3), 0.2, False)
