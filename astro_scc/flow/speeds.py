@@ -156,12 +156,9 @@ def compare_scales(
     >>> scc = StackedCrossCorrelation(scales=[1, 2, 3], position_angle=270 * u.deg)
     >>> result = scc(simulate_two_fluid(n_epochs=8, rng=1).cube, n_trials=99, rng=1)
     >>> groups = {"fine": [1], "coarse": [2, 3]}
-    >>> compare_scales(result, groups)["first", "second"]
-    <QTable length=1>
-    first second
-     str4  str6
-    ----- ------
-     fine coarse
+    >>> compared = compare_scales(result, groups)
+    >>> print(compared["first"][0], compared["second"][0])
+    fine coarse
     """
     rows = []
     if hasattr(measured, "results"):
