@@ -82,7 +82,9 @@ def fit_part(
     return None if fit is None else PartFit(flow, planes, diagram, equations, fit)
 
 
-def fit_along_lines(flow, *, straight=False, **settings):
+def fit_along_lines(
+    flow, *, straight=False, sign=1.0, root=True, intervals=EVERY, diagram=None
+):
     """
     Fit one stream along the lines of its flow.
 
@@ -97,18 +99,18 @@ def fit_along_lines(flow, *, straight=False, **settings):
         Along one direction.
     straight : bool, optional
         Whether lines must be straight.
-    settings
+    sign, root, intervals, diagram
         See `fit_part`.
 
     Returns
     -------
     `PartFit` or None
     """
-    part = fit_part(flow, **settings)
+    shared = {"sign": sign, "root": root, "intervals": intervals}
+    part = fit_part(flow, diagram=diagram, **shared)
     if part is None or straight:
         return part
-    settings["diagram"] = None
-    others = [fit_part(flow.along_lines(one), **settings) for one in flow.lines()]
+    others = [fit_part(flow.along_lines(one), **shared) for one in flow.lines()]
     given = isinstance(flow.frame, PositionAngleFrame)
     parts = [part, *others] if given else [*others, part]
     parts = [one for one in parts if one is not None]
