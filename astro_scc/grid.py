@@ -385,8 +385,8 @@ def flow_lines(grid, values):
     way = np.cumsum(np.hypot(1, curve.deriv()(grid.along)))
     at = np.interp(np.arange(way[0], way[-1]), way, rows[:, 0])[:, None]
     bent = columns + ~grid.counter * curve(grid.along[0] + step * at) / step
-    lines = (rows, columns + grid.across * (width - 1) / step), (at, bent)
-    return [np.stack(np.broadcast_arrays(*each)) for each in lines]
+    diverging = np.broadcast_arrays(rows, columns + grid.across * (width - 1) / step)
+    return [np.stack(diverging), np.stack(np.broadcast_arrays(at, bent))]
 
 
 def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH):
