@@ -219,14 +219,18 @@ def dates_as_text(table):
     """
     Return a copy with dates as text, with times where epochs share a day.
 
-    The dates of a table may be fewer than the epochs, which its meta knows.
+    The meta knows whether they do: a table may have fewer dates, or means of dates.
     """
     table = table.copy(copy_data=False)
     names = [name for name in table.colnames if isinstance(table[name], Time)]
     if names and len(table):
         every = Time(np.concatenate([table[name].utc.isot for name in names]))
-        clock = "T" in table.meta.get("first_epoch", "")
-        texts = np.reshape(date_labels(every, clock=clock), (len(names), -1))
+        first = table.meta.get("first_epoch")
+        if first is None or "T" in first:
+            texts = date_labels(every, clock=first is not None)
+        else:
+            texts = every.strftime("%Y-%m-%d")
+        texts = np.reshape(texts, (len(names), -1))
         for name, column in zip(names, texts, strict=True):
             about = table[name].info.description
             table.replace_column(name, Column(column, description=about))

@@ -157,6 +157,9 @@ def test_dates_have_times_where_epochs_share_a_day():
     # As some of its epochs, which the table lacks, share a day.
     table.meta["first_epoch"] = "2010-01-01T01:00:00"
     assert paper_table(table[1:])["last"].tolist() == ["2010-01-02T01:00:00"]
+    # None do, though means of dates are of one day.
+    table.meta["first_epoch"] = "2010-01-01"
+    assert paper_table(table)["last"].tolist() == ["2010-01-01", "2010-01-02"]
 
 
 def test_what_a_notebook_and_a_terminal_show(sky_result, read_page):
