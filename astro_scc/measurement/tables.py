@@ -15,28 +15,20 @@ from astropy.wcs import WCS
 
 from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
-from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.images import positions
 from astro_scc.images.dates import date_labels
-from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.measurement.cautions import cautions_of
 from astro_scc.measurement.citations import citations_of
-from astro_scc.streams.finder import FEWEST
-from astro_scc.streams.members import frame_velocities
-from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
+from astro_scc.units import PM_UNIT, in_speed_unit
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
 
 #: Standard errors above the mean at the one-sided 95% limit of a normal distribution.
 LIMIT = 1.645
-#: Parts of the limits of the search that are near them, errors by which two speeds
-#: differ, and how much faster than a beam in the median interval may be an alias.
-NEAR, DISAGREE, AMBIGUOUS = 0.8, 2.5, 1.0
 #: Offsets of SSPs.
 SKY = "east", "north"
-#: Difference of directions, in radians, of which a projection loses 5%.
-DIRECTIONS = 0.3
 #: Columns of a table in a paper, in their order.
 PAPER = (
     "source redshift feature stream r_min r_max kind scale n_epochs first last "
@@ -240,7 +232,7 @@ def dates_as_text(table):
 def stream_row(result, k):
     """Return the columns of stream k, counted from 0, as plain numbers."""
     search, stream = result.search, result.search.streams[k]
-    test, alpha = search.test, result.meta["settings"]["alpha"]
+    test = search.test
     axes = result.frame, result.position_angle
     row = velocity_columns(stream.velocity, stream.covariance, *axes)
     by_alignment = velocity_columns(stream.velocity, stream.alignment, *axes)
@@ -260,108 +252,9 @@ def stream_row(result, k):
         "n_features": len(stream.members), "pm_min": stream.slowest,
         "pm_max": stream.fastest,
     }  # fmt: skip
+    said = cautions_of(result, k, row)
     # ECSV reads empty text as a missing value.
-    said = [stream.reason, *_doubts(result, stream, alpha)]
-    if k == 0 and stream.kind != "stationary":
-        said += _other_directions(result)
-    if stream.kind == "moving":
-        said += _cautions(search, stream, row, alpha, result.cube.speed_unit)
-        if k == _main(search):
-            said.append(result.sensitivity_line)
-    return row | {"caution": "; ".join(filter(None, said)) or "-"}
-
-
-def _shown(speed, unit):
-    return f"{(speed * PM_UNIT).to_value(unit):.3g} {unit_name(unit)}"
-
-
-def _doubts(result, stream, alpha):
-    """Return why a stream is not significant, as a list of text."""
-    if stream.kind != "not significant":
-        return []
-    search, unit = result.search, result.cube.speed_unit
-    never = search.test.p_smallest > alpha
-    low, high = (_shown(speed, unit) for speed in (search.slowest, search.fastest))
-    return [
-        f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
-        f"{', which so few epochs or trials cannot reach' if never else ''}",
-        f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
-        "faster shorter intervals",
-    ]
-
-
-def _other_directions(result):
-    """Return that directions of features depend on their place, as a list of text."""
-    features, frame = result.tracked_features, result.frame
-    velocity, covariance = frame_velocities(frame, features)
-    error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    use = features.secure & (np.hypot(*velocity.T) > SIGNIFICANT * error)
-    # Speeds along lines that bend are lengths.
-    if use.sum() < FEWEST or result.flow.grids[0].bends:
-        return []
-    place = np.array([motion.place for motion in features.motions])[use]
-    local = (np.asarray(frame.matrix(*place.T)) @ place[..., None])[..., 0]
-    # Opposite directions are those of a jet and its counter-jet.
-    turns = 2 if result.flow.grids[0].counter.any() else 1
-    angle, outward = (turns * np.arctan2(*v.T[::-1]) for v in (velocity[use], local))
-    scatter, about = _scatter(angle), _scatter(angle - outward)
-    order = np.argsort(np.hypot(*place.T))
-    inner, outer = np.array_split(angle[order], 2)
-    apart = np.angle(np.exp(1j * outer).mean() / np.exp(1j * inner).mean())
-    error = np.hypot(*(_scatter(half) / np.sqrt(len(half)) for half in (inner, outer)))
-    bends = abs(apart) > max(turns * DIRECTIONS, 3 * error)
-    if not (bends or (scatter > turns * DIRECTIONS and about < scatter / 2)):
-        return []
-    return [
-        f"directions of secure features scatter by {np.degrees(scatter / turns):.0f} "
-        "deg with their place, and speeds are those along one: try the position angles "
-        "'ridge' and 'radial'"
-    ]
-
-
-def _scatter(angle):
-    """Return the standard deviation of angles in radians."""
-    return np.sqrt(-2 * np.log(max(abs(np.exp(1j * angle).mean()), 1e-3)))
-
-
-def _cautions(search, stream, row, alpha, unit):
-    """Return what the row of a stream that moves depends on, as a list of text."""
-    p, speed = row["p_global"], row["pm"]
-    (a, e), (b, f) = ((row[k], row[f"{k}_err"]) for k in ("pm_features", "pm_spectrum"))
-    off = np.nan_to_num(abs(a - b) / np.hypot(e, f)) if e > 0 and f > 0 else 0.0
-    given = isinstance(search.flow.frame, PositionAngleFrame)
-    turned = given and np.cos(search.angle) < 0
-    outward = row["pm_parallel"] * (-1 if turned != stream.counter else 1)
-    close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
-    cautions = {
-        "it is of the counter-jet": stream.counter,
-        "moves towards the core": outward < -abs(row["pm_transverse"]),
-        "the jet is on the other side of the core than the given position angle":
-            turned,
-        f"p_global {p:.2g} is above alpha, {alpha:g}: the motion rests on its secure "
-        "features too": p > alpha,
-        f"p_global may be above or below {alpha:g} by chance: take more trials":
-            close and p <= alpha,
-        "no secure feature moves at this speed: it is that of the spectrum alone":
-            row["n_features"] == 0,
-        "the spectrum has no such stream, so that its share is not known":
-            np.isnan(row["share"]),
-        f"faster than {_shown(search.unambiguous, unit)}, a beam in the median "
-        "interval, patterns could be mistaken for one another":
-            speed > AMBIGUOUS * search.unambiguous,
-        f"near the fastest speed that is searched, {_shown(search.fastest, unit)}":
-            speed > NEAR * search.fastest,
-        f"near the slowest speed that is searched, {_shown(search.slowest, unit)}":
-            speed < search.slowest / NEAR,
-        f"spectrum and features differ by {off:.1f} errors": off > DISAGREE,
-    }  # fmt: skip
-    return [text for text, holds in cautions.items() if holds]
-
-
-def _main(search):
-    """Return the stream with the largest share of those that move."""
-    shares = [s.share if s.kind == "moving" else -1.0 for s in search.streams]
-    return int(np.argmax(shares))
+    return row | {"caution": "; ".join(said) or "-"}
 
 
 def stream_of_features(result):

@@ -33,13 +33,13 @@ from astro_scc.streams.members import (
     turn_to_flow,
 )
 from astro_scc.streams.parts import fit_along_lines, is_behind
+from astro_scc.streams.rays import transverse_speed
 from astro_scc.streams.spread import (
     chance_of_separation,
     mean_speed,
     separation,
     unknown_scatter,
 )
-from astro_scc.streams.transverse import transverse_speed
 
 #: With a secure feature that moves, this p_global is enough.
 WITH_FEATURES = 0.1

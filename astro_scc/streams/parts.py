@@ -10,13 +10,14 @@ from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
 from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
-from astro_scc.spectrum.permutations import EVERY, LENGTH
+from astro_scc.spectrum.permutations import EVERY
 from astro_scc.spectrum.planes import FlowPlanes
 from astro_scc.streams.decomposed import DecomposedFlow
+from astro_scc.streams.rays import correlation_kept, deletion_error
 
-#: Displacements in beams at which patterns keep their correlation along the lines of a
-#: flow, and not along others; lines are others if they keep more by so many errors.
-FROM, TO, ERRORS = 0.3, 4.0, 2.0
+#: Other lines are those of a flow if patterns keep more of their correlation along
+#: them, by so many errors.
+ERRORS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,45 +116,12 @@ def fit_along_lines(
     parts = [part, *others] if given else [*others, part]
     parts = [one for one in parts if one is not None]
     kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]
-    best, n = 0, len(flow.years)
+    best = 0
     for k in range(1, len(parts)):
         more = kept[k] - kept[0]
-        error = np.sqrt((n - 1) * more[1:].var())
-        if kept[k][0] > kept[best][0] and more[0] > ERRORS * error:
+        if kept[k][0] > kept[best][0] and more[0] > ERRORS * deletion_error(more):
             best = k
     return parts[best]
-
-
-def correlation_kept(diagram, speed):
-    """
-    Return the mean correlation of patterns that move at a speed, over that at rest.
-
-    Parameters
-    ----------
-    diagram : ``Diagram``
-    speed : float
-        In beams/yr.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs + 1,)
-        Of all epochs, and of all but each of them.
-    """
-    n, x = len(diagram.years), diagram.displacement
-    tau = diagram.years - diagram.years[:, None]
-    moved = speed * tau
-    at = np.clip((moved - x[0]) / (x[1] - x[0]), 0, len(x) - 1.001)
-    low, odd = at.astype(int)[..., None], diagram.means - diagram.means[:, :, ::-1]
-    odd = [np.take_along_axis(odd, low + k, 2)[..., 0] for k in (0, 1)]
-    found = odd[0] + (at - low[..., 0]) * (odd[1] - odd[0])
-    far = np.abs(moved)
-    weight = np.exp(-far / LENGTH) * ((far > FROM) & (far < TO) & (tau > 0))
-    power = np.diagonal(diagram.sums[:, :, diagram.zero]).astype(float)
-    keep = 1 - np.eye(n + 1, n, -1)
-    both = weight * found, weight
-    sums, total = (np.einsum("ka,ab,kb->k", keep, pairs, keep) for pairs in both)
-    rest = keep @ power / keep.sum(axis=1)
-    return sums / np.maximum(total * rest, np.finfo(float).tiny)
 
 
 def is_behind(flow, planes, speed):

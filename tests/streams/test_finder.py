@@ -18,8 +18,8 @@ from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_t
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
 from astro_scc.streams.finder import _judged, _standing, verdict
+from astro_scc.streams.rays import transverse_speed
 from astro_scc.streams.spread import mean_speed, separation
-from astro_scc.streams.transverse import transverse_speed
 
 
 def measured(cube, **settings):
