@@ -417,14 +417,14 @@ def _share_units(tables):
         if others:
             about = f"{about}; masked of sources in other units: {', '.join(others)}"
         for table in having:
-            own = _unit_of(table[name])
-            if not own.is_equivalent(unit):
+            given = _unit_of(table[name])
+            if not given.is_equivalent(unit):
                 column = MaskedColumn(np.full(len(table), np.nan), mask=True)
                 column.unit = None if unit == u.one else unit
                 table[name] = column
-            elif own != unit:
-                zero = DATES if name == "t_ej" else {own: 0 * own, unit: 0 * unit}
-                table[name] = (table[name] - zero[own]).to(unit) + zero[unit]
+            elif given != unit:
+                zero = DATES if name == "t_ej" else {given: 0 * given, unit: 0 * unit}
+                table[name] = (table[name] - zero[given]).to(unit) + zero[unit]
             table[name].info.description = about
 
 

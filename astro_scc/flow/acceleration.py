@@ -260,7 +260,7 @@ def accelerations(result, rows):
         known = [flow.between(low, high) for low, high in parts_along(flow)]
     sign = 1 if fit is None else np.sign(fit.mean[0])
     fits = [
-        fit_part(part, sign=sign, start=search.both, intervals=search.intervals)
+        fit_part(part, sign=sign, start=search.pair, intervals=search.intervals)
         for part in known
     ]
     places = [place_of(part) for part in known]

@@ -17,8 +17,9 @@ from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import distances
-from astro_scc.streams.finder import SearchSettings, find_motion
+from astro_scc.streams.finder import find_motion
 from astro_scc.streams.parts import fit_part, has_flow
+from astro_scc.streams.search import SearchSettings
 from astro_scc.units import PM_UNIT
 
 #: Length of a cell along the flow in beams, and number across it, if none are given.

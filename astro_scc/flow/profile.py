@@ -79,7 +79,7 @@ class Profile(Components):
     fits, speeds : dict
         By the same names: one stream fitted to each bin, None if its speed is not
         known, and its speeds with their covariance, in beams and years.
-    both : tuple of (sequence of (float, float) or None)
+    pairs : tuple of (sequence of (float, float) or None)
         For each bin, with groups: mean and dispersion of two streams of the whole flow
         or, if it has one, of a group in this bin.
     flow : ``DecomposedFlow``
@@ -106,7 +106,7 @@ class Profile(Components):
     speeds: dict[str, PartSpeeds]
     flow: DecomposedFlow
     along: str = "radius"
-    both: tuple[list[tuple[float, float]] | None, ...] = ()
+    pairs: tuple[list[tuple[float, float]] | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.bins)
@@ -319,7 +319,7 @@ def measure_profile(
         if groups is not None:
             # Bins and groups have fewer patterns to tell two streams from one.
             whole = find_streams(flow, features, settings, rng=generator.spawn(1)[0])
-            both = whole.both
+            both = whole.pair
         fits = {
             name: tuple(_fit_again(search, sign, root=root) for search in found)
             for name, found in searches.items()
@@ -335,7 +335,7 @@ def measure_profile(
     }
     along = "ridge" if isinstance(flow.frame, RidgeLine) else "radius"
     pairs = tuple(
-        both or next((one.both for one in found if one and one.both), None)
+        both or next((one.pair for one in found if one and one.pair), None)
         for found in zip(*searches.values(), strict=True)
     )
     return Profile(bins, results, fits, speeds, flow, along, pairs)

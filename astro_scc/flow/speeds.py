@@ -163,7 +163,7 @@ def compare_scales(
     rows = []
     if hasattr(measured, "results"):
         for k, limits in enumerate(measured.bins.to_value(u.mas)):
-            fits, both = {}, measured.both[k]
+            fits, both = {}, measured.pairs[k]
             for name, results in measured.results.items():
                 fit, one = measured.fits[name][k], results[k]
                 if both and one is not None:
@@ -180,12 +180,12 @@ def compare_scales(
             return None
         groups = scale_groups or halves(flow.planes[0].scales)
         sign, used = 1.0 if fit is None else np.sign(fit.mean[0]), measured.search
-        settings = {"root": False, "intervals": used.intervals, "start": used.both}
+        settings = {"root": False, "intervals": used.intervals, "start": used.pair}
         fits = {
             name: fit_part(part, sign=sign, **settings)
             for name, part in flows_by_scale(flow, groups).items()
         }
-        rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam, used.both)]
+        rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam, used.pair)]
     speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
     units = dict.fromkeys(COMPARED[:2], u.mas) | dict.fromkeys(speeds, PM_UNIT)
     kinds = dict.fromkeys(COMPARED, float) | {"stream": int}

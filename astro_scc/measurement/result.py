@@ -25,7 +25,8 @@ from astro_scc.images.positions import name_by_frame
 from astro_scc.measurement import tables
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
-from astro_scc.streams import finder, members
+from astro_scc.streams import members
+from astro_scc.streams.search import StreamSearch
 from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
@@ -78,7 +79,7 @@ class SCCResult(tables.VelocityMaps):
     """
 
     decomposed: DecomposedEpochs
-    search: finder.StreamSearch
+    search: StreamSearch
     position_angle: u.Quantity
     choices: list = field(default_factory=list)
     meta: dict = field(default_factory=dict)

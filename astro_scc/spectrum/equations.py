@@ -16,6 +16,8 @@ from astro_scc.spectrum.permutations import (
     within,
 )
 
+#: Of neighbouring speeds of the spectrum, which look alike.
+RATIO = 1.12
 #: Memories of what stands still and varies, in whole times.
 STANDING = (1 / 30, 1 / 8, 1 / 2)
 
@@ -94,7 +96,7 @@ def _least_squares(gram, right, ridge):
     return scipy.optimize.nnls(factor.T, np.linalg.solve(factor, right))[0]
 
 
-def spectrum_speeds(years, fastest=None, intervals=EVERY, *, ratio=1.12, beyond=1.5):
+def spectrum_speeds(years, fastest=None, intervals=EVERY, *, ratio=RATIO, beyond=1.5):
     """
     Return the speeds of the spectrum, with both signs and zero, in beams/yr.
 
