@@ -15,6 +15,7 @@ from astro_scc.features import Features, TrackSettings, trust
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
 from astro_scc.images.dates import date_labels
+from astro_scc.intervals import median_interval
 
 __all__ = ["explain_feature"]
 
@@ -131,7 +132,7 @@ def _epoch_line(cube, epoch, date):
     days = cube.times.utc.mjd * u.d
     away = abs(date.utc.mjd * u.d - days[epoch])
     unit = next((k for k in (u.yr, u.d, u.h) if away >= 1 * k), u.min)
-    far = away > np.median(np.diff(days)) / 2
+    far = away > median_interval(days) / 2
     return (
         f"The nearest epoch to the date is {date_labels(cube.times)[epoch]}, "
         f"{away.to_value(unit):.3g} {unit} from it"
