@@ -203,8 +203,7 @@ def require_pairs(cube, baseline, number, *, least=2):
     if len(years) < least:
         raise ValueError(
             f"velocities need at least {least} epochs, {FEWEST_EPOCHS} to show that "
-            f"anything moves; the cube has {len(years)}: give images of other dates (a "
-            "file that is given twice counts once)"
+            f"anything moves; the cube has {len(years)}: give images of other dates"
         )
     if number > 0:
         return
@@ -239,6 +238,9 @@ def out_of_reach(smallest, n_epochs, n_trials, alpha):
     if n_epochs < FEWEST_EPOCHS:
         what = f"{n_epochs} epochs"
         more = f"measure {FEWEST_EPOCHS} epochs or more"
+    elif smallest * n_trials > 1:
+        what = f"{n_epochs} epochs of which some are close together in time"
+        more = "measure more epochs"
     return (
         f"{what} allow no p_global below {smallest:.2g}, so nothing without "
         f"secure features can reach level {alpha:g}: {more}"

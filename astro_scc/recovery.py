@@ -6,7 +6,6 @@ from __future__ import annotations
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice, product
-from math import factorial
 from typing import Any, NamedTuple
 
 import astropy.units as u
@@ -29,7 +28,7 @@ from astro_scc.progress import progress
 from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
-from astro_scc.spectrum.permutations import fastest_speed
+from astro_scc.spectrum.permutations import fastest_speed, number_of_orders
 from astro_scc.units import PM_UNIT
 from astro_scc.writing import versions
 
@@ -323,7 +322,8 @@ def completeness(
         12.0       2.0          3
     """
     n_trials = require("n_trials", n_trials)
-    smallest = max(1 / factorial(max(len(cube) - 1, 0)), 1 / (n_trials + 1))
+    number = number_of_orders(np.diff(cube.years.to_value(u.yr)))
+    smallest = 1 / min(number, n_trials + 1)
     if said := out_of_reach(smallest, len(cube), n_trials, scc.alpha):
         raise ValueError(said)
     position_angle = _direction(position_angle, scc.position_angle)

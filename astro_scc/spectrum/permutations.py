@@ -221,9 +221,8 @@ def orders_of(gaps, n_trials, rng):
     Inside of a pair or campaign of epochs an innovation is noise, after a long gap it
     is a change of the structure, so both kinds are permuted apart.
     """
-    short = gaps < min(without_short(gaps), default=0.0)
-    kinds = [np.flatnonzero(~short), np.flatnonzero(short)]
-    if prod(factorial(len(kind)) for kind in kinds) <= n_trials + 1:
+    kinds = _kinds_of(gaps)
+    if number_of_orders(gaps) <= n_trials + 1:
         drawn = list(product(*map(permutations, kinds)))
     else:
         drawn = [[rng.permutation(kind) for kind in kinds] for _ in range(n_trials)]
@@ -231,6 +230,17 @@ def orders_of(gaps, n_trials, rng):
     orders = np.empty((len(drawn), len(gaps)), dtype=int)
     orders[:, np.concatenate(kinds)] = [np.concatenate(each) for each in drawn]
     return orders
+
+
+def number_of_orders(gaps):
+    """Return how many orders of the innovations there are, see `orders_of`."""
+    return prod(factorial(len(kind)) for kind in _kinds_of(gaps))
+
+
+def _kinds_of(gaps):
+    """Return which gaps are long, and which are those of pairs or campaigns."""
+    short = gaps < min(without_short(gaps), default=0.0)
+    return np.flatnonzero(~short), np.flatnonzero(short)
 
 
 def autocorrelation(diagram, farthest=2.2):

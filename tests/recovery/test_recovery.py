@@ -71,6 +71,8 @@ REFUSED = [
     ({"mask": np.broadcast_to(CORNER, (7, 48, 96))}, {}, {"region": CORNER},
      "region holds masked pixels only"),
     ("four", {}, {}, "4 epochs allow no p_global below 0.17, .* epochs or more$"),
+    ({"times": Time(2000 + np.arange(7) // 2 + np.arange(7) % 2 / 99, format="jyear")},
+     {}, {}, "7 epochs of which some are close .* no p_global below 0.028, .* more epo"),
 ]  # fmt: skip
 
 
