@@ -55,7 +55,8 @@ def _script(name, minutes, *files, args="", **more):
 
 def _example(name, minutes, args=""):
     files = (f"examples/results/{name}.txt",)
-    return Entry(f"python examples/{name}.py {args}".strip(), minutes, files)
+    command = f"python examples/{name}.py {args}".strip()
+    return Entry(f"{command} --output examples/results", minutes, files)
 
 
 CALIBRATED = ("speeds", "streams", "static", "flow")

@@ -2,12 +2,11 @@
 """Options of the examples, and the output of their table and figure."""
 
 import argparse
+import sys
 from pathlib import Path
 
 import astropy.units as u
 from astropy.table import QTable
-
-RESULTS = Path(__file__).parent / "results"
 
 
 def run(measure, doc, *, data=False):
@@ -30,7 +29,11 @@ def run(measure, doc, *, data=False):
             "table", type=Path, help="apjac230ft4_mrt.txt of Lister et al. (2021)"
         )
     parser.add_argument(
-        "--output", type=Path, default=RESULTS, help="folder for table and figure"
+        "--output",
+        type=Path,
+        default=Path(),
+        help="folder for table and figure, "
+        "by default the one in which the example is started",
     )
     args = parser.parse_args()
     table, figure = measure(args.table) if data else measure()
@@ -40,6 +43,7 @@ def run(measure, doc, *, data=False):
     (args.output / f"{name}.txt").write_text(text, encoding="utf-8")
     figure.savefig(args.output / f"{name}.png", dpi=80)
     print(text, end="")
+    print(f"Figure: {args.output / name}.png", file=sys.stderr)
 
 
 def _script():
