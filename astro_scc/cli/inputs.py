@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
@@ -15,6 +16,7 @@ from astro_scc import plan
 from astro_scc.epochs import EpochCube
 from astro_scc.epochs.inspection import repeated
 from astro_scc.exceptions import naming_all, warn
+from astro_scc.grid import default_scales
 from astro_scc.images import fits, regions
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.kinematics.cosmology import table_in_c
@@ -255,6 +257,10 @@ def prepare(cube, settings, *, note=None, features=False):
     if settings.scales is None and settings.method == "paper":
         found["scales"], reason = plan.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
+    elif settings.scales is None:
+        pixels = plan.flow_beam(cube) / cube.pixel_scale.to_value(u.mas)
+        scales = ",".join(map(str, default_scales(pixels)))
+        chosen.append(f"speeds from scales {scales}: the largest up to 0.55 beams")
     if settings.position_angle is None:
         angle, reason = plan.choose_direction(cube)
         found["position_angle"] = "any" if angle is None else angle
