@@ -141,7 +141,7 @@ def velocity_frame(cube, position_angle):
             return kinematics.PositionAngleFrame(position_angle)
         case "fit":
             angle, _ = kinematics.fit_position_angle(cube)
-            return kinematics.PositionAngleFrame(angle)
+            return kinematics.PositionAngleFrame(np.round(angle))
         case "ridge":
             return kinematics.find_ridge_line(cube)
         case "radial":

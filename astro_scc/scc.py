@@ -252,7 +252,8 @@ class StackedCrossCorrelation(MeasurementSettings):
             beam=plan.flow_beam(cube), region=decomposed.region,
             max_speed=self.max_speed, kernel=self.wavelet,
         )  # fmt: skip
-        return replace(flow, frame=frame)
+        found = self.position_angle is None or isinstance(self.position_angle, str)
+        return replace(flow, frame=frame, given=not found)
 
     def measure(
         self, decomposed: patterns.DecomposedEpochs, *, n_trials: int = 1000,

@@ -39,6 +39,17 @@ def test_a_radial_frame_and_a_position_angle_give_the_same_features(jet_results)
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
+def test_a_direction_that_is_found_gives_the_same_flow_by_default_and_by_name(
+    decomposed,
+):
+    flows = [
+        StackedCrossCorrelation(position_angle=k).flow(decomposed)
+        for k in (None, "fit", 270 * u.deg)
+    ]
+    assert [flow.given for flow in flows] == [False, False, True]
+    np.testing.assert_array_equal(flows[0].planes[0].values, flows[1].planes[0].values)
+
+
 def test_a_region_lacking_a_scale_loses_nothing(jet_cube, decomposed):
     """Patterns of the other scales are used, and the speed is the same."""
     ssps, region = decomposed.ssps, np.ones(jet_cube.shape[1:], dtype=bool)

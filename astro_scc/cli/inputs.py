@@ -263,9 +263,9 @@ def prepare(cube, settings, *, note=None, features=False):
         chosen.append(f"speeds from scales {scales}: the largest up to 0.55 beams")
     if settings.position_angle is None:
         angle, reason = plan.choose_direction(cube)
-        found["position_angle"] = "any" if angle is None else angle
-        angle = "any" if angle is None else f'"{angle:g}"'
-        chosen.append(f"--position-angle {angle}: {reason}")
+        found["position_angle"] = "any" if angle is None else "fit"
+        shown = "any:" if angle is None else f"fit: {angle:g},"
+        chosen.append(f"--position-angle {shown} {reason}")
     return cube, found, chosen
 
 

@@ -58,6 +58,8 @@ class DecomposedFlow:
         Of the wavelet.
     sampled : ``SampledPlanes`` or None
         What the planes of the whole are made of, along one direction.
+    given : bool
+        Whether the position angle was given, not found in the images.
     """
 
     cube: EpochCube
@@ -70,6 +72,7 @@ class DecomposedFlow:
     inside: np.ndarray | None = None
     kernel: str = "b1"
     sampled: SampledPlanes | None = None
+    given: bool = False
 
     @property
     def years(self) -> np.ndarray:
@@ -134,7 +137,7 @@ class DecomposedFlow:
         )  # fmt: skip
         if self.grids[0].lines is not None:
             made = made.along_lines(self.grids[0].lines, normalise)
-        return replace(made, frame=self.frame)
+        return replace(made, frame=self.frame, given=self.given)
 
     def along_lines(
         self, lines: np.ndarray, normalise: str = "local"

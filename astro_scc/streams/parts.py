@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.spectrum.diagram import Diagram, correlate
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
@@ -112,8 +111,7 @@ def fit_along_lines(
     if part is None or straight:
         return part
     others = [fit_part(flow.along_lines(one), **shared) for one in flow.lines()]
-    given = isinstance(flow.frame, PositionAngleFrame)
-    parts = [part, *others] if given else [*others, part]
+    parts = [part, *others] if flow.given else [*others, part]
     parts = [one for one in parts if one is not None]
     kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]
     best = 0
