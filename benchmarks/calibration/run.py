@@ -156,24 +156,33 @@ KINDS |= {name: KINDS[kind] for name, kind in SENSITIVITY.items()}
 SENSITIVITY_COLUMNS = ("seed", "kind", "n_features", "change_sigma", "p_value",
                        "large", "significant")  # fmt: skip
 FLOW_COLUMNS = ("seed", "rows", "gradient", "gradient_err", "p_acceleration", "fine",
-                "coarse", "p_scales")  # fmt: skip
+                "coarse", "p_scales", "finer")  # fmt: skip
 
 
 def measure_flow(kind, seed, n_trials):
-    """Return a jet's gradient in 1/yr, and speeds by scale in beams per interval."""
+    """
+    Return a jet's gradient in 1/yr, and speeds by scale in beams per interval.
+
+    Of two streams, ``finer`` is by how much the share of the faster one is larger on
+    fine scales than on coarse ones.
+    """
     cube = KINDS[kind](seed).cube
     scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MeasurementWarning)
         result = scc(cube, n_trials=n_trials, rng=seed)
     found = measure_acceleration(result)
-    row = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})[0]
+    rows = compare_scales(result, {"fine": [1, 2], "coarse": [3, 4]})
+    row = rows[-1]
+    finer = row["first_share"] - row["second_share"] if len(rows) > 1 else np.nan
     beam = np.sqrt(cube.beams[0].major * cube.beams[0].minor)
     unit = (beam / (0.2 * u.yr)).to(u.mas / u.yr)
     fine, coarse = ((row[f"{k}_speed"] / unit).value for k in ("first", "second"))
     n = int(np.sum(result.components["kind"] == "moving"))
+    # Each stream has its own test.
+    p_scales = min(1.0, len(rows) * np.nan_to_num(rows["p_value"], nan=1.0).min())
     numbers = (found.gradient.value, found.gradient_err.value, found.p_value, fine,
-               coarse, row["p_value"])  # fmt: skip
+               coarse, p_scales, finer)  # fmt: skip
     return [[seed, n, *(f"{x:.4g}" for x in numbers)]]
 
 

@@ -149,7 +149,9 @@ def flow_row(kind, jets):
         sum(jet[0][p] <= ALPHA for jet in jets) for p in ("p_acceleration", "p_scales")
     ]
     two = sum(jet[0]["rows"] > 1 for jet in jets)
-    return [kind, n, *(share(number, n) for number in (*found, two))]
+    finer = [jet[0]["finer"] > 0 for jet in jets if np.isfinite(jet[0]["finer"])]
+    right = share(sum(finer), len(finer)) if finer else "-"
+    return [kind, n, *(share(number, n) for number in (*found, two)), right]
 
 
 def sensitivity_row(kind, jets):
@@ -232,7 +234,7 @@ def main():
     )
     write(
         "flow_table",
-        ["jets", "n", "acceleration", "scales differ", "two streams"],
+        ["jets", "n", "acceleration", "scales differ", "two streams", "faster finer"],
         [flow_row(k, have[k]) for k in have if k in FLOW],
     )
     write(
