@@ -58,6 +58,9 @@ class DecomposedFlow:
         Of the wavelet.
     sampled : ``SampledPlanes`` or None
         What the planes of the whole are made of, along one direction.
+    passes : bool
+        Whether features move past the reference position, so that it is no core from
+        which both sides flow.
     """
 
     cube: EpochCube
@@ -70,6 +73,7 @@ class DecomposedFlow:
     inside: np.ndarray | None = None
     kernel: str = "b1"
     sampled: SampledPlanes | None = None
+    passes: bool = False
 
     @property
     def years(self) -> np.ndarray:
@@ -131,10 +135,21 @@ class DecomposedFlow:
             self.cube, PositionAngleFrame(angle * u.rad) if known else self.frame,
             scales=scales, beam=self.beam, region=self.inside,
             max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
+            passes=self.passes,
         )  # fmt: skip
         if self.grids[0].lines is not None:
             made = made.along_lines(self.grids[0].lines, normalise)
         return replace(made, frame=self.frame)
+
+    def past_reference(self) -> DecomposedFlow:
+        """Return the flow as one that passes the reference position."""
+        passing = replace(self, passes=True)
+        if not self.directed or not np.isfinite(self.grids[0].angle):
+            return passing
+        # A given direction is not turned to the side of a core.
+        given = isinstance(self.frame, PositionAngleFrame)
+        angle = self.frame.pa.to_value(u.rad) if given else self.grids[0].angle
+        return passing.along(angle)
 
     def along_lines(
         self, lines: np.ndarray, normalise: str = "local"
@@ -211,7 +226,7 @@ def distances(grid):
 
 def decompose_flow(
     cube, frame, *, scales=None, beam, region=None, max_speed=None, kernel="b1",
-    normalise="local",
+    normalise="local", passes=False,
 ):  # fmt: skip
     """
     Return the flow of a cube: wavelet planes along its direction.
@@ -229,6 +244,8 @@ def decompose_flow(
     kernel : {"b1", "b3"}
     normalise : {"local", "along"}
         See ``flow_planes``.
+    passes : bool, optional
+        Whether the flow passes the reference position, which is no core then.
 
     Returns
     -------
@@ -243,7 +260,7 @@ def decompose_flow(
     seen = _seen(cube, beam, region, core)
     if scales is None:
         scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
-    grids = tuple(flow_grids(cube, frame, seen, beam, core=core))
+    grids = tuple(flow_grids(cube, frame, seen, beam, core=core and not passes))
     sampling = {
         "kernel": kernel, "order": 3 if len(grids) == 1 else 1,
         "reach": _reach(cube, max_speed, beam),
@@ -257,7 +274,7 @@ def decompose_flow(
     fastest = None if max_speed is None else max_speed.to_value(PM_UNIT) / beam
     return DecomposedFlow(
         cube, frame, grids, planes, regions, beam, fastest, region, kernel,
-        sampled[0] if len(grids) == 1 else None,
+        sampled[0] if len(grids) == 1 else None, passes,
     )  # fmt: skip
 
 

@@ -47,6 +47,45 @@ def moving_features(features, frame, angle, use=None, walk=None, *, folded=False
     return np.array(rows, dtype=MOVING).view(np.recarray)
 
 
+def passing_features(features, beam, *, aligned=0.7):
+    """
+    Return the secure features that move towards the reference position and past it.
+
+    From a core nothing comes that is a beam or more behind it and moves as what is
+    before it does.  Where there are more of those that move away behind it, it has a
+    counter-jet.
+
+    Parameters
+    ----------
+    features : `~astro_scc.features.Features`
+    beam : float
+        In mas.
+    aligned : float, optional
+        Least cosine of the angle between a velocity and the mean direction.
+
+    Returns
+    -------
+    `~numpy.ndarray` of int
+        Those behind the reference position; empty if none are before it.
+    """
+    secure = np.flatnonzero(features.secure)
+    motions = [features.motions[k] for k in secure]
+    weight = np.array([len(features.tracks[k]) for k in secure])
+    place, velocity = (
+        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
+        for name in ("place", "velocity")
+    )
+    ways = velocity / np.hypot(*velocity.T)[:, None]
+    mean = weight @ ways
+    mean /= max(np.hypot(*mean), 1e-9)
+    along, at = ways @ mean, place @ mean
+    behind, with_flow = at < -beam, along > aligned
+    moving, away = behind & with_flow, behind & (along < -aligned)
+    if not np.any(with_flow & (at > 0)) or weight @ moving <= weight @ away:
+        return secure[:0]
+    return secure[moving]
+
+
 def frame_velocities(frame, features):
     """
     Return the velocities of features along the axes of a frame.
