@@ -144,8 +144,8 @@ def _fits(cube, shapes, direction, noise):
 
 
 def _stands(cube, rows):
-    """Return whether positions in pixels scatter by less than 0.2 beams."""
-    offsets = cube.pixel_to_offset(*np.array([row[0] for row in rows], float).T)
+    """Return whether positions scatter by less than 0.2 beams."""
+    offsets = cube.pixel_to_offset(*np.transpose([row[0] for row in rows]))
     return max(offset.std() for offset in offsets) < MISALIGNED * cube.resolution
 
 
@@ -185,9 +185,8 @@ def farthest_upstream(cube: ImageSeries, direction: np.ndarray) -> np.ndarray:
     """
     mean, to_pixels = cube.mean_image(), np.linalg.inv(cube.pixel_matrix.value)
     shape = to_pixels @ cube.beams[0].covariance.value @ to_pixels.T
-    noise, good = np.median(cube.noise_rms().value), ~mean.mask
-    image = np.where(good, mean.data, 0.0)
-    found = _candidate(image, good, shape, to_pixels @ direction, noise)
+    image, noise = np.where(mean.mask, 0, mean.data), np.median(cube.noise_rms().value)
+    found = _candidate(image, ~mean.mask, shape, to_pixels @ direction, noise)
     if found is None:
         return np.zeros(2)
     return np.array([v.to_value(u.mas) for v in cube.pixel_to_offset(*found)])

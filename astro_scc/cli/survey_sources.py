@@ -38,7 +38,7 @@ SOURCES, STATE, FEATURES = "sources", "part.json", "features.ecsv"
 OUTCOME = "status", "message", "n_epochs", "first", "last"
 #: Name of the part without a region, or without scale groups.
 WHOLE = "all"
-ALIGNMENTS = ("none", "core", "correlate", "wcs")
+ALIGNMENTS = (None, "none", "core", "correlate", "wcs")
 #: Keys of the file that hold tables, and all keys of a source but published_pm.
 TABLES = ("regions", "scale_groups")
 KEYS = {name for name, facts in OPTIONS.items() if "measure" in facts["commands"]}
@@ -94,9 +94,8 @@ class Part:
     def key(self):
         """Return a check sum of the settings, versions and files that products need."""
         given = self.settings
-        others = {given.region, given.crop, self.compare} - {None}
-        others |= {given.align} if _is_table(given.align) else set()
-        files = map(_facts, sorted(others | self.epochs()))
+        others = given.region, given.crop, given.align, self.compare
+        files = map(_facts, sorted({*others}.difference(ALIGNMENTS) | self.epochs()))
         settings = given.to_dict(), given.to_dict("profile")
         text = json.dumps([settings, versions(), *files], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -109,11 +108,6 @@ class Part:
         """Return the paths of the epochs; a pattern that matches nothing is one."""
         found = (set(glob.glob(p)) or {p} for p in self.settings.epochs)
         return set().union(*found)
-
-
-def _is_table(align):
-    """Return whether an alignment names a file."""
-    return align is not None and align.split()[0] not in ALIGNMENTS
 
 
 def _facts(path):
@@ -301,7 +295,8 @@ def _parts(name, folder, given, base):
     escaped, align = Path(glob.escape(str(base))), settings.align
     settings = settings.changed(
         epochs=[str(escaped / pattern) for pattern in settings.epochs],
-        align=of_base(align) if _is_table(align) else align,
+        # A core may have the direction of its jet.
+        align=align if (align or "core").split()[0] in ALIGNMENTS else of_base(align),
         crop=of_base(settings.crop),
     )  # fmt: skip
     groups = list(settings.scale_groups or [WHOLE])

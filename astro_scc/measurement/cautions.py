@@ -8,11 +8,10 @@ from astropy.stats import circmean, circstd
 from astro_scc.alignment.registration import farthest_upstream
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
-from astro_scc.images.positions import readable_angle
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.streams.finder import FEWEST
 from astro_scc.streams.members import frame_velocities, passing_features
-from astro_scc.units import PM_UNIT, unit_name
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 
 #: Parts of the limits of the search that are near them, and errors by which two speeds
 #: differ.
@@ -81,7 +80,7 @@ def _upstream(result, stream, row, *, least=1.2):
     """
     Return that emission lies upstream of the reference position, as a list of text.
 
-    Secure features come from there and move past it, or a local maximum of the mean
+    Features come from there and move past it, or a local maximum of the mean
     image lies ``least`` beams or more behind a core, and no secure feature moves away
     there as in a counter-jet.
     """
@@ -89,36 +88,33 @@ def _upstream(result, stream, row, *, least=1.2):
     cored = flow.outward and has_core(result.cube, flow.beam)
     if not flow.passes and (not cored or stream.kind == "not significant"):
         return []
-    place, velocity = (
-        np.reshape([getattr(motion, name) for motion in features.motions], (-1, 2))
-        for name in ("place", "velocity")
-    )
+    place = features.places
+    velocity = np.reshape([motion.velocity for motion in features.motions], (-1, 2))
+    coming = passing_features(features, flow.beam) if flow.passes else []
+    way = velocity[coming or stream.members].sum(axis=0)
     angle = np.radians(row["pm_pa"])
-    way, ends = np.array([np.sin(angle), np.cos(angle)]), []
-    if flow.passes:
-        coming = passing_features(features, flow.beam)
-        way, ends = velocity[coming].sum(axis=0), [*place[coming]]
-    elif not np.isfinite(angle):
-        way = velocity[stream.members].sum(axis=0)
+    if np.isfinite(angle) and not coming:
+        way = np.array([np.sin(angle), np.cos(angle)])
     if not np.hypot(*way) > 0:
         return []
-    way = way / np.hypot(*way)
+    way, ends = way / np.hypot(*way), [*place[coming]]
     peak = farthest_upstream(result.cube, way)
     away = features.secure & (place @ way < 0) & (velocity @ way < 0)
     # More behind than beside.
     behind = -peak @ way > max(least * flow.beam, np.hypot(*peak) / np.sqrt(2))
-    if behind and (flow.passes or not away.any()):
+    if behind and (coming or not away.any()):
         ends.append(peak)
     if not ends:
         return []
-    far = min(ends, key=lambda end: end @ way)
-    distance = readable_angle(np.hypot(*far) * u.mas)
-    at, to = (np.degrees(np.arctan2(*v)) % 360 for v in (far, way))
-    passing = ", and secure features come from there" if flow.passes else ""
+    far = ends[np.argmin(ends @ way)]
+    distance = np.hypot(*far) * u.mas
+    distance = distance.to(offset_unit(distance.value))
+    at, to = (round(np.degrees(np.arctan2(*v))) % 360 for v in (far, way))
+    passing = ", and features come from there" if coming else ""
     return [
-        f"emission lies upstream of the reference position, to {distance} at PA "
-        f"{at:.0f} deg{passing}: if the core is there, align on it with a table of its "
-        f"positions, or with --align 'core {to:.0f} deg'"
+        f"emission lies upstream of the reference position, to {distance:.2g} at PA "
+        f"{at} deg{passing}: if the core is there, align on it with a table of its "
+        f"positions, or with --align 'core {to} deg'"
     ]
 
 

@@ -141,16 +141,6 @@ class DecomposedFlow:
             made = made.along_lines(self.grids[0].lines, normalise)
         return replace(made, frame=self.frame)
 
-    def past_reference(self) -> DecomposedFlow:
-        """Return the flow as one that passes the reference position."""
-        passing = replace(self, passes=True)
-        if not self.directed or not np.isfinite(self.grids[0].angle):
-            return passing
-        # A given direction is not turned to the side of a core.
-        given = isinstance(self.frame, PositionAngleFrame)
-        angle = self.frame.pa.to_value(u.rad) if given else self.grids[0].angle
-        return passing.along(angle)
-
     def along_lines(
         self, lines: np.ndarray, normalise: str = "local"
     ) -> DecomposedFlow:

@@ -8,7 +8,6 @@ import numpy as np
 
 from astro_scc.features.diffusion import measure_diffusion
 from astro_scc.features.motion import SIGNIFICANT
-from astro_scc.grid import has_core
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import fit_errors
@@ -26,7 +25,6 @@ from astro_scc.streams.members import (
     divided,
     mean_across,
     moving_features,
-    passing_features,
     turn_to_flow,
 )
 from astro_scc.streams.parts import fit_along_lines, is_behind
@@ -106,9 +104,6 @@ def find_streams(
     `StreamSearch`
     """
     map_rng = rng.spawn(1)[0]
-    passing = passing_features(features, flow.beam)
-    if not flow.passes and len(passing) and has_core(flow.cube, flow.beam):
-        flow = flow.past_reference()
     flow, test = find_motion(flow, settings, rng)
     planes = flow.planes[0].square_root if root else flow.planes[0]
     sheet, aside = _sheet(planes, flow.regions[0], 3)
@@ -175,7 +170,7 @@ def _opposed(features, inside, moving, sign):
     secure = features.secure if inside is None else features.secure & inside
     number, with_it = secure.sum(), moving.along * sign > 0
     against, others = moving[~with_it].weight.sum(), number - with_it.sum()
-    elsewhere = others >= FEWEST and 2 * others > number
+    elsewhere = others >= FEWEST and with_it.sum() < LEAST_SIDE * number
     if not elsewhere and not against > moving[with_it].weight.sum():
         return ""
     few = f"only {with_it.sum()}" if with_it.any() else "none"

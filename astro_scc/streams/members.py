@@ -49,7 +49,7 @@ def moving_features(features, frame, angle, use=None, walk=None, *, folded=False
 
 def passing_features(features, beam, *, aligned=0.7):
     """
-    Return the secure features that move towards the reference position and past it.
+    Return the reliable features that move towards the reference position and past it.
 
     From a core nothing comes that is a beam or more behind it and moves as what is
     before it does.  Where there are more of those that move away behind it, it has a
@@ -61,29 +61,29 @@ def passing_features(features, beam, *, aligned=0.7):
     beam : float
         In mas.
     aligned : float, optional
-        Least cosine of the angle between a velocity and the mean direction.
+        Least cosine of the angle between a velocity and the mean direction, and between
+        it and the way to the reference position.
 
     Returns
     -------
-    `~numpy.ndarray` of int
+    list of int
         Those behind the reference position; empty if none are before it.
     """
-    secure = np.flatnonzero(features.secure)
-    motions = [features.motions[k] for k in secure]
+    secure = np.flatnonzero(features.secure_without_core)
     weight = np.array([len(features.tracks[k]) for k in secure])
-    place, velocity = (
-        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-        for name in ("place", "velocity")
-    )
+    velocity = np.reshape([features.motions[k].velocity for k in secure], (-1, 2))
     ways = velocity / np.hypot(*velocity.T)[:, None]
     mean = weight @ ways
     mean /= max(np.hypot(*mean), 1e-9)
+    place = features.places[secure]
     along, at = ways @ mean, place @ mean
+    outward = (place * ways).sum(axis=1) / np.hypot(*place.T)
     behind, with_flow = at < -beam, along > aligned
-    moving, away = behind & with_flow, behind & (along < -aligned)
+    moving = behind & with_flow & (outward < -aligned)
+    away = behind & (along < -aligned)
     if not np.any(with_flow & (at > 0)) or weight @ moving <= weight @ away:
-        return secure[:0]
-    return secure[moving]
+        return []
+    return secure[moving].tolist()
 
 
 def frame_velocities(frame, features):
