@@ -29,6 +29,7 @@ from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.grid import has_core
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.parts import parts_of
@@ -44,6 +45,7 @@ from astro_scc.settings import (
 )
 from astro_scc.streams.decomposed import DecomposedFlow, decompose_flow
 from astro_scc.streams.finder import find_streams
+from astro_scc.streams.members import passing_features
 from astro_scc.writing import versions
 
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
@@ -247,10 +249,12 @@ class StackedCrossCorrelation(MeasurementSettings):
         # A one-sided jet has a direction, also where the axes are east and north.
         given = self.position_angle is not None
         along = None if given else plan.choose_direction(cube)[0]
+        beam = plan.flow_beam(cube)
+        passes = has_core(cube, beam) and passing_features(decomposed.features, beam)
         flow = decompose_flow(
             cube, frame if along is None else PositionAngleFrame(along), scales=scales,
-            beam=plan.flow_beam(cube), region=decomposed.region,
-            max_speed=self.max_speed, kernel=self.wavelet,
+            beam=beam, region=decomposed.region, max_speed=self.max_speed,
+            kernel=self.wavelet, passes=bool(passes),
         )  # fmt: skip
         found = self.position_angle is None or isinstance(self.position_angle, str)
         return replace(flow, frame=frame, given=not found)

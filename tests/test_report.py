@@ -194,6 +194,8 @@ SENTENCES = [
     ({"pm_min": 6.14 * PM_UNIT, "pm_max": 7.58 * PM_UNIT}, "features of 6.1 to 7.6."),
     ({"caution": "moves towards the core", "pm_pa": 90 * u.deg},
      "towards PA 90 deg, which is towards the core"),
+    ({"caution": "why; no one direction holds for the emission: what to do"},
+     "No one direction holds for the emission: what to do. Motion: "),
 ]  # fmt: skip
 
 

@@ -30,6 +30,9 @@ def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QT
     Around it two Gaussians of the shape of the beam are fitted together, and
     the upstream one is the core.  Only one is fitted if a second lowers
     chi-square by less than 25, or if the direction of the jet is unknown.
+    Where what is found so moves by 0.2 beams or more (rms) while the brightest
+    point stands still, it is no core: the other end of the jet is taken if it
+    stands still, or else the brightest point.
 
     Parameters
     ----------
@@ -54,6 +57,11 @@ def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QT
     ValueError
         If the epochs have no beams, or nothing in an epoch is bright enough
         to be the core.
+
+    Warns
+    -----
+    MeasurementWarning
+        If neither end of the jet stands still, but the brightest point does.
 
     Notes
     -----
@@ -106,6 +114,21 @@ def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QT
         pa = u.Quantity(jet_pa).to_value(u.rad)
         direction = to_pixels @ [np.sin(pa), np.cos(pa)]
         direction = direction / np.hypot(*direction)
+    rows = _fits(cube, shapes, direction, noise)
+    if direction is not None and not _stands(cube, rows):
+        rows = _standing_end(cube, rows, shapes, direction, noise)
+    position, covariance, blended = map(np.array, zip(*rows, strict=True))
+    sky = matrix @ covariance @ matrix.T
+    table = QTable({"label": list(cube.labels), "date": cube.times})
+    table["east"], table["north"] = cube.pixel_to_offset(*position.T)
+    table["east_err"] = np.sqrt(sky[:, 0, 0]) * u.mas
+    table["north_err"] = np.sqrt(sky[:, 1, 1]) * u.mas
+    table["blended"] = blended
+    return table
+
+
+def _fits(cube, shapes, direction, noise):
+    """Return for each epoch the position of the core, its covariance, and blends."""
     rows = []
     for i, label in enumerate(cube.labels):
         image, good = grid.fill_masked(cube.data[i], cube.mask[i]), ~cube.mask[i]
@@ -117,14 +140,56 @@ def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QT
                 "positions"
             )
         rows.append(_fit(image, good, start, *options))
-    position, covariance, blended = map(np.array, zip(*rows, strict=True))
-    sky = matrix @ covariance @ matrix.T
-    table = QTable({"label": list(cube.labels), "date": cube.times})
-    table["east"], table["north"] = cube.pixel_to_offset(*position.T)
-    table["east_err"] = np.sqrt(sky[:, 0, 0]) * u.mas
-    table["north_err"] = np.sqrt(sky[:, 1, 1]) * u.mas
-    table["blended"] = blended
-    return table
+    return rows
+
+
+def _stands(cube, rows):
+    """Return whether positions scatter by less than 0.2 beams."""
+    offsets = cube.pixel_to_offset(*np.transpose([row[0] for row in rows]))
+    return max(offset.std() for offset in offsets) < MISALIGNED * cube.resolution
+
+
+def _standing_end(cube, rows, shapes, direction, noise):
+    """Return what stands still of all that may be the core, see `core_positions`."""
+    brightest = _fits(cube, shapes, None, noise)
+    if not _stands(cube, brightest):
+        return rows
+    other = _fits(cube, shapes, -direction, noise)
+    if _stands(cube, other):
+        return other
+    warn(
+        f"what is fitted as the core moves by {MISALIGNED:g} beams or more (rms), the "
+        "brightest point stands still and is taken: if that is not the core, give the "
+        "direction of the jet (--align 'core 270 deg', in Python jet_pa=) or a table",
+        MeasurementWarning,
+    )
+    return brightest
+
+
+def farthest_upstream(cube: ImageSeries, direction: np.ndarray) -> np.ndarray:
+    """
+    Return where in the mean image the core would be, if the jet had a direction.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+        With ``beams``.
+    direction : `~numpy.ndarray`, shape (2,)
+        To the east and north.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (2,)
+        Offset (east, north) in mas of the local maximum that is farthest upstream and
+        has a tenth of the peak; of the reference pixel, if there is none.
+    """
+    mean, to_pixels = cube.mean_image(), np.linalg.inv(cube.pixel_matrix.value)
+    shape = to_pixels @ cube.beams[0].covariance.value @ to_pixels.T
+    image, noise = np.where(mean.mask, 0, mean.data), np.median(cube.noise_rms().value)
+    found = _candidate(image, ~mean.mask, shape, to_pixels @ direction, noise)
+    if found is None:
+        return np.zeros(2)
+    return np.array([v.to_value(u.mas) for v in cube.pixel_to_offset(*found)])
 
 
 def _mean_direction(cube, shape, level):

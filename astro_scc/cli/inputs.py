@@ -21,7 +21,7 @@ from astro_scc.images import fits, regions
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.products.publication import published_positions
-from astro_scc.quantities import to_time
+from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.settings import OPTIONS, Settings, read_config
 from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.writing import versions
@@ -251,7 +251,7 @@ def prepare(cube, settings, *, note=None, features=False):
     if settings.align is None:
         found["align"], reason = plan.choose_alignment(cube)
         chosen.append(f"--align {found['align']}: {reason}")
-    cube = cube.align(found.get("align", settings.align))
+    cube = _aligned(cube, found.get("align", settings.align))
     if features:
         return cube, found, chosen
     if settings.scales is None and settings.method == "paper":
@@ -267,6 +267,15 @@ def prepare(cube, settings, *, note=None, features=False):
         shown = "any:" if angle is None else f"fit: {angle:g},"
         chosen.append(f"--position-angle {shown} {reason}")
     return cube, found, chosen
+
+
+def _aligned(cube, align):
+    """Return the epochs aligned; the jet may have a direction, as in "core 270 deg"."""
+    method, _, angle = align.partition(" ")
+    if method != "core" or not angle or Path(align).is_file():
+        return cube.align(align)
+    kind = "a position angle", "270 deg", False
+    return cube.align("core", jet_pa=named("--align core", one_quantity, angle, *kind))
 
 
 def select_epochs(cube, after=None, before=None):

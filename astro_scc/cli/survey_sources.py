@@ -295,7 +295,8 @@ def _parts(name, folder, given, base):
     escaped, align = Path(glob.escape(str(base))), settings.align
     settings = settings.changed(
         epochs=[str(escaped / pattern) for pattern in settings.epochs],
-        align=align if align in ALIGNMENTS else of_base(align),
+        # A core may have the direction of its jet.
+        align=align if (align or "core").split()[0] in ALIGNMENTS else of_base(align),
         crop=of_base(settings.crop),
     )  # fmt: skip
     groups = list(settings.scale_groups or [WHOLE])

@@ -24,7 +24,7 @@ from astro_scc.features.detections import (
 )
 from astro_scc.features.motion import Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
-from astro_scc.features.trust import COEFFICIENTS, CONSTANT, is_secure, properties
+from astro_scc.features.trust import is_secure, p_false_of, properties
 from astro_scc.images.positions import name_by_frame
 from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit
@@ -99,10 +99,12 @@ class Features:
     @cached_property
     def p_false(self) -> np.ndarray:
         """Probability of each that it is no feature, or parts of several."""
+        return p_false_of(self._properties)
+
+    @cached_property
+    def _properties(self):
         each = zip(self.tracks, self.motions, strict=True)
-        known = [properties(self.detections, *one) for one in each]
-        logit = np.array([CONSTANT + one @ COEFFICIENTS for one in known])
-        return 1 / (1 + np.exp(logit))
+        return [properties(self.detections, *one) for one in each]
 
     @property
     def moved(self) -> np.ndarray:
@@ -113,7 +115,15 @@ class Features:
     @cached_property
     def secure(self) -> np.ndarray:
         """Whether each is reliable: one feature that moves, with this speed."""
-        each = zip(self.p_false, self.moved, self.tracks, self.motions, strict=True)
+        return self._are_secure(self.p_false)
+
+    @property
+    def secure_without_core(self) -> np.ndarray:
+        """Whether each is, if no core is known: moving towards it is no fault then."""
+        return self._are_secure(p_false_of(self._properties, outward=True))
+
+    def _are_secure(self, p_false):
+        each = zip(p_false, self.moved, self.tracks, self.motions, strict=True)
         return np.array([is_secure(*one) for one in each], dtype=bool)
 
     @cached_property

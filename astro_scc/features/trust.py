@@ -11,6 +11,8 @@ from astro_scc.features.tracks import Track
 #: `properties`: constant, and coefficients (``benchmarks/features.py trust``).
 CONSTANT = -5.88
 COEFFICIENTS = np.array([1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62, -7.23])
+#: Which of them is that of the angle between motion and radius.
+COSINE = 3
 #: A feature is secure if it is false with at most this probability, has the same
 #: speed in such a share of the disturbed assignments, and has moved so many beams: of
 #: static jets at most one in twenty then has one (``benchmarks/features.py``).
@@ -62,6 +64,27 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
             np.sqrt((motion.residual**2).mean()) / d.fwhm,
         ]
     )
+
+
+def p_false_of(known: np.ndarray, *, outward: bool = False) -> np.ndarray:
+    """
+    Return the probability of each track that it is no feature, or parts of several.
+
+    Parameters
+    ----------
+    known : array_like, shape (n, 8)
+        Their `properties`.
+    outward : bool, optional
+        Whether they count as moving outward, for want of a core.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n,)
+    """
+    known = np.array(known).reshape(-1, len(COEFFICIENTS))
+    if outward:
+        known[:, COSINE] = 1.0
+    return 1 / (1 + np.exp(CONSTANT + known @ COEFFICIENTS))
 
 
 def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> bool:

@@ -1,20 +1,26 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What a row of the table of streams depends on, in words."""
 
+import astropy.units as u
 import numpy as np
 from astropy.stats import circmean, circstd
 
+from astro_scc.alignment.registration import farthest_upstream
 from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.grid import has_core
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.streams.finder import FEWEST
-from astro_scc.streams.members import frame_velocities
-from astro_scc.units import PM_UNIT, unit_name
+from astro_scc.streams.members import frame_velocities, passing_features
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 
 #: Parts of the limits of the search that are near them, and errors by which two speeds
 #: differ.
 NEAR, DISAGREE = 0.8, 2.5
-#: Difference of directions, in radians, of which a projection loses 5%.
-DIRECTIONS = 0.3
+#: Difference of directions, in radians, of which a projection loses 5%, and scatter of
+#: them about no direction.
+DIRECTIONS, ALL = 0.3, np.pi / 2
+#: How that is said, which headlines begin with.
+NO_DIRECTION = "no one direction holds for the emission"
 
 
 def cautions_of(result, k, row):
@@ -37,7 +43,7 @@ def cautions_of(result, k, row):
     alpha, unit = result.meta["settings"]["alpha"], result.cube.speed_unit
     said = [stream.reason, *_doubts(result, stream, alpha)]
     if k == 0 and stream.kind != "stationary":
-        said += _other_directions(result)
+        said += [*_upstream(result, stream, row), *_other_directions(result)]
     if stream.kind == "moving":
         said += _cautions(search, stream, row, alpha, unit)
         if k == _main(search):
@@ -70,6 +76,48 @@ def _doubts(result, stream, alpha):
     ]
 
 
+def _upstream(result, stream, row, *, least=1.2):
+    """
+    Return that emission lies upstream of the reference position, as a list of text.
+
+    Features come from there and move past it, or a local maximum of the mean
+    image lies ``least`` beams or more behind a core, and no secure feature moves away
+    there as in a counter-jet.
+    """
+    flow, features = result.flow, result.tracked_features
+    cored = flow.outward and has_core(result.cube, flow.beam)
+    if not flow.passes and (not cored or stream.kind == "not significant"):
+        return []
+    place = features.places
+    velocity = np.reshape([motion.velocity for motion in features.motions], (-1, 2))
+    coming = passing_features(features, flow.beam) if flow.passes else []
+    way = velocity[coming or stream.members].sum(axis=0)
+    angle = np.radians(row["pm_pa"])
+    if np.isfinite(angle) and not coming:
+        way = np.array([np.sin(angle), np.cos(angle)])
+    if not np.hypot(*way) > 0:
+        return []
+    way, ends = way / np.hypot(*way), [*place[coming]]
+    peak = farthest_upstream(result.cube, way)
+    away = features.secure & (place @ way < 0) & (velocity @ way < 0)
+    # More behind than beside.
+    behind = -peak @ way > max(least * flow.beam, np.hypot(*peak) / np.sqrt(2))
+    if behind and (coming or not away.any()):
+        ends.append(peak)
+    if not ends:
+        return []
+    far = ends[np.argmin(ends @ way)]
+    distance = np.hypot(*far) * u.mas
+    distance = distance.to(offset_unit(distance.value))
+    at, to = (round(np.degrees(np.arctan2(*v))) % 360 for v in (far, way))
+    passing = ", and features come from there" if coming else ""
+    return [
+        f"emission lies upstream of the reference position, to {distance:.2g} at PA "
+        f"{at} deg{passing}: if the core is there, align on it with a table of its "
+        f"positions, or with --align 'core {to} deg'"
+    ]
+
+
 def _other_directions(result):
     """Return that directions of features depend on their place, as a list of text."""
     features, frame = result.tracked_features, result.frame
@@ -94,10 +142,18 @@ def _other_directions(result):
     bends = apart > max(turns * DIRECTIONS, SIGNIFICANT * np.hypot(*errors))
     if not (bends or (scatter > turns * DIRECTIONS and about < scatter / 2)):
         return []
-    return [
+    said = (
         f"directions of secure features scatter by {np.degrees(scatter / turns):.0f} "
-        "deg with their place, and speeds are those along one: try the position angles "
-        "'ridge' and 'radial'"
+        "deg with their place"
+    )
+    if scatter > turns * ALL:
+        # A ridge line does not lead to several sides.
+        radial = about < scatter / 2
+        advice = "try --position-angle radial" if radial else "take that of each"
+        return [f"{NO_DIRECTION}: {said}, {advice}"]
+    return [
+        f"{said}, and speeds are those along one: try the position angles 'ridge' and "
+        "'radial'"
     ]
 
 
@@ -108,13 +164,14 @@ def _cautions(search, stream, row, alpha, unit):
     off = np.nan_to_num(abs(a - b) / np.hypot(e, f)) if e > 0 and f > 0 else 0.0
     given = isinstance(search.flow.frame, PositionAngleFrame)
     turned = given and np.cos(search.angle) < 0
+    cored = not search.flow.passes and (given or search.flow.cube.beams is not None)
     outward = row["pm_parallel"] * (-1 if turned != stream.counter else 1)
     close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
     cautions = {
         "it is of the counter-jet": stream.counter,
-        "moves towards the core": outward < -abs(row["pm_transverse"]),
+        "moves towards the core": cored and outward < -abs(row["pm_transverse"]),
         "the jet is on the other side of the core than the given position angle":
-            turned,
+            turned and cored,
         f"p_global {p:.2g} is above alpha, {alpha:g}: the motion rests on its secure "
         "features too": p > alpha,
         f"p_global may be above or below {alpha:g} by chance: take more trials":

@@ -8,6 +8,7 @@ from astro_scc.columns import cell, headed, table_lines
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.trust import LEAST_EPOCHS, LEAST_MOTION, MOST_FALSE, SAME_SPEED
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
+from astro_scc.measurement.cautions import NO_DIRECTION
 from astro_scc.units import offset_unit, unit_name
 
 #: Most features that are named in a sentence, and that the terminal shows.
@@ -66,7 +67,7 @@ def headline(streams):
 
     It has all streams that move, and those whose motion is not confirmed, from slow to
     fast; if there are none, that nothing moves significantly, and which speeds were
-    searched.
+    searched; but first, that no one direction holds.
 
     Parameters
     ----------
@@ -85,11 +86,13 @@ def headline(streams):
     'Nothing moves significantly.'
     """
     parts, kinds = [], np.asarray(streams["kind"], dtype=str)
+    cautions = "; ".join(streams["caution"][:1]).split("; ")
+    first = [f"N{text[1:]}. " for text in cautions if text.startswith(NO_DIRECTION)]
     for kind, said in (("moving", "Motion: "), ("not confirmed", "Not confirmed: ")):
         if rows := [_motion(row) for row in streams[kinds == kind]]:
             parts.append(said + "; and ".join(rows))
     if parts and np.isfinite(streams["p_global"][kinds != "not significant"]).any():
-        return f"{'. '.join(parts)}."
+        return f"{''.join(first)}{'. '.join(parts)}."
     some, meta = streams[kinds == "not significant"], streams.meta
     more = [f"p_global {some['p_global'][0]:.2g}"] if len(some) else []
     if "unambiguous" in meta:
@@ -103,7 +106,7 @@ def headline(streams):
             f"unambiguous to {safe}",
         ]
     nothing = f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}"
-    return f"{'. '.join([nothing, *parts])}."
+    return f"{''.join(first)}{'. '.join([nothing, *parts])}."
 
 
 def _speed(row):
@@ -151,8 +154,9 @@ def notes(streams, features):
         limit, number = row["pm_limit"], row["stream"]
         members = features[features["stream"] == number]
         # The headline has the speeds that were searched.
+        known = "speeds of ", NO_DIRECTION
         parts = row["caution"].removeprefix("-").split("; ")
-        parts = [part for part in parts if not part.startswith("speeds of ")]
+        parts = [part for part in parts if not part.startswith(known)]
         caution = "; ".join(parts)
         if caution and caution not in said:
             lines.append(f"Stream {number} ({row['kind']}): {caution}")

@@ -60,6 +60,9 @@ class DecomposedFlow:
         What the planes of the whole are made of, along one direction.
     given : bool
         Whether the position angle was given, not found in the images.
+    passes : bool
+        Whether features move past the reference position, so that it is no core from
+        which both sides flow.
     """
 
     cube: EpochCube
@@ -73,6 +76,7 @@ class DecomposedFlow:
     kernel: str = "b1"
     sampled: SampledPlanes | None = None
     given: bool = False
+    passes: bool = False
 
     @property
     def years(self) -> np.ndarray:
@@ -134,6 +138,7 @@ class DecomposedFlow:
             self.cube, PositionAngleFrame(angle * u.rad) if known else self.frame,
             scales=scales, beam=self.beam, region=self.inside,
             max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
+            passes=self.passes,
         )  # fmt: skip
         if self.grids[0].lines is not None:
             made = made.along_lines(self.grids[0].lines, normalise)
@@ -214,7 +219,7 @@ def distances(grid):
 
 def decompose_flow(
     cube, frame, *, scales=None, beam, region=None, max_speed=None, kernel="b1",
-    normalise="local",
+    normalise="local", passes=False,
 ):  # fmt: skip
     """
     Return the flow of a cube: wavelet planes along its direction.
@@ -232,6 +237,8 @@ def decompose_flow(
     kernel : {"b1", "b3"}
     normalise : {"local", "along"}
         See ``flow_planes``.
+    passes : bool, optional
+        Whether the flow passes the reference position, which is no core then.
 
     Returns
     -------
@@ -246,7 +253,7 @@ def decompose_flow(
     seen = _seen(cube, beam, region, core)
     if scales is None:
         scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
-    grids = tuple(flow_grids(cube, frame, seen, beam, core=core))
+    grids = tuple(flow_grids(cube, frame, seen, beam, core=core and not passes))
     sampling = {
         "kernel": kernel, "order": 3 if len(grids) == 1 else 1,
         "reach": _reach(cube, max_speed, beam),
@@ -260,7 +267,7 @@ def decompose_flow(
     fastest = None if max_speed is None else max_speed.to_value(PM_UNIT) / beam
     return DecomposedFlow(
         cube, frame, grids, planes, regions, beam, fastest, region, kernel,
-        sampled[0] if len(grids) == 1 else None,
+        sampled[0] if len(grids) == 1 else None, passes,
     )  # fmt: skip
 
 

@@ -114,7 +114,9 @@ def find_streams(
     moving = moving_features(
         features, flow.frame, flow.angle, inside, walk, folded=folded
     )
+    opposed = ""
     if walk is None:
+        opposed = _opposed(features, inside, moving, sign)
         moving = moving[moving.along * sign > 0]
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
@@ -152,7 +154,7 @@ def find_streams(
     if passes and folded:
         streams = [_on_its_side(s, search, moving, planes) for s in streams]
     if passes:
-        streams = [_judged(s, search, diffusing=diffusing) for s in streams]
+        streams = [_judged(s, search, opposed, diffusing=diffusing) for s in streams]
     streams += _standing(features, flow, streams, inside, shift)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
     velocities = velocity_map(
@@ -161,6 +163,18 @@ def find_streams(
         beam=flow.beam, rng=map_rng,
     )  # fmt: skip
     return replace(search, streams=tuple(streams), velocities=velocities)
+
+
+def _opposed(features, inside, moving, sign):
+    """Return in words that most secure features move against a flow, or elsewhere."""
+    secure = features.secure if inside is None else features.secure & inside
+    number, with_it = secure.sum(), moving.along * sign > 0
+    against, others = moving[~with_it].weight.sum(), number - with_it.sum()
+    elsewhere = others >= FEWEST and with_it.sum() < LEAST_SIDE * number
+    if not elsewhere and not against > moving[with_it].weight.sum():
+        return ""
+    few = f"only {with_it.sum()}" if with_it.any() else "none"
+    return f"{few} of {number} secure features move in its direction"
 
 
 def _streams_of(search, equations, fit, moving, settings, rng, *, diffusing):
@@ -325,7 +339,7 @@ def _of_spectrum(search, equations, whole):
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 
 
-def _judged(stream, search, *, diffusing):
+def _judged(stream, search, opposed="", *, diffusing):
     """Return a stream that the test finds with its kind, and the reason."""
     turn = turn_to_flow(search.angle)
     speed = abs((turn @ stream.velocity)[0])
@@ -339,6 +353,8 @@ def _judged(stream, search, *, diffusing):
     if stream.source == "spectrum" and not search.tested(speed):
         than = "faster" if speed > search.fastest else "slower"
         kind, reason = "not confirmed", f"it is {than} than what was searched"
+    if opposed:
+        kind, reason = "not confirmed", opposed
     return replace(stream, kind=kind, reason=reason)
 
 

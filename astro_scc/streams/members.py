@@ -47,6 +47,45 @@ def moving_features(features, frame, angle, use=None, walk=None, *, folded=False
     return np.array(rows, dtype=MOVING).view(np.recarray)
 
 
+def passing_features(features, beam, *, aligned=0.7):
+    """
+    Return the reliable features that move towards the reference position and past it.
+
+    From a core nothing comes that is a beam or more behind it and moves as what is
+    before it does.  Where there are more of those that move away behind it, it has a
+    counter-jet.
+
+    Parameters
+    ----------
+    features : `~astro_scc.features.Features`
+    beam : float
+        In mas.
+    aligned : float, optional
+        Least cosine of the angle between a velocity and the mean direction, and between
+        it and the way to the reference position.
+
+    Returns
+    -------
+    list of int
+        Those behind the reference position; empty if none are before it.
+    """
+    secure = np.flatnonzero(features.secure_without_core)
+    weight = np.array([len(features.tracks[k]) for k in secure])
+    velocity = np.reshape([features.motions[k].velocity for k in secure], (-1, 2))
+    ways = velocity / np.hypot(*velocity.T)[:, None]
+    mean = weight @ ways
+    mean /= max(np.hypot(*mean), 1e-9)
+    place = features.places[secure]
+    along, at = ways @ mean, place @ mean
+    outward = (place * ways).sum(axis=1) / np.hypot(*place.T)
+    behind, with_flow = at < -beam, along > aligned
+    moving = behind & with_flow & (outward < -aligned)
+    away = behind & (along < -aligned)
+    if not np.any(with_flow & (at > 0)) or weight @ moving <= weight @ away:
+        return []
+    return secure[moving].tolist()
+
+
 def frame_velocities(frame, features):
     """
     Return the velocities of features along the axes of a frame.

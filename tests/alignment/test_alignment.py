@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Alignment of epochs by core, correlation, tables and coordinates."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -125,6 +127,19 @@ def test_the_core_is_found_though_it_is_blended_and_not_the_brightest():
     with pytest.warns(MeasurementWarning, match="blended with the jet in 4 of 4"):
         result = align(cube, "core")
     assert_allclose(shifts(result), -OFFSETS, atol=0.01)
+
+
+def test_a_core_stands_still_where_the_brightest_point_does():
+    """East of the brightest point is more light than in the jet, west of it."""
+    for speed, east in ((0, 3.0), (-0.5, 0.0)):
+        epochs = [[(0, 0, 1.0), (3 + speed * k, 0, 0.5)] for k in range(4)]
+        cube = images([[*one, (-1.2 - k, 0, 0.15)] for k, one in enumerate(epochs)])
+        with warnings.catch_warnings(record=True, action="always") as said:
+            found = registration.core_positions(cube)
+        assert_allclose(found["east"].value, east, atol=0.02)
+        assert ["point stands still and is taken" in str(w.message) for w in said] == (
+            [True] if speed else []
+        )
 
 
 def test_a_lonely_core_and_its_errors():

@@ -141,6 +141,7 @@ REFUSED = {
 --beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another
 --max-speed -2mas/yr | '-2mas/yr' must be finite and above 0
 --align coer | --align 'coer' is none of
+--align "core 9" | --align core '9' has no unit at its end; it must be a position angle
 --region no.reg | no.reg: No such file or directory
 --config no.toml | no.toml: No such file or directory
 -o full | full: exists and is not empty

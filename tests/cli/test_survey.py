@@ -263,7 +263,7 @@ def test_defaults_and_what_replaces_them(tmp_path):
         "[defaults]\nredshift = 0.1\ncosmology = 'Planck18'\nalign = 't.csv'\n"
         "[sources.A]\nepochs = ['a*', '/b']\ndistance = '3 Mpc'\n"
         "[sources.B]\nepochs = 'b'\nscale_groups = {x = '0.2 mas', y = '0.1 mas'}\n"
-        "[sources.C]\nepochs = 'c'\nalign = 'core'\nscales = [3, 1]\n"
+        "[sources.C]\nepochs = 'c'\nalign = 'core 9 deg'\nscales = [3, 1]\n"
         "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
     )
     parts = read_survey(tmp_path / "s.toml", {"B": 0.3}).parts
@@ -275,7 +275,7 @@ def test_defaults_and_what_replaces_them(tmp_path):
     assert b.cosmology == "Planck18"
     assert (b.scales, [*b.scale_groups]) == (None, ["x", "y"])
     assert b.scale_groups == other.scale_groups
-    assert (c.scales, c.redshift, c.align) == ((3, 1), 0.158, "core")
+    assert (c.scales, c.redshift, c.align) == ((3, 1), 0.158, "core 9 deg")
     assert c.position_angle == -112 * u.deg
 
 

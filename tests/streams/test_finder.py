@@ -1,8 +1,10 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Streams of simulated jets, means of features, and the speed across the flow."""
 
+import re
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -17,7 +19,8 @@ from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.planes import FlowPlanes
-from astro_scc.streams.finder import _judged, _standing, verdict
+from astro_scc.streams.finder import _judged, _opposed, _standing, verdict
+from astro_scc.streams.members import MOVING
 from astro_scc.streams.rays import transverse_speed
 from astro_scc.streams.spread import mean_speed, separation
 
@@ -109,18 +112,27 @@ def test_one_stream_is_that_of_its_features():
 YEARS = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
 
 
-def knots(angles, speeds=(1.0,), n=8, bend=0.0, years=YEARS):
-    """Images of knots that leave a core in turn, with a long beam to the north."""
+def knots(angles, speeds=(1.0,), n=8, bend=0.0, years=YEARS, behind=0.0):
+    """
+    Images of knots that leave a core in turn, with a long beam to the north.
+
+    The core may lie behind the reference position, where a bright knot stands then.
+    """
     epoch, knot = np.indices((len(years), n)).reshape(2, -1)
     turn, speed = np.radians(np.resize(angles, n))[knot], np.resize(speeds, n)[knot]
     r = 8.8 / n * knot - 3.1 + speed * years[epoch]
     r[knot == 0] = 0
-    use = (knot == 0) | ((r > 0.4) & (r < 7))
+    use = (knot < 1 + (behind > 0)) | ((r > 0.4) & (r < 7))
     # The chord of an arc that turns by so many radians in a milliarcsecond.
     half = bend * r / 2
     r, turn = r * np.sinc(half / np.pi), turn + half
-    east, north = np.array([r * np.sin(turn), r * np.cos(turn)])[:, use] * u.mas
-    flux = np.where(knot, 0.4 * np.exp(-r / 6), 1.0)[use] * u.Jy
+    flux = np.where(knot, 0.4 * np.exp(-r / 6), 1.0)
+    if behind:
+        flux[knot == 0], flux[knot == 1], r[knot == 1] = 0.4, 1.5, behind
+    east, north = (
+        np.array([r * np.sin(turn), r * np.cos(turn) - behind])[:, use] * u.mas
+    )
+    flux = flux[use] * u.Jy
     dates, beam = Time(2004 + years, format="jyear"), Beam(1 * u.mas, 0.5 * u.mas)
     table = ComponentList(dates, epoch[use], flux=flux, east=east, north=north)
     noise = 0.3 * u.mJy / u.beam
@@ -150,9 +162,22 @@ def test_the_counter_jet_moves_to_its_own_side():
     found = measured(knots((0, 180), (1.8, 0.7), 16), position_angle=0 * u.deg).streams
     row = found[np.abs(found["pm"].value - 0.7).argmin()]
     assert row["pm_pa"].value == pytest.approx(180, abs=10)
-    assert "counter-jet" in row["caution"]
+    assert row["caution"].startswith("it is of the counter-jet")
     assert "towards the core" not in row["caution"]
     assert found["n_features"].min() > 0
+
+
+@pytest.mark.parametrize(("behind", "angle"), [(2.2, 180), (4, None), (4, "radial")])
+def test_a_bright_knot_at_the_reference_position_is_no_core(behind, angle):
+    angle = 180 * u.deg if angle == 180 else angle
+    found = measured(knots((0,), n=12, behind=behind), position_angle=angle)
+    row = found.streams[0]
+    assert row["kind"] == "moving"
+    assert row["pm"].value == pytest.approx(1.0, abs=0.02)
+    words = "emission lies upstream of the reference position, to .* at PA 180 deg, and"
+    assert re.match(words, row["caution"])
+    assert "counter" not in row["caution"]
+    assert "towards" not in row["caution"]
 
 
 def test_one_direction_does_not_speak_for_several():
@@ -204,6 +229,19 @@ def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     assert ("of rest" in reason) == (not known)
     assert ("little in common" in reason) == (known and unlike)
     assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
+
+
+@pytest.mark.parametrize(("along", "others", "said"), [
+    ((1, 1, -1), 0, ""), ((1, -1, -1), 0, "only 1 of 3"), ((-1,), 0, "none of 1"),
+    ((1, 1), 7, ""), ((1,), 5, "only 1 of 6"), ((), 4, ""), ((), 5, "none of 5"),
+])  # fmt: skip
+def test_what_most_secure_features_contradict(along, others, said):
+    secure = np.ones(len(along) + others, dtype=bool)
+    moving = [(a, 0.1, 0, 0.1, 9, k, 1) for k, a in enumerate(along)]
+    moving = np.array(moving, dtype=MOVING).view(np.recarray)
+    found = _opposed(SimpleNamespace(secure=secure), None, moving, 1.0)
+    assert found.startswith(said)
+    assert bool(found) == bool(said)
 
 
 @pytest.mark.parametrize(("factor", "than"), [(3.0, "faster"), (0.01, "slower")])
