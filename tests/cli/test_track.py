@@ -11,11 +11,11 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc import Beam, EpochCube
-from astro_scc.cli.track import PRODUCTS
+from astro_scc.cli.measure import TRACKED
 from astro_scc.columns import cell
 from astro_scc.simulation import simulate_jet, write_simulation
 
-SHOWN = {name for name in PRODUCTS if not name.endswith(("png", "pdf"))}
+SHOWN = {name for name in TRACKED if not name.endswith(("png", "pdf"))}
 
 
 def tables_of(folder):
