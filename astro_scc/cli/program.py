@@ -189,12 +189,9 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
 
 
-class Ended(KeyboardInterrupt):
-    """The program got one of `SIGNALS`, whose number is the argument."""
-
-
 def _end(number, frame):
-    raise Ended(number)
+    """End as after an interrupt, with the number of the signal."""
+    raise KeyboardInterrupt(number)
 
 
 class Completion(argparse.Action):
@@ -337,7 +334,7 @@ def main(argv: list[str] | None = None) -> int:
         goes_on = "; the same command goes on from what is done"
         kept = goes_on if reporter.resumes else ", nothing was written"
         reporter.error(f"interrupted{kept}")
-        return 128 + (error.args[0] if isinstance(error, Ended) else signal.SIGINT)
+        return 128 + (error.args[0] if error.args else signal.SIGINT)
     except BrokenPipeError:
         # The reader of the output has closed the pipe, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -365,20 +365,15 @@ def _describe_source(votable, meta):
         votable.resources[0].coordinate_systems.append(CooSys(ID="icrs", system="ICRS"))
         where = SkyCoord(position).icrs
         for name, value in (("ra", where.ra.deg), ("dec", where.dec.deg)):
-            param = Param(
-                votable, name=name, value=value, ucd=f"pos.eq.{name};meta.main",
-                datatype="double", unit="deg", ref="icrs",
-            )  # fmt: skip
+            about = {"unit": "deg", "ref": "icrs", "ucd": f"pos.eq.{name};meta.main"}
+            param = Param(votable, name=name, value=value, datatype="double", **about)
             written.params.append(param)
-    datatype = {bool: "boolean", int: "long", float: "double"}
-    for key, value in meta.items():
+    kinds = {bool: ("boolean", None), int: ("long", None), float: ("double", None)}
+    for name, value in meta.items():
         if isinstance(value, bool | int | float | str) and value not in ("", position):
-            kind = datatype.get(type(value), "unicodeChar")
-            size = "*" if kind == "unicodeChar" else None
-            ucd = "meta.id;src" if key == "object" else None
-            param = Param(
-                votable, name=key, datatype=kind, value=value, arraysize=size, ucd=ucd
-            )
+            kind, size = kinds.get(type(value), ("unicodeChar", "*"))
+            about = {"name": name, "ucd": "meta.id;src" if name == "object" else None}
+            param = Param(votable, value=value, datatype=kind, arraysize=size, **about)
             written.params.append(param)
 
 

@@ -259,10 +259,8 @@ def plot_tracks(
     """
     place = np.concatenate([features.detections.place, features.core.place])
     points = {"place": place.T, "weight": np.ones(len(place))}
-    view, drawn, ax = images.draw_mean_image(
-        features.cube, points, figure=figure, unit=unit, edge=0.0
-    )
-    axes, inner, box = [ax], [], None
+    view, drawn, ax = images.draw_mean_image(features.cube, points, figure, unit)
+    axes, inner = [ax], []
     if figure is None:
         inner, box = _inner_paths(features, view)
     if len(inner):
