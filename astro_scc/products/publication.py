@@ -48,9 +48,6 @@ ONE_PAGE = 40
 MANY_ROWS = 2000
 #: Most digits after the point of a number in an archive.
 DIGITS = 8
-#: Common units as archives write them; Astropy makes hundreds more to know the others.
-CDS_UNITS = {unit: unit for unit in ("mas", "deg", "Jy", "d", "yr")}
-CDS_UNITS |= {"mas / yr": "mas.yr-1", "mas / yr2": "mas.yr-2"}
 #: A published feature has at least so many epochs, and so many of those in common.
 LEAST = 3
 #: Features are the same if their paths are apart by at most so many beams.
@@ -278,8 +275,6 @@ def _cds_unit(unit):
     """Return a unit as archives write it; of what they do not know, in words."""
     if unit in (None, u.one, ""):
         return "---", ""
-    if str(unit) in CDS_UNITS:
-        return CDS_UNITS[str(unit)], ""
     try:
         return u.Unit(unit).to_string("cds"), ""
     except ValueError:

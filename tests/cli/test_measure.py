@@ -3,7 +3,6 @@
 
 import re
 import shutil
-import subprocess
 import sys
 import tomllib
 
@@ -14,7 +13,6 @@ from astropy.io import fits
 from astropy.table import QTable
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.cli.measure import STALE
 from astro_scc.report.page import PRODUCTS
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "99"]
@@ -123,22 +121,6 @@ def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
     assert line.startswith("warning: 20 trials allow no p_global below 0.04")
     page = (here / "astro_scc_demo" / "report.html").read_text()
     assert line.removeprefix("warning: ") in page
-
-
-@pytest.mark.slow
-def test_demo(done, here):
-    command = [sys.executable, "-m", "astro_scc", "demo", "-o", "out"]
-    run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=True)
-    assert run.stderr == ""
-    found = {path.name for path in (here / "out").iterdir()}
-    needed = {*PRODUCTS, "report.html", "epochs", "region.reg"}
-    assert needed <= found <= {*needed, *STALE}
-    table = QTable.read(here / "out" / "streams.ecsv")
-    step = (0.1 * u.mas / (30 * u.day)).to(u.mas / u.yr)
-    assert list(table["kind"][:2]) == ["moving", "moving"]
-    for truth in (5, 20):
-        apart = np.hypot(table["pm_parallel"] - truth * step, table["pm_transverse"])
-        assert np.min(apart[:2]) < 1.5 * step
 
 
 def test_measurements_that_no_page_can_show(measured, here, refused, monkeypatch):
