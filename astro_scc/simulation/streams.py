@@ -485,24 +485,20 @@ class Layer:
         scale, interval = jet.pixel_scale.to_value(u.mas), jet.interval.to_value(u.yr)
         table = self.distance.to_value(u.mas)
         times, life = jet.times * interval, self.life.to_value(u.yr)
-        span = times[-1] if np.isfinite(life) else 0.0
         # Clumps are born in the series of epochs, and in a life before it.
-        share = 1 + span / life
-        n = rng.poisson(self.n_clumps * share)
+        n = rng.poisson(self.n_clumps * (1 + times[-1] / life))
         age = np.zeros((n, times.size))
         if np.isfinite(life):
-            age = times - rng.uniform(-1, span / life, (n, 1)) * life
+            age = times - rng.uniform(-1, times[-1] / life, (n, 1)) * life
         r = self._moved(rng.uniform(table[0], table[-1], (n, 1)), age)
-        if np.isfinite(life):
-            r = np.where((age > 0) & (age < life), r, np.nan)
         place = rng.choice(self.across, (n, 1)) + self.scatter * rng.normal(size=(n, 1))
         fwhm = rng.uniform(*self.size.to_value(u.mas), (n, 1))
         fading = RAMP * jet.beam_length * scale
         there = raised_cosine((table[-1] - r) / fading)
         if np.isfinite(life):
+            r = np.where((age > 0) & (age < life), r, np.nan)
             # It appears in the first quarter of its life, and fades in the last.
-            part = np.minimum(age, life - age) / (0.25 * life)
-            there = there * raised_cosine(part)
+            there = there * raised_cosine(np.minimum(age, life - age) / (0.25 * life))
         peak = np.interp(r, table, self.brightness.to_value(u.Jy / u.beam)) * there
         peak = peak * np.exp(self.flux_scatter * rng.standard_normal((n, 1)))
         beams = np.mean([b.covariance.to_value(u.mas**2) for b in jet.beams], axis=0)
