@@ -14,11 +14,12 @@ import re
 import signal
 import sys
 import tomllib
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module, resources
 
 from astro_scc import __version__
 from astro_scc.settings import GROUPS, OPTIONS
+from astro_scc.writing import handled
 
 #: The commands as ``commands.toml`` has them, and the options that are no settings.
 with resources.files("astro_scc.cli").joinpath("commands.toml").open("rb") as file:
@@ -207,19 +208,6 @@ class Completion(argparse.Action):
 
 
 @contextmanager
-def _ended_by_signals():
-    """Clean up after `SIGNALS`, unless other code handles or ignores them."""
-    with ExitStack() as stack:
-        for name in SIGNALS:
-            number = getattr(signal, name, None)
-            # Only the main thread may set handlers; elsewhere the host decides.
-            with suppress(ValueError):
-                if number and signal.getsignal(number) is signal.SIG_DFL:
-                    stack.callback(signal.signal, number, signal.signal(number, _end))
-        yield
-
-
-@contextmanager
 def _seldom_collected():
     """Let Python look less often for objects that nothing refers to."""
     before = gc.get_threshold()
@@ -323,7 +311,8 @@ def main(argv: list[str] | None = None) -> int:
     name = f"astro-scc {args.command}"
     reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
-        with _seldom_collected(), _ended_by_signals(), reporter.warnings_as_lines():
+        ended = handled(_end, SIGNALS, only_default=True)
+        with _seldom_collected(), ended, reporter.warnings_as_lines():
             module = COMMANDS[args.command]["module"]
             module = import_module(f"astro_scc.cli.{module}")
             getattr(module, args.command)(args, reporter)

@@ -9,7 +9,7 @@ import re
 import shutil
 import signal
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -102,7 +102,8 @@ def product_folder(
         target.parent.mkdir(parents=True, exist_ok=True)
         with writing.partial_folder(*place) as folder:
             yield folder
-            with _undisturbed():
+            # Files that are complete are moved, come what may.
+            with writing.handled(signal.SIG_IGN, ("SIGINT", "SIGTERM", "SIGHUP")):
                 if exists:
                     _move(folder, target, stale)
                 else:
@@ -124,19 +125,6 @@ def product_folder(
         else:
             raise
         raise OSError(f"{path}: {what}") from None
-
-
-@contextmanager
-def _undisturbed():
-    """Ignore interrupts while files that are complete are moved."""
-    with ExitStack() as stack:
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)
-            # Only the main thread has handlers.
-            with suppress(TypeError, ValueError):
-                before = signal.signal(number, signal.SIG_IGN)
-                stack.callback(signal.signal, number, before or signal.SIG_DFL)
-        yield
 
 
 def _move(folder, target, stale=()):
