@@ -349,10 +349,11 @@ def completeness(
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
     rows = [*map(_counted, outcomes)]
     for row, (speed, peak) in zip(rows, cells, strict=True):
-        own = np.hypot(*(bare - speed * axis).T) <= tolerance
-        row |= {"speed": speed, "snr": peak / noise if noise else None, "own": any(own)}
-    flux = [peak for _, peak in cells] * cube.unit
-    table = build_table("completeness", rows, flux=flux)
+        near = np.hypot(*(bare - speed * axis).T) <= tolerance
+        snr = peak / noise if noise > 0 else None
+        row |= {"speed": speed, "own": any(near), "snr": snr}
+    peaks = [peak for _, peak in cells] * cube.unit
+    table = build_table("completeness", rows, flux=peaks)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,
         "tolerance": tolerance * PM_UNIT, "alpha": scc.alpha, "n_features": n_features,
