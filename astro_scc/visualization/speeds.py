@@ -48,7 +48,6 @@ class Speeds:
 
     def __init__(self, result, unit=None):
         self.unit = style.speed_unit_of(result, unit)
-        self.name = unit_name(self.unit)
         self.factor, search = PM_UNIT.to(self.unit), result.search
         along = np.array([np.cos(search.angle), np.sin(search.angle)])
         features = result.tracked_features
@@ -111,7 +110,7 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
         ax.set(xscale="log", xlim=speed[[0, -1]])
     _draw_limits(upper, lower, search, speeds)
     upper.set_ylabel("Share of the variance\nof the moving emission")
-    lower.set_xlabel(f"Speed along the flow ({speeds.name})")
+    lower.set_xlabel(f"Speed along the flow ({unit_name(speeds.unit)})")
     upper.legend(fontsize="small", frameon=False, loc="best")
     style.plain_log(lower)
     if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
@@ -268,10 +267,8 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
     low, high = 1.35 * min(shown), 1.35 * max(shown)
     margin = 0.06 * (high - low)
     ax.set(xlim=(0, 1.02 * far * scale), ylim=(low - margin, high or 1.0))
-    ax.set_xlabel(f"Core separation ({unit_name(lengths)})")
-    ax.set_ylabel(f"Speed along the flow ({speeds.name})")
-    style.legend_above(ax, columns=3)
-    style.add_speed_axis(ax, speeds.unit, beta_per_pm, "right")
+    what = "Speed along the flow"
+    style.label_distances(ax, lengths, what, speeds.unit, beta_per_pm, columns=3)
     return figure
 
 
@@ -352,10 +349,8 @@ def plot_profile(
     margin = 0.35 * max(np.ptp(shown), 1e-9) if len(table) else np.inf
     bottom, top = ax.get_ylim()
     ax.set_ylim(max(bottom, shown.min() - margin), min(top, shown.max() + margin))
-    ax.set_xlabel("Core separation (mas)")
-    ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
-    style.legend_above(ax, columns=2)
-    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
+    what = "Proper motion along the jet"
+    style.label_distances(ax, u.mas, what, speeds, beta_per_pm, columns=2)
     if above:
         _draw_strip(strip, cube, line, far)
     return figure

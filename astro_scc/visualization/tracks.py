@@ -361,10 +361,7 @@ def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **lo
         style.draw_bins(ax, profile, unit, speeds, {"label": "mean of bin", **mean})
     ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
     ax.set_xlim(left=0)
-    ax.set_xlabel(f"Core separation ({unit_name(unit)})")
-    ax.set_ylabel(f"Radial proper motion ({unit_name(speeds)})")
-    style.legend_above(ax)
-    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
+    style.label_distances(ax, unit, "Radial proper motion", speeds, beta_per_pm)
     return figure
 
 
