@@ -322,22 +322,14 @@ def completeness(
         12.0       2.0          3
     """
     n_trials = require("n_trials", n_trials)
-    number = number_of_orders(np.diff(cube.years.to_value(u.yr)))
-    smallest = 1 / min(number, n_trials + 1)
-    if said := out_of_reach(smallest, len(cube), n_trials, scc.alpha):
-        raise ValueError(said)
+    _require_sense(cube, scc, n_trials, n_injections, n_features, scatter)
     position_angle = _direction(position_angle, scc.position_angle)
     axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
-    along = 1.0 if scc.position_angle is None else abs(axis[0])
     width, tolerance = _lengths(cube, fwhm, tolerance)
     region = None if region is None else cube.region_mask(region)
-    speeds = _searched(speeds, along, cube, scc)
+    speeds = _searched(speeds, axis, cube, scc)
     noise = float(np.median(cube.noise_rms().value))
     peaks = _peaks(fluxes, cube.unit, noise).tolist()
-    q.named("n_injections", q.check_integer, n_injections, 1)
-    q.named("n_features", q.check_number, n_features, 0, np.inf, "must be above 0")
-    if not 0 <= scatter < np.inf:
-        raise ValueError(f"scatter must be zero or positive, got {scatter}")
     generator, seed = seeded(rng)
     bare_rng, root = generator.spawn(2)
     area, bare = _bare(cube, scc, region, n_trials, bare_rng)
@@ -350,23 +342,16 @@ def completeness(
         )  # fmt: skip
         fuller = inject(cube, paths, peak * cube.unit, fwhm=fwhm)
         found = _streams(scc, scc.decompose(fuller, region=region), n_trials, trial_rng)
-        stream = recovered(found, bare, speed * axis, tolerance=tolerance)
-        if stream is None:
-            return None
-        variance = axis @ stream.covariance @ axis
-        error = np.inf if np.isnan(variance) else np.sqrt(variance)
-        return axis @ stream.velocity - speed, error
+        return recovered(found, bare, speed, axis, tolerance=tolerance)
 
     cells = list(product(speeds.tolist(), peaks))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
-    claimed = dict(enumerate(bare))
-    rows = [
-        _counted(found) | {
-            "speed": speed, "snr": peak / noise if noise > 0 else None,
-            "own": _nearest(claimed, speed * axis, tolerance) is not None,
-        } for (speed, peak), found in zip(cells, outcomes, strict=True)
-    ]  # fmt: skip
-    peaks = np.array([peak for _, peak in cells]) * cube.unit
+    rows = [*map(_counted, outcomes)]
+    for row, (speed, peak) in zip(rows, cells, strict=True):
+        near = np.hypot(*(bare - speed * axis).T) <= tolerance
+        snr = peak / noise if noise > 0 else None
+        row |= {"speed": speed, "own": any(near), "snr": snr}
+    peaks = [peak for _, peak in cells] * cube.unit
     table = build_table("completeness", rows, flux=peaks)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,
@@ -375,6 +360,18 @@ def completeness(
         "seed": seed, "versions": versions(),
     }  # fmt: skip
     return table
+
+
+def _require_sense(cube, scc, n_trials, n_injections, n_features, scatter):
+    """Refuse numbers out of their range, and those with which nothing can be found."""
+    number = number_of_orders(np.diff(cube.years.to_value(u.yr)))
+    smallest = 1 / min(number, n_trials + 1)
+    if said := out_of_reach(smallest, len(cube), n_trials, scc.alpha):
+        raise ValueError(said)
+    q.named("n_injections", q.check_integer, n_injections, 1)
+    q.named("n_features", q.check_number, n_features, 0, np.inf, "must be above 0")
+    if not 0 <= scatter < np.inf:
+        raise ValueError(f"scatter must be zero or positive, got {scatter}")
 
 
 def _lengths(cube, fwhm, tolerance):
@@ -393,8 +390,9 @@ def _lengths(cube, fwhm, tolerance):
     return width, tolerance.to_value(PM_UNIT)
 
 
-def _searched(speeds, along, cube, scc):
+def _searched(speeds, axis, cube, scc):
     """Return speeds in mas/yr, whose part along the axis must be searched."""
+    along = 1.0 if scc.position_angle is None else abs(axis[0])
     if scc.max_speed is None:
         years, intervals = cube.years.to_value(u.yr), used_intervals(cube, scc.baseline)
         limit = flow_beam(cube) * fastest_speed(years, intervals)
@@ -541,9 +539,9 @@ def velocity_along(frame, position_angle):
     return frame.matrix(0.0, 0.0) @ [np.sin(angle), np.cos(angle)]
 
 
-def recovered(streams, claims, velocity, *, tolerance):
+def recovered(streams, claims, speed, axis, *, tolerance):
     """
-    Return the stream that is due to injected features, or None.
+    Return by how much a stream is faster than injected features, and its error.
 
     Parameters
     ----------
@@ -552,25 +550,35 @@ def recovered(streams, claims, velocity, *, tolerance):
     claims : `~numpy.ndarray`, shape (n, 2)
         Velocities that the epochs have without features; each claims the stream
         nearest to it within the tolerance.
-    velocity : `~numpy.ndarray`, shape (2,)
-        Of the features, on the axes of the frame.
+    speed : float
+        Of the features.
+    axis : `~numpy.ndarray`, shape (2,)
+        Their direction on the axes of the frame.
     tolerance : float
         In mas/yr.
 
     Returns
     -------
-    ``Stream`` or None
-        The nearest one that is left, within the tolerance.
+    (float, float) or None
+        Of the nearest one that is left; None if none is within the tolerance.
     """
-    left = {k: stream.velocity for k, stream in enumerate(streams)}
-    for v in np.reshape(claims, (-1, 2)):
-        left.pop(_nearest(left, v, tolerance), None)
-    nearest = _nearest(left, np.asarray(velocity), tolerance)
-    return None if nearest is None else streams[nearest]
+    left = streams
+    for claim in claims:
+        taken = _nearest(left, claim, tolerance)
+        left = [stream for stream in left if stream is not taken]
+    stream = _nearest(left, speed * axis, tolerance)
+    if stream is None:
+        return None
+    variance = axis @ stream.covariance @ axis
+    error = np.inf if np.isnan(variance) else np.sqrt(variance)
+    return axis @ stream.velocity - speed, error
 
 
-def _nearest(velocities, velocity, tolerance):
-    """Return the key of the nearest velocity within a tolerance, or None."""
-    distance = {k: np.hypot(*(v - velocity)) for k, v in velocities.items()}
-    near = [k for k, d in distance.items() if d <= tolerance]
-    return min(near, key=distance.get, default=None)
+def _nearest(streams, velocity, tolerance):
+    """Return the stream of the nearest velocity within a tolerance, or None."""
+
+    def distance(stream):
+        return np.hypot(*(stream.velocity - velocity))
+
+    near = min(streams, key=distance, default=None)
+    return None if near is None or distance(near) > tolerance else near

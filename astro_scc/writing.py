@@ -1,10 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Hidden folders for incomplete output, and what is written of text and versions."""
+"""Hidden folders for incomplete output, signals, and text and versions in it."""
 
 import os
 import secrets
 import shutil
-from contextlib import contextmanager, suppress
+import signal
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -84,6 +85,31 @@ def replace_when_complete(path, *, overwrite=False):
         part = folder / path.name
         yield part
         os.replace(part, path)
+
+
+@contextmanager
+def handled(handler, names, *, only_default=False):
+    """
+    Handle signals in another way for a while.
+
+    Parameters
+    ----------
+    handler : callable or `signal.Handlers`
+    names : sequence of str
+        Those that a system lacks are left out.
+    only_default : bool, optional
+        Leave signals alone that other code handles or ignores.
+    """
+    with ExitStack() as stack:
+        for name in names:
+            number = getattr(signal, name, None)
+            # Only the main thread may set handlers; elsewhere the host decides.
+            with suppress(TypeError, ValueError):
+                before = signal.getsignal(number)
+                if before is signal.SIG_DFL or not only_default:
+                    signal.signal(number, handler)
+                    stack.callback(signal.signal, number, before or signal.SIG_DFL)
+        yield
 
 
 def make_folder(path, named):

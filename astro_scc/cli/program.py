@@ -14,11 +14,12 @@ import re
 import signal
 import sys
 import tomllib
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module, resources
 
 from astro_scc import __version__
 from astro_scc.settings import GROUPS, OPTIONS
+from astro_scc.writing import handled
 
 #: The commands as ``commands.toml`` has them, and the options that are no settings.
 with resources.files("astro_scc.cli").joinpath("commands.toml").open("rb") as file:
@@ -189,12 +190,9 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: error: {message}; see {self.prog} --help\n")
 
 
-class Ended(KeyboardInterrupt):
-    """The program got one of `SIGNALS`, whose number is the argument."""
-
-
 def _end(number, frame):
-    raise Ended(number)
+    """End as after an interrupt, with the number of the signal."""
+    raise KeyboardInterrupt(number)
 
 
 class Completion(argparse.Action):
@@ -207,19 +205,6 @@ class Completion(argparse.Action):
             parser.error(f"{option_string} needs shtab: pip install shtab")
         print(shtab.complete(parser, values))
         parser.exit()
-
-
-@contextmanager
-def _ended_by_signals():
-    """Clean up after `SIGNALS`, unless other code handles or ignores them."""
-    with ExitStack() as stack:
-        for name in SIGNALS:
-            number = getattr(signal, name, None)
-            # Only the main thread may set handlers; elsewhere the host decides.
-            with suppress(ValueError):
-                if number and signal.getsignal(number) is signal.SIG_DFL:
-                    stack.callback(signal.signal, number, signal.signal(number, _end))
-        yield
 
 
 @contextmanager
@@ -326,7 +311,8 @@ def main(argv: list[str] | None = None) -> int:
     name = f"astro-scc {args.command}"
     reporter = Reporter(name, quiet=args.quiet, settings=options)
     try:
-        with _seldom_collected(), _ended_by_signals(), reporter.warnings_as_lines():
+        ended = handled(_end, SIGNALS, only_default=True)
+        with _seldom_collected(), ended, reporter.warnings_as_lines():
             module = COMMANDS[args.command]["module"]
             module = import_module(f"astro_scc.cli.{module}")
             getattr(module, args.command)(args, reporter)
@@ -337,7 +323,7 @@ def main(argv: list[str] | None = None) -> int:
         goes_on = "; the same command goes on from what is done"
         kept = goes_on if reporter.resumes else ", nothing was written"
         reporter.error(f"interrupted{kept}")
-        return 128 + (error.args[0] if isinstance(error, Ended) else signal.SIGINT)
+        return 128 + (error.args[0] if error.args else signal.SIGINT)
     except BrokenPipeError:
         # The reader of the output has closed the pipe, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -265,7 +265,6 @@ def measure_part(part, output, report=False, partial=None):
 def _measured(part, folder, output, report, said):
     """Measure a part into a folder; return it with its outcome."""
     epochs = inputs.read_epochs(part.settings, moving=True)
-    inputs.refuse_paper(epochs.settings)
     cube, settings = epochs.cube, epochs.settings
     epochs = epochs._replace(published=inputs.published_of(part.compare, cube))
     first, last = cube.times.isot[[0, -1]].tolist()

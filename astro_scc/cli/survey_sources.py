@@ -287,6 +287,7 @@ def _parts(name, folder, given, base):
     settings = Settings(**given | {"scale_groups": given.get("scale_groups") or None})
     if not settings.epochs:
         raise ValueError("has no epochs; name the FITS files")
+    inputs.refuse_paper(settings)
 
     def of_base(file):
         return file and str(base / file)

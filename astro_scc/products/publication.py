@@ -48,9 +48,6 @@ ONE_PAGE = 40
 MANY_ROWS = 2000
 #: Most digits after the point of a number in an archive.
 DIGITS = 8
-#: Common units as archives write them; Astropy makes hundreds more to know the others.
-CDS_UNITS = {unit: unit for unit in ("mas", "deg", "Jy", "d", "yr")}
-CDS_UNITS |= {"mas / yr": "mas.yr-1", "mas / yr2": "mas.yr-2"}
 #: A published feature has at least so many epochs, and so many of those in common.
 LEAST = 3
 #: Features are the same if their paths are apart by at most so many beams.
@@ -278,8 +275,6 @@ def _cds_unit(unit):
     """Return a unit as archives write it; of what they do not know, in words."""
     if unit in (None, u.one, ""):
         return "---", ""
-    if str(unit) in CDS_UNITS:
-        return CDS_UNITS[str(unit)], ""
     try:
         return u.Unit(unit).to_string("cds"), ""
     except ValueError:
@@ -365,20 +360,15 @@ def _describe_source(votable, meta):
         votable.resources[0].coordinate_systems.append(CooSys(ID="icrs", system="ICRS"))
         where = SkyCoord(position).icrs
         for name, value in (("ra", where.ra.deg), ("dec", where.dec.deg)):
-            param = Param(
-                votable, name=name, value=value, ucd=f"pos.eq.{name};meta.main",
-                datatype="double", unit="deg", ref="icrs",
-            )  # fmt: skip
+            about = {"unit": "deg", "ref": "icrs", "ucd": f"pos.eq.{name};meta.main"}
+            param = Param(votable, name=name, value=value, datatype="double", **about)
             written.params.append(param)
-    datatype = {bool: "boolean", int: "long", float: "double"}
-    for key, value in meta.items():
+    kinds = {bool: ("boolean", None), int: ("long", None), float: ("double", None)}
+    for name, value in meta.items():
         if isinstance(value, bool | int | float | str) and value not in ("", position):
-            kind = datatype.get(type(value), "unicodeChar")
-            size = "*" if kind == "unicodeChar" else None
-            ucd = "meta.id;src" if key == "object" else None
-            param = Param(
-                votable, name=key, datatype=kind, value=value, arraysize=size, ucd=ucd
-            )
+            kind, size = kinds.get(type(value), ("unicodeChar", "*"))
+            about = {"name": name, "ucd": "meta.id;src" if name == "object" else None}
+            param = Param(votable, value=value, datatype=kind, arraysize=size, **about)
             written.params.append(param)
 
 

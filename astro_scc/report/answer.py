@@ -9,6 +9,7 @@ from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.trust import LEAST_EPOCHS, LEAST_MOTION, MOST_FALSE, SAME_SPEED
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.measurement.cautions import NO_DIRECTION
+from astro_scc.measurement.tables import dates_as_text
 from astro_scc.units import offset_unit, unit_name
 
 #: Most features that are named in a sentence, and that the terminal shows.
@@ -45,8 +46,6 @@ OF_PAPER = (
 #: Formats of numbers whose errors are not shown.
 FORMATS = dict.fromkeys(("share", "dispersion", "p_global", "p_fdr", "p_false"), ".2g")
 FORMATS |= {"pm_pa": ".0f", "separation": ".3g", "coefficient": ".2g", "z_score": ".2f"}
-#: Features seen over fewer days have the times of their epochs.
-SOME_DAYS = 3
 PROFILE_EXPLANATION = (
     "p_fdr: p_global adjusted for the number of bins (Benjamini & Hochberg 1995)"
 )
@@ -357,13 +356,10 @@ def published_lines(features):
 
 def _followed(features):
     """Return features with their dates as text, in a unit that is easy to read."""
-    shown, separation = features.copy(), features["separation"]
+    shown, separation = dates_as_text(features), features["separation"]
     shown["separation"] = separation.to(offset_unit(separation.to_value("mas").max()))
-    # Of less than some days, the times.
-    days = (shown["last"] - shown["first"]).to_value("day")
-    letters = 10 if days.max() > SOME_DAYS else 16
-    ends = zip(shown["first"].isot, shown["last"].isot, strict=True)
-    shown["dates"] = [" to ".join(date[:letters] for date in pair) for pair in ends]
+    ends = zip(shown["first"], shown["last"], strict=True)
+    shown["dates"] = [f"{first} to {last}" for first, last in ends]
     if not np.any(shown["stream"]):
         shown.remove_column("stream")
     return shown

@@ -25,8 +25,8 @@ from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
 from astro_scc.report import answer
 from astro_scc.units import in_speed_unit, offset_unit, unit_name
-from astro_scc.visualization import speeds, style
-from astro_scc.visualization.speeds import LARGE_ERROR, population
+from astro_scc.visualization import style
+from astro_scc.visualization.tracks import LARGE_ERROR, plot_population, population
 from astro_scc.writing import make_folder
 
 #: Columns of streams that come first, in their order: what is quoted, the rest.
@@ -426,10 +426,9 @@ def write_overview(table, features, parts, folder):
         Path of the page.
     """
     folder, files = Path(folder), {}
-    found = speeds.population(features) if len(features) else {}
+    found = population(features) if len(features) else {}
     if found and found["moving"].any():
-        draw = speeds.plot_population
-        files = style.figure_files(("population",), lambda _: draw(features))
+        files = style.figure_files(("population",), lambda _: plot_population(features))
     names = ("survey.ecsv", "features.ecsv", "publication", "survey.toml")
     page = _template("survey.html").render(
         **overview(table, features, parts, folder),

@@ -7,13 +7,9 @@ Those of a measurement and of images are drawn by `SCCResult.plot
 <astro_scc.epochs.EpochCube.plot>`.
 """
 
-from astro_scc.visualization import spectrum, tracks, velocity
+from astro_scc.visualization import speeds, tracks, velocity
 from astro_scc.visualization.images import plot_epochs
-from astro_scc.visualization.speeds import (
-    plot_feature_speeds,
-    plot_profile,
-    plot_sensitivity,
-)
+from astro_scc.visualization.speeds import plot_profile
 
 __all__ = ["plot_profile"]
 
@@ -30,15 +26,15 @@ def plot_result(result, kind, **options):
         raise ValueError(f"unknown figure {kind!r}: use one of {', '.join(FIGURES)}")
     match kind:
         case "spectrum" | "distance":
-            return getattr(spectrum, f"plot_{kind}")(result, **options)
+            return getattr(speeds, f"plot_{kind}")(result, **options)
         case "tracks" | "separation":
             options.setdefault("stream", result.features["stream"])
             plot = getattr(tracks, f"plot_{kind}")
             return plot(result.tracked_features, **options)
         case "speeds":
-            return plot_feature_speeds(result, **options)
+            return tracks.plot_feature_speeds(result, **options)
         case "epochs":
             return plot_epochs(result.cube, result.ssps, **options)
         case "sensitivity":
-            return plot_sensitivity(result.sensitivity, **options)
+            return speeds.plot_sensitivity(result.sensitivity, **options)
     return getattr(velocity, f"plot_{kind}")(result, **options)

@@ -228,11 +228,11 @@ def image_panels(view, n, figure, *, aside=0.6, above=0.0):
     return figure, grid.flat[:n]
 
 
-def draw_mean_image(cube, points, *, figure, unit, edge):
+def draw_mean_image(cube, points, figure, unit):
     """Return a view, and a figure and its axes with the mean image in pale colours."""
     mean = cube.mean_image()
     image = np.ma.masked_array(mean.data, mean.mask)
-    view = View(cube, points, image, plotting_norm(cube, image), edge, unit)
+    view = View(cube, points, image, plotting_norm(cube, image), 0.0, unit)
     figure, (ax,) = image_panels(view, 1, figure)
     common = cube.beams is not None and all(b == cube.beams[0] for b in cube.beams)
     draw_image(ax, view, image, 0 if common else None).set_alpha(0.5)

@@ -1,5 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figures of speeds: along the jet, and of the features of a survey."""
+"""
+Figures of speeds along the flow: their spectrum, against distance, and in bins of it.
+
+That of parts of the data is here, too.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,11 @@ from typing import TYPE_CHECKING, Any
 import astropy.units as u
 import numpy as np
 
-from astro_scc.features.trust import MOST_FALSE
-from astro_scc.units import offset_unit, unit_name
+from astro_scc.columns import cell
+from astro_scc.spectrum.equations import deconvolve, set_up
+from astro_scc.streams.decomposed import distances
+from astro_scc.streams.members import frame_velocities
+from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style
 from astro_scc.visualization.tracks import draw_feature_speeds
 
@@ -23,176 +30,246 @@ if TYPE_CHECKING:
     from astro_scc.epochs import EpochCube
     from astro_scc.kinematics import RidgeLine
 
-#: Errors beyond so many times the median one are of features that say little.
-LARGE_ERROR = 4.0
 
-
-def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **look):
+class Speeds:
     """
-    Draw the radial speed of each feature against its separation from the core.
+    Speeds along the flow of a result, positive outward, in the unit of a figure.
 
-    Features have the colours of their streams; those that are not secure are pale.
-    Further keywords are those of their symbols.
+    Attributes
+    ----------
+    unit : `~astropy.units.Unit`
+    factor : float
+        The unit in mas/yr.
+    distance, feature, feature_err : `~numpy.ndarray`, shape (n_features,)
+        Distance of each feature from the core in mas, and its speed.
+    stream, stream_err, dispersion : `~numpy.ndarray`, shape (n_streams,)
+        The speed of what stands still is zero.
     """
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
-    table = result.features
-    separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
-    unit = offset_unit(separation.max(initial=1.0))
-    speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
-    error = np.minimum(error, LARGE_ERROR * np.median(error) if len(error) else 0.0)
-    draw_feature_speeds(ax, result, separation * u.mas.to(unit), speed, error, look)
-    if profile is not None and len(profile):
-        mean = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
-        style.draw_bins(ax, profile, unit, speeds, {"label": "mean of bin", **mean})
-    ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
-    ax.set_xlim(left=0)
-    ax.set_xlabel(f"Core separation ({unit_name(unit)})")
-    ax.set_ylabel(f"Radial proper motion ({unit_name(speeds)})")
-    style.legend_above(ax)
-    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
+
+    def __init__(self, result, unit=None):
+        self.unit = style.speed_unit_of(result, unit)
+        self.factor, search = PM_UNIT.to(self.unit), result.search
+        along = np.array([np.cos(search.angle), np.sin(search.angle)])
+        features = result.tracked_features
+        velocity, covariance = frame_velocities(result.frame, features)
+        self.distance = np.hypot(*features.places.T)
+        self.feature = self.factor * velocity @ along
+        self.feature_err = self.factor * np.sqrt(along @ covariance @ along)
+        rows = [
+            (s.velocity @ along, np.sqrt(along @ s.covariance @ along), s.dispersion)
+            for s in search.streams
+        ]
+        self.stream, self.stream_err, self.dispersion = np.nan_to_num(
+            self.factor * np.reshape(rows, (-1, 3)).T
+        )
+
+
+def _streams(result):
+    """Yield each stream's index, kind, colour, and number with speed and kind."""
+    pairs = zip(result.search.streams, result.streams, strict=True)
+    for k, (stream, row) in enumerate(pairs):
+        color = style.component_color(k + 1)
+        color = style.GREY if stream.kind == "not significant" else color
+        text = f"{k + 1}: {cell(row, 'pm')}"
+        text += "" if stream.kind == "moving" else f", {stream.kind}"
+        yield k, stream.kind, color, text
+
+
+def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
+    """
+    Draw the velocity spectrum over its significance.
+
+    Above is the share of the variance of the moving emission at each speed along the
+    flow, of both directions one in all; the opposite one is noise where nothing moves
+    that way.
+    Symbols are the streams with their errors, pale bars their dispersions, ticks the
+    secure features.  Below is the excess over permuted innovations; a dashed line is
+    the level that the largest of one in a hundred permutations exceeds.  Speeds that
+    were not searched are grey; beyond the dotted line patterns can be mistaken for one
+    another.  Further keywords are those of the line of the spectrum.
+    """
+    figure = style.new_figure((style.WIDTH, 4.8)) if figure is None else figure
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    search, speeds = result.search, Speeds(result, unit)
+    words = ("outward", "inward") if result.flow.outward else ("along", "against")
+    share = search.spectrum / (search.spectrum.sum() or 1.0)
+    half = len(share) // 2
+    speed, there = search.speed[half + 1 :] * speeds.factor, share[half + 1 :]
+    main = {"color": style.BLUE, "label": words[0], "lw": 1.2}
+    main = style.look_of("line", look, **main)
+    upper.step(speed, there, where="mid", **main)
+    color = main["color"]
+    upper.fill_between(speed, there, step="mid", color=color, alpha=0.2, lw=0)
+    back = share[:half][::-1]
+    upper.step(speed, back, where="mid", color=style.GREY, lw=0.8, label=words[1])
+    top = max(there.max(), back.max()) or 1.0
+    _draw_streams(upper, result, speeds, top, speed[[0, -1]])
+    _draw_ticks(upper, result, speeds, top)
+    _draw_test(lower, search, speeds)
+    for ax in (upper, lower):
+        ax.set(xscale="log", xlim=speed[[0, -1]])
+    _draw_limits(upper, lower, search, speeds)
+    upper.set_ylabel("Share of the variance\nof the moving emission")
+    lower.set_xlabel(f"Speed along the flow ({unit_name(speeds.unit)})")
+    upper.legend(fontsize="small", frameon=False, loc="best")
+    style.plain_log(lower)
+    if second := style.add_speed_axis(upper, speeds.unit, beta_per_pm):
+        style.plain_log(second)
+    figure.align_ylabels()
     return figure
 
 
-def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
+def _draw_limits(upper, lower, search, speeds):
+    """Shade speeds that were not searched, and mark where they are ambiguous."""
+    limits = search.slowest, search.fastest, search.unambiguous
+    slowest, fastest, safe = (limit * speeds.factor for limit in limits)
+    low, high = lower.get_xlim()
+    for ax in (upper, lower):
+        for ends in ((low, slowest), (fastest, high)):
+            ax.axvspan(*ends, color=style.GREY, alpha=0.15, lw=0, gid="not searched")
+        if low < safe < high:
+            ax.axvline(safe, color=style.BLACK, lw=0.8, ls=":", gid="unambiguous")
+    if low < safe < high:
+        left = safe**2 > low * high
+        lower.annotate(
+            "ambiguous beyond", (safe, 0.97), xycoords=lower.get_xaxis_transform(),
+            xytext=(-3 if left else 3, 0), textcoords="offset points",
+            fontsize="x-small", ha="right" if left else "left", va="top",
+        )  # fmt: skip
+
+
+def _draw_streams(ax, result, speeds, top, ends):
+    """Draw the streams that move above the spectrum, with their speeds inside of it."""
+    row, (low, high) = 0, ends
+    for k, kind, color, text in _streams(result):
+        if kind == "stationary":
+            continue
+        row += 1
+        speed, spread = abs(speeds.stream[k]), speeds.dispersion[k]
+        y = top * (1 + 0.18 * row - 0.06)
+        ax.plot(
+            [max(speed - spread, 1e-3 * speed), speed + spread], [y, y], lw=6,
+            alpha=0.3, color=color, solid_capstyle="butt", gid="dispersion",
+        )  # fmt: skip
+        error = min(speeds.stream_err[k], 0.99 * speed)
+        ax.errorbar(
+            speed, y, xerr=error, fmt=style.KIND_MARKERS[kind], ms=5, capsize=2, lw=1,
+            color=color, mfc=color if kind == "moving" else "white", zorder=4,
+        )  # fmt: skip
+        # Above the bar, towards the middle of the axes, where there is room.
+        ax.annotate(
+            text, (speed, y), (0, 5), textcoords="offset points", va="bottom",
+            ha="right" if speed**2 > low * high else "left", fontsize="small",
+            color=color, path_effects=style.outline(),
+        )  # fmt: skip
+    ax.set_ylim(-0.06 * top, top * (1.14 + 0.18 * row))
+
+
+def _draw_ticks(ax, result, speeds, top):
+    """Draw the secure features as ticks below the spectrum, in colours of streams."""
+    stream, secure = result.features["stream"], result.tracked_features.secure
+    for number in np.unique(stream[secure]):
+        members = np.abs(speeds.feature[secure & (stream == number)])
+        color = style.component_color(number) if number else style.BLACK
+        ax.vlines(members, -0.05 * top, -0.005 * top, color=color, lw=1, gid="features")
+
+
+def _draw_test(ax, search, speeds):
+    """Draw the excess over permutations at the speeds that were tested."""
+    test, order = search.test, np.argsort(search.test.speed)
+    order = order[test.speed[order] > 0]
+    z = test.z[test.best[0]][order]
+    speed = test.speed[order] * search.beam * speeds.factor
+    ax.plot(speed, z, color=style.BLUE, lw=1.2)
+    ax.axhline(0, color=style.GREY, lw=0.6)
+    for level in (test.level, -test.level):
+        ax.axhline(level, color=style.VERMILION, lw=0.9, ls="--", gid="level")
+    ax.annotate(
+        "99% of permutations", (0.0, test.level), xycoords=ax.get_yaxis_transform(),
+        xytext=(4, 2), textcoords="offset points", va="bottom", fontsize="x-small",
+        color=style.VERMILION,
+    )  # fmt: skip
+    top = max(z.max(), 1.25 * test.level)
+    ax.set(ylim=(min(z.min(), -1.0) * 1.1, 1.25 * top), ylabel="z")
+
+
+# -- against distance ----------------------------------------------------------------
+
+
+def spectra_of_bins(search):
     """
-    Draw the main speed from parts of the data, beside that of the whole spectrum.
-
-    Parts that differ significantly are red squares.  Further keywords are those of the
-    symbols.
-
-    Raises
-    ------
-    ValueError
-        If the table has no rows.
-    """
-    if len(table) == 0:
-        raise ValueError("the table has no rows: nothing moves significantly")
-    height = 0.8 + 0.36 * len(table)
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
-    unit = table["pm"].unit
-    speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
-    ends = speed[0] - error[0], speed[0] + error[0]
-    ax.axvspan(*ends, color=style.GREY, alpha=0.2, lw=0)
-    ax.axvline(speed[0], color=style.GREY, lw=0.8)
-    row, large = np.arange(len(table)), np.asarray(table["significant"])
-    for use, color, sign in ((~large, style.BLUE, "o"), (large, style.VERMILION, "s")):
-        usual = {"marker": sign, "color": color, "ms": 4, "lw": 1, "linestyle": ""}
-        usual = style.look_of("line", look, **usual)
-        ax.errorbar(speed[use], row[use], xerr=error[use], **usual)
-    for k in row[~np.isfinite(speed)]:
-        where = {"transform": ax.get_yaxis_transform(), "va": "center"}
-        ax.text(0.02, k, "nothing found", fontsize="small", **where)
-    ax.set_yticks(row, [fill(str(text), 30) for text in table["choice"]])
-    ax.tick_params(axis="y", labelsize="small", length=0)
-    ax.set_ylim(len(table) - 0.5, -0.5)
-    ax.set_xlabel(f"Proper motion ({unit_name(unit)})")
-    style.add_speed_axis(ax, unit, beta_per_pm)
-    return figure
-
-
-# -- of many sources -----------------------------------------------------------------
-
-
-def population(features, *, significant=3.0, often=10):
-    """
-    Return which features of many sources show what.
+    Return the velocity spectra of bins of distance.
 
     Parameters
     ----------
-    features : `~astropy.table.QTable`
-        ``features.ecsv`` of a survey.
-    significant : float, optional
-        What differs from zero by so many standard errors is not zero.
-    often : int, optional
-        Fewest epochs of a feature whose acceleration is judged, or that stands still.
+    search : ``StreamSearch``
 
     Returns
     -------
-    dict of `~numpy.ndarray` of bool, shape (n,)
-        ``moving``, secure and significantly fast; of these ``inward`` and, in often
-        enough epochs, ``judged``; of the latter ``accelerated``.  ``at rest`` are
-        features of as many epochs that are false with a probability of at most 0.3 and
-        not significantly fast; secure ones have moved by a beam.
+    edges : `~numpy.ndarray`, shape (n_bins + 1,)
+        In mas.
+    speed : `~numpy.ndarray`, shape (n_v,)
+        In mas/yr.
+    share : `~numpy.ndarray`, shape (n_v, n_bins)
+        The sum of each bin is one; zero where nothing moves, and at speeds that were
+        not searched.
     """
-
-    def ratio(name):
-        value, error = (_plain(features[k]) for k in (name, f"{name}_err"))
-        return value / error
-
-    speed = ratio("pm")
-    change = [np.abs(ratio(f"acc_{k}")) for k in ("parallel", "perpendicular")]
-    moving = np.asarray(features["secure"], dtype=bool) & (speed >= significant)
-    often = np.asarray(features["n_epochs"]) >= often
-    true = np.asarray(features["p_false"]) <= MOST_FALSE
-    return {
-        "moving": moving,
-        "at rest": often & true & (speed < significant),
-        "inward": moving & (ratio("pm_radial") <= -significant),
-        "judged": moving & often,
-        # Only of those whose motion is better described so is it measured.
-        "accelerated": moving & often & (np.max(change, axis=0) >= significant),
-    }
-
-
-def fastest_of(features, column):
-    """Return the largest value of the moving features of each source."""
-    moving, largest = features[population(features)["moving"]], {}
-    for source, value in zip(moving["source"], _plain(moving[column]), strict=True):
-        if np.isfinite(value):
-            largest[source] = max(value, largest.get(source, 0.0))
-    return np.array(list(largest.values()))
+    flow = search.flow
+    inside = flow.planes[0].mask
+    if flow.regions[0] is not None:
+        inside = inside & (flow.regions[0] > 0)
+    r = distances(flow.grids[0])[inside]
+    low, high = (r.min(), r.max()) if r.size else (0.0, 1.0)
+    # Two beams wide or more, and not more than twelve.
+    n = int(np.clip((high - low) // 2, 1, 12))
+    edges = np.linspace(low, high, n + 1) * flow.beam
+    found = []
+    for ends in zip(edges[:-1], edges[1:], strict=True):
+        part = flow.between(*ends)
+        limits = {"fastest": flow.fastest, "intervals": search.intervals}
+        equations = set_up(part.diagram(0), **limits)
+        share, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
+        share[(size < search.slowest) | (size > search.fastest)] = 0.0
+        found.append(share / (share.sum() or 1.0))
+    return edges, equations.speed * flow.beam, np.array(found).T
 
 
-def plot_population(features):
+def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
     """
-    Draw the speeds of the features of many sources.
+    Draw speeds along the flow against distance from the core.
 
-    Parameters
-    ----------
-    features : `~astropy.table.QTable`
-        ``features.ecsv`` of a survey, of which some move.
-
-    Returns
-    -------
-    `matplotlib.figure.Figure`
-        Histograms of the speeds of secure features that move and of the fastest one of
-        each jet, in mas/yr and, if sources have redshifts, in units of c.
+    Grey is the velocity spectrum of each bin of distance, dark where most of what moves
+    there has this speed.  Points are features at the dates of their speeds, in the
+    colours of their streams; those that are not secure are pale.  Lines are the
+    streams.  Further keywords are those of the grey cells, such as ``cmap``.
     """
-    found = population(features)
-    columns = {"pm": f"Proper motion ({unit_name(features['pm'].unit)})"}
-    if "beta_app" in features.colnames:
-        columns["beta_app"] = r"Apparent speed, $\beta_\mathrm{app}$ ($c$)"
-    figure = style.new_figure((style.WIDTH, 2.6 * len(columns)))
-    axes = figure.subplots(len(columns), 2, squeeze=False)
-    inward, colors = found["inward"], (style.BLUE, style.VERMILION)
-    for (name, label), (left, right) in zip(columns.items(), axes, strict=True):
-        speed = np.where(inward, -1.0, 1.0) * _plain(features[name])
-        use = found["moving"] & np.isfinite(speed)
-        parts = [speed[use & ~inward], speed[use & inward]]
-        _histogram(left, parts, colors, ("outward", "inward"))
-        left.set(xlabel=label, ylabel="Features")
-        _histogram(right, [fastest_of(features, name)], (style.GREEN,), ("fastest",))
-        right.set(xlabel=f"Fastest {label[0].lower()}{label[1:]}", ylabel="Jets")
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 4.2))
+    speeds, secure = Speeds(result, unit), result.tracked_features.secure
+    edges, speed, share = spectra_of_bins(result.search)
+    far = max(edges[-1], speeds.distance[secure].max(initial=0.0))
+    lengths = offset_unit(far)
+    scale = u.mas.to(lengths)
+    cells = {"cmap": "Greys", "vmin": 0, "vmax": 1.4 * share.max() or 1.0}
+    cells = style.look_of("mesh", look, rasterized=True, **cells)
+    speed = images.edges(speed * speeds.factor)
+    drawn = ax.pcolormesh(edges * scale, speed, share, **cells)
+    ax.fill([], [], color=drawn.cmap(0.6), label="velocity spectrum")
+    place = speeds.distance * scale
+    draw_feature_speeds(ax, result, place, speeds.feature, speeds.feature_err)
+    for k, kind, color, text in _streams(result):
+        ax.axhline(
+            speeds.stream[k], color=color, lw=1.2, zorder=2, gid="stream",
+            ls=style.KIND_LINES[kind], label=text, path_effects=style.outline(2.2),
+        )  # fmt: skip
+    shown = [*speeds.stream, *speeds.feature[secure], 0.0]
+    if not any(stream.kind == "moving" for stream in result.search.streams):
+        shown += [-min(shown), -max(shown)]
+    low, high = 1.35 * min(shown), 1.35 * max(shown)
+    margin = 0.06 * (high - low)
+    ax.set(xlim=(0, 1.02 * far * scale), ylim=(low - margin, high or 1.0))
+    what = "Speed along the flow"
+    style.label_distances(ax, lengths, what, speeds.unit, beta_per_pm, columns=3)
     return figure
-
-
-def _histogram(ax, parts, colors, names):
-    """Draw a stacked histogram, of which parts without values have no name."""
-    every = np.concatenate(parts)
-    if len(every) == 0:
-        ax.text(0.5, 0.5, "none", ha="center", va="center", transform=ax.transAxes)
-        return
-    edges = np.histogram_bin_edges(np.append(every, 0.0), bins=20)
-    ax.hist(parts, edges, color=colors, label=names, stacked=True)
-    ax.yaxis.get_major_locator().set_params(integer=True)
-    if sum(len(part) > 0 for part in parts) > 1:
-        ax.legend(frameon=False)
-
-
-def _plain(values):
-    """Return the numbers of a column, NaN where it is masked."""
-    values = getattr(values, "filled", lambda _: values)(np.nan)
-    return np.asarray(u.Quantity(values).value, dtype=float)
 
 
 def plot_profile(
@@ -259,7 +336,7 @@ def plot_profile(
         grey = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
         ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **grey)
         far = max(far, float(np.max(r, initial=0)))
-    _draw_streams(ax, table, look)
+    _draw_bins(ax, table, look)
     grid = np.linspace(0, far, 200)[1:] * u.mas
     for k, fit in enumerate(fits):
         ax.plot(
@@ -272,16 +349,14 @@ def plot_profile(
     margin = 0.35 * max(np.ptp(shown), 1e-9) if len(table) else np.inf
     bottom, top = ax.get_ylim()
     ax.set_ylim(max(bottom, shown.min() - margin), min(top, shown.max() + margin))
-    ax.set_xlabel("Core separation (mas)")
-    ax.set_ylabel(f"Proper motion along the jet ({unit_name(speeds)})")
-    style.legend_above(ax, columns=2)
-    style.add_speed_axis(ax, speeds, beta_per_pm, "right")
+    what = "Proper motion along the jet"
+    style.label_distances(ax, u.mas, what, speeds, beta_per_pm, columns=2)
     if above:
         _draw_strip(strip, cube, line, far)
     return figure
 
 
-def _draw_streams(ax, table, given):
+def _draw_bins(ax, table, given):
     """Draw streams by kind and group of scales, those not main in their bin smaller."""
     table = table[np.isfinite(table["pm_parallel"])]
     kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
@@ -359,4 +434,44 @@ def plot_position_angles(groups):
             ax.axvline(np.median(v), color=color, lw=0.8)
     ax.set(xlabel="Position angle (deg)", ylabel="Fraction of the SSPs")
     ax.legend(fontsize="small")
+    return figure
+
+
+# -- of parts of the data --------------------------------------------------------------
+
+
+def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
+    """
+    Draw the main speed from parts of the data, beside that of the whole spectrum.
+
+    Parts that differ significantly are red squares.  Further keywords are those of the
+    symbols.
+
+    Raises
+    ------
+    ValueError
+        If the table has no rows.
+    """
+    if len(table) == 0:
+        raise ValueError("the table has no rows: nothing moves significantly")
+    height = 0.8 + 0.36 * len(table)
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
+    unit = table["pm"].unit
+    speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
+    ends = speed[0] - error[0], speed[0] + error[0]
+    ax.axvspan(*ends, color=style.GREY, alpha=0.2, lw=0)
+    ax.axvline(speed[0], color=style.GREY, lw=0.8)
+    row, large = np.arange(len(table)), np.asarray(table["significant"])
+    for use, color, sign in ((~large, style.BLUE, "o"), (large, style.VERMILION, "s")):
+        usual = {"marker": sign, "color": color, "ms": 4, "lw": 1, "linestyle": ""}
+        usual = style.look_of("line", look, **usual)
+        ax.errorbar(speed[use], row[use], xerr=error[use], **usual)
+    for k in row[~np.isfinite(speed)]:
+        where = {"transform": ax.get_yaxis_transform(), "va": "center"}
+        ax.text(0.02, k, "nothing found", fontsize="small", **where)
+    ax.set_yticks(row, [fill(str(text), 30) for text in table["choice"]])
+    ax.tick_params(axis="y", labelsize="small", length=0)
+    ax.set_ylim(len(table) - 0.5, -0.5)
+    ax.set_xlabel(f"Proper motion ({unit_name(unit)})")
+    style.add_speed_axis(ax, unit, beta_per_pm)
     return figure

@@ -9,7 +9,7 @@ from itertools import product
 import astropy.units as u
 import numpy as np
 
-from astro_scc.units import PM_UNIT, unit_like
+from astro_scc.units import PM_UNIT, unit_like, unit_name
 
 # Colours of Okabe & Ito, which colour-blind readers can distinguish.
 BLACK = "#000000"
@@ -242,11 +242,11 @@ def legend_above(ax, columns=4):
 
 def plain_log(ax):
     """Write the speeds at a logarithmic axis as plain numbers: 1, 2, 5, 10."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator
 
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter("")
 
 
 def beside(ax):
@@ -266,6 +266,14 @@ def add_speed_axis(ax, unit, beta_per_pm, side="top"):
     second = getattr(ax, f"secondary_{axis}axis")(side, functions=both)
     second.set(**{f"{axis}label": "Apparent speed (c)"})
     return second
+
+
+def label_distances(ax, lengths, what, speeds, beta_per_pm, columns=4):
+    """Label speeds against distance in units of both; add a legend and an axis in c."""
+    ax.set_xlabel(f"Core separation ({unit_name(lengths)})")
+    ax.set_ylabel(f"{what} ({unit_name(speeds)})")
+    legend_above(ax, columns)
+    add_speed_axis(ax, speeds, beta_per_pm, "right")
 
 
 def outline(width=2.5, color="white"):

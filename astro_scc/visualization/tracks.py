@@ -1,14 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Figures of features: paths on the mean image, and separations."""
+"""Figures of features: paths on the mean image, separations, and speeds."""
 
 from itertools import combinations
 
 import astropy.units as u
 import numpy as np
 
+from astro_scc.features.trust import MOST_FALSE
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
 
+#: Errors beyond so many times the median one are of features that say little.
+LARGE_ERROR = 4.0
 #: How features are drawn that are secure, and that are not.
 STRONG = {"alpha": 1.0, "zorder": 3, "linestyle": "-"}
 PALE = {"alpha": 0.35, "zorder": 2, "linestyle": ":"}
@@ -74,8 +77,8 @@ def plot_separation(
     room = 0.32 if beta_per_pm and len(features) <= CROWDED else 0.12
     on_axis = style.date_axis(lower or ax, features.cube, earliest, room)
     if published is not None:
-        _draw_published(ax, published, features.cube, lambda p: (
-            on_axis(p["date"].jyear), p["separation"].to_value(unit)))  # fmt: skip
+        x, y = on_axis(published["date"].jyear), published["separation"].to_value(unit)
+        _draw_published(ax, published, features.cube, x, y)
     ends = _draw_separations(ax, lower, features, on_axis, unit, stream, look)
     _draw_ejections(ax, ejected, ends, on_axis)
     style.legend_above(ax)
@@ -149,16 +152,17 @@ def _named(features):
     return [k for k in order[:NAMED] if features.secure[k]] if crowded else order
 
 
-def _draw_published(ax, published, cube, place):
-    """Draw published features during a cube in grey, where ``place`` says."""
+def _draw_published(ax, published, cube, x, y):
+    """Draw the published features during a cube in grey, with a place of each row."""
     # Published dates are often rounded to days.
     first, last = cube.times[0] - 1 * u.day, cube.times[-1] + 1 * u.day
-    published = published[(published["date"] >= first) & (published["date"] <= last)]
-    look = {"color": style.GREY, "lw": 0.5, "marker": ".", "ms": 2.5, "mew": 0}
-    for number in np.unique(published["published"]):
-        same = published[published["published"] == number]
-        line = {"alpha": 0.6, "zorder": 1, "label": "published"}
-        ax.plot(*place(same), gid=f"published {number}", **look, **line)
+    seen = (published["date"] >= first) & (published["date"] <= last)
+    for number in np.unique(published["published"][seen]):
+        same = seen & (published["published"] == number)
+        ax.plot(
+            x[same], y[same], color=style.GREY, lw=0.5, marker=".", ms=2.5, mew=0,
+            alpha=0.6, zorder=1, label="published", gid=f"published {number}",
+        )  # fmt: skip
 
 
 def feature_look(features, number, stream=None):
@@ -169,15 +173,6 @@ def feature_look(features, number, stream=None):
     k = int(stream[number])
     color = style.component_color(k) if k else style.BLACK
     return {"color": color, "label": f"stream {k}" if k else style.NONE, **look}
-
-
-def draw_feature_speeds(ax, result, place, speed, error, given=None):
-    """Draw the speeds of the features of a result at places, as `feature_look` says."""
-    point, streams = {"ms": 4, "lw": 0.8, "marker": "o"}, result.features["stream"]
-    for k in np.flatnonzero(np.isfinite(speed)):
-        look = feature_look(result.tracked_features, k, streams) | point
-        look = style.look_of("line", given or {}, **look | {"linestyle": ""})
-        ax.errorbar(place[k], speed[k], error[k], **look)
 
 
 def _lay_out(figure, *, own):
@@ -216,8 +211,7 @@ def _write_numbers(ax, features, ends, beta_per_pm=None):
         for side, *shift in BESIDE:
             text.set(ha=side, position=shift)
             box = text.get_window_extent()
-            inside = frame.x0 < box.x0 and box.x1 < frame.x1
-            inside &= frame.y0 < box.y0 and box.y1 < frame.y1
+            inside = frame.contains(*box.min) and frame.contains(*box.max)
             if inside and not any(box.overlaps(other) for other in taken):
                 found.append((box.count_contains(points), side, shift, box))
         if found:
@@ -265,18 +259,16 @@ def plot_tracks(
     """
     place = np.concatenate([features.detections.place, features.core.place])
     points = {"place": place.T, "weight": np.ones(len(place))}
-    view, drawn, ax = images.draw_mean_image(
-        features.cube, points, figure=figure, unit=unit, edge=0.0
-    )
-    axes, inner, box = [ax], [], None
+    view, drawn, ax = images.draw_mean_image(features.cube, points, figure, unit)
+    axes, inner = [ax], []
     if figure is None:
         inner, box = _inner_paths(features, view)
     if len(inner):
         axes.append(_add_panel(drawn, ax, view, box))
     for panel in axes:
         if published is not None:
-            _draw_published(panel, published, features.cube,
-                            lambda p: images.sky_place(p) * view.factor)  # fmt: skip
+            place = images.sky_place(published) * view.factor
+            _draw_published(panel, published, features.cube, *place)
         last = _draw_paths(panel, features, view, stream, look)
     style.legend_above(ax)
     _lay_out(drawn, own=figure is None)
@@ -289,14 +281,13 @@ def plot_tracks(
 
 def _inner_paths(features, view):
     """Return the features near the core if paths hide one another there, their box."""
+    from scipy.spatial.distance import cdist
+
     d, size = features.detections, np.ptp(view.limits, axis=1).max()
     paths = [view.factor * d.place[track.detection] for track in features.tracks]
     far = np.array([np.hypot(*path.T).max() for path in paths])
     inner = np.flatnonzero(far < INNER * size)
-    apart = [
-        np.hypot(*np.moveaxis(paths[a][:, None] - paths[b], -1, 0)).min()
-        for a, b in combinations(inner, 2)
-    ]
+    apart = [cdist(paths[a], paths[b]).min() for a, b in combinations(inner, 2)]
     if min(apart, default=np.inf) > CLOSE * size or len(inner) == len(paths):
         return [], None
     every = np.concatenate([*(paths[k] for k in inner), np.zeros((1, 2))])
@@ -337,3 +328,143 @@ def _draw_paths(ax, features, view, stream, given):
         ax.annotate("", *ends, arrowprops=head | line, annotation_clip=True)
         last.append((place[:, -1], look["color"]))
     return last
+
+
+# -- speeds ---------------------------------------------------------------------------
+
+
+def draw_feature_speeds(ax, result, place, speed, error, given=None):
+    """Draw the speeds of the features of a result at places, as `feature_look` says."""
+    point, streams = {"ms": 4, "lw": 0.8, "marker": "o"}, result.features["stream"]
+    for k in np.flatnonzero(np.isfinite(speed)):
+        look = feature_look(result.tracked_features, k, streams) | point
+        look = style.look_of("line", given or {}, **look | {"linestyle": ""})
+        ax.errorbar(place[k], speed[k], error[k], **look)
+
+
+def plot_feature_speeds(result, *, profile=None, beta_per_pm=None, ax=None, **look):
+    """
+    Draw the radial speed of each feature against its separation from the core.
+
+    Features have the colours of their streams; those that are not secure are pale.
+    Further keywords are those of their symbols.
+    """
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 3.4))
+    table = result.features
+    separation, speeds = table["separation"].to_value(u.mas), table["pm"].unit
+    unit = offset_unit(separation.max(initial=1.0))
+    speed, error = (table[k].value for k in ("pm_radial", "pm_radial_err"))
+    error = np.minimum(error, LARGE_ERROR * np.median(error) if len(error) else 0.0)
+    draw_feature_speeds(ax, result, separation * u.mas.to(unit), speed, error, look)
+    if profile is not None and len(profile):
+        mean = {"fmt": "none", "color": style.BLACK, "elinewidth": 1.6, "zorder": 3}
+        style.draw_bins(ax, profile, unit, speeds, {"label": "mean of bin", **mean})
+    ax.axhline(0, color=style.GREY, lw=0.6, zorder=0)
+    ax.set_xlim(left=0)
+    style.label_distances(ax, unit, "Radial proper motion", speeds, beta_per_pm)
+    return figure
+
+
+# -- of many sources -----------------------------------------------------------------
+
+
+def population(features, *, significant=3.0, often=10):
+    """
+    Return which features of many sources show what.
+
+    Parameters
+    ----------
+    features : `~astropy.table.QTable`
+        ``features.ecsv`` of a survey.
+    significant : float, optional
+        What differs from zero by so many standard errors is not zero.
+    often : int, optional
+        Fewest epochs of a feature whose acceleration is judged, or that stands still.
+
+    Returns
+    -------
+    dict of `~numpy.ndarray` of bool, shape (n,)
+        ``moving``, secure and significantly fast; of these ``inward`` and, in often
+        enough epochs, ``judged``; of the latter ``accelerated``.  ``at rest`` are
+        features of as many epochs that are false with a probability of at most 0.3 and
+        not significantly fast; secure ones have moved by a beam.
+    """
+
+    def ratio(name):
+        value, error = (_plain(features[k]) for k in (name, f"{name}_err"))
+        return value / error
+
+    speed = ratio("pm")
+    change = [np.abs(ratio(f"acc_{k}")) for k in ("parallel", "perpendicular")]
+    moving = np.asarray(features["secure"], dtype=bool) & (speed >= significant)
+    often = np.asarray(features["n_epochs"]) >= often
+    true = np.asarray(features["p_false"]) <= MOST_FALSE
+    return {
+        "moving": moving,
+        "at rest": often & true & (speed < significant),
+        "inward": moving & (ratio("pm_radial") <= -significant),
+        "judged": moving & often,
+        # Only of those whose motion is better described so is it measured.
+        "accelerated": moving & often & (np.max(change, axis=0) >= significant),
+    }
+
+
+def fastest_of(features, column):
+    """Return the largest value of the moving features of each source."""
+    moving, largest = features[population(features)["moving"]], {}
+    for source, value in zip(moving["source"], _plain(moving[column]), strict=True):
+        if np.isfinite(value):
+            largest[source] = max(value, largest.get(source, 0.0))
+    return np.array(list(largest.values()))
+
+
+def plot_population(features):
+    """
+    Draw the speeds of the features of many sources.
+
+    Parameters
+    ----------
+    features : `~astropy.table.QTable`
+        ``features.ecsv`` of a survey, of which some move.
+
+    Returns
+    -------
+    `matplotlib.figure.Figure`
+        Histograms of the speeds of secure features that move and of the fastest one of
+        each jet, in mas/yr and, if sources have redshifts, in units of c.
+    """
+    found = population(features)
+    columns = {"pm": f"Proper motion ({unit_name(features['pm'].unit)})"}
+    if "beta_app" in features.colnames:
+        columns["beta_app"] = r"Apparent speed, $\beta_\mathrm{app}$ ($c$)"
+    figure = style.new_figure((style.WIDTH, 2.6 * len(columns)))
+    axes = figure.subplots(len(columns), 2, squeeze=False)
+    inward, colors = found["inward"], (style.BLUE, style.VERMILION)
+    for (name, label), (left, right) in zip(columns.items(), axes, strict=True):
+        speed = np.where(inward, -1.0, 1.0) * _plain(features[name])
+        use = found["moving"] & np.isfinite(speed)
+        parts = [speed[use & ~inward], speed[use & inward]]
+        _histogram(left, parts, colors, ("outward", "inward"))
+        left.set(xlabel=label, ylabel="Features")
+        _histogram(right, [fastest_of(features, name)], (style.GREEN,), ("fastest",))
+        right.set(xlabel=f"Fastest {label[0].lower()}{label[1:]}", ylabel="Jets")
+    return figure
+
+
+def _histogram(ax, parts, colors, names):
+    """Draw a stacked histogram, of which parts without values have no name."""
+    every = np.concatenate(parts)
+    if len(every) == 0:
+        ax.text(0.5, 0.5, "none", ha="center", va="center", transform=ax.transAxes)
+        return
+    edges = np.histogram_bin_edges(np.append(every, 0.0), bins=20)
+    ax.hist(parts, edges, color=colors, label=names, stacked=True)
+    ax.yaxis.get_major_locator().set_params(integer=True)
+    if sum(len(part) > 0 for part in parts) > 1:
+        ax.legend(frameon=False)
+
+
+def _plain(values):
+    """Return the numbers of a column, NaN where it is masked."""
+    values = getattr(values, "filled", lambda _: values)(np.nan)
+    return np.asarray(u.Quantity(values).value, dtype=float)

@@ -385,33 +385,30 @@ def plot_diagram(result, *, ax=None, components=None, unit=None, colorbar=True, 
 
 def _draw_rays(scene, slopes, factor):
     """Draw the rays of the streams, with their legend."""
+    ax, right, top = scene.ax, scene.ax.get_xlim()[1], scene.ax.get_ylim()[1]
     for row, kind, slope in zip(scene.components, scene.kinds, slopes, strict=True):
         if not np.isfinite(slope):
             continue
-        label = f"{row['stream']}: {speed_text(row, kind)}"
-        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT))
-        spread = 0.0 if kind == "stationary" else spread
-        _draw_ray(scene.ax, slope * factor, spread * factor, kind, label)
+        number, slope = f"{row['stream']}", slope * factor
+        ax.axline(
+            (0, 0), slope=slope, color=BLACK, lw=1.4, ls=style.KIND_LINES[kind],
+            gid="ray", label=f"{number}: {speed_text(row, kind)}",
+            path_effects=style.outline(2.6),
+        )  # fmt: skip
+        spread = np.nan_to_num(row["dispersion"].to_value(PM_UNIT)) * factor
+        sides = (slope - spread, slope + spread)
+        for other in sides if spread > 0 and kind != "stationary" else ():
+            thin = {"lw": 0.6, "alpha": 0.7, "gid": "dispersion"}
+            ax.axline((0, 0), slope=other, color=BLACK, **thin)
+        # The number lies on the ray, before it leaves the axes.
+        x = 0.88 * min(right, top / abs(slope) if slope else right)
+        ax.text(
+            x, slope * x, number, ha="center", va="center", fontsize="small",
+            bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.6},
+        )  # fmt: skip
     if np.isfinite(slopes).any():
         corner = "upper right" if slopes[0] < 0 else "lower right"
-        scene.ax.legend(loc=corner, fontsize="small", framealpha=0.85)
-
-
-def _draw_ray(ax, slope, spread, kind, label):
-    (_, right), (_, top) = ax.get_xlim(), ax.get_ylim()
-    ray = {"linestyle": style.KIND_LINES[kind], "label": label, "gid": "ray"}
-    outlined = {"linewidth": 1.4, "path_effects": style.outline(2.6)}
-    ax.axline((0, 0), slope=slope, color=BLACK, **ray, **outlined)
-    thin = {"linewidth": 0.6, "alpha": 0.7, "gid": "dispersion"}
-    for other in (slope - spread, slope + spread) if spread > 0 else ():
-        ax.axline((0, 0), slope=other, color=BLACK, **thin)
-    # The number lies on the ray, before it leaves the axes.
-    x = 0.88 * min(right, top / abs(slope) if slope else right)
-    ax.text(
-        x, slope * x, label.partition(":")[0], ha="center", va="center",
-        fontsize="small", gid="number",
-        bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "linewidth": 0.6},
-    )  # fmt: skip
+        ax.legend(loc=corner, fontsize="small", framealpha=0.85)
 
 
 def _direction(scene, image):

@@ -9,7 +9,6 @@ from astropy.table import QTable
 
 from astro_scc import EpochCube
 from astro_scc.epochs import Beam
-from astro_scc.simulation import simulate_jet
 
 
 def same(one, other):
@@ -107,11 +106,3 @@ def test_inspect_says_what_is_wrong(series, done, refused, here):
     with fits.open("whole.fits") as hdus:
         fits.HDUList([hdus[0].copy()]).writeto("cube.fits")
     assert "cube.fits" in refused("inspect", "cube.fits")
-
-
-def test_inspect_tells_a_core_that_varies(monkeypatch, done):
-    monkeypatch.setattr("astro_scc.cli.images._cores", lambda *_: ({}, 0.3))
-    simulate_jet(n_epochs=8, rng=2).cube.write("jet.fits")
-    out, _ = done("inspect", "jet.fits")
-    assert "scatters by 0.30 beams, but the rest of the images by 0.0" in out
-    assert "the epochs are left as they are" in out

@@ -3,7 +3,6 @@
 
 import io
 import re
-from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -216,14 +215,6 @@ def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
     assert "AssertionError: odd" in (folder / "error.txt").read_text()
 
 
-def test_what_a_survey_does_not_measure(folder, tmp_path):
-    two = read_survey(folder / "survey.toml").parts[2]
-    other = replace(two, settings=two.settings.changed(method="paper"))
-    found = measure_part(other, tmp_path)
-    assert found.status == "failed"
-    assert "method is 'paper', which astro-scc measure has" in found.message
-
-
 #: The beginning of a survey of one source, and what is wrong in it.
 A = "[sources.A]\nepochs = 'a'\n"
 WRONG = [
@@ -239,6 +230,7 @@ WRONG = [
     ("[defaults]\npublished_pm = '1 mas/yr'\n[sources.A]", "published_pm is no"),
     (f"{A}published_pm = '-1 mas/yr'", "A: published_pm = '-1 mas/yr' must be a sp"),
     (f"{A}max_speed = '2 mas'", "max_speed = '2 mas' must"),
+    (f"{A}method = 'paper'", "A: method is 'paper', which astro-scc measure has"),
 ]
 
 

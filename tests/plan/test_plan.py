@@ -9,11 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import Beam, EpochCube, plan
+from astro_scc.components.restoring import add_gaussians
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.simulation import simulate_jet
 
 PIXEL = 0.1 * u.mas
 BEAM = Beam(0.8 * u.mas, 0.8 * u.mas)
+DATES = ["2000-01-01", "2001-01-01"]
 
 
 def cube_of(days=(0, 30, 90), shape=(40, 60), beams=None):
@@ -56,16 +59,19 @@ def test_what_cannot_be_meant_is_refused(call, words):
         call()
 
 
-def spots(*places, beams=BEAM, bright=0.1):
+def gaussians(x, y, peak, fwhm, shape):
+    """Two equal images of round Gaussians, of a width in pixels."""
+    sizes = np.array([(FWHM_TO_SIGMA * fwhm) ** 2 * np.eye(2)] * len(x))
+    return np.stack([add_gaussians(np.zeros(shape), x, y, peak, sizes)] * 2)
+
+
+def spots(*places, beams=BEAM):
     """Two epochs of a core and of fainter spots, (east, north) in mas."""
-    y, x = np.mgrid[:121, :121]
-    image = np.zeros(x.shape)
-    for east, north, flux in [(0, 0, 1.0), *((*place, bright) for place in places)]:
-        r2 = (x - 60 + east / 0.1) ** 2 + (y - 60 - north / 0.1) ** 2
-        image += flux * np.exp(-4 * np.log(2) * r2 / 8**2)
+    east, north = np.transpose([(0, 0), *places]) / 0.1
+    peak = [1.0] + [0.1] * len(places)
     return EpochCube.from_arrays(
-        np.stack([image] * 2), ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas,
-        reference_pixel=(60, 60), beams=beams, noise=1e-3 * u.one,
+        gaussians(60 - east, 60 + north, peak, 8, (121, 121)), DATES, beams=beams,
+        pixel_scale=PIXEL, reference_pixel=(60, 60), noise=1e-3 * u.one,
     )  # fmt: skip
 
 
@@ -121,16 +127,11 @@ def test_a_core_that_is_not_found_aligns_nothing():
 
 def field(fwhm, *, noise=0.02, shape=(128, 160), beam=None):
     """Two epochs of Gaussians of a width in pixels, with noise."""
-    rng, (y, x) = np.random.default_rng(3), np.indices(shape)
-    image = np.zeros(shape)
-    for x0, y0 in rng.uniform(0, 1, (30, 2)) * shape[::-1]:
-        r2 = (x - x0) ** 2 + (y - y0) ** 2
-        image = image + np.exp(-4 * np.log(2) * r2 / fwhm**2)
-    images = image + rng.normal(0, noise, (2, *shape))
-    width = None if beam is None else Beam(*(0.1 * beam * u.mas,) * 2)
-    return EpochCube.from_arrays(
-        images, ["2000-01-01", "2001-01-01"], pixel_scale=0.1 * u.mas, beams=width,
-    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    x, y = (rng.uniform(0, 1, (30, 2)) * shape[::-1]).T
+    images = gaussians(x, y, [1] * 30, fwhm, shape) + rng.normal(0, noise, (2, *shape))
+    width = None if beam is None else Beam(beam * PIXEL, beam * PIXEL)
+    return EpochCube.from_arrays(images, DATES, pixel_scale=PIXEL, beams=width)
 
 
 @pytest.mark.parametrize(("fwhm", "noise"), [(3, 0.0), (8, 0.3)])

@@ -20,7 +20,7 @@ from astro_scc import EpochCube
 from astro_scc.flow import fit_profile
 from astro_scc.units import PM_UNIT, offset_unit, speed_unit
 from astro_scc.units import PM_UNIT as PM
-from astro_scc.visualization import FIGURES, speeds, style
+from astro_scc.visualization import FIGURES, speeds, style, tracks
 from astro_scc.visualization.images import epoch_names, ticks_of
 from astro_scc.visualization.speeds import plot_profile
 from astro_scc.visualization.tracks import ejections, plot_separation, plot_tracks
@@ -229,12 +229,12 @@ def test_the_features_of_many_sources():
     for name in ("pm", "pm_radial", "acc_parallel", "acc_perpendicular"):
         table[f"{name}_err"] = np.full(5, 0.1) * table[name].unit
     table["beta_app"] = 10 * table["pm"].value
-    found = {k: [*np.flatnonzero(use)] for k, use in speeds.population(table).items()}
+    found = {k: [*np.flatnonzero(use)] for k, use in tracks.population(table).items()}
     assert found == {
         "moving": [0, 1, 3], "at rest": [2], "inward": [1], "judged": [1, 3],
         "accelerated": [3],
     }  # fmt: skip
-    assert speeds.fastest_of(table, "pm").tolist() == [2.0, 3.0]
-    speeds.plot_population(table)
+    assert tracks.fastest_of(table, "pm").tolist() == [2.0, 3.0]
+    tracks.plot_population(table)
     table["beta_app"] = np.nan
-    speeds.plot_population(table)
+    tracks.plot_population(table)
