@@ -58,11 +58,11 @@ class DecomposedFlow:
         Of the wavelet.
     sampled : ``SampledPlanes`` or None
         What the planes of the whole are made of, along one direction.
-    given : bool
-        Whether the position angle was given, not found in the images.
     passes : bool
         Whether features move past the reference position, so that it is no core from
         which both sides flow.
+    given : bool
+        Whether the position angle was given, not found in the images.
     """
 
     cube: EpochCube
@@ -75,8 +75,8 @@ class DecomposedFlow:
     inside: np.ndarray | None = None
     kernel: str = "b1"
     sampled: SampledPlanes | None = None
-    given: bool = False
     passes: bool = False
+    given: bool = False
 
     @property
     def years(self) -> np.ndarray:
@@ -266,8 +266,8 @@ def decompose_flow(
         regions = tuple(sample_mask(region, g).astype(np.float32) for g in grids)
     fastest = None if max_speed is None else max_speed.to_value(PM_UNIT) / beam
     return DecomposedFlow(
-        cube, frame, grids, planes, regions, beam, fastest, region, kernel,
-        sampled[0] if len(grids) == 1 else None, passes,
+        cube, frame, grids, planes, regions, beam, fastest, inside=region,
+        kernel=kernel, sampled=sampled[0] if len(grids) == 1 else None, passes=passes,
     )  # fmt: skip
 
 
