@@ -12,7 +12,6 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc import EpochCube, simulation
-from astro_scc.alignment.registration import MISALIGNED, core_positions
 from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
@@ -26,6 +25,7 @@ from astro_scc.epochs import (
     write_epochs,
 )
 from astro_scc.epochs.inspection import kind_of
+from astro_scc.epochs.registration import MISALIGNED, core_positions
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images import fits, positions
 from astro_scc.images.beam import different_beam, parse_beam

@@ -332,7 +332,7 @@ def misalignment(cube: ImageSeries) -> float | None:
 
     Examples
     --------
-    >>> from astro_scc.alignment.registration import misalignment
+    >>> from astro_scc.epochs.registration import misalignment
     >>> from astro_scc.simulation import simulate_jet
     >>> jet = simulate_jet(n_epochs=12, alignment_error=0.3, rng=1)
     >>> round(misalignment(jet.cube), 1)
