@@ -20,7 +20,7 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.images import cards, extensions, fits, grid, local, series
+from astro_scc.images import cards, fits, grid, local, pixels, series
 from astro_scc.images.dates import as_times, date_labels, order_of
 from astro_scc.images.positions import readable_angle
 from astro_scc.intervals import median_interval
@@ -115,7 +115,7 @@ def kind_of(path):
                 return "cube"
             image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
             listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
-            if listed and not image and not extensions.is_visibilities(hdus):
+            if listed and not image and not pixels.is_visibilities(hdus):
                 return "components"
     return "images"
 

@@ -19,11 +19,21 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.exceptions import first_line
-from astro_scc.images import extensions, grid, headers
+from astro_scc.images import grid, headers
 from astro_scc.images.beam import Beam
-from astro_scc.images.cards import axis_numbers, bandwidth, get, logarithm, parse_unit
+from astro_scc.images.cards import bandwidth, get, logarithm, parse_unit
 from astro_scc.images.dates import axis_times, time_axis
-from astro_scc.images.pixels import flagged, missing, uncertainty_noise, uncertainty_of
+from astro_scc.images.pixels import (
+    NoImageError,
+    beside,
+    find_image,
+    flagged,
+    missing,
+    plane_index,
+    split_choice,
+    uncertainty_noise,
+    uncertainty_of,
+)
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
@@ -143,7 +153,7 @@ def find_files(paths, *, missing_ok=False):
 
 def _chosen(name):
     """Return the images that are chosen in the files of a name or pattern."""
-    file, choice = extensions.split_choice(name)
+    file, choice = split_choice(name)
     if choice is None:
         return []
     files = [file] if os.path.exists(file) else sorted(glob.glob(file, recursive=True))
@@ -152,7 +162,7 @@ def _chosen(name):
 
 def file_of(path):
     """Return the file of a path, and the image that is chosen behind it, or None."""
-    file, choice = (path, None) if path.exists() else extensions.split_choice(path)
+    file, choice = (path, None) if path.exists() else split_choice(path)
     return Path(file), choice
 
 
@@ -174,7 +184,7 @@ def read_plane(path, *, window=None, pixels=True, frame=None):
 def frames_of(path):
     """Return the numbers of the images on an axis of time of a file, else [None]."""
     with opened(path) as hdus:
-        header = extensions.find_image(hdus, path, file_of(Path(path))[1]).header
+        header = find_image(hdus, path, file_of(Path(path))[1]).header
         axis = time_axis(header)
         n = header[f"NAXIS{axis}"] if axis else 1
         return [None] if n == 1 else range(n)
@@ -192,14 +202,14 @@ def opened(path, *, known=False):
             "exportfits"
         )
     if path.suffix.lower() in TEXT:
-        raise extensions.NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
+        raise NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=known) as hdus:
                 yield hdus
-        except (headers.ContentError, extensions.NoImageError) as error:
+        except (headers.ContentError, NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
@@ -225,9 +235,7 @@ def open_fits(file, *, known=False, **options):
         else:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if found := _AXES.search(content):
-            raise extensions.NoImageError(
-                f"is broken, it claims {found[1].decode()} axes"
-            )
+            raise NoImageError(f"is broken, it claims {found[1].decode()} axes")
         file.seek(0)
     return fits.open(file, **options)
 
@@ -236,7 +244,7 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     """Return the `Plane` of an open file, see `read_plane`."""
     _refuse_whole(hdus[0].header)
     file, choice = file_of(Path(path))
-    hdu = extensions.find_image(hdus, path, choice)
+    hdu = find_image(hdus, path, choice)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
         header.extend(_inherited(hdus[0], hdu), unique=True, bottom=True)
@@ -245,7 +253,7 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     if problem := logarithm(text) or _stretched(header):
         raise headers.ContentError(problem)
     wcs = headers.celestial_wcs(header, fobj=hdus)
-    index = _plane_index(header, frame)
+    index = plane_index(header, frame)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
     record = headers.read_header(header, tables)
@@ -320,9 +328,9 @@ def _load(plane, hdus, hdu, index, window):
         data = other.data if other.data.ndim == 2 else np.squeeze(other.data)
         return (data if data.ndim == 2 else data[index[-dates]])[window]
 
-    weights = extensions.beside(hdus, hdu, "weights", shape)
+    weights = beside(hdus, hdu, "weights", shape)
     remarks = []
-    for other in (*weights, *extensions.beside(hdus, hdu, "flags", shape)):
+    for other in (*weights, *beside(hdus, hdu, "flags", shape)):
         if plane.mask.all():
             break
         bad, remark = ~(pixels(other) > 0), ""
@@ -336,7 +344,7 @@ def _load(plane, hdus, hdu, index, window):
     plane.remarks += filter(None, (*remarks, remark))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in extensions.beside(hdus, hdu, "uncertain", shape)[:1]:
+    for other in beside(hdus, hdu, "uncertain", shape)[:1]:
         plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
     if where:
         plane.wcs = grid.cut_wcs(plane.wcs, window)
@@ -354,43 +362,10 @@ def _check_complete(hdu, path):
     missing = info["datLoc"] + size - path.stat().st_size
     if missing > 0:
         least = "at least " if packed else ""
-        raise extensions.NoImageError(
+        raise NoImageError(
             f"is truncated, {least}{missing} bytes of its image are missing; "
             "copy the file again"
         )
-
-
-def _plane_index(header, frame=None):
-    """Return the index of the image plane, in numpy's order of axes."""
-    index, dates = [], time_axis(header)
-    for axis in range(header["NAXIS"], 0, -1):
-        name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
-        length = header[f"NAXIS{axis}"]
-        if headers.axis_kind(name):
-            index.append(slice(None))
-        elif axis == dates and frame is not None:
-            index.append(frame)
-        elif length == 1:
-            index.append(0)
-        elif name.startswith("STOKES"):
-            index.append(_stokes_i(header, axis, length))
-        else:
-            raise headers.ContentError(
-                f"has {length} planes on axis {name or f'{axis} of the file'}; write "
-                "the one to use, or their mean, to a file of its own"
-            )
-    return tuple(index)
-
-
-def _stokes_i(header, axis, length):
-    start, pixel, step = axis_numbers(header, axis)
-    if start is not None:
-        position = (1 - start) / (step or 1) + pixel - 1
-        if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
-            return round(position)
-    raise headers.ContentError(
-        f"has {length} planes on axis STOKES and none of them is I; write one to a file"
-    )
 
 
 def looks_like_mask(image):
