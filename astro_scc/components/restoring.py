@@ -11,7 +11,7 @@ import scipy
 
 from astro_scc.components.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
-from astro_scc.images import cards, positions, series
+from astro_scc.images import headers, positions, series
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.grid import gaussian_transfer
 from astro_scc.quantities import Seed, random_generator
@@ -122,7 +122,7 @@ def restore(
             rms, grid = noise[i].value, {"pixel_scale": pixel_scale, "rng": noise_rng}
             data[i] += correlated_noise(shape, rms=rms, beam=beams[i], **grid)
     meta = components.meta
-    facts = {name: meta[name] for name in cards.KEYWORDS["facts"] if name in meta}
+    facts = {name: meta[name] for name in headers.KEYWORDS["facts"] if name in meta}
     return cls.from_arrays(
         data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
         reference_pixel=reference_pixel, position=meta.get("position"), unit=unit,

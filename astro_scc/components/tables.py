@@ -12,17 +12,16 @@ from importlib import resources
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.io import fits
 from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.components.names import also_named, place_of, same_source, table_position
 from astro_scc.exceptions import naming, naming_all
-from astro_scc.images import cards, headers, series
+from astro_scc.images import headers, series
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.dates import as_times
-from astro_scc.images.fits import AS_TABLE, open_fits
+from astro_scc.images.fits import AS_TABLE, opened, read_header
 from astro_scc.images.headers import some
 from astro_scc.quantities import parse_date
 
@@ -377,28 +376,20 @@ def _difmap_row(text, where):
 
 def _open_aips(path):
     """Return the newest AIPS CC table of a FITS file, and its date."""
-    with (
-        naming_all(f"{path}: not a readable FITS file", OSError),
-        # AIPS files break minor rules of the standard throughout.
-        warnings.catch_warnings(action="ignore"),
-        # astropy.io.fits does not close files that it fails to open.
-        path.open("rb") as file,
-        open_fits(file) as hdus,
-    ):
+    with opened(path) as hdus:
         header = hdus[0].header
         found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
-        table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
-        tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
-        record = headers.read_header(header, tables)
-    if table is None:
-        raise ValueError(f"{path}: no AIPS CC table in the file; leave it out")
+        if not found:
+            raise headers.ContentError("no AIPS CC table in the file; leave it out")
+        table = _aips_table(max(found, key=lambda h: h.ver))
+        record = read_header(header, hdus)
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
     with suppress(ValueError):
         wcs = headers.celestial_wcs(header)
         frame = wcs_to_celestial_frame(wcs)
         table.meta["position"] = SkyCoord(*wcs.wcs.crval, unit="deg", frame=frame).icrs
-    return table, cards.get(header, "DATE-OBS", kind=str) or ""
+    return table, headers.get(header, "DATE-OBS", kind=str) or ""
 
 
 def _aips_table(hdu):

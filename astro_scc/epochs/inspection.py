@@ -20,7 +20,7 @@ from astropy.time import Time
 
 from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.images import cards, fits, grid, local, pixels, series
+from astro_scc.images import fits, grid, headers, pixels, positions, series
 from astro_scc.images.dates import as_times, date_labels, order_of
 from astro_scc.images.positions import readable_angle
 from astro_scc.intervals import median_interval
@@ -144,7 +144,7 @@ def _row_of(path, frame):
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    plane.wcs = local.unwrapped(plane.wcs, plane.shape)
+    plane.wcs = positions.unwrapped(plane.wcs, plane.shape)
     flat = _flat(plane)
     row["origin"] = "the reference pixel" if flat is plane.wcs else "the middle"
     matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)
@@ -170,9 +170,9 @@ def _row_of(path, frame):
 def _flat(plane):
     """Return the WCS of an image, or its tangent plane in the middle."""
     shape = plane.shape
-    if local.is_flat(plane.wcs, shape) and not local.is_far(plane.wcs, shape):
+    if positions.is_flat(plane.wcs, shape) and not positions.is_far(plane.wcs, shape):
         return plane.wcs
-    middle = local.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
+    middle = positions.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
     return middle if np.all(np.isfinite(middle.pixel_scale_matrix)) else plane.wcs
 
 
@@ -371,7 +371,7 @@ def far_away(planes, part=0.05):
     A larger ``part`` of the image exceeds the scatter of VLBI positions.
     """
     first = planes[0]
-    distance = [local.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
+    distance = [positions.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if distance[k] > part * max(first.extent, planes[k].extent):
         what = (
@@ -389,7 +389,8 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = local.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, "offset")
+    every = [plane.wcs for plane in planes]
+    frames = positions.on_one_sky(every, every[0], "offset")
     k = grid.finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
@@ -454,7 +455,7 @@ def _strangers(planes):
     names = [None if name.upper() in UNNAMED else name for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
-        apart = local.apart_by_reference(one.wcs, other.wcs)
+        apart = positions.apart_by_reference(one.wcs, other.wcs)
         same = bool(apart < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
         what = f"shows {mine}, {where}, where others show {others}"
@@ -463,7 +464,7 @@ def _strangers(planes):
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
     hands = [None if s in POLARISED else s for s in stokes]
     kinds = [("Stokes", intensity, UNCHECKED)]
-    for fact, row in cards.KEYWORDS["facts"].items():
+    for fact, row in headers.KEYWORDS["facts"].items():
         if "named" in row:
             advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
             values = [plane.facts.get(fact) for plane in planes]

@@ -15,10 +15,9 @@ from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.exceptions import naming, warn
-from astro_scc.images import dates, fits, grid, local, regions, series
+from astro_scc.images import dates, fits, grid, positions, regions, series
 from astro_scc.images.beam import Beam, different_beam
-from astro_scc.images.cards import get, logarithm
-from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
+from astro_scc.images.headers import as_celestial, fits_wcs, get, logarithm, some
 from astro_scc.images.pixels import missing
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
@@ -38,8 +37,7 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     windows = [None] * len(images)
     if region is not None:
         planes = [
-            _in_reach(fits.read_plane(path, pixels=False, frame=k))
-            for path, k in images
+            _in_reach(fits.read_plane(path, load=False, frame=k)) for path, k in images
         ]
         observed = list(map(_observed, planes, given[0]))
         days = dates.as_times(observed, len(images))
@@ -103,7 +101,7 @@ def _plane_of(i, image):
 def _in_reach(plane):
     """Return a plane whose coordinates have the sky in its middle."""
     shape = plane.shape if plane.data is None else plane.data.shape
-    plane.wcs = local.unwrapped(plane.wcs, shape)
+    plane.wcs = positions.unwrapped(plane.wcs, shape)
     return plane
 
 
@@ -122,7 +120,7 @@ def _plane_of_nddata(image, name):
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
-    record = read_header(image.meta)
+    record = fits.read_header(image.meta)
     record["remarks"] += [remark] if remark else []
     if hasattr(image, "global_coords"):
         record |= _of_ndcube(image)
@@ -314,7 +312,7 @@ def _trusted(planes, frame):
     for plane in planes if frame == "offset" else ():
         y, x = (np.array(plane.data.shape) - 1) / 2
         usual = plane.wcs.pixel_scale_matrix
-        if max(local.differences(plane.wcs, (x, x, y, y), usual)) > local.EVEN:
+        if max(positions.differences(plane.wcs, (x, x, y, y), usual)) > positions.EVEN:
             return "absolute"
     return frame
 
@@ -338,7 +336,7 @@ def windows_of(planes, first, frame, region, pad=0, margin=4):
     pixels apart.  An image without a pixel in the region raises a ValueError.
     """
     every = [plane.wcs for plane in (first, *planes)]
-    here, *frames = local.on_one_sky(every, first.wcs, frame)
+    here, *frames = positions.on_one_sky(every, first.wcs, frame)
     copied = (grid.whole_step(here, wcs, first.shape) is not None for wcs in frames)
     if not all(copied):
         # Interpolation is worst at the edges.
@@ -388,19 +386,19 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    norths, resampled = [local.north_in(p.wcs, planes[0].wcs) for p in planes], []
-    frames = local.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
+    norths, resampled = [positions.north_in(p.wcs, planes[0].wcs) for p in planes], []
+    frames = positions.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     _refuse_misfits(planes, grids)
     new, shape = grid.shared_grid(grids)
     every = [new] * len(planes)
     if frame == "offset":
         every = [
-            local.placed_as(local.turned(new, -north), plane.wcs)
+            positions.placed_as(positions.turned(new, -north), plane.wcs)
             for plane, north in zip(planes, norths, strict=True)
         ]
     else:
-        norths = [local.north_in(plane.wcs, new) for plane in planes]
+        norths = [positions.north_in(plane.wcs, new) for plane in planes]
     for plane, north in zip(planes, norths, strict=True):
         if plane.beam is not None and north != 0:
             pa = plane.beam.pa + north * u.rad
@@ -424,7 +422,7 @@ def _refuse_misfits(planes, grids, ratio=10):
 
     Sides of pixels differ from the usual one by no more than a ``ratio``.
     """
-    sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
+    sizes = [positions.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     for plane, size, one in zip(planes, sizes, grids, strict=True):
         # The finest grid would be huge otherwise.

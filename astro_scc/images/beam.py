@@ -10,7 +10,7 @@ import astropy.units as u
 import numpy as np
 import scipy
 
-from astro_scc.images.cards import KEYWORDS, axis_numbers, axis_of, get, parse_unit
+from astro_scc.images.headers import KEYWORDS, axis_numbers, axis_of, get, parse_unit
 from astro_scc.quantities import parse_quantities
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
@@ -284,7 +284,7 @@ class SeveralBeamsError(ValueError):
 
 
 def header_beam(header, tables=()):
-    """Return the beam of an image, None if nothing tells it, see `read_header`."""
+    """Return the beam of an image, None if nothing tells it, see `fits.read_header`."""
     beam = get(header, "BEAM")
     if hasattr(beam, "major"):
         return as_beam(beam)

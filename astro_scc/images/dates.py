@@ -12,7 +12,7 @@ import numpy as np
 from astropy.time import Time, TimeDelta
 
 from astro_scc.exceptions import warn
-from astro_scc.images.cards import KEYWORDS, axis_numbers, get
+from astro_scc.images.headers import KEYWORDS, axis_numbers, get
 from astro_scc.quantities import parse_date, without_doubt
 
 #: Keywords of dates, times and durations, and words about them.

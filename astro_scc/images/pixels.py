@@ -11,11 +11,10 @@ from astropy.io import fits
 from astropy.nddata import InverseVariance, StdDevUncertainty, VarianceUncertainty
 
 from astro_scc.images import headers
-from astro_scc.images.cards import KEYWORDS, axis_numbers, get, parse_unit
 from astro_scc.images.dates import time_axis
 
 #: Patterns of the names of extensions.
-NAMES = KEYWORDS["extensions"]
+NAMES = headers.KEYWORDS["extensions"]
 KINDS = "flags", "weights", "uncertain", "beside"
 _CHOICE = re.compile(r"(?P<file>.+?)\[(?P<choice>[^\[\]*?]+)\]$")
 #: Uncertainties by the names that astropy writes.
@@ -123,9 +122,9 @@ def _marks(hdu):
     each date and Stokes parameter, and a unit of brightness, and is named as science.
     """
     names, header = (hdu.name, hdu.name.rstrip("0123456789")), hdu.header
-    kind = (get(header, "BTYPE", kind=str) or "").upper()
+    kind = (headers.get(header, "BTYPE", kind=str) or "").upper()
     beside = any(is_of(name, other) for other in KINDS for name in names)
-    unit = parse_unit(get(header, "BUNIT", kind=str))
+    unit = headers.parse_unit(headers.get(header, "BUNIT", kind=str))
     bright = unit is not None and unit != u.one and not unit.is_equivalent(u.s)
     science = not (beside or re.search(NAMES["types"], kind))
     placed = headers.celestial_axes(header) is not None
@@ -162,7 +161,7 @@ def plane_index(header, frame=None):
 
 
 def _stokes_i(header, axis, length):
-    start, pixel, step = axis_numbers(header, axis)
+    start, pixel, step = headers.axis_numbers(header, axis)
     if start is not None:
         position = (1 - start) / (step or 1) + pixel - 1
         if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
@@ -312,7 +311,7 @@ def uncertainty_of(hdu, values, unit, mask):
     kind = UNCERTAINTIES[
         name if name in UNCERTAINTIES else NAMES["uncertain"][hdu.name]
     ]
-    given = None if text is None else parse_unit(text)
+    given = None if text is None else headers.parse_unit(text)
     values = np.array(values, dtype=float)
     if hdu.name != "UNCERT":
         # Telescopes write 0 where there is no error, and units that do not fit.

@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.exceptions import first_line, warn
-from astro_scc.images import grid, local, series
+from astro_scc.images import grid, positions, series
 from astro_scc.images.positions import readable_angle
 
 
@@ -111,7 +111,7 @@ def _combine(cube, items, name, places):
                 # Images are small enough for spherical regions to be flat in them.
                 pixel = item
                 if not isinstance(item, PixelRegion):
-                    pixel = local.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
+                    pixel = positions.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
                 target = pixel.bounding_box.get_overlap_slices(shape)[0]
                 if target is None:
                     continue

@@ -242,7 +242,7 @@ BAD = [
     (NAME, b"\xff\xfe\x00", "it is not text"),
     ("jet.mod", b"1 2 3\n", "no date in a name like .*.mod; write"),
     ("jet.model", b"1 2 3\n", "its suffix is none of .ecsv, .*; rename it"),
-    ("t.fits", b"SIMPLE = no\n", "not a readable FITS file"),
+    ("t.fits", b"SIMPLE = no\n", "cannot be read as FITS"),
     ("t.ecsv", b"<html>not found</html>\n", "not a readable ascii.ecsv"),
     # Options of a FITS file with an AIPS CC table.
     ("a.fits", {"tables": 0}, "no AIPS CC table"),

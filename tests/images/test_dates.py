@@ -9,7 +9,7 @@ from astropy.time import Time
 
 from astro_scc.epochs import EpochCube, inspect_epochs
 from astro_scc.images.dates import observing_time
-from astro_scc.images.headers import read_header
+from astro_scc.images.fits import read_header
 
 #: 2015-06-18T14:24:00, and the middle of an exposure of 10 minutes from then on.
 MJD = 57191.6

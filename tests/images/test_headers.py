@@ -13,9 +13,8 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.epochs import Beam
-from astro_scc.images.cards import parse_unit
-from astro_scc.images.fits import read_plane
-from astro_scc.images.headers import celestial_wcs, read_header
+from astro_scc.images.fits import read_header, read_plane
+from astro_scc.images.headers import celestial_wcs, parse_unit
 from astro_scc.images.positions import axis_words, name_by_frame, sky_columns
 from astro_scc.quantities import parse_date
 

@@ -15,8 +15,7 @@ from numpy.testing import assert_allclose
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
-from astro_scc.images import local
-from astro_scc.images.local import north_in, turned
+from astro_scc.images.positions import north_in, turned, unwrapped
 from astro_scc.images.regions import refuse_pixels, region_mask
 
 NY, NX = 24, 32
@@ -283,7 +282,7 @@ def test_regions_are_turned_from_the_frame_of_their_drawing(drawn, image, mirror
 def test_pixels_without_sky():
     wcs = WCS(header("SIN", (120.0, 0.0), 1.0))
     wcs.wcs.crpix = [500, 500]
-    assert local.unwrapped(wcs, (NY, NX)) is wcs
+    assert unwrapped(wcs, (NY, NX)) is wcs
     with pytest.raises(ValueError, match="projection .SIN"):
         EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
 
