@@ -9,8 +9,7 @@ from astropy.table import QTable
 from numpy.testing import assert_allclose
 
 from astro_scc.components.lists import read_sources
-from astro_scc.components.names import place_of, same_source
-from astro_scc.components.tables import source_list
+from astro_scc.components.tables import place_of, same_source, source_list
 from astro_scc.epochs import Beam, read_components, restore
 
 B1950 = FK4(equinox="B1950")
