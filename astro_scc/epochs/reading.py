@@ -202,18 +202,10 @@ def _observed(plane, time):
     return plane.time if time is None else time
 
 
-def _beam_is_small(plane):
-    """Whether the header's beam is smaller than a pixel, but for rounding."""
-    if plane.beam is None:
-        return False
-    pixel = plane.extent / max(plane.shape)
-    return plane.beam.major.to_value(u.deg) < 0.99 * pixel
-
-
 def _completed(planes, times, beams):
     """Return images by date, and their dates, with what is given and their noise."""
     planes, remarks = list(planes), {}
-    if all(_beam_is_small(plane) for plane in planes):
+    if all(plane.beam_is_small for plane in planes):
         for plane in planes:
             plane.beam_problem = f"{plane.beam} is smaller than a pixel"
             plane.beam = None

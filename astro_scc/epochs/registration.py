@@ -239,9 +239,8 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     reached = 24 + int(np.ceil(reach + np.abs(first).max()))
     for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
         near = tuple(slice(max(k.start - reached, 0), k.stop + reached) for k in box)
-        filled, mask, reference, use = (
-            values[near] for values in (filled, mask, reference, use)
-        )
+        filled, mask = filled[near], mask[near]
+        reference, use = reference[near], use[near]
     if start is None:
         # The peak to whole pixels is off by less than one and a half pixels.
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
@@ -257,30 +256,37 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     if keep.sum() < 10:
         raise ValueError("too few good pixels to compare; leave it out")
     y, x = y[keep], x[keep]
+    slopes = [slope[y, x] for slope in slopes]
     target = reference[y, x] - reference[y, x].mean()
-    design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
-    solve = np.linalg.pinv(np.stack(design, axis=1))
+    found = _fit_displacement(filled, x, y, slopes, target, start, reach, alike)
+    if found is None:
+        raise ValueError("nothing in the image correlates; leave it out")
+    return found
+
+
+def _fit_displacement(filled, x, y, slopes, target, start, reach, alike):
+    """Return displacement and covariance by pixels x and y, None if nothing fits."""
+    solve = np.linalg.pinv(np.stack([*slopes, target, np.ones_like(target)], axis=1))
     spline = scipy.ndimage.spline_filter(filled, order=3)
+    options = {"order": 3, "prefilter": False, "mode": "mirror"}
     d = np.array(start, dtype=float)
     for _ in range(10):
-        values = scipy.ndimage.map_coordinates(
-            spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"
-        )
+        at = [y + d[1], x + d[0]]
+        values = scipy.ndimage.map_coordinates(spline, at, **options)
         *step, gain, level = solve @ values
         # A negative gain or a large shift shows that the steps do not converge.
         if gain <= 0 or np.hypot(*(d - start)) > reach:
-            raise ValueError("nothing in the image correlates; leave it out")
+            return None
         step = np.array(step) / gain
         d -= step * min(1, reach / 2 / max(np.hypot(*step), 1e-9))
         if np.hypot(*step) < 0.01:
             break
     values = values - values.mean()
     if values @ target <= alike * np.sqrt(values @ values * (target @ target)):
-        raise ValueError("nothing in the image correlates; leave it out")
+        return None
     left = values - gain * target
     freedom = max(len(target) - 4, 1)
-    covariance = (solve @ solve.T)[:2, :2] * (left @ left) / freedom / gain**2
-    return d, covariance
+    return d, (solve @ solve.T)[:2, :2] * (left @ left) / freedom / gain**2
 
 
 def _whole_pixels(filled, mask, reference, use, reach, min_overlap=0.5):

@@ -326,7 +326,8 @@ def _of_channel(header, table):
     if every and different_beam([*every.values()]) is None:
         return next(iter(every.values()))
     columns = {name.upper(): name for name in table.columns.names}
-    for column, axis in (("CHAN", _spectral(header)), ("POL", "STOKES")):
+    spectral = [name for name in KEYWORDS["spectral"]["axes"] if axis_of(header, name)]
+    for column, axis in (("CHAN", (*spectral, "FREQ")[0]), ("POL", "STOKES")):
         if column in columns and len(rows) > 1:
             values = np.asarray(table.data[columns[column]], dtype=int)
             rows = rows[np.isin(values[rows], _plane_of(header, axis, values))]
@@ -338,12 +339,6 @@ def _of_channel(header, table):
             "give one beam of all (--beam, in Python beams=)"
         )
     return beams[0]
-
-
-def _spectral(header):
-    """Return the name of the spectral axis."""
-    names = "FREQ", *KEYWORDS["spectral"]["axes"]
-    return next((name for name in names if axis_of(header, name)), "FREQ")
 
 
 def _plane_of(header, name, numbers):

@@ -81,6 +81,12 @@ class Plane:
         return float(np.max(sides))
 
     @property
+    def beam_is_small(self):
+        """Whether the beam is smaller than a pixel, but for rounding."""
+        pixel = self.extent / max(self.shape)
+        return self.beam is not None and self.beam.major.to_value(u.deg) < 0.99 * pixel
+
+    @property
     def notes(self):
         """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
@@ -142,16 +148,12 @@ def find_files(paths, *, missing_ok=False):
     image of a file may be chosen behind its name, ``file.fits[SCI,2]``.  Files that do
     not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
     """
-    if isinstance(paths, str | os.PathLike):
-        paths = [paths]
-    try:
-        names = [os.path.expanduser(os.fspath(path)) for path in paths]
-    except TypeError:
-        raise TypeError(f"paths must be names or a pattern, got {paths!r}") from None
+    single = isinstance(paths, str | os.PathLike) or not np.iterable(paths)
+    paths = [paths] if single else list(paths)
+    if not all(isinstance(path, str | os.PathLike) for path in paths):
+        raise TypeError(f"paths must be names or a pattern, got {paths!r}")
     found = []
-    for name in names:
-        if not isinstance(name, str):
-            raise TypeError(f"paths must be text, got {name!r}")
+    for name in (os.path.expanduser(os.fspath(path)) for path in paths):
         if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
             found.append(name)
         elif matches := sorted(glob.glob(name, recursive=True)):

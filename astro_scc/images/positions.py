@@ -575,21 +575,19 @@ def unwrapped(wcs, shape):
     return wcs
 
 
-def in_frame(wcs, frame, north=0.0):
+def on_one_sky(every, first, frame):
     """
-    Return a WCS; for offsets, one with its reference pixel at (0, 0).
+    Return the WCS of images that are laid on each other, the north of all that of one.
 
-    It is turned by the position angle of its ``north``, in radians.
+    Offsets have their reference pixels at (0, 0) and are turned to the north of the
+    first one; in the frame "absolute", the WCS are returned as they are.
     """
     if frame == "absolute":
-        return wcs
+        return every
     place = {"crval": (0, 0), "radesys": "ICRS", "equinox": np.nan}
-    return turned(with_frame(wcs, ("RA---", "DEC--"), **place), north)
-
-
-def on_one_sky(every, first, frame):
-    """Return WCS as `in_frame` does, each turned to the north of the first one."""
-    return [in_frame(wcs, frame, north_in(wcs, first)) for wcs in every]
+    offsets = [with_frame(wcs, ("RA---", "DEC--"), **place) for wcs in every]
+    norths = [north_in(wcs, first) for wcs in every]
+    return list(map(turned, offsets, norths))
 
 
 def turned(wcs, angle):
