@@ -32,11 +32,10 @@ def _read_columns():
     pattern for what machine-readable tables explain of it, which tells what labels such
     as ID mean.
     """
-    found, units = {}, {"-": None, "1": u.one}
+    found = {}
     with resources.files(__package__).joinpath("columns.csv").open() as file:
         for row in csv.DictReader(file):
-            unit = row["unit"]
-            unit = units[unit] if unit in units else u.Unit(unit)
+            unit = None if row["unit"] == "-" else u.Unit(row["unit"])
             found[row["content"]] = unit, row["labels"].split(), row["explained"]
     return found
 

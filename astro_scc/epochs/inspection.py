@@ -144,7 +144,6 @@ def _row_of(path, frame):
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    plane.wcs = positions.unwrapped(plane.wcs, plane.shape)
     flat = _flat(plane)
     row["origin"] = "the reference pixel" if flat is plane.wcs else "the middle"
     matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)

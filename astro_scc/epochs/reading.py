@@ -36,17 +36,14 @@ def read_files(files, times, beams, frame, *, check, region, pad):
         names = [fits.labelled(path, k) for path, k in images]
     windows = [None] * len(images)
     if region is not None:
-        planes = [
-            _in_reach(fits.read_plane(path, load=False, frame=k)) for path, k in images
-        ]
-        observed = list(map(_observed, planes, given[0]))
-        days = dates.as_times(observed, len(images))
-        first = planes[int(np.argmin((days - days[0]).jd))]
+        planes = [fits.read_plane(path, load=False, frame=k) for path, k in images]
+        days = dates.as_times(map(_observed, planes, given[0]), len(images))
+        first = planes[dates.order_of(days)[0]]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
         for (path, k), name, window in zip(images, names, windows, strict=True):
-            plane = _in_reach(fits.read_plane(path, window=window, frame=k))
+            plane = fits.read_plane(path, window=window, frame=k)
             plane.label = name
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -95,13 +92,6 @@ def _plane_of(i, image):
         kind = type(image).__name__
         raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
-    return _in_reach(plane)
-
-
-def _in_reach(plane):
-    """Return a plane whose coordinates have the sky in its middle."""
-    shape = plane.shape if plane.data is None else plane.data.shape
-    plane.wcs = positions.unwrapped(plane.wcs, shape)
     return plane
 
 
@@ -110,8 +100,8 @@ def _plane_of_nddata(image, name):
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
         raise ValueError(f"has shape {data.shape}, an image has two axes")
     shape = data.shape[-2:]
-    mask = np.zeros(data.shape) if image.mask is None else image.mask
-    mask = np.broadcast_to(np.asarray(mask, dtype=bool), data.shape).reshape(shape)
+    mask = False if image.mask is None else np.asarray(image.mask, dtype=bool)
+    mask = np.broadcast_to(mask, data.shape).reshape(shape)
     data = data.reshape(shape)
     mask, remark = missing(data, mask)
     if image.unit is not None and (problem := logarithm(image.unit)):
@@ -128,8 +118,9 @@ def _plane_of_nddata(image, name):
         record.setdefault(
             "beam_problem", "its psf is an image, of which no beam is made"
         )
+    wcs = positions.unwrapped(as_celestial(image.wcs), shape)
     return fits.Plane(
-        name=name, wcs=as_celestial(image.wcs), shape=shape, data=data, mask=mask,
+        name=name, wcs=wcs, shape=shape, data=data, mask=mask,
         unit=image.unit or u.one, uncertainty=image.uncertainty, **record,
     )  # fmt: skip
 
@@ -282,9 +273,9 @@ def _assemble(planes, times, beams, frame, check, source):
     meta = {"object": names.pop()} if len(names) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     meta["history"] = [f"{source}, aligned on their {laid}", *filter(None, [line])]
-    fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
-    fields |= {"beams": beams, "noise": noise}
-    return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
+    facts = tuple(plane.facts for plane in planes)
+    fields |= {"times": times, "unit": unit, "beams": beams, "noise": noise}
+    return fields | {"labels": labels, "epoch_meta": facts, "meta": meta}
 
 
 def _in_one_unit(planes):

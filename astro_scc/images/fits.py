@@ -19,7 +19,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.exceptions import first_line
-from astro_scc.images import grid, headers, pixels
+from astro_scc.images import grid, headers, pixels, positions
 from astro_scc.images.beam import Beam, SeveralBeamsError, header_beam
 from astro_scc.images.dates import axis_times, observing_time, time_axis
 
@@ -302,6 +302,8 @@ def plane_of(hdus, path, *, window=None, load=True, frame=None):
         plane.beam = None
     if load:
         _load(plane, hdus, hdu, index, window or (slice(None), slice(None)))
+        shape = plane.data.shape
+    plane.wcs = positions.unwrapped(plane.wcs, shape)
     return plane
 
 

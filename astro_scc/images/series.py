@@ -470,10 +470,6 @@ def as_shape(shape):
 
 def as_beams(beams, n):
     """Return one beam per epoch, or None."""
-    if np.shape(getattr(beams, "major", None)):
-        # A radio_beam.Beams has arrays of the axes of all beams.
-        each = zip(beams.major, beams.minor, beams.pa, strict=True)
-        beams = [Beam(*one) for one in each]
     beams = beams if np.iterable(beams) or beams is None else [beams] * n
     return as_epoch_tuple(beams, n, "beams", as_beam)
 
