@@ -14,8 +14,8 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
-from astro_scc.components.tables import numbers
 from astro_scc.epochs.registration import core_positions, displacement
+from astro_scc.epochs.tables import numbers
 from astro_scc.exceptions import MeasurementWarning, first_line, naming, warn
 from astro_scc.images import grid, regions
 from astro_scc.images.dates import as_times

@@ -18,8 +18,8 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
+from astro_scc.epochs.tables import LISTS, NO_IMAGE
 from astro_scc.images import fits, grid, headers, pixels, positions, series
 from astro_scc.images.dates import as_times, date_labels, order_of
 from astro_scc.images.positions import readable_angle

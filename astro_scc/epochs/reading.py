@@ -11,9 +11,9 @@ from astropy.nddata import NDData
 from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
-from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
+from astro_scc.epochs.tables import LISTS, NO_IMAGE
 from astro_scc.exceptions import naming, warn
 from astro_scc.images import dates, fits, grid, positions, regions, series
 from astro_scc.images.beam import Beam, different_beam

@@ -13,8 +13,8 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.quantities import Seed, one_quantity, random_generator
 from astro_scc.simulation.jets import (

@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 import scipy
 
-from astro_scc.components.lists import ComponentList, read_components
+from astro_scc.epochs.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
 from astro_scc.images import headers, positions, series
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
@@ -326,7 +326,7 @@ def correlated_noise(
     --------
     >>> import astropy.units as u
     >>> from astro_scc.images.beam import Beam
-    >>> from astro_scc.components.restoring import correlated_noise
+    >>> from astro_scc.epochs.restoring import correlated_noise
     >>> beam = Beam(1 * u.mas, 0.5 * u.mas)
     >>> noise = correlated_noise((64, 128), rms=0.3 * u.mJy / u.beam, beam=beam,
     ...                          pixel_scale=0.1 * u.mas, rng=1)

@@ -10,9 +10,9 @@ from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
 
 from astro_scc import EpochCube
-from astro_scc.components.lists import read_sources
 from astro_scc.epochs import Beam, ComponentList, inspect_epochs, read_components
 from astro_scc.epochs.inspection import kind_of
+from astro_scc.epochs.lists import read_sources
 from astro_scc.exceptions import EpochWarning
 
 BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)

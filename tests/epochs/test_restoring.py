@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from astro_scc.components.restoring import add_gaussians, correlated_noise
 from astro_scc.epochs import Beam, ComponentList, read_components, restore
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise
 from astro_scc.exceptions import EpochWarning
 
 PIXEL = 0.1 * u.mas

@@ -12,7 +12,7 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.tables import (
+from astro_scc.epochs.tables import (
     UNITS,
     open_table,
     plain,

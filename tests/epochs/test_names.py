@@ -8,9 +8,9 @@ from astropy.coordinates import FK4, SkyCoord
 from astropy.table import QTable
 from numpy.testing import assert_allclose
 
-from astro_scc.components.lists import read_sources
-from astro_scc.components.tables import place_of, same_source, source_list
 from astro_scc.epochs import Beam, read_components, restore
+from astro_scc.epochs.lists import read_sources
+from astro_scc.epochs.tables import place_of, same_source, source_list
 
 B1950 = FK4(equinox="B1950")
 OLD = SkyCoord("04h30m", "5d12m", frame=B1950).icrs

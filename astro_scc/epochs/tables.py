@@ -26,14 +26,14 @@ from astro_scc.quantities import parse_date
 
 def _read_columns():
     """
-    Return what tables have in their columns, of ``columns.csv``.
+    Return what tables have in their columns, of ``components.csv``.
 
     Of each content that is its unit (None for text), its labels in tables, and a
     pattern for what machine-readable tables explain of it, which tells what labels such
     as ID mean.
     """
     found = {}
-    with resources.files(__package__).joinpath("columns.csv").open() as file:
+    with resources.files(__package__).joinpath("components.csv").open() as file:
         for row in csv.DictReader(file):
             unit = None if row["unit"] == "-" else u.Unit(row["unit"])
             found[row["content"]] = unit, row["labels"].split(), row["explained"]
@@ -419,7 +419,7 @@ def place_of(name):
 
     Examples
     --------
-    >>> from astro_scc.components.tables import place_of
+    >>> from astro_scc.epochs.tables import place_of
     >>> place_of("0430+052").fk4.to_string("hmsdms", precision=0)
     '04h30m00s +05d12m00s'
     >>> place_of("J0433+0521").to_string("hmsdms", precision=0)
