@@ -96,18 +96,13 @@ class Plane:
     def take_uncertainty(self):
         """Make the uncertainty the noise, and mask the pixels without one."""
         if self.uncertainty is not None:
-            # Errors that are larger than all that is seen mark pixels without a value.
-            whole = float(np.ptp(self.data[~self.mask]))
-            self.noise, bad, even = pixels.uncertainty_noise(
-                self.uncertainty, self.unit, self.mask, most=whole
+            found = pixels.uncertainty_noise(
+                self.uncertainty, self.unit, self.data, self.mask
             )
+            self.noise, bad, remark = found
             self.mask |= bad
             self.uncertainty = None
-            if not even:
-                self.remarks.append(
-                    "its uncertainty differs from pixel to pixel, and the median is "
-                    "taken for the noise; leave it out to have the noise measured"
-                )
+            self.remarks += [remark] if remark else []
 
 
 def read_header(header, hdus=()):
@@ -154,12 +149,17 @@ def find_files(paths, *, missing_ok=False):
         raise TypeError(f"paths must be names or a pattern, got {paths!r}")
     found = []
     for name in (os.path.expanduser(os.fspath(path)) for path in paths):
-        if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
-            found.append(name)
-        elif matches := sorted(glob.glob(name, recursive=True)):
-            found += [match for match in matches if not os.path.isdir(match)]
-        elif matches := _chosen(name):
-            found += matches
+        # Brackets are of a name, of a pattern or of a choice.
+        for file, choice in ((name, None), pixels.split_choice(name)):
+            if os.path.exists(file) or (missing_ok and not glob.has_magic(file)):
+                matches = [file]
+            else:
+                matches = sorted(glob.glob(file, recursive=True))
+                matches = [match for match in matches if not os.path.isdir(match)]
+            if matches:
+                behind = f"[{choice}]" if choice else ""
+                found += [f"{match}{behind}" for match in matches]
+                break
         else:
             what = "file matches this pattern" if glob.has_magic(name) else "such file"
             raise FileNotFoundError(f"{name}: no {what}")
@@ -168,21 +168,11 @@ def find_files(paths, *, missing_ok=False):
     once = {}
     for name in found:
         once.setdefault(os.path.abspath(name), Path(name))
-    files = list(once.values())
-    for path in files:
+    for path in once.values():
         if path.exists() and not (path.is_file() or path.is_dir()):
             # Pipes, sockets and devices may have no end.
             raise OSError(f"{path}: is no ordinary file; give the name of one")
-    return files
-
-
-def _chosen(name):
-    """Return the images that are chosen in the files of a name or pattern."""
-    file, choice = pixels.split_choice(name)
-    if choice is None:
-        return []
-    files = [file] if os.path.exists(file) else sorted(glob.glob(file, recursive=True))
-    return [f"{name}[{choice}]" for name in files if not os.path.isdir(name)]
+    return list(once.values())
 
 
 def file_of(path):

@@ -22,6 +22,12 @@ UNCERTAINTIES = StdDevUncertainty, VarianceUncertainty, InverseVariance
 UNCERTAINTIES = {kind.__name__: kind for kind in UNCERTAINTIES}
 
 
+UNEVEN = (
+    "its uncertainty differs from pixel to pixel, and the median is taken for the "
+    "noise; leave it out to have the noise measured"
+)
+
+
 class NoImageError(OSError):
     """The file is not FITS, is broken, or holds no image."""
 
@@ -324,16 +330,16 @@ def uncertainty_of(hdu, values, unit, mask):
     return kind(values, unit=given, copy=False)
 
 
-def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf, even=1.5):
+def uncertainty_noise(uncertainty, unit, image, mask, *, even=1.5):
     """
     Return the noise of an image whose pixels have uncertainties.
 
     The noise is the median standard deviation of the valid pixels, in the ``unit`` of
     the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without one that is finite and no larger than
-    ``most`` where most pixels have a smaller one, and whether those of the pixels
-    differ by no more than the factor ``even`` from the median.  An uncertainty that
-    cannot be used raises a ValueError.
+    also returns a mask of the pixels without one that is finite and no larger than all
+    that is seen in the image, where most pixels have a smaller one, and a remark if
+    those of the pixels differ by more than the factor ``even`` from the median.  An
+    uncertainty that cannot be used raises a ValueError.
     """
     kind, sigma = type(uncertainty).__name__, uncertainty
     if uncertainty.array is None:
@@ -360,9 +366,9 @@ def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf, even=1.5):
     valid = sigma[~(mask | bad)]
     if valid.size == 0:
         raise ValueError("its uncertainty is finite at no valid pixel; remove it")
-    noise = np.median(valid)
+    noise, most = np.median(valid), np.ptp(image[~mask])
     if 0 < noise < most:
         bad |= sigma > most
         valid = sigma[~(mask | bad)]
     alike = valid.max() <= even * noise and noise <= even * valid.min()
-    return noise * unit, bad, alike
+    return noise * unit, bad, "" if alike else UNEVEN

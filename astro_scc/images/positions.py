@@ -18,25 +18,14 @@ from astropy.wcs import WCS
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.decomposition.wavelet import measure_noise, scale_size
+from astro_scc.images.headers import KEYWORDS
 from astro_scc.quantities import named, one_quantity
 
 #: Where longitude and latitude increase, and if longitude does so leftwards, by the
 #: start of its CTYPE.
-AXES = {
-    "RA--": ("east", "north", True),
-    "GLON": ("galactic east", "galactic north", True),
-} | dict.fromkeys(
-    ("HPLN", "HGLN", "CRLN", "HCLN"), ("solar west", "solar north", False)
-)
-#: New names of columns if longitude is not right ascension.
-LONGITUDE = {
-    r"\bpm_ra_cosdec": "pm_lon_coslat",
-    r"\bpm_dec(?=_err|\b)": "pm_lat",
-    r"\bra_offset": "lon_offset",
-    r"\bdec_offset": "lat_offset",
-    r"(\b|_)east(?=_|$)": r"\1lon_offset",
-    r"(\b|_)north(?=_|$)": r"\1lat_offset",
-}
+AXES = KEYWORDS["directions"]
+#: New names of columns, by patterns, if longitude is not right ascension.
+LONGITUDE = KEYWORDS["longitude"]
 #: Name of coordinates that are offsets in a plane, however large a pixel is.
 PLANE = "OFFSETS"
 #: Longitude and latitude of a source whose position is not known.
@@ -110,7 +99,7 @@ def axis_words(cube):
     right ascension and declination only.  Only the ``wcs`` of the ``cube`` is used.
     """
     start = str(cube.wcs.wcs.ctype[0])[:4]
-    return AXES.get(start, ("larger longitude", "larger latitude", True))
+    return tuple(AXES.get(start, AXES["other"]))
 
 
 def ssp_offsets(ssps, cube, *, centroid=False):
