@@ -14,9 +14,9 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
+from astro_scc.columns import numbers
 from astro_scc.epochs.registration import core_positions, displacement
-from astro_scc.epochs.tables import numbers
-from astro_scc.exceptions import MeasurementWarning, first_line, naming, warn
+from astro_scc.exceptions import MeasurementWarning, naming, naming_all, warn
 from astro_scc.images import grid, regions
 from astro_scc.images.dates import as_times
 from astro_scc.images.series import Series
@@ -309,11 +309,8 @@ def _read_table(table):
     path = Path(table)
     text = path.read_text(encoding="utf-8", errors="replace")
     kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
-    try:
+    with naming_all(f"{path}: is neither CSV nor ECSV"):
         return str(path), Table.read(text.splitlines(), format=kind)
-    except Exception as error:  # astropy's parsers raise errors of many kinds
-        reason = first_line(error)
-        raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error
 
 
 def _dates(table, name):

@@ -109,14 +109,13 @@ def kind_of(path):
     if path.suffix.lower() in LISTS:
         return "components"
     # What is wrong with a file is said where it is read.
-    with suppress(Exception), warnings.catch_warnings(action="ignore"):
-        with fits.file_of(path)[0].open("rb") as file, fits.open_fits(file) as hdus:
-            if hdus[0].header.get("CREATOR") == fits.CUBE_CREATOR:
-                return "cube"
-            image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
-            listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
-            if listed and not image and not pixels.is_visibilities(hdus):
-                return "components"
+    with suppress(Exception), fits.opened(path) as hdus:
+        if hdus[0].header.get("CREATOR") == fits.CUBE_CREATOR:
+            return "cube"
+        image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
+        listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
+        if listed and not image and not pixels.is_visibilities(hdus):
+            return "components"
     return "images"
 
 

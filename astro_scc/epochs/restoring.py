@@ -97,8 +97,6 @@ def restore(
     n_epochs, unit = components.n_epochs, u.Jy / u.beam
     beams = series.as_beams(beam, n_epochs)
     noise = series.as_noise(noise, n_epochs, unit)
-    if not beams:
-        raise ValueError("restore needs a beam; give one, or one for each epoch")
     scale = _side(pixel_scale, beams)
     x, y = -components.east.value / scale, components.north.value / scale
     if shape is None:
@@ -133,6 +131,8 @@ def restore(
 
 def _side(pixel_scale, beams):
     """Return the side of a pixel in mas, which the beams must be wider than."""
+    if not beams:
+        raise ValueError("restore needs a beam; give one, or one for each epoch")
     scale = positions.pixel_side(pixel_scale).to_value(u.mas)
     narrow = min(beam.minor.value for beam in beams)
     if scale > narrow:

@@ -16,6 +16,7 @@ from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
+from astro_scc.columns import numbers
 from astro_scc.exceptions import naming, naming_all
 from astro_scc.images import headers
 from astro_scc.images.beam import parse_beam
@@ -256,33 +257,6 @@ def _meta(table, columns, path):
     if "frequency" in facts:
         meta["frequency"] = u.Quantity(facts["frequency"], u.Hz).value
     return meta
-
-
-def numbers(column, unit, path, own_unit=None):
-    """
-    Return a column as floats in ``unit``, blanks as NaN.
-
-    ``own_unit`` replaces the unit of the column.  If ``unit`` is
-    `astropy.units.one`, the numbers are returned as they are.
-    """
-    name = column.info.name
-    try:
-        values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
-    except (TypeError, ValueError):
-        raise ValueError(f"{path}: column {name!r} is not numeric") from None
-    for i in np.flatnonzero(np.isinf(values)):
-        raise ValueError(f"{path}, row {i + 1}: {name} is infinite")
-    if unit == u.one:
-        return values
-    own_unit = own_unit or column.unit
-    if own_unit is None:
-        raise ValueError(f"{path}: column {name!r} has no unit, such as {unit}")
-    try:
-        return values * u.Unit(own_unit).to(unit)
-    except (u.UnitConversionError, TypeError, ValueError):
-        raise ValueError(
-            f"{path}: column {name!r} has the unit {own_unit}, expected one like {unit}"
-        ) from None
 
 
 def _open_ascii(path, kind, **options):

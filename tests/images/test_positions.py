@@ -145,7 +145,7 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     assert len({str(warning.message)[:5] for warning in said}) == 2
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
-    with pytest.raises(ValueError, match="a.reg: is in pixels, .* that are resampled"):
+    with pytest.raises(ValueError, match="a.reg: is in pixels, .* in resampled images"):
         refuse_pixels(tmp_path / "a.reg", False, cube)
     assert "resampled onto a tangent plane" in cube.meta["history"][-1]
     assert cube.wcs.wcs.ctype[0] == "RA---ARC"
