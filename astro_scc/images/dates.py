@@ -346,11 +346,10 @@ def date_labels(times, *, clock=False):
     gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
     least = gaps[gaps > 0].min(initial=np.inf)
     digits = next((n for n in (0, 3, 6) if 2 * 10.0**-n <= least), 9)
-    texts = Time(times, format="isot", precision=digits).isot
+    # Days are not rounded.
+    texts, days = (Time(times, format="isot", precision=n).isot for n in (digits, 9))
     # A selection of dates some of which are missing is still masked.
     texts = tuple(getattr(texts, "unmasked", texts).tolist())
-    # Days are not rounded.
-    days = Time(times, format="isot", precision=9).isot
     days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
     midnight = all(text[10:].startswith("T00:00:00") for text in texts)
     told_apart = len(set(days)) == len(set(texts))
@@ -392,17 +391,16 @@ def axis_times(header, axis, hdus=()):
         if n > 1 and not step:
             raise ValueError(f"has no step on axis {name} (CDELT{axis}); write it")
         values = (start or 0.0) + (np.arange(1, n + 1) - pixel) * step
-    unit = (unit or given).strip()
+    usual = "d" if name.startswith(("MJD", "JD")) else "s"
+    unit = (unit or given).strip() or usual
     unit = WORDS["units"].get(unit.lower(), unit)
-    if unit == "s" and not given and name.startswith(("MJD", "JD")):
-        unit = "d"
     try:
         seconds = np.asarray(values, dtype=float) * u.Unit(unit).to(u.s)
     except (TypeError, ValueError, u.UnitsError):
         what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
         raise ValueError(what) from None
-    scale = next((part for part in (name, name[:3]) if part in SCALES), None)
-    scale = scale or _scale_of(header)
+    scale = _scale_of(header)
+    scale = next((part for part in (name, name[:3]) if part in SCALES), scale)
     return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
 
 
