@@ -269,7 +269,7 @@ def _plain(value):
     return getattr(value, "value", value)
 
 
-def numbers(column, unit, path, own_unit=None):
+def numbers(column, unit, own_unit=None):
     """
     Return a column as floats in ``unit``, blanks as NaN.
 
@@ -280,17 +280,16 @@ def numbers(column, unit, path, own_unit=None):
     try:
         values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
     except (TypeError, ValueError):
-        raise ValueError(f"{path}: column {name!r} is not numeric") from None
+        raise ValueError(f"column {name!r} is not numeric") from None
     for i in np.flatnonzero(np.isinf(values)):
-        raise ValueError(f"{path}, row {i + 1}: {name} is infinite")
+        raise ValueError(f"row {i + 1}: {name} is infinite")
     if unit == u.one:
         return values
     own_unit = own_unit or column.unit
     if own_unit is None:
-        raise ValueError(f"{path}: column {name!r} has no unit, such as {unit}")
+        raise ValueError(f"column {name!r} has no unit, such as {unit}")
     try:
         return values * u.Unit(own_unit).to(unit)
     except (u.UnitConversionError, TypeError, ValueError):
-        raise ValueError(
-            f"{path}: column {name!r} has the unit {own_unit}, expected one like {unit}"
-        ) from None
+        what = f"column {name!r} has the unit {own_unit}, expected one like {unit}"
+        raise ValueError(what) from None

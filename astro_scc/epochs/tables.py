@@ -114,20 +114,17 @@ def open_table(path):
     raise ValueError(f"{path}: its suffix is none of {known}; rename it")
 
 
-def read_rows(path, source, date=None):
+def read_rows(table, source, date):
     """
-    Return numbers of the components of a source, their dates, and facts about it.
+    Return numbers of the components of a source in a table, their dates, and facts.
 
-    A ``date``, as text, replaces the date of the file or of all rows.
+    A ``date`` is that of all rows, as text, None if the table has dates, "" if there
+    should be one.
     """
-    table, own_date = open_table(path)
-    date = date or own_date
-    if date == "":
-        raise ValueError(f"{path}: {UNDATED}")
     columns = _find_columns(table)
-    table = _select_source(table, columns, source, path)
+    table = _select_source(table, columns, source)
     if len(table) == 0:
-        raise ValueError(f"{path}: no components in the file")
+        raise ValueError("no components in the file")
     polar = {"separation", "position_angle"}
     needed = {"flux"} | (set() if {"east", "north"} <= columns.keys() else polar)
     if date is None and not columns.keys() >= {"year", "month", "day"}:
@@ -135,17 +132,19 @@ def read_rows(path, source, date=None):
     if missing := sorted(needed - columns.keys()):
         # In quotes, as columns are no options of the same names.
         lacks, has = (", ".join(map(repr, n)) for n in (missing, table.colnames))
-        raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
+        raise ValueError(f"no column for {lacks}; the table has {has}")
     values = {
-        what: numbers(table[columns[what]], unit, path)
+        what: numbers(table[columns[what]], unit)
         for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
-    return values, _dates(table, columns, date, path), _meta(table, columns, path)
+    return values, _dates(table, columns, date), _meta(table, columns)
 
 
-def _dates(table, columns, date, path):
+def _dates(table, columns, date):
     """Return the date of each row as ISO text; ``date`` applies to all rows."""
+    if date == "":
+        raise ValueError(UNDATED)
     if date is not None:
         texts = [date] * len(table)
     elif "epoch" in columns:
@@ -159,8 +158,8 @@ def _dates(table, columns, date, path):
     # ERFA warns of years whose leap seconds are unknown.
     with warnings.catch_warnings(action="ignore"):
         for text in dict.fromkeys(texts):
-            row = "" if date is not None else f", row {texts.index(text) + 1}"
-            with naming(f"{path}{row}"):
+            where = "the date" if date is not None else f"row {texts.index(text) + 1}"
+            with naming(where):
                 known[text] = parse_date(text).isot
     return [known[text] for text in texts]
 
@@ -181,7 +180,7 @@ def _find_columns(table):
     return found
 
 
-def _select_source(table, columns, source, path):
+def _select_source(table, columns, source):
     """Return the rows of one source; without a column, the meta names the source."""
     names, mine = _names(table), slice(None)
     column = source_names(table, columns)
@@ -189,7 +188,7 @@ def _select_source(table, columns, source, path):
         names = list(dict.fromkeys(column.tolist()))
         if source is None and len(names) > 1:
             raise ValueError(
-                f"{path}: {len(names)} sources in the table ({some(names, 8)}); "
+                f"{len(names)} sources in the table ({some(names, 8)}); "
                 "say which, with --source NAME of astro-scc restore or source=; "
                 "astro-scc restore TABLE --list lists them"
             )
@@ -205,7 +204,7 @@ def _select_source(table, columns, source, path):
         has = f"it has {some(names, 8)}"
     if len(names) > 1:
         has = f"{has.rstrip('?')}; astro-scc restore TABLE --list lists all"
-    raise ValueError(f"{path}: no source {source!r}; {has}")
+    raise ValueError(f"no source {source!r}; {has}")
 
 
 def source_list(path):
@@ -218,13 +217,12 @@ def source_list(path):
         The name, the common names, and the dates of each, in order.
     """
     table, date = open_table(path)
-    if date == "":
-        raise ValueError(f"{path}: {UNDATED}")
     columns = _find_columns(table)
     names = source_names(table, columns)
     if names is None:
         names = np.array([*_names(table), path.stem][:1] * len(table))
-    dates = np.array(_dates(table, columns, date, path))
+    with naming(path):
+        dates = np.array(_dates(table, columns, date))
     return [
         (name, also_named(name), np.unique(dates[names == name]).tolist())
         for name in dict.fromkeys(names.tolist())
@@ -236,7 +234,7 @@ def _names(table):
     return [str(table.meta[key]) for key in NAMES if table.meta.get(key)]
 
 
-def _meta(table, columns, path):
+def _meta(table, columns):
     """Return facts about the source, from the meta and the columns of a table."""
     facts, names = table.meta, _names(table)
     meta = {name: facts[name] for name in FACTS if name in facts}
@@ -250,7 +248,7 @@ def _meta(table, columns, path):
     elif known:
         meta |= {"position": place_of(known[0]), "position_from": known[0]}
     if isinstance(text := facts.get("beam"), str):
-        with naming(f"{path}, beam in its meta"):
+        with naming("beam in its meta"):
             meta["beam"] = parse_beam(text)
     if "redshift" in facts:
         meta["redshift"] = float(facts["redshift"])

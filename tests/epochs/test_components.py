@@ -338,7 +338,7 @@ def test_lists_that_cannot_be_images(tmp_path, make_fits):
         (beside, None, r"image.fits: .*coordinates"),
         ([image, *models], None, r"09.mod: is a list of components and no im"),
         ([*models, image], BEAM, r"a.fits: no AIPS CC table .* leave it out"),
-        (tmp_path / "w.ecsv", None, "w.ecsv, beam in its meta: is no beam: has"),
+        (tmp_path / "w.ecsv", None, "w.ecsv: beam in its meta: is no beam: has"),
         (negative, BEAM, r"09-09.mod: no component is positive; leave"),
     ]
     for paths, beams, words in calls:
