@@ -37,9 +37,12 @@ NO_BEAM = (
 )
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
-COLUMNS = "pixel major minor pa peak noise peak_east peak_north frequency".split()
-COLUMNS = dict.fromkeys(COLUMNS, u.mas)
-COLUMNS |= {"pa": u.deg, "peak": None, "noise": None, "frequency": u.GHz}
+UNITS = "pixel major minor pa peak noise peak_east peak_north frequency".split()
+UNITS = dict.fromkeys(UNITS, u.mas)
+UNITS |= {"pa": u.deg, "peak": None, "noise": None, "frequency": u.GHz}
+#: The row of a file of which nothing is known.
+UNKNOWN = {"file": "", "date": None, "nx": 0, "ny": 0} | dict.fromkeys(UNITS, np.nan)
+UNKNOWN |= {"object": "", "frequency": UNKNOWN.pop("frequency")}
 # Displacements in beams with which pairs of epochs work best.
 GOOD_SHIFTS = (0.3, 1.5)
 
@@ -77,30 +80,27 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     no date of observation
     """
     files = fits.find_files(paths, missing_ok=True)
-    rows = [_row_of(path, k) for path in files for k in _frames(path)]
+    rows = [UNKNOWN | _row_of(path, k) for path in files for k in _frames(path)]
     rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
-    planes = [row.pop("plane") for row in rows]
-    origins = [row.pop("origin") for row in rows]
-    read = [i for i, plane in enumerate(planes) if plane is not None]
-    unit = planes[read[0]].unit if read else u.dimensionless_unscaled
-    for i in read:
-        known = unit.is_equivalent(planes[i].unit)
-        for name in ("peak", "noise"):
-            rows[i][name] *= planes[i].unit.to(unit) if known else np.nan
+    read = [row for row in rows if "plane" in row]
+    planes = [row["plane"] for row in read]
+    unit = planes[0].unit if read else u.dimensionless_unscaled
+    for row, plane in zip(read, planes, strict=True):
+        factor = plane.unit.to(unit) if unit.is_equivalent(plane.unit) else np.nan
+        row |= {"peak": row["peak"] * factor, "noise": row["noise"] * factor}
     if read:
-        peaks = np.array([rows[i]["peak"] for i in read])
-        found = [planes[i] for i in read]
-        for index, what, *_ in (*problems(found, peaks), *_warned(found)):
-            rows[read[index]]["problem"].append(what)
-    columns = {name: [row[name] for row in rows] for name in rows[0]}
-    for name, usual in COLUMNS.items():
+        peaks = np.array([row["peak"] for row in read])
+        for index, what, *_ in (*problems(planes, peaks), *_warned(planes)):
+            read[index]["problem"].append(what)
+    columns = {name: [row[name] for row in rows] for name in UNKNOWN}
+    for name, usual in UNITS.items():
         columns[name] = u.Quantity(columns[name], usual or unit)
-    columns["problem"] = ["; ".join(texts) for texts in columns["problem"]]
+    columns["problem"] = ["; ".join(row["problem"]) for row in rows]
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
     columns["date"] = Time(dates, format="iso")
     # Of images that are not flat around their reference pixel, it is the middle.
-    origin = " or ".join(sorted({*origins} - {None}, reverse=True))
+    origin = " or ".join(sorted({row["origin"] for row in read}, reverse=True))
     return QTable(columns, meta={"origin": origin})
 
 
@@ -127,19 +127,20 @@ def _frames(path):
 
 
 def _row_of(path, frame):
-    """Return the row of an image, with its `Plane` if it can be read."""
-    row = {"file": fits.labelled(path, frame), "date": None, "nx": 0, "ny": 0}
-    row |= dict.fromkeys(COLUMNS, np.nan)
-    row |= {"object": "", "frequency": row.pop("frequency")}
-    row |= {"problem": [], "plane": None, "origin": None}
+    """Return what is known of an image, with its `Plane` if it can be read."""
+    row = {"file": fits.labelled(path, frame)}
     try:
         plane = fits.read_plane(path, frame=frame)
         plane.take_uncertainty()
     except (OSError, ValueError) as error:
         listed = kind_of(path) == "components"
         problem = NO_IMAGE if listed else str(error).removeprefix(f"{path}: ")
-        row["problem"].append(problem)
-        return row
+        return row | {"problem": [problem]}
+    row["problem"] = plane.notes
+    if plane.time is None:
+        row["problem"].append(plane.date_problem or "no date of observation")
+    if fits.looks_like_mask(plane.data):
+        row["problem"].append("no more than two different values, a mask")
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
@@ -149,15 +150,9 @@ def _row_of(path, frame):
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
         row |= {k: getattr(plane.beam, k).value for k in ("major", "minor", "pa")}
-    row["problem"] += plane.notes
-    if plane.time is None:
-        row["problem"].append(plane.date_problem or "no date of observation")
-    if fits.looks_like_mask(plane.data):
-        row["problem"].append("no more than two different values, a mask")
-    values = np.where(plane.mask, -np.inf, plane.data)
-    y, x = np.unravel_index(np.argmax(values), values.shape)
-    row["peak"] = float(values[y, x])
-    del values
+    top = np.argmax(np.where(plane.mask, -np.inf, plane.data))
+    y, x = np.unravel_index(top, plane.data.shape)
+    row["peak"] = float(plane.data[y, x])
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - flat.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.

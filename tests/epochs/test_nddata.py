@@ -296,9 +296,12 @@ def exact_cube(**changes):
         reference_pixel=(3.3, 4.4),
         epoch_meta=[{"frequency": 15.4e9 + k} for k in range(3)],
     )  # fmt: skip
-    own = [cube.wcs.deepcopy() for _ in range(3)]
-    for k, wcs in enumerate(own):
-        wcs.wcs.crval = wcs.wcs.crval + k * 1.23456789e-10
+    header = cube.wcs.to_header()
+    del header["CDELT1"], header["CDELT2"]
+    header.update({"CD1_1": -1.23456789e-9, "CD1_2": 3e-10})
+    header.update({"CD2_1": 3e-10, "CD2_2": 1.23456789e-9})
+    own = [cube.wcs.deepcopy(), cube.wcs.deepcopy(), WCS(header)]
+    own[1].wcs.crval = own[1].wcs.crval + 1.23456789e-10
     return cube.with_step("tested", epoch_wcs=own).with_step("again", **changes)
 
 
@@ -318,18 +321,9 @@ def parts(cube):
     }  # fmt: skip
 
 
-def turned():
-    header = exact_cube().wcs.to_header()
-    del header["CDELT1"], header["CDELT2"]
-    header.update({"CD1_1": -1.23456789e-9, "CD1_2": 3e-10})
-    header.update({"CD2_1": 3e-10, "CD2_2": 1.23456789e-9})
-    return exact_cube(wcs=WCS(header), epoch_wcs=None)
-
-
-@pytest.mark.parametrize("make", [exact_cube, turned])
-def test_everything_comes_back_to_the_bit(tmp_path, make):
-    cube = make()
-    path = tmp_path / ("cube.fits.gz" if make is turned else "cube.fits")
+@pytest.mark.parametrize("name", ["cube.fits", "cube.fits.gz"])
+def test_everything_comes_back_to_the_bit(tmp_path, name):
+    cube, path = exact_cube(), tmp_path / name
     cube.write(path)
     again = EpochCube.read(path)
     again.write(path, overwrite=True)

@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 import regions
-from astropy.coordinates import FK4, SkyCoord
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.nddata import CCDData
 from astropy.wcs import WCS
@@ -196,22 +196,17 @@ def test_far_reference_pixels_are_no_origin(tmp_path):
         assert cube.align("wcs").meta["alignment"][-1]["shift_east_mas"] == 0
 
 
-def equinoxes(lat):
-    """Return the WCS of one place in B1950 and in J2000."""
-    place = SkyCoord(83.0, lat, unit="deg", frame="fk5")
-    old = place.transform_to(FK4(equinox="B1950"))
-    made = []
-    for where, equinox in ((old, 1950.0), (place, 2000.0)):
-        head = header("SIN", (83.0, lat), 0.1 / 3.6e6)
-        head.update({"CRVAL1": where.ra.deg, "CRVAL2": where.dec.deg})
-        head.update({"EQUINOX": equinox, "CRPIX1": 8.0, "CRPIX2": 12.0})
-        made.append(WCS(head))
-    return made
-
-
 @pytest.mark.filterwarnings("error", "ignore:.*on another grid")
 def test_epochs_of_both_equinoxes_have_one_north():
-    old, new = equinoxes(80.0)
+    place, made = SkyCoord(83.0, 80.0, unit="deg", frame="fk5"), []
+    for frame in ("fk4", "fk5"):
+        where = place.transform_to(frame)
+        head = header("SIN", (83.0, 80.0), 0.1 / 3.6e6)
+        head.update({"CRVAL1": where.data.lon.deg, "CRVAL2": where.data.lat.deg})
+        head.update({"EQUINOX": 1950.0 if frame == "fk4" else 2000.0})
+        head.update({"CRPIX1": 8.0, "CRPIX2": 12.0})
+        made.append(WCS(head))
+    old, new = made
     turn = north_in(old, new)
     beam = Beam(0.6 * u.mas, 0.3 * u.mas, 20 * u.deg)
     # A spot in the frame of J2000, seen on the grid of B1950.
