@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import astropy.units as u
 import numpy as np
 import scipy
@@ -361,7 +363,6 @@ def misalignment(cube: ImageSeries) -> float | None:
         k: np.diff(years[k - 1 : k + 2])[::-1] / (years[k + 1] - years[k - 1])
         for k in middle
     }
-    noise = cube.noise_rms().value
 
     def scatter(shifts):
         # The neighbours, whose weighted mean is the reference, scatter as much.
@@ -374,9 +375,7 @@ def misalignment(cube: ImageSeries) -> float | None:
         return float(np.sqrt(np.mean(squares)) / width) if enough else None
 
     def measured(epochs, at=None):
-        return scatter(
-            {k: _shift(cube, k, weights[k], noise[k], width, at) for k in epochs}
-        )
+        return scatter({k: _shift(cube, k, weights[k], at) for k in epochs})
 
     # They give the scatter to 15%.
     if (found := measured(_spread(middle, 24))) is not None:
@@ -403,7 +402,7 @@ def _spread(values, most):
     return values[np.unique(places)]
 
 
-def _shift(cube, k, weights, noise, width, positions, alike=0.9):
+def _shift(cube, k, weights, positions, alike=0.9):
     """
     Return the shift of an epoch from its neighbours in mas, None if unknown.
 
@@ -420,15 +419,12 @@ def _shift(cube, k, weights, noise, width, positions, alike=0.9):
             images[i] = scipy.ndimage.shift(image, (-y, -x), order=3)
     reference = weights[0] * images[0] + weights[1] * images[2]
     masked = cube.mask[three].any(axis=0)
-    source = ~masked & (reference > 5 * noise)
-    reach = width / np.sqrt(abs(np.linalg.det(matrix)))
-    try:
-        shift, _ = displacement(
-            images[1], np.zeros_like(masked), reference, source, reach, (0, 0), alike
-        )
-    except ValueError:
-        return None
-    return matrix @ shift
+    source = ~masked & (reference > 5 * cube.noise_rms()[k].value)
+    reach = (cube.resolution / cube.pixel_scale).to_value(u.one)
+    pair = images[1], np.zeros_like(masked), reference, source
+    with suppress(ValueError):
+        return matrix @ displacement(*pair, reach, (0, 0), alike)[0]
+    return None
 
 
 def warn_of_misalignment(cube):
