@@ -4,7 +4,7 @@
 import string
 import sys
 
-import astropy.nddata as nd
+import astropy.nddata as ndd
 import astropy.units as u
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def celestial():
 
 def image(i, **changes):
     values = {"unit": JY_BEAM, "wcs": celestial(), "meta": {"DATE-OBS": DATES[i]}}
-    return nd.CCDData(DATA[i], **values | changes)
+    return ndd.CCDData(DATA[i], **values | changes)
 
 
 def make_cube(**changes):
@@ -55,9 +55,9 @@ def make_cube(**changes):
 @pytest.mark.parametrize(
     ("uncertainty", "noise"),
     [
-        (nd.StdDevUncertainty(np.full(SHAPE, 500), unit=MJY_BEAM), 0.5),
-        (nd.VarianceUncertainty(np.full(SHAPE, 9), unit=MJY_BEAM**2), 0.003),
-        (nd.InverseVariance(np.full(SHAPE, 16), unit=u.Jy**-2 * u.beam**2), 0.25),
+        (ndd.StdDevUncertainty(np.full(SHAPE, 500), unit=MJY_BEAM), 0.5),
+        (ndd.VarianceUncertainty(np.full(SHAPE, 9), unit=MJY_BEAM**2), 0.003),
+        (ndd.InverseVariance(np.full(SHAPE, 16), unit=u.Jy**-2 * u.beam**2), 0.25),
     ],
 )
 def test_uncertainties_are_the_noise(uncertainty, noise):
@@ -89,7 +89,7 @@ def test_images_of_a_cube_and_their_files_keep_mask_and_uncertainty(tmp_path):
     make_cube(noise=None)[1].write(tmp_path / "bare.fits")
     table = inspect_epochs([tmp_path / "0.fits", tmp_path / "bare.fits"])
     assert table["problem"].tolist() == ["", "no noise where other epochs have one"]
-    variance = image(0, uncertainty=nd.VarianceUncertainty(np.full(SHAPE, 9)))
+    variance = image(0, uncertainty=ndd.VarianceUncertainty(np.full(SHAPE, 9)))
     variance.write(tmp_path / "var.fits")
     part = EpochCube.read(tmp_path / "var.fits", region=(slice(2, 9), slice(3, 30)))
     assert part.noise.value.tolist() == [3]
@@ -121,7 +121,7 @@ def test_quantities_masked_arrays_and_slices_keep_unit_mask_and_coordinates():
         cube = EpochCube(data, DATES[:2], celestial())
         assert_array_equal(cube.mask, bad)
     assert cube.unit == u.K
-    whole = nd.NDDataRef(DATA[0], wcs=celestial(), meta={"DATE-OBS": DATES[0]})
+    whole = ndd.NDDataRef(DATA[0], wcs=celestial(), meta={"DATE-OBS": DATES[0]})
     cube = EpochCube.from_ccddata([whole[3:20, 5:]])
     assert_array_equal(cube.data[0], DATA[0, 3:20, 5:])
     assert (cube.wcs.wcs.crpix.tolist(), cube.labels) == ([5, 2], (DATES[0],))
@@ -180,7 +180,7 @@ def of_others(ndcube, **changes):
     wcs = make_cube().to_ndcube().wcs
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN", "STEP"
     meta = {"OBJECT": "M87", "BMAJ": 1e-7, "BMIN": 1e-7, "BPA": 0.0}
-    variance = nd.VarianceUncertainty(np.full(DATA.shape, 4.0))
+    variance = ndd.VarianceUncertainty(np.full(DATA.shape, 4.0))
     fields = {"wcs": wcs, "unit": JY_BEAM, "uncertainty": variance, "meta": meta}
     return ndcube.NDCube(DATA, **fields | changes)
 
@@ -189,7 +189,7 @@ def test_ndcubes_that_are_refused(ndcube, monkeypatch):
     for make, options, words in [
         (lambda n: make_cube().to_ndcube().rebin((3, 1, 1)), {"times": DATES[1]},
          "were averaged, .* rebin its celestial axes alone"),
-        (lambda n: of_others(n, uncertainty=nd.UnknownUncertainty(DATA)),
+        (lambda n: of_others(n, uncertainty=ndd.UnknownUncertainty(DATA)),
          {"times": DATES}, "image 0: its uncertainty is of type Unknown"),
         (lambda n: of_others(n, mask=DATA[0] > 1), {}, "mask and uncertainty of an"),
         (lambda n: n.NDCube(DATA, wcs=WCS(naxis=3)), {}, "have two celestial axes"),
@@ -217,7 +217,7 @@ def test_solar_files_and_maps(tmp_path):
         fits.PrimaryHDU(DATA[i].astype(np.float32), header).writeto(paths[-1])
         # As maps of SunPy are: NDData whose meta has keys in lower case.
         meta, wcs = {k.lower(): v for k, v in header.items()}, WCS(fits.Header(SUN))
-        maps.append(nd.NDData(DATA[i], unit=u.DN, wcs=wcs, meta=meta))
+        maps.append(ndd.NDData(DATA[i], unit=u.DN, wcs=wcs, meta=meta))
     cube, of_maps = EpochCube.read(paths), EpochCube.from_ccddata(maps)
     assert_allclose(of_maps.data, cube.data, rtol=1e-6)
     assert np.all(of_maps.times == cube.times)
@@ -232,7 +232,7 @@ PLANE = np.ones((8, 9))
 LINE = HighLevelWCSWrapper(SlicedLowLevelWCS(celestial(), (3, slice(None))))
 #: Of a unit that astropy refuses in images that have one.
 UNFIT = image(0)
-UNFIT._uncertainty = nd.StdDevUncertainty(np.ones(SHAPE), unit=u.K)
+UNFIT._uncertainty = ndd.StdDevUncertainty(np.ones(SHAPE), unit=u.K)
 
 
 def of(*images):
@@ -247,14 +247,14 @@ def test_what_is_refused_in_one_line():
     for call, words in [
         *((of(image(0, uncertainty=own)), f"image 0: its uncertainty .*{words}")
           for own, words in [
-            (nd.UnknownUncertainty(np.ones(SHAPE)), "is of type Unknown.*; give it as"),
-            (nd.StdDevUncertainty(None), "has no values; remove it"),
-            (nd.StdDevUncertainty(np.full(SHAPE, -1.0)), "has negative values; cor"),
-            (nd.InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; remove")]),
+            (ndd.UnknownUncertainty(np.ones(SHAPE)), "is of type Unknown.*; give it a"),
+            (ndd.StdDevUncertainty(None), "has no values; remove it"),
+            (ndd.StdDevUncertainty(np.full(SHAPE, -1.0)), "has negative values; cor"),
+            (ndd.InverseVariance(np.zeros(SHAPE)), "finite at no valid pixel; rem")]),
         (of(UNFIT), "image 0: .* StdDevUncertainty is in K, which"),
-        (of(nd.NDData(PLANE, meta={"DATE-OBS": DATES[0]})), "image 0: it has no WCS"),
-        (of(nd.NDData(np.ones((2, 8, 9)), wcs=celestial())), r"has shape \(2, 8, 9\)"),
-        (of(nd.NDData(PLANE * np.nan, wcs=celestial())), "image 0: no valid pixel"),
+        (of(ndd.NDData(PLANE, meta={"DATE-OBS": DATES[0]})), "image 0: it has no WCS"),
+        (of(ndd.NDData(np.ones((2, 8, 9)), wcs=celestial())), r"has shape \(2, 8, 9\)"),
+        (of(ndd.NDData(PLANE * np.nan, wcs=celestial())), "image 0: no valid pixel"),
         (of(PLANE), "image 0: is a .*; give NDData, such as"),
         (lambda: EpochCube([image(0), image(1)], DATES[:2], celestial()),
          "use EpochCube.from_ccddata or from_ndcube"),
@@ -277,7 +277,7 @@ def test_what_is_refused_in_one_line():
 def test_zeros_that_pad_are_missing_at_each_door():
     padded = np.pad(DATA[0], 20)
     made = {"wcs": celestial(), "meta": {"DATE-OBS": DATES[0]}}
-    cube = of(nd.NDData(padded, **made))()
+    cube = of(ndd.NDData(padded, **made))()
     assert_array_equal(cube.mask[0], padded == 0)
     assert_array_equal(of_arrays([padded], DATES[:1])().mask, cube.mask)
     filled = np.where(padded == 0, -999.0, padded)
