@@ -48,19 +48,16 @@ def test_dates_of_all_sorts():
                 parse_date(text)
 
 
-@pytest.mark.parametrize(
-    ("text", "unit"),
-    [
+def test_units():
+    for text, unit in [
         *((text, u.Jy / u.beam) for text in ("JY/BEAM", "jy / bm", "JY PER BEAM")),
         ("mJy/beam", u.mJy / u.beam), ("JY/PIXEL", u.Jy / u.pix), ("COUNTS", u.ct),
         ("counts / pixel", u.ct / u.pix), ("ELECTRONS/S", u.electron / u.s),
         ("K", u.K), ("MJy/sr", u.MJy / u.sr), ("MJY/SR", u.MJy / u.sr), (u.Jy, u.Jy),
-        ("", u.one), (None, u.one),
-        ("MJY/BEAM", None), ("furlongs", None), ("(((", None),
-    ],
-)  # fmt: skip
-def test_units(text, unit):
-    assert parse_unit(text) == unit
+        *((none, u.one) for none in ("", None)),
+        *((odd, None) for odd in ("MJY/BEAM", "furlongs", "(((")),
+    ]:  # fmt: skip
+        assert parse_unit(text) == unit, text
 
 
 def test_beam_from_the_header(aips_header):
