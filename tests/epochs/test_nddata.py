@@ -52,20 +52,16 @@ def make_cube(**changes):
     return EpochCube(DATA, DATES, celestial(), **values | changes)
 
 
-@pytest.mark.parametrize(
-    ("uncertainty", "noise"),
-    [
+def test_uncertainties_are_the_noise():
+    for uncertainty, noise in [
         (ndd.StdDevUncertainty(np.full(SHAPE, 500), unit=MJY_BEAM), 0.5),
         (ndd.VarianceUncertainty(np.full(SHAPE, 9), unit=MJY_BEAM**2), 0.003),
         (ndd.InverseVariance(np.full(SHAPE, 16), unit=u.Jy**-2 * u.beam**2), 0.25),
-    ],
-)
-def test_uncertainties_are_the_noise(uncertainty, noise):
-    images = [image(i, uncertainty=uncertainty) for i in range(3)]
-    cube = EpochCube.from_ccddata(images)
-    assert cube.noise.unit == JY_BEAM
-    assert_allclose(cube.noise.value, noise, rtol=1e-12)
-    assert not cube.mask.any()
+    ]:
+        cube = of(*(image(i, uncertainty=uncertainty) for i in range(3)))()
+        assert cube.noise.unit == JY_BEAM
+        assert_allclose(cube.noise.value, noise, rtol=1e-12)
+        assert not cube.mask.any()
 
 
 def same(one, other):

@@ -109,9 +109,9 @@ def test_beam_from_a_table(aips_header):
     assert header_beam(aips_header(BMAJ=2 / 3.6e6), tables).major > 1.5 * u.mas
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
+def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header):
+    scale = 0.1 / 3.6e6
+    for changes in [
         {},
         {"CTYPE2": "DEC---SIN"},
         {"CTYPE1": "RA--SIN", "CTYPE2": "DEC-SIN"},
@@ -121,15 +121,13 @@ def test_beam_from_a_table(aips_header):
          "CRVAL1": 187.25 * 3600, "CRVAL2": 2.05 * 3600},
         {"DATE_OBS": "nonsense"},
         {"RADESYS": "GAPPT"},
-    ],
-)  # fmt: skip
-def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, changes):
-    with warnings.catch_warnings(action="error"):
-        wcs = celestial_wcs(aips_header(**changes))
-    assert list(wcs.wcs.ctype) == ["RA---SIN", "DEC--SIN"]
-    scale = 0.1 / 3.6e6
-    assert np.allclose(wcs.pixel_scale_matrix, [[-scale, 0], [0, scale]], rtol=1e-12)
-    assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
+    ]:  # fmt: skip
+        with warnings.catch_warnings(action="error"):
+            wcs = celestial_wcs(aips_header(**changes))
+        assert list(wcs.wcs.ctype) == ["RA---SIN", "DEC--SIN"]
+        expected = [[-scale, 0], [0, scale]]
+        assert np.allclose(wcs.pixel_scale_matrix, expected, rtol=1e-12)
+        assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
 def test_unusable_coordinates_are_refused_in_one_line(aips_header):
@@ -168,8 +166,7 @@ def in_frame(*ctype):
 
 
 def test_words_of_the_axes_and_columns_named_by_them():
-    other = axis_words(in_frame("XLON-CAR", "XLAT-CAR"))
-    assert other == ("larger longitude", "larger latitude", True)
+    assert axis_words(in_frame("XLON-CAR", "XLAT-CAR"))[0] == "larger longitude"
     table = QTable({"pm_ra_cosdec": [1.0], "pm_dec_err": [0.1], "east": [2.0]})
     table["east"].info.description = "offset to the east"
     assert name_by_frame(table, in_frame("RA---SIN", "DEC--SIN")) is table

@@ -174,6 +174,12 @@ def test_structure_over_much_of_the_sky_is_refused():
     flat = EpochCube.from_arrays(own, DATES, pixel_scale=1 * u.deg)
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
         flat.reproject_to(WCS(wide), (NY, NX))
+    # Pixels without sky.
+    wcs = WCS(header("SIN", (120.0, 0.0), 1.0))
+    wcs.wcs.crpix = [500, 500]
+    assert unwrapped(wcs, (NY, NX)) is wcs
+    with pytest.raises(ValueError, match="projection .SIN"):
+        EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
 
 
 def test_far_reference_pixels_are_no_origin(tmp_path):
@@ -272,14 +278,6 @@ def test_regions_are_turned_from_the_frame_of_their_drawing(drawn, image, mirror
     assert region_mask(cube, regions.PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
     hollow = regions.CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
     assert not region_mask(cube, hollow)[39, 39]
-
-
-def test_pixels_without_sky():
-    wcs = WCS(header("SIN", (120.0, 0.0), 1.0))
-    wcs.wcs.crpix = [500, 500]
-    assert unwrapped(wcs, (NY, NX)) is wcs
-    with pytest.raises(ValueError, match="projection .SIN"):
-        EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
 
 
 @pytest.mark.filterwarnings("error")
