@@ -369,26 +369,21 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    norths, resampled = [positions.north_in(p.wcs, planes[0].wcs) for p in planes], []
     frames = positions.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     _refuse_misfits(planes, grids)
     new, shape = grid.shared_grid(grids)
-    every = [new] * len(planes)
-    if frame == "offset":
-        every = [
-            positions.placed_as(positions.turned(new, -north), plane.wcs)
-            for plane, north in zip(planes, norths, strict=True)
-        ]
-    else:
-        norths = [positions.north_in(plane.wcs, new) for plane in planes]
-    for plane, north in zip(planes, norths, strict=True):
+    known = planes[0].wcs if frame == "offset" else new
+    data = np.empty((len(planes), *shape))
+    mask = np.empty(data.shape, dtype=bool)
+    every, resampled = [new] * len(planes), []
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        north = positions.north_in(plane.wcs, known)
+        if frame == "offset":
+            every[i] = positions.placed_as(positions.turned(new, -north), plane.wcs)
         if plane.beam is not None and north != 0:
             pa = plane.beam.pa + north * u.rad
             plane.beam = Beam(plane.beam.major, plane.beam.minor, pa)
-    data = np.empty((len(planes), *shape))
-    mask = np.empty(data.shape, dtype=bool)
-    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
         one = slice(i, i + 1)
         data[one], mask[one], copied = grid.regrid(
             plane.data[None], plane.mask[None], wcs, new, unit=unit, near=grid.ONE_SHIFT

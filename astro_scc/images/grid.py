@@ -356,10 +356,9 @@ def flatten(fields, name, whole, unit):
     if flat is wcs:
         return ""
     if flat is not None:
-        place = flat.wcs.crpix - 1
-        every = [positions.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
-        line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
-        line = line.format(*place)
+        x, y = flat.wcs.crpix - 1
+        every = [positions.tangent_wcs(one, (x, y)) for one in fields["epoch_wcs"]]
+        line = f"offsets are from pixel ({x:.4g}, {y:.4g}), not the far reference pixel"
     else:
         with naming(f"{name} and the other images"):
             flat, turn = positions.tangent_grid(wcs, mean)
