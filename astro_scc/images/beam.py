@@ -325,11 +325,11 @@ def _of_channel(header, table):
     every = {row: _row(table, row) for row in rows if _angle(table, "BMAJ", row) > 0}
     if every and different_beam([*every.values()]) is None:
         return next(iter(every.values()))
-    columns = {name.upper(): name for name in table.columns.names}
+    columns = [name.upper() for name in table.columns.names]
     spectral = [name for name in KEYWORDS["spectral"]["axes"] if axis_of(header, name)]
     for column, axis in (("CHAN", (*spectral, "FREQ")[0]), ("POL", "STOKES")):
         if column in columns and len(rows) > 1:
-            values = np.asarray(table.data[columns[column]], dtype=int)
+            values = np.asarray(table.data[column], dtype=int)
             rows = rows[np.isin(values[rows], _plane_of(header, axis, values))]
     beams = [every[row] for row in rows if row in every]
     if not beams or different_beam(beams) is not None:

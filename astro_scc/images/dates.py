@@ -444,15 +444,15 @@ def _of_table(header, axis, hdus, n):
         tables = [table for table in tables if table.name == name.upper()]
         wanted = [column.upper()]
     for table, want in product(tables, wanted):
-        names = {name.upper(): name for name in table.columns.names}
-        if want not in names or len(table.data) == 0:
+        # Their case does not matter.
+        if want not in map(str.upper, table.columns.names):
             continue
-        values = np.asarray(table.data[names[want]]).reshape(-1)
+        values = np.asarray(table.data[want]).reshape(-1)
         if len(values) != n:
             continue
         if values.dtype.kind in "SU":
             scale = _scale_of(header)
             return Time([_of_text(str(text), scale)[1] for text in values]), ""
-        unit = table.columns[names[want]].unit or ""
+        unit = table.columns[want].unit or ""
         return values.astype(float), unit or ("d" if want in ("MJD", "JD") else "")
     return None, ""
