@@ -258,17 +258,22 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     if keep.sum() < 10:
         raise ValueError("too few good pixels to compare; leave it out")
     y, x = y[keep], x[keep]
-    slopes = [slope[y, x] for slope in slopes]
     target = reference[y, x] - reference[y, x].mean()
-    found = _fit_displacement(filled, x, y, slopes, target, start, reach, alike)
+    design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
+    found = _fit_displacement(filled, (y, x), design, start, reach, alike)
     if found is None:
         raise ValueError("nothing in the image correlates; leave it out")
     return found
 
 
-def _fit_displacement(filled, x, y, slopes, target, start, reach, alike):
-    """Return displacement and covariance by pixels x and y, None if nothing fits."""
-    solve = np.linalg.pinv(np.stack([*slopes, target, np.ones_like(target)], axis=1))
+def _fit_displacement(filled, pixels, design, start, reach, alike):
+    """
+    Return the displacement and its covariance, None if nothing fits.
+
+    The ``design`` has slopes along x and y, values and ones at the ``pixels`` (y, x).
+    """
+    (y, x), target = pixels, design[2]
+    solve = np.linalg.pinv(np.stack(design, axis=1))
     spline = scipy.ndimage.spline_filter(filled, order=3)
     options = {"order": 3, "prefilter": False, "mode": "mirror"}
     d = np.array(start, dtype=float)
