@@ -22,9 +22,8 @@ _PUBLIC = {
 }
 _FOLDERS = frozenset(
     """
-    alignment components decomposition epochs expansion features flow grid images
-    kinematics measurement paper patterns products recovery report simulation spectrum
-    streams visualization
+    decomposition epochs expansion features flow grid images kinematics measurement
+    paper patterns products recovery report simulation spectrum streams visualization
     """.split()
 )
 

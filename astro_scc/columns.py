@@ -267,3 +267,29 @@ def _plain(value):
     """Return an entry without unit and mask."""
     value = getattr(value, "unmasked", value)
     return getattr(value, "value", value)
+
+
+def numbers(column, unit, own_unit=None):
+    """
+    Return a column as floats in ``unit``, blanks as NaN.
+
+    ``own_unit`` replaces the unit of the column.  If ``unit`` is
+    `astropy.units.one`, the numbers are returned as they are.
+    """
+    name = column.info.name
+    try:
+        values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
+    except (TypeError, ValueError):
+        raise ValueError(f"column {name!r} is not numeric") from None
+    for i in np.flatnonzero(np.isinf(values)):
+        raise ValueError(f"row {i + 1}: {name} is infinite")
+    if unit == u.one:
+        return values
+    own_unit = own_unit or column.unit
+    if own_unit is None:
+        raise ValueError(f"column {name!r} has no unit, such as {unit}")
+    try:
+        return values * u.Unit(own_unit).to(unit)
+    except (u.UnitConversionError, TypeError, ValueError):
+        what = f"column {name!r} has the unit {own_unit}, expected one like {unit}"
+        raise ValueError(what) from None

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.beam import require_common_beam

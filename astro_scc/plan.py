@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 
 from astro_scc import kinematics
-from astro_scc.alignment.registration import MISALIGNED
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.epochs.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
 from astro_scc.settings import refuse_other_method, require

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc import quantities as q
 from astro_scc.columns import build_table
-from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import EpochCube
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.intervals import median_interval

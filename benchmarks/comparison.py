@@ -24,8 +24,8 @@ from comparison_packages import PACKAGES
 from comparison_reading import GRID, Sample, densities, read_speeds
 from matplotlib.figure import Figure
 
-from astro_scc.components.restoring import add_gaussians, correlated_noise
 from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.simulation import (
     JetSimulation,

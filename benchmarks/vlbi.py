@@ -14,7 +14,7 @@ import numpy as np
 from astropy.constants import c
 from astropy.coordinates import EarthLocation
 
-from astro_scc.components.restoring import add_gaussians, in_pixels
+from astro_scc.epochs.restoring import add_gaussians, in_pixels
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam, beam_of
 from astro_scc.simulation.jets import SimulatedJet
 

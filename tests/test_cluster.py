@@ -96,7 +96,7 @@ def test_a_function_that_workers_cannot_import(cluster, monkeypatch):
     assert list(in_order(operator.neg, [1], cluster)) == [-1]
 
 
-def test_a_scheduler_without_workers(monkeypatch):
+def test_a_scheduler_without_workers_and_one_that_is_lost(monkeypatch):
     for name in ("WITHOUT_WORKERS", "LOOK"):
         monkeypatch.setattr(f"astro_scc.parallel.{name}", 0.1)
     with cluster_of(0) as client:
@@ -104,8 +104,6 @@ def test_a_scheduler_without_workers(monkeypatch):
             with pytest.raises(OSError, match="has had no workers for 0.1 s; start"):
                 list(work(operator.neg, [1], client))
 
-
-def test_a_scheduler_that_is_lost(monkeypatch):
     def pieces(client):
         yield 1
         client.close()

@@ -63,14 +63,11 @@ def test_pieces_are_taken_as_needed_and_keep_their_order(work, n):
     results.close()
 
 
-@pytest.mark.parametrize("n_workers", [1, 2])
-def test_errors_are_results(n_workers):
-    found = dict(as_done(inverse, [2, 0, 4, 0], n_workers))
-    assert {k: v for k, v in found.items() if k in (0, 2)} == {0: 0.5, 2: 0.25}
-    assert all(isinstance(found[k], ZeroDivisionError) for k in (1, 3))
-
-
 def test_errors_of_workers():
+    for n_workers in (1, 2):
+        found = dict(as_done(inverse, [2, 0], n_workers))
+        assert found[0] == 0.5
+        assert isinstance(found[1], ZeroDivisionError)
     with pytest.raises(ZeroDivisionError) as caught:
         list(in_order(eval, ["1 // 0"], 2))
     assert "Traceback" in str(caught.value.__cause__)

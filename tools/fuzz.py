@@ -32,9 +32,9 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.utils.exceptions import AstropyWarning
 
-from astro_scc.alignment.align import offsets_from_table
 from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import EpochCube, read_components
+from astro_scc.epochs.align import offsets_from_table
 from astro_scc.settings import Settings, read_config
 
 #: Errors that a user may get.

@@ -12,13 +12,9 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc import EpochCube, simulation
-from astro_scc.alignment.registration import MISALIGNED, core_positions
 from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
-from astro_scc.components.lists import read_sources
-from astro_scc.components.restoring import NO_BEAM, suited, typical_beam
-from astro_scc.components.tables import source_list
 from astro_scc.epochs import (
     inspect_epochs,
     plan_intervals,
@@ -26,6 +22,10 @@ from astro_scc.epochs import (
     write_epochs,
 )
 from astro_scc.epochs.inspection import kind_of
+from astro_scc.epochs.lists import read_sources
+from astro_scc.epochs.registration import MISALIGNED, core_positions
+from astro_scc.epochs.restoring import NO_BEAM, suited, typical_beam
+from astro_scc.epochs.tables import source_list
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images import fits, positions
 from astro_scc.images.beam import different_beam, parse_beam

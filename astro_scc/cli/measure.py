@@ -9,10 +9,10 @@ import astropy.units as u
 from astropy.io import fits
 
 from astro_scc import StackedCrossCorrelation
-from astro_scc.alignment.registration import warn_of_misalignment
 from astro_scc.cli import inputs
 from astro_scc.cli.program import one_line
 from astro_scc.columns import table_lines
+from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.explain import explain_feature
 from astro_scc.features import find_features

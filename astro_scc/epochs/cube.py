@@ -16,11 +16,11 @@ from astropy.nddata import NDData
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.alignment.align import align
-from astro_scc.alignment.registration import misalignment
-from astro_scc.components.restoring import restore, restore_files
 from astro_scc.epochs import reading, serialize
+from astro_scc.epochs.align import align
 from astro_scc.epochs.inspection import kind_of
+from astro_scc.epochs.registration import misalignment
+from astro_scc.epochs.restoring import restore, restore_files
 from astro_scc.images import fits, grid, regions, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.dates import date_labels

@@ -18,9 +18,9 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.images import cards, extensions, fits, grid, local, series
+from astro_scc.epochs.tables import LISTS, NO_IMAGE
+from astro_scc.images import fits, grid, headers, pixels, positions, series
 from astro_scc.images.dates import as_times, date_labels, order_of
 from astro_scc.images.positions import readable_angle
 from astro_scc.intervals import median_interval
@@ -37,9 +37,12 @@ NO_BEAM = (
 )
 UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
-COLUMNS = "pixel major minor pa peak noise peak_east peak_north frequency".split()
-COLUMNS = dict.fromkeys(COLUMNS, u.mas)
-COLUMNS |= {"pa": u.deg, "peak": None, "noise": None, "frequency": u.GHz}
+UNITS = "pixel major minor pa peak noise peak_east peak_north frequency".split()
+UNITS = dict.fromkeys(UNITS, u.mas)
+UNITS |= {"pa": u.deg, "peak": None, "noise": None, "frequency": u.GHz}
+#: The row of a file of which nothing is known.
+UNKNOWN = {"file": "", "date": None, "nx": 0, "ny": 0} | dict.fromkeys(UNITS, np.nan)
+UNKNOWN |= {"object": "", "frequency": UNKNOWN.pop("frequency")}
 # Displacements in beams with which pairs of epochs work best.
 GOOD_SHIFTS = (0.3, 1.5)
 
@@ -77,30 +80,27 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     no date of observation
     """
     files = fits.find_files(paths, missing_ok=True)
-    rows = [_row_of(path, k) for path in files for k in _frames(path)]
+    rows = [UNKNOWN | _row_of(path, k) for path in files for k in _frames(path)]
     rows.sort(key=lambda row: (row["date"] is None, row["date"] or 0))
-    planes = [row.pop("plane") for row in rows]
-    origins = [row.pop("origin") for row in rows]
-    read = [i for i, plane in enumerate(planes) if plane is not None]
-    unit = planes[read[0]].unit if read else u.dimensionless_unscaled
-    for i in read:
-        known = unit.is_equivalent(planes[i].unit)
-        for name in ("peak", "noise"):
-            rows[i][name] *= planes[i].unit.to(unit) if known else np.nan
+    read = [row for row in rows if "plane" in row]
+    planes = [row["plane"] for row in read]
+    unit = planes[0].unit if read else u.dimensionless_unscaled
+    for row, plane in zip(read, planes, strict=True):
+        factor = plane.unit.to(unit) if unit.is_equivalent(plane.unit) else np.nan
+        row |= {"peak": row["peak"] * factor, "noise": row["noise"] * factor}
     if read:
-        peaks = np.array([rows[i]["peak"] for i in read])
-        found = [planes[i] for i in read]
-        for index, what, *_ in (*problems(found, peaks), *_warned(found)):
-            rows[read[index]]["problem"].append(what)
-    columns = {name: [row[name] for row in rows] for name in rows[0]}
-    for name, usual in COLUMNS.items():
+        peaks = np.array([row["peak"] for row in read])
+        for index, what, *_ in (*problems(planes, peaks), *_warned(planes)):
+            read[index]["problem"].append(what)
+    columns = {name: [row[name] for row in rows] for name in UNKNOWN}
+    for name, usual in UNITS.items():
         columns[name] = u.Quantity(columns[name], usual or unit)
-    columns["problem"] = ["; ".join(texts) for texts in columns["problem"]]
+    columns["problem"] = ["; ".join(row["problem"]) for row in rows]
     mjd = [np.nan if date is None else date.mjd for date in columns["date"]]
     dates = Time(np.ma.masked_invalid(mjd), format="mjd", scale="utc")
     columns["date"] = Time(dates, format="iso")
     # Of images that are not flat around their reference pixel, it is the middle.
-    origin = " or ".join(sorted({*origins} - {None}, reverse=True))
+    origin = " or ".join(sorted({row["origin"] for row in read}, reverse=True))
     return QTable(columns, meta={"origin": origin})
 
 
@@ -109,14 +109,13 @@ def kind_of(path):
     if path.suffix.lower() in LISTS:
         return "components"
     # What is wrong with a file is said where it is read.
-    with suppress(Exception), warnings.catch_warnings(action="ignore"):
-        with fits.file_of(path)[0].open("rb") as file, fits.open_fits(file) as hdus:
-            if hdus[0].header.get("CREATOR") == fits.CUBE_CREATOR:
-                return "cube"
-            image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
-            listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
-            if listed and not image and not extensions.is_visibilities(hdus):
-                return "components"
+    with suppress(Exception), fits.opened(path) as hdus:
+        if hdus[0].header.get("CREATOR") == fits.CUBE_CREATOR:
+            return "cube"
+        image = any(hdu.is_image and len(hdu.shape) >= 2 for hdu in hdus)
+        listed = any(hdu.name.strip().startswith("AIPS CC") for hdu in hdus)
+        if listed and not image and not pixels.is_visibilities(hdus):
+            return "components"
     return "images"
 
 
@@ -128,38 +127,32 @@ def _frames(path):
 
 
 def _row_of(path, frame):
-    """Return the row of an image, with its `Plane` if it can be read."""
-    row = {"file": fits.labelled(path, frame), "date": None, "nx": 0, "ny": 0}
-    row |= dict.fromkeys(COLUMNS, np.nan)
-    row |= {"object": "", "frequency": row.pop("frequency")}
-    row |= {"problem": [], "plane": None, "origin": None}
+    """Return what is known of an image, with its `Plane` if it can be read."""
+    row = {"file": fits.labelled(path, frame)}
     try:
         plane = fits.read_plane(path, frame=frame)
         plane.take_uncertainty()
     except (OSError, ValueError) as error:
         listed = kind_of(path) == "components"
         problem = NO_IMAGE if listed else str(error).removeprefix(f"{path}: ")
-        row["problem"].append(problem)
-        return row
+        return row | {"problem": [problem]}
+    row["problem"] = plane.notes
+    if plane.time is None:
+        row["problem"].append(plane.date_problem or "no date of observation")
+    if fits.looks_like_mask(plane.data):
+        row["problem"].append("no more than two different values, a mask")
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    plane.wcs = local.unwrapped(plane.wcs, plane.shape)
     flat = _flat(plane)
     row["origin"] = "the reference pixel" if flat is plane.wcs else "the middle"
     matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
         row |= {k: getattr(plane.beam, k).value for k in ("major", "minor", "pa")}
-    row["problem"] += plane.notes
-    if plane.time is None:
-        row["problem"].append(plane.date_problem or "no date of observation")
-    if fits.looks_like_mask(plane.data):
-        row["problem"].append("no more than two different values, a mask")
-    values = np.where(plane.mask, -np.inf, plane.data)
-    y, x = np.unravel_index(np.argmax(values), values.shape)
-    row["peak"] = float(values[y, x])
-    del values
+    top = np.argmax(np.where(plane.mask, -np.inf, plane.data))
+    y, x = np.unravel_index(top, plane.data.shape)
+    row["peak"] = float(plane.data[y, x])
     row["peak_east"], row["peak_north"] = matrix @ ([x, y] - flat.wcs.crpix + 1)
     row["noise"] = measure_noise(plane.data, plane.mask)
     # Only the facts are kept, as there may be many large files.
@@ -170,9 +163,9 @@ def _row_of(path, frame):
 def _flat(plane):
     """Return the WCS of an image, or its tangent plane in the middle."""
     shape = plane.shape
-    if local.is_flat(plane.wcs, shape) and not local.is_far(plane.wcs, shape):
+    if positions.is_flat(plane.wcs, shape) and not positions.is_far(plane.wcs, shape):
         return plane.wcs
-    middle = local.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
+    middle = positions.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
     return middle if np.all(np.isfinite(middle.pixel_scale_matrix)) else plane.wcs
 
 
@@ -371,7 +364,7 @@ def far_away(planes, part=0.05):
     A larger ``part`` of the image exceeds the scatter of VLBI positions.
     """
     first = planes[0]
-    distance = [local.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
+    distance = [positions.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
     k = int(np.argmax(distance))
     if distance[k] > part * max(first.extent, planes[k].extent):
         what = (
@@ -389,7 +382,8 @@ def _warned(planes):
     """Yield images of which reading warns when it lays them on one grid."""
     yield from far_away(planes)
     some_have_noise = any(plane.noise is not None for plane in planes)
-    frames = local.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, "offset")
+    every = [plane.wcs for plane in planes]
+    frames = positions.on_one_sky(every, every[0], "offset")
     k = grid.finest([(p.shape, wcs) for p, wcs in zip(planes, frames, strict=True)])
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
@@ -413,7 +407,10 @@ def _same_dates(planes, part=1e-3):
     gaps = np.diff((times - times[0]).sec[order])
     for k in np.flatnonzero(gaps <= part * gaps.sum()):
         one, other = (dated[order[n]] for n in (k, k + 1))
-        if gaps[k] > 0 and not _same_pixels(planes[one], planes[other]):
+        mine, its = planes[one].data, planes[other].data
+        # Of images that are inspected, the pixels are not kept.
+        same = mine is not None and np.array_equal(mine, its, equal_nan=True)
+        if gaps[k] > 0 and not same:
             continue
         date = date_labels(times[[order[k]]], clock=True)[0]
         what = f"is of {date}, as is {Path(planes[one].name).name}"
@@ -437,13 +434,6 @@ def repeated(cube):
     return ""
 
 
-def _same_pixels(one, other):
-    """Return whether two images that have been read are the same."""
-    if one.data is None or other.data is None:
-        return False
-    return np.array_equal(one.data, other.data, equal_nan=True)
-
-
 def _strangers(planes):
     """Yield images of another object, filter, polarisation or band."""
     names, stokes, known = (
@@ -454,7 +444,7 @@ def _strangers(planes):
     names = [None if name.upper() in UNNAMED else name for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
-        apart = local.apart_by_reference(one.wcs, other.wcs)
+        apart = positions.apart_by_reference(one.wcs, other.wcs)
         same = bool(apart < max(one.extent, other.extent))
         where = "at the same place" if same else "somewhere else"
         what = f"shows {mine}, {where}, where others show {others}"
@@ -463,7 +453,7 @@ def _strangers(planes):
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
     hands = [None if s in POLARISED else s for s in stokes]
     kinds = [("Stokes", intensity, UNCHECKED)]
-    for fact, row in cards.KEYWORDS["facts"].items():
+    for fact, row in headers.KEYWORDS["facts"].items():
         if "named" in row:
             advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
             values = [plane.facts.get(fact) for plane in planes]

@@ -11,14 +11,13 @@ from astropy.nddata import NDData
 from astropy.time import Time
 from astropy.wcs.utils import pixel_to_pixel
 
-from astro_scc.components.tables import LISTS, NO_IMAGE
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
+from astro_scc.epochs.tables import LISTS, NO_IMAGE
 from astro_scc.exceptions import naming, warn
-from astro_scc.images import dates, fits, grid, local, regions, series
+from astro_scc.images import dates, fits, grid, positions, regions, series
 from astro_scc.images.beam import Beam, different_beam
-from astro_scc.images.cards import get, logarithm
-from astro_scc.images.headers import as_celestial, fits_wcs, read_header, some
+from astro_scc.images.headers import as_celestial, fits_wcs, get, logarithm, some
 from astro_scc.images.pixels import missing
 from astro_scc.images.positions import readable_angle
 from astro_scc.parallel import machine_memory
@@ -37,18 +36,14 @@ def read_files(files, times, beams, frame, *, check, region, pad):
         names = [fits.labelled(path, k) for path, k in images]
     windows = [None] * len(images)
     if region is not None:
-        planes = [
-            _in_reach(fits.read_plane(path, pixels=False, frame=k))
-            for path, k in images
-        ]
-        observed = list(map(_observed, planes, given[0]))
-        days = dates.as_times(observed, len(images))
-        first = planes[int(np.argmin((days - days[0]).jd))]
+        planes = [fits.read_plane(path, load=False, frame=k) for path, k in images]
+        days = dates.as_times(map(_observed, planes, given[0]), len(images))
+        first = planes[dates.order_of(days)[0]]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
         for (path, k), name, window in zip(images, names, windows, strict=True):
-            plane = _in_reach(fits.read_plane(path, window=window, frame=k))
+            plane = fits.read_plane(path, window=window, frame=k)
             plane.label = name
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -97,13 +92,6 @@ def _plane_of(i, image):
         kind = type(image).__name__
         raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
-    return _in_reach(plane)
-
-
-def _in_reach(plane):
-    """Return a plane whose coordinates have the sky in its middle."""
-    shape = plane.shape if plane.data is None else plane.data.shape
-    plane.wcs = local.unwrapped(plane.wcs, shape)
     return plane
 
 
@@ -112,8 +100,8 @@ def _plane_of_nddata(image, name):
     if data.ndim < 2 or np.prod(data.shape[:-2]) != 1:
         raise ValueError(f"has shape {data.shape}, an image has two axes")
     shape = data.shape[-2:]
-    mask = np.zeros(data.shape) if image.mask is None else image.mask
-    mask = np.broadcast_to(np.asarray(mask, dtype=bool), data.shape).reshape(shape)
+    mask = False if image.mask is None else np.asarray(image.mask, dtype=bool)
+    mask = np.broadcast_to(mask, data.shape).reshape(shape)
     data = data.reshape(shape)
     mask, remark = missing(data, mask)
     if image.unit is not None and (problem := logarithm(image.unit)):
@@ -122,7 +110,7 @@ def _plane_of_nddata(image, name):
         raise ValueError("no valid pixel; leave it out")
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
-    record = read_header(image.meta)
+    record = fits.read_header(image.meta)
     record["remarks"] += [remark] if remark else []
     if hasattr(image, "global_coords"):
         record |= _of_ndcube(image)
@@ -130,8 +118,9 @@ def _plane_of_nddata(image, name):
         record.setdefault(
             "beam_problem", "its psf is an image, of which no beam is made"
         )
+    wcs = positions.unwrapped(as_celestial(image.wcs), shape)
     return fits.Plane(
-        name=name, wcs=as_celestial(image.wcs), shape=shape, data=data, mask=mask,
+        name=name, wcs=wcs, shape=shape, data=data, mask=mask,
         unit=image.unit or u.one, uncertainty=image.uncertainty, **record,
     )  # fmt: skip
 
@@ -204,18 +193,10 @@ def _observed(plane, time):
     return plane.time if time is None else time
 
 
-def _beam_is_small(plane):
-    """Whether the header's beam is smaller than a pixel, but for rounding."""
-    if plane.beam is None:
-        return False
-    pixel = plane.extent / max(plane.shape)
-    return plane.beam.major.to_value(u.deg) < 0.99 * pixel
-
-
 def _completed(planes, times, beams):
     """Return images by date, and their dates, with what is given and their noise."""
     planes, remarks = list(planes), {}
-    if all(_beam_is_small(plane) for plane in planes):
+    if all(plane.beam_is_small for plane in planes):
         for plane in planes:
             plane.beam_problem = f"{plane.beam} is smaller than a pixel"
             plane.beam = None
@@ -292,9 +273,9 @@ def _assemble(planes, times, beams, frame, check, source):
     meta = {"object": names.pop()} if len(names) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     meta["history"] = [f"{source}, aligned on their {laid}", *filter(None, [line])]
-    fields |= {"times": times, "unit": unit, "labels": labels, "meta": meta}
-    fields |= {"beams": beams, "noise": noise}
-    return fields | {"epoch_meta": tuple(plane.facts for plane in planes)}
+    facts = tuple(plane.facts for plane in planes)
+    fields |= {"times": times, "unit": unit, "beams": beams, "noise": noise}
+    return fields | {"labels": labels, "epoch_meta": facts, "meta": meta}
 
 
 def _in_one_unit(planes):
@@ -314,7 +295,7 @@ def _trusted(planes, frame):
     for plane in planes if frame == "offset" else ():
         y, x = (np.array(plane.data.shape) - 1) / 2
         usual = plane.wcs.pixel_scale_matrix
-        if max(local.differences(plane.wcs, (x, x, y, y), usual)) > local.EVEN:
+        if max(positions.differences(plane.wcs, (x, x, y, y), usual)) > positions.EVEN:
             return "absolute"
     return frame
 
@@ -338,7 +319,7 @@ def windows_of(planes, first, frame, region, pad=0, margin=4):
     pixels apart.  An image without a pixel in the region raises a ValueError.
     """
     every = [plane.wcs for plane in (first, *planes)]
-    here, *frames = local.on_one_sky(every, first.wcs, frame)
+    here, *frames = positions.on_one_sky(every, first.wcs, frame)
     copied = (grid.whole_step(here, wcs, first.shape) is not None for wcs in frames)
     if not all(copied):
         # Interpolation is worst at the edges.
@@ -388,26 +369,21 @@ def lay_on_one_grid(planes, frame, unit):
     resampled : list of str
         Names of the images that were interpolated.
     """
-    norths, resampled = [local.north_in(p.wcs, planes[0].wcs) for p in planes], []
-    frames = local.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
+    frames = positions.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
     _refuse_misfits(planes, grids)
     new, shape = grid.shared_grid(grids)
-    every = [new] * len(planes)
-    if frame == "offset":
-        every = [
-            local.placed_as(local.turned(new, -north), plane.wcs)
-            for plane, north in zip(planes, norths, strict=True)
-        ]
-    else:
-        norths = [local.north_in(plane.wcs, new) for plane in planes]
-    for plane, north in zip(planes, norths, strict=True):
+    known = planes[0].wcs if frame == "offset" else new
+    data = np.empty((len(planes), *shape))
+    mask = np.empty(data.shape, dtype=bool)
+    every, resampled = [new] * len(planes), []
+    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
+        north = positions.north_in(plane.wcs, known)
+        if frame == "offset":
+            every[i] = positions.placed_as(positions.turned(new, -north), plane.wcs)
         if plane.beam is not None and north != 0:
             pa = plane.beam.pa + north * u.rad
             plane.beam = Beam(plane.beam.major, plane.beam.minor, pa)
-    data = np.empty((len(planes), *shape))
-    mask = np.empty(data.shape, dtype=bool)
-    for i, (plane, wcs) in enumerate(zip(planes, frames, strict=True)):
         one = slice(i, i + 1)
         data[one], mask[one], copied = grid.regrid(
             plane.data[None], plane.mask[None], wcs, new, unit=unit, near=grid.ONE_SHIFT
@@ -424,7 +400,7 @@ def _refuse_misfits(planes, grids, ratio=10):
 
     Sides of pixels differ from the usual one by no more than a ``ratio``.
     """
-    sizes = [local.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
+    sizes = [positions.middle_area(p.wcs, p.data.shape) ** 0.5 for p in planes]
     usual = np.sort(sizes)[(len(sizes) - 1) // 2]
     for plane, size, one in zip(planes, sizes, grids, strict=True):
         # The finest grid would be huge otherwise.

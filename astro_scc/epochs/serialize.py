@@ -19,9 +19,8 @@ from astropy.nddata import StdDevUncertainty
 from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
 from astro_scc.exceptions import naming_all
-from astro_scc.images import headers
 from astro_scc.images.fits import CUBE_CREATOR, open_fits
-from astro_scc.images.series import ImageSeries
+from astro_scc.images.series import ImageSeries, epoch_header
 from astro_scc.writing import replace_when_complete
 
 if TYPE_CHECKING:
@@ -334,7 +333,7 @@ def write_epochs(
         shared.add_history(str(line).encode("ascii", "replace").decode())
     for i, path in enumerate(paths):
         image = np.where(cube.mask[i], np.nan, cube.data[i]).astype(np.float32)
-        header = fits.Header([*headers.epoch_header(cube, i).cards, *shared.cards])
+        header = fits.Header([*epoch_header(cube, i).cards, *shared.cards])
         with replace_when_complete(path, overwrite=True) as part:
             # The header is in order, and verifying it takes a third of the time.
             fits.PrimaryHDU(image, header).writeto(part, output_verify="ignore")

@@ -10,7 +10,7 @@ import astropy.units as u
 import numpy as np
 import scipy
 
-from astro_scc.images.cards import KEYWORDS, axis_numbers, axis_of, get, parse_unit
+from astro_scc.images.headers import KEYWORDS, axis_numbers, axis_of, get, parse_unit
 from astro_scc.quantities import parse_quantities
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
@@ -284,7 +284,7 @@ class SeveralBeamsError(ValueError):
 
 
 def header_beam(header, tables=()):
-    """Return the beam of an image, None if nothing tells it, see `read_header`."""
+    """Return the beam of an image, None if nothing tells it, see `fits.read_header`."""
     beam = get(header, "BEAM")
     if hasattr(beam, "major"):
         return as_beam(beam)
@@ -325,10 +325,11 @@ def _of_channel(header, table):
     every = {row: _row(table, row) for row in rows if _angle(table, "BMAJ", row) > 0}
     if every and different_beam([*every.values()]) is None:
         return next(iter(every.values()))
-    columns = {name.upper(): name for name in table.columns.names}
-    for column, axis in (("CHAN", _spectral(header)), ("POL", "STOKES")):
+    columns = [name.upper() for name in table.columns.names]
+    spectral = [name for name in KEYWORDS["spectral"]["axes"] if axis_of(header, name)]
+    for column, axis in (("CHAN", (*spectral, "FREQ")[0]), ("POL", "STOKES")):
         if column in columns and len(rows) > 1:
-            values = np.asarray(table.data[columns[column]], dtype=int)
+            values = np.asarray(table.data[column], dtype=int)
             rows = rows[np.isin(values[rows], _plane_of(header, axis, values))]
     beams = [every[row] for row in rows if row in every]
     if not beams or different_beam(beams) is not None:
@@ -338,12 +339,6 @@ def _of_channel(header, table):
             "give one beam of all (--beam, in Python beams=)"
         )
     return beams[0]
-
-
-def _spectral(header):
-    """Return the name of the spectral axis."""
-    names = "FREQ", *KEYWORDS["spectral"]["axes"]
-    return next((name for name in names if axis_of(header, name)), "FREQ")
 
 
 def _plane_of(header, name, numbers):

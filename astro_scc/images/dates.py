@@ -12,7 +12,7 @@ import numpy as np
 from astropy.time import Time, TimeDelta
 
 from astro_scc.exceptions import warn
-from astro_scc.images.cards import KEYWORDS, axis_numbers, get
+from astro_scc.images.headers import KEYWORDS, axis_numbers, get
 from astro_scc.quantities import parse_date, without_doubt
 
 #: Keywords of dates, times and durations, and words about them.
@@ -24,6 +24,10 @@ DAY, HOURS = 86400.0, 24
 #: Smallest Julian date that is no modified one, and days after it, or of a modified
 #: one, of which no image can be.
 FIRST_JD, FUTURE = 2.4e6, 4e5
+UNKNOWN_SCALE = (
+    "its time scale TIMESYS = {} is not known and taken for UTC; correct its dates, "
+    "and TIMESYS, if they are local"
+)
 _CLOCK = re.compile(
     r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
     r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
@@ -43,7 +47,6 @@ class Found:
     precision: float
     time: Time = field(compare=False)
     keyword: str = field(compare=False)
-    middle: bool = field(compare=False, default=False)
 
     @property
     def day_only(self):
@@ -69,46 +72,44 @@ def observing_time(header, *, start=False):
             return value, ""
     scale = _scale_of(header)
     starts, problem = _dates(header, WORDS["start"], scale)
-    middles, other = _dates(header, WORDS["middle"], scale, middle=True)
+    middles, other = _dates(header, WORDS["middle"], scale)
     if not (starts or middles):
         if problem or other:
             raise ValueError(problem or other)
         return None, ""
-    first = [*starts, *middles][0]
-    doubt = ""
-    if first.day_only and not first.middle:
+    first, doubt = [*starts, *middles][0], ""
+    if first.day_only and starts:
         starts[1:1], doubt = _with_clock(header, first)
     begin = min((one for one in starts if _agrees(one, first)), default=None)
-    remark = _contradictions(starts, first) or _unknown_scale(scale) or doubt
+    unknown = "" if scale in SCALES else UNKNOWN_SCALE.format(scale)
+    remark = _contradictions(starts, first) or unknown or doubt
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
-    exposure = _exposure(header)
+    known = begin or first
+    exposure = 0.0
+    for keyword in WORDS["exposure"]:
+        if not exposure > 0 and (value := get(header, keyword, kind=float)):
+            # Its comment may say another unit.
+            exposure = max(value, 0.0) * _unit_of(header, keyword, 1.0)
     ends = [one for one in _dates(header, WORDS["end"], scale)[0] if not one.day_only]
-    if (begin or first).day_only:
+    if known.day_only:
         half = TimeDelta(exposure / 2, format="sec")
-        middles += [replace(one, time=one.time - half, middle=True) for one in ends]
-    middles = [one for one in middles if _follows(one, begin or first, exposure)]
+        middles += [replace(one, time=one.time - half) for one in ends]
+    middles = [one for one in middles if _follows(one, known, exposure)]
     middle = min(middles, default=None)
-    if middle is not None and (begin is None or _better(middle, begin)):
+    # It is more precise than the start, or than their gap.
+    if middle is not None and (
+        begin is None or middle.precision <= max(begin.precision, _gap(middle, begin))
+    ):
         return _in_utc(middle.time), remark
     half = TimeDelta(_lasted(begin, ends, exposure) / 2, format="sec")
-    return _in_utc((begin or first).time + half), remark
+    return _in_utc(known.time + half), remark
 
 
 def _scale_of(header):
     """Return the time scale of a header, TT for ``TT(TAI)``."""
     scale = (get(header, "TIMESYS", kind=str) or "UTC").upper()
     return scale.partition("(")[0].strip()
-
-
-def _unknown_scale(scale):
-    """Return a remark on a time scale that is not known."""
-    if scale in SCALES:
-        return ""
-    return (
-        f"its time scale TIMESYS = {scale} is not known and taken for UTC; correct its "
-        "dates, and TIMESYS, if they are local"
-    )
 
 
 def _contradictions(starts, first, longest=0.9):
@@ -133,14 +134,6 @@ def _contradictions(starts, first, longest=0.9):
     )
 
 
-def _exposure(header):
-    """Return the exposure in seconds, also where its comment says another unit."""
-    for keyword in WORDS["exposure"]:
-        if (value := get(header, keyword, kind=float) or 0) > 0:
-            return value * _unit_of(header, keyword, 1.0)
-    return 0.0
-
-
 def _unit_of(header, keyword, default):
     """Return the seconds of a unit of time that the comment of a card names."""
     comment = ""
@@ -148,12 +141,6 @@ def _unit_of(header, keyword, default):
         comment = str(header.comments[keyword])
     units = WORDS["seconds"].items()
     return next((s for word, s in units if re.search(word, comment)), default)
-
-
-def _better(middle, begin):
-    """Return whether the middle is more precise than the start, or than their gap."""
-    gap = abs((middle.time - begin.time).to_value(u.s))
-    return middle.precision <= max(begin.precision, gap)
 
 
 def _agrees(one, first):
@@ -165,8 +152,12 @@ def _agrees(one, first):
         return one.time.isot[:10] == first.time.isot[:10] or (
             _in_utc(one.time).isot[:10] == _in_utc(first.time).isot[:10]
         )
-    gap = abs((one.time - first.time).to_value(u.s))
-    return gap <= first.precision + one.precision
+    return _gap(one, first) <= first.precision + one.precision
+
+
+def _gap(one, other):
+    """Return the seconds between two dates."""
+    return abs((one.time - other.time).to_value(u.s))
 
 
 def _follows(middle, begin, exposure):
@@ -190,7 +181,7 @@ def _lasted(begin, ends, exposure):
     return exposure if exposure <= DAY else 0.0
 
 
-def _dates(header, keywords, scale, *, middle=False):
+def _dates(header, keywords, scale):
     """Return the dates of some keywords, and why one could not be read."""
     found, problem = [], ""
     for keyword in keywords:
@@ -205,10 +196,10 @@ def _dates(header, keywords, scale, *, middle=False):
                 continue
             time = Time(day, format=form, scale=SCALES.get(scale, "utc"))
             precision = DAY * _last_digit(repr(day))
-            found.append(Found(precision, _in_scale(time, scale), keyword, middle))
+            found.append(Found(precision, _in_scale(time, scale), keyword))
         elif (text := get(header, keyword, kind=str)) is not None:
             try:
-                found.append(Found(*_of_text(text, scale), keyword, middle))
+                found.append(Found(*_of_text(text, scale), keyword))
             except ValueError as error:
                 problem = problem or f"{keyword}: {error}"
     return found, problem
@@ -274,14 +265,13 @@ def _seconds(header, keyword):
     number, unit = get(header, keyword, kind=float), _unit_of(header, keyword, 0.0)
     if number is None or not 0 <= number <= DAY:
         return DAY, None, ""
-    left_out, doubt = False, ""
+    seconds, doubt = (unit or 1.0) * number, ""
     if 0 < number <= HOURS and not unit:
-        left_out = keyword.startswith("UT")
-        what = "is left out" if left_out else "is seconds"
-        doubt = f"its {keyword} = {number:g} may be hours or seconds and {what}; write "
-        doubt += "it as HH:MM:SS"
-    unit = unit or 1.0
-    return unit * _last_digit(text), None if left_out else unit * number, doubt
+        what = "left out" if keyword.startswith("UT") else "seconds"
+        seconds = None if what == "left out" else seconds
+        doubt = f"its {keyword} = {number:g} may be hours or seconds and is {what}; "
+        doubt += "write it as HH:MM:SS"
+    return (unit or 1.0) * _last_digit(text), seconds, doubt
 
 
 def _in_scale(time, scale):
@@ -312,7 +302,7 @@ def as_times(times, n):
                 "times must be a Time or strings such as '2006-03-09', got "
                 f"{type(times).__name__}; of numbers make Time(numbers, format='mjd')"
             ) from error
-        times = Time(dates or [], format=None if dates else "jd")
+        times = Time(dates, format=None if dates else "jd")
     times = times.reshape(1) if times.isscalar else times
     if times.shape != (n,):
         raise ValueError(f"{n} epochs need {n} times, got shape {times.shape}")
@@ -356,11 +346,10 @@ def date_labels(times, *, clock=False):
     gaps = np.diff(np.sort((times - times[0]).to_value(u.s)))
     least = gaps[gaps > 0].min(initial=np.inf)
     digits = next((n for n in (0, 3, 6) if 2 * 10.0**-n <= least), 9)
-    texts = Time(times, format="isot", precision=digits).isot
+    # Days are not rounded.
+    texts, days = (Time(times, format="isot", precision=n).isot for n in (digits, 9))
     # A selection of dates some of which are missing is still masked.
     texts = tuple(getattr(texts, "unmasked", texts).tolist())
-    # Days are not rounded.
-    days = Time(times, format="isot", precision=9).isot
     days = tuple(text[:10] for text in getattr(days, "unmasked", days).tolist())
     midnight = all(text[10:].startswith("T00:00:00") for text in texts)
     told_apart = len(set(days)) == len(set(texts))
@@ -373,7 +362,7 @@ def date_labels(times, *, clock=False):
 def time_axis(header):
     """Return the number of the axis of time of a header, None if there is none."""
     for axis in range(1, header.get("NAXIS", 0) + 1):
-        name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
+        name = (get(header, f"CTYPE{axis}", kind=str) or "").upper()
         if re.split(r"[-(]", name)[0].strip() in WORDS["axes"]:
             return axis
     return None
@@ -402,17 +391,16 @@ def axis_times(header, axis, hdus=()):
         if n > 1 and not step:
             raise ValueError(f"has no step on axis {name} (CDELT{axis}); write it")
         values = (start or 0.0) + (np.arange(1, n + 1) - pixel) * step
-    unit = (unit or given).strip()
+    usual = "d" if name.startswith(("MJD", "JD")) else "s"
+    unit = (unit or given).strip() or usual
     unit = WORDS["units"].get(unit.lower(), unit)
-    if unit == "s" and not given and name.startswith(("MJD", "JD")):
-        unit = "d"
     try:
         seconds = np.asarray(values, dtype=float) * u.Unit(unit).to(u.s)
     except (TypeError, ValueError, u.UnitsError):
         what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
         raise ValueError(what) from None
-    scale = next((part for part in (name, name[:3]) if part in SCALES), None)
-    scale = scale or _scale_of(header)
+    scale = _scale_of(header)
+    scale = next((part for part in (name, name[:3]) if part in SCALES), scale)
     return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
 
 
@@ -456,15 +444,15 @@ def _of_table(header, axis, hdus, n):
         tables = [table for table in tables if table.name == name.upper()]
         wanted = [column.upper()]
     for table, want in product(tables, wanted):
-        names = {name.upper(): name for name in table.columns.names}
-        if want not in names or len(table.data) == 0:
+        # Their case does not matter.
+        if want not in map(str.upper, table.columns.names):
             continue
-        values = np.asarray(table.data[names[want]]).reshape(-1)
+        values = np.asarray(table.data[want]).reshape(-1)
         if len(values) != n:
             continue
         if values.dtype.kind in "SU":
             scale = _scale_of(header)
             return Time([_of_text(str(text), scale)[1] for text in values]), ""
-        unit = table.columns[names[want]].unit or ""
+        unit = table.columns[want].unit or ""
         return values.astype(float), unit or ("d" if want in ("MJD", "JD") else "")
     return None, ""

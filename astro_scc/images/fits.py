@@ -19,11 +19,9 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from astro_scc.exceptions import first_line
-from astro_scc.images import extensions, grid, headers
-from astro_scc.images.beam import Beam
-from astro_scc.images.cards import axis_numbers, bandwidth, get, logarithm, parse_unit
-from astro_scc.images.dates import axis_times, time_axis
-from astro_scc.images.pixels import flagged, missing, uncertainty_noise, uncertainty_of
+from astro_scc.images import grid, headers, pixels, positions
+from astro_scc.images.beam import Beam, SeveralBeamsError, header_beam
+from astro_scc.images.dates import axis_times, observing_time, time_axis
 
 # Value of CREATOR that marks the files of EpochCube.write.
 CUBE_CREATOR = "astro_scc EpochCube"
@@ -37,6 +35,11 @@ AS_TABLE = (
     "QTable.read(FILE, ...) with the columns epoch, flux, x and y, their units "
     "(table['x'].unit = 'mas'), and table.write('spots.ecsv')"
 )
+#: Of what Pan-STARRS stretches.
+STRETCHED = (
+    "its brightness is stretched by asinh (BSOFTEN, BOFFSET of Pan-STARRS); make it "
+    "linear, BOFFSET + 2 BSOFTEN sinh(pixel / 1.0857362), and remove these keywords"
+)
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
 #: Cards that are of one image alone.
@@ -47,7 +50,7 @@ _AXES = re.compile(rb"NAXIS   = *(\d{4,})")
 @dataclass(kw_only=True)
 class Plane:
     """
-    One image on its own grid, with the facts in its header, see `headers.read_header`.
+    One image on its own grid, with the facts in its header, see `read_header`.
 
     ``shape`` is that of the whole image, of which ``data`` and ``mask`` may be a
     part; they are None if only the header was read.
@@ -78,6 +81,12 @@ class Plane:
         return float(np.max(sides))
 
     @property
+    def beam_is_small(self):
+        """Whether the beam is smaller than a pixel, but for rounding."""
+        pixel = self.extent / max(self.shape)
+        return self.beam is not None and self.beam.major.to_value(u.deg) < 0.99 * pixel
+
+    @property
     def notes(self):
         """Advice on what in the header is not understood."""
         beam = f"its beam is taken as unknown: {self.beam_problem}; {CORRECT_BEAM}"
@@ -87,18 +96,43 @@ class Plane:
     def take_uncertainty(self):
         """Make the uncertainty the noise, and mask the pixels without one."""
         if self.uncertainty is not None:
-            # Errors that are larger than all that is seen mark pixels without a value.
-            whole = float(np.ptp(self.data[~self.mask]))
-            self.noise, bad, even = uncertainty_noise(
-                self.uncertainty, self.unit, self.mask, most=whole
+            found = pixels.uncertainty_noise(
+                self.uncertainty, self.unit, self.data, self.mask
             )
+            self.noise, bad, remark = found
             self.mask |= bad
             self.uncertainty = None
-            if not even:
-                self.remarks.append(
-                    "its uncertainty differs from pixel to pixel, and the median is "
-                    "taken for the noise; leave it out to have the noise measured"
-                )
+            self.remarks += [remark] if remark else []
+
+
+def read_header(header, hdus=()):
+    """
+    Return what a FITS header or a dict tells about an image, by the fields of `Plane`.
+
+    ``time`` (UTC) and ``beam`` are None if the header has none, or if they cannot be
+    read; then ``date_problem`` and ``beam_problem`` say why.  ``facts`` are those of
+    `headers.header_facts`.
+
+    For the date see `observing_time`, of whose doubts ``remarks`` tell.  The beam is
+    taken from ``BMAJ``, ``BMIN`` and ``BPA`` (degrees), else from an ``AIPS CG`` or
+    ``BEAMS`` table among ``hdus``, else from the last ``CLEAN BMAJ=`` in the
+    history; ``beam_choice`` says that a table has several and none is the image's.
+    """
+    found = {"time": None, "beam": None, "remarks": []}
+    found["facts"] = headers.header_facts(header)
+    try:
+        found["time"], remark = observing_time(header)
+        found["remarks"] += [remark] if remark else []
+    except ValueError as error:
+        found["date_problem"] = str(error)
+    try:
+        tables = [hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)]
+        found["beam"] = header_beam(header, tables)
+    except SeveralBeamsError as error:
+        found["beam_choice"] = str(error)
+    except (KeyError, TypeError, ValueError) as error:
+        found["beam_problem"] = str(error)
+    return found
 
 
 def find_files(paths, *, missing_ok=False):
@@ -109,22 +143,23 @@ def find_files(paths, *, missing_ok=False):
     image of a file may be chosen behind its name, ``file.fits[SCI,2]``.  Files that do
     not exist raise a FileNotFoundError, or are kept if ``missing_ok`` is True.
     """
-    if isinstance(paths, str | os.PathLike):
-        paths = [paths]
-    try:
-        names = [os.path.expanduser(os.fspath(path)) for path in paths]
-    except TypeError:
-        raise TypeError(f"paths must be names or a pattern, got {paths!r}") from None
+    single = isinstance(paths, str | os.PathLike) or not np.iterable(paths)
+    paths = [paths] if single else list(paths)
+    if not all(isinstance(path, str | os.PathLike) for path in paths):
+        raise TypeError(f"paths must be names or a pattern, got {paths!r}")
     found = []
-    for name in names:
-        if not isinstance(name, str):
-            raise TypeError(f"paths must be text, got {name!r}")
-        if os.path.exists(name) or (missing_ok and not glob.has_magic(name)):
-            found.append(name)
-        elif matches := sorted(glob.glob(name, recursive=True)):
-            found += [match for match in matches if not os.path.isdir(match)]
-        elif matches := _chosen(name):
-            found += matches
+    for name in (os.path.expanduser(os.fspath(path)) for path in paths):
+        # Brackets are of a name, of a pattern or of a choice.
+        for file, choice in ((name, None), pixels.split_choice(name)):
+            if os.path.exists(file) or (missing_ok and not glob.has_magic(file)):
+                matches = [file]
+            else:
+                matches = sorted(glob.glob(file, recursive=True))
+                matches = [match for match in matches if not os.path.isdir(match)]
+            if matches:
+                behind = f"[{choice}]" if choice else ""
+                found += [f"{match}{behind}" for match in matches]
+                break
         else:
             what = "file matches this pattern" if glob.has_magic(name) else "such file"
             raise FileNotFoundError(f"{name}: no {what}")
@@ -133,48 +168,38 @@ def find_files(paths, *, missing_ok=False):
     once = {}
     for name in found:
         once.setdefault(os.path.abspath(name), Path(name))
-    files = list(once.values())
-    for path in files:
+    for path in once.values():
         if path.exists() and not (path.is_file() or path.is_dir()):
             # Pipes, sockets and devices may have no end.
             raise OSError(f"{path}: is no ordinary file; give the name of one")
-    return files
-
-
-def _chosen(name):
-    """Return the images that are chosen in the files of a name or pattern."""
-    file, choice = extensions.split_choice(name)
-    if choice is None:
-        return []
-    files = [file] if os.path.exists(file) else sorted(glob.glob(file, recursive=True))
-    return [f"{name}[{choice}]" for name in files if not os.path.isdir(name)]
+    return list(once.values())
 
 
 def file_of(path):
     """Return the file of a path, and the image that is chosen behind it, or None."""
-    file, choice = (path, None) if path.exists() else extensions.split_choice(path)
+    file, choice = (path, None) if path.exists() else pixels.split_choice(path)
     return Path(file), choice
 
 
-def read_plane(path, *, window=None, pixels=True, frame=None):
+def read_plane(path, *, window=None, load=True, frame=None):
     """
     Return the `Plane` of a FITS file of AIPS, difmap, CASA, HST or others.
 
     For the image that is read see `find_image`.  Axes of length one are dropped, and
     Stokes I is taken from several Stokes parameters, ``frame`` from an axis of time.
     ``window`` selects the rows and columns to load from a file that was read before;
-    without ``pixels`` only the header is read.  A file that is missing, broken or holds
+    without ``load`` only the header is read.  A file that is missing, broken or holds
     no image raises an OSError; an image of more than two axes, without celestial
     coordinates or without a valid pixel a ValueError.
     """
     with opened(path, known=bool(window)) as hdus:
-        return plane_of(hdus, path, window=window, pixels=pixels, frame=frame)
+        return plane_of(hdus, path, window=window, load=load, frame=frame)
 
 
 def frames_of(path):
     """Return the numbers of the images on an axis of time of a file, else [None]."""
     with opened(path) as hdus:
-        header = extensions.find_image(hdus, path, file_of(Path(path))[1]).header
+        header = pixels.find_image(hdus, path, file_of(Path(path))[1]).header
         axis = time_axis(header)
         n = header[f"NAXIS{axis}"] if axis else 1
         return [None] if n == 1 else range(n)
@@ -192,14 +217,14 @@ def opened(path, *, known=False):
             "exportfits"
         )
     if path.suffix.lower() in TEXT:
-        raise extensions.NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
+        raise pixels.NoImageError(f"{path}: is a table and no image; {AS_TABLE}")
     # AIPS and difmap files break minor rules of the standard throughout.
     with warnings.catch_warnings(action="ignore"):
         try:
             # astropy.io.fits does not close files that it fails to open.
             with path.open("rb") as file, open_fits(file, known=known) as hdus:
                 yield hdus
-        except (headers.ContentError, extensions.NoImageError) as error:
+        except (headers.ContentError, pixels.NoImageError) as error:
             raise type(error).__base__(f"{path}: {error}") from None
         except Exception as error:
             # A damaged file can fail anywhere inside astropy.io.fits.  The first
@@ -225,39 +250,37 @@ def open_fits(file, *, known=False, **options):
         else:
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if found := _AXES.search(content):
-            raise extensions.NoImageError(
-                f"is broken, it claims {found[1].decode()} axes"
-            )
+            raise pixels.NoImageError(f"is broken, it claims {found[1].decode()} axes")
         file.seek(0)
     return fits.open(file, **options)
 
 
-def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
+def plane_of(hdus, path, *, window=None, load=True, frame=None):
     """Return the `Plane` of an open file, see `read_plane`."""
     _refuse_whole(hdus[0].header)
     file, choice = file_of(Path(path))
-    hdu = extensions.find_image(hdus, path, choice)
+    hdu = pixels.find_image(hdus, path, choice)
     header = hdu.header.copy()
     if hdu is not hdus[0]:
         header.extend(_inherited(hdus[0], hdu), unique=True, bottom=True)
     _check_complete(hdu, file)
-    text = get(header, "BUNIT", kind=str)
-    if problem := logarithm(text) or _stretched(header):
+    text = headers.get(header, "BUNIT", kind=str)
+    stretched = STRETCHED if {"BOFFSET", "BSOFTEN"} & {*header} else ""
+    if problem := headers.logarithm(text) or stretched:
         raise headers.ContentError(problem)
     wcs = headers.celestial_wcs(header, fobj=hdus)
-    index = _plane_index(header, frame)
+    index = pixels.plane_index(header, frame)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
-    tables = (table for table in hdus if isinstance(table, fits.BinTableHDU))
-    record = headers.read_header(header, tables)
+    record = read_header(header, hdus)
     plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, **record)
-    plane.bandwidth = bandwidth(header)
+    plane.bandwidth = headers.bandwidth(header)
     if (axis := time_axis(header)) is not None:
         try:
             plane.time = axis_times(header, axis, hdus)[frame or 0]
         except ValueError as error:
             if frame is not None:
                 raise headers.ContentError(str(error)) from None
-    plane.unit = parse_unit(text)
+    plane.unit = headers.parse_unit(text)
     if plane.unit is None:
         plane.unit = u.dimensionless_unscaled
         plane.remarks.append(
@@ -267,8 +290,10 @@ def plane_of(hdus, path, *, window=None, pixels=True, frame=None):
     if plane.beam is not None and plane.beam.major.to_value(u.deg) > plane.extent:
         plane.beam_problem = f"{plane.beam} is larger than the image"
         plane.beam = None
-    if pixels:
+    if load:
         _load(plane, hdus, hdu, index, window or (slice(None), slice(None)))
+        shape = plane.data.shape
+    plane.wcs = positions.unwrapped(plane.wcs, shape)
     return plane
 
 
@@ -294,17 +319,6 @@ def _inherited(primary, hdu):
     return fits.Header([card for card in cards if not _OF_ONE.match(card.keyword)])
 
 
-def _stretched(header):
-    """Return why the brightness is not linear, or ""."""
-    if {"BOFFSET", "BSOFTEN"} & set(header):
-        return (
-            "its brightness is stretched by asinh (BSOFTEN, BOFFSET of Pan-STARRS); "
-            "make it linear, BOFFSET + 2 BSOFTEN sinh(pixel / 1.0857362), and remove "
-            "these keywords"
-        )
-    return ""
-
-
 def _load(plane, hdus, hdu, index, window):
     """Add the pixels of a window, with mask and uncertainty, to the plane."""
     # Only these pixels are read if the file is mapped into memory.
@@ -316,28 +330,29 @@ def _load(plane, hdus, hdu, index, window):
     # Extensions tell of one plane, or of those of all dates.
     shape = plane.shape if dates is None else hdu.shape
 
-    def pixels(other):
-        data = other.data if other.data.ndim == 2 else np.squeeze(other.data)
-        return (data if data.ndim == 2 else data[index[-dates]])[window]
+    def part(other):
+        values = other.data.reshape(shape)
+        return (values if dates is None else values[index])[window]
 
-    weights = extensions.beside(hdus, hdu, "weights", shape)
     remarks = []
-    for other in (*weights, *extensions.beside(hdus, hdu, "flags", shape)):
+    weights = pixels.beside(hdus, hdu, "weights", shape)
+    for other in (*weights, *pixels.beside(hdus, hdu, "flags", shape)):
         if plane.mask.all():
             break
-        bad, remark = ~(pixels(other) > 0), ""
+        bad, remark = ~(part(other) > 0), ""
         if other not in weights:
-            bad, remark = flagged(pixels(other), plane.data, other.name, telescope)
+            bad, remark = pixels.flagged(part(other), plane.data, other.name, telescope)
         plane.mask |= bad
         remarks.append(remark)
         why = f" by its extension {other.name}"
     # What extensions mark needs no remark.
-    plane.mask, remark = missing(plane.data, plane.mask)
+    plane.mask, remark = pixels.missing(plane.data, plane.mask)
     plane.remarks += filter(None, (*remarks, remark))
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
-    for other in extensions.beside(hdus, hdu, "uncertain", shape)[:1]:
-        plane.uncertainty = uncertainty_of(other, pixels(other), plane.unit, plane.mask)
+    for other in pixels.beside(hdus, hdu, "uncertain", shape)[:1]:
+        values = part(other)
+        plane.uncertainty = pixels.uncertainty_of(other, values, plane.unit, plane.mask)
     if where:
         plane.wcs = grid.cut_wcs(plane.wcs, window)
 
@@ -354,43 +369,10 @@ def _check_complete(hdu, path):
     missing = info["datLoc"] + size - path.stat().st_size
     if missing > 0:
         least = "at least " if packed else ""
-        raise extensions.NoImageError(
+        raise pixels.NoImageError(
             f"is truncated, {least}{missing} bytes of its image are missing; "
             "copy the file again"
         )
-
-
-def _plane_index(header, frame=None):
-    """Return the index of the image plane, in numpy's order of axes."""
-    index, dates = [], time_axis(header)
-    for axis in range(header["NAXIS"], 0, -1):
-        name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
-        length = header[f"NAXIS{axis}"]
-        if headers.axis_kind(name):
-            index.append(slice(None))
-        elif axis == dates and frame is not None:
-            index.append(frame)
-        elif length == 1:
-            index.append(0)
-        elif name.startswith("STOKES"):
-            index.append(_stokes_i(header, axis, length))
-        else:
-            raise headers.ContentError(
-                f"has {length} planes on axis {name or f'{axis} of the file'}; write "
-                "the one to use, or their mean, to a file of its own"
-            )
-    return tuple(index)
-
-
-def _stokes_i(header, axis, length):
-    start, pixel, step = axis_numbers(header, axis)
-    if start is not None:
-        position = (1 - start) / (step or 1) + pixel - 1
-        if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
-            return round(position)
-    raise headers.ContentError(
-        f"has {length} planes on axis STOKES and none of them is I; write one to a file"
-    )
 
 
 def looks_like_mask(image):

@@ -11,7 +11,7 @@ from astropy.wcs import WCS
 from astropy.wcs.utils import pixel_to_pixel, wcs_to_celestial_frame
 
 from astro_scc.exceptions import naming, warn
-from astro_scc.images import headers, local, series
+from astro_scc.images import headers, positions, series
 from astro_scc.images.beam import Beam, as_beam, contains, is_per, smallest_common_beam
 from astro_scc.images.series import ImageSeries, Series
 
@@ -178,7 +178,7 @@ def area_ratio(wcs, grid, shape):
 
     def ratio(x, y):
         there = pixel_to_pixel(grid, wcs, x, y)
-        return local.local_area(grid, x, y) / local.local_area(wcs, *there)
+        return positions.local_area(grid, x, y) / positions.local_area(wcs, *there)
 
     few = ratio(*_few(shape))
     if np.allclose(few, few[0], rtol=1e-6):
@@ -260,7 +260,7 @@ def reproject_cube(
             "the new wcs has another celestial frame, in which the position angles "
             "of the beams do not hold; use a wcs in the frame of the epochs"
         )
-    side = np.sqrt(local.middle_area(wcs, shape)) * u.deg
+    side = np.sqrt(positions.middle_area(wcs, shape)) * u.deg
     # Two pixels a beam sample it.
     sampled = [beam.minor / 2 for beam in cube.beams or ()]
     present = cube.pixel_scale
@@ -270,7 +270,7 @@ def reproject_cube(
     data, mask, copied = regrid(
         cube.data, cube.mask, cube.wcs, wcs, unit=cube.unit, averaged=coarse
     )
-    if not local.is_flat(wcs, shape):
+    if not positions.is_flat(wcs, shape):
         wcs = series.flat_wcs(wcs, data, mask)
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
@@ -284,7 +284,7 @@ def reproject_cube(
 
 def finest(grids):
     """Return the index of the first (shape, wcs) among those with smallest pixels."""
-    areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
+    areas = np.array([positions.middle_area(wcs, shape) for shape, wcs in grids])
     return int(np.argmax(areas <= areas.min() * (1 + 1e-6)))
 
 
@@ -320,11 +320,11 @@ def shared_grid(grids):
     >>> shape, grid.wcs.crpix.tolist()
     ((16, 20), [12.0, 8.0])
     """
-    areas = np.array([local.middle_area(wcs, shape) for shape, wcs in grids])
+    areas = np.array([positions.middle_area(wcs, shape) for shape, wcs in grids])
     fine = grids[finest(grids)][1]
     corners = []
     for shape, wcs in grids:
-        edge = local.outline(local.whole(shape))
+        edge = positions.outline(positions.whole(shape))
         corners.append(edge if is_same(wcs, fine) else pixel_to_pixel(wcs, fine, *edge))
     corners = np.concatenate(corners, axis=1)
     # Rounding errors must not add a row.
@@ -348,21 +348,20 @@ def flatten(fields, name, whole, unit):
     parts.
     """
     data, mask, wcs = (fields[name] for name in ("data", "mask", "wcs"))
-    far = local.is_far(wcs, whole)
-    if not far and local.is_flat(wcs, data.shape[1:]):
+    far = positions.is_far(wcs, whole)
+    if not far and positions.is_flat(wcs, data.shape[1:]):
         return ""
     mean = series.mean_of(data, mask)
-    flat, turn = local.flat_wcs(wcs, mean, moved=far)
+    flat, turn = positions.flat_wcs(wcs, mean, moved=far)
     if flat is wcs:
         return ""
     if flat is not None:
-        place = flat.wcs.crpix - 1
-        every = [local.tangent_wcs(one, place) for one in fields["epoch_wcs"]]
-        line = "offsets are from pixel ({:.4g}, {:.4g}), not the far reference pixel"
-        line = line.format(*place)
+        x, y = flat.wcs.crpix - 1
+        every = [positions.tangent_wcs(one, (x, y)) for one in fields["epoch_wcs"]]
+        line = f"offsets are from pixel ({x:.4g}, {y:.4g}), not the far reference pixel"
     else:
         with naming(f"{name} and the other images"):
-            flat, turn = local.tangent_grid(wcs, mean)
+            flat, turn = positions.tangent_grid(wcs, mean)
         shape, code = flat.array_shape, str(wcs.wcs.ctype[0])[5:]
         data, mask, _ = regrid(data, mask, wcs, flat, unit=unit)
         every = [flat] * len(data)
@@ -372,7 +371,7 @@ def flatten(fields, name, whole, unit):
             "it; reproject them yourself if you want another grid"
         )
         fields |= {"data": data, "mask": mask}
-    if turn > local.EVEN:
+    if turn > positions.EVEN:
         warn(
             f"north turns by {np.degrees(turn):.2g} deg from the middle of the "
             "structure to its edges; directions refer to north in the middle"

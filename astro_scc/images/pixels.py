@@ -1,16 +1,203 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Which pixels of an image are missing, and its noise by their uncertainties."""
+"""Which image of a FITS file is meant, which of its pixels are missing, its noise."""
+
+import re
+from contextlib import suppress
 
 import astropy.units as u
 import numpy as np
 import scipy
+from astropy.io import fits
 from astropy.nddata import InverseVariance, StdDevUncertainty, VarianceUncertainty
 
-from astro_scc.images import cards, extensions, headers
+from astro_scc.images import headers
+from astro_scc.images.dates import time_axis
 
+#: Patterns of the names of extensions.
+NAMES = headers.KEYWORDS["extensions"]
+KINDS = "flags", "weights", "uncertain", "beside"
+_CHOICE = re.compile(r"(?P<file>.+?)\[(?P<choice>[^\[\]*?]+)\]$")
 #: Uncertainties by the names that astropy writes.
 UNCERTAINTIES = StdDevUncertainty, VarianceUncertainty, InverseVariance
 UNCERTAINTIES = {kind.__name__: kind for kind in UNCERTAINTIES}
+
+
+UNEVEN = (
+    "its uncertainty differs from pixel to pixel, and the median is taken for the "
+    "noise; leave it out to have the noise measured"
+)
+
+
+class NoImageError(OSError):
+    """The file is not FITS, is broken, or holds no image."""
+
+
+def split_choice(name):
+    """
+    Return the name of a file and the extension that is chosen in brackets behind it.
+
+    Extensions are written as for astropy and IRAF, ``file.fits[SCI,2]``, ``[SCI]`` or
+    ``[2]``, of which the first image of the file is 0.
+    """
+    match = _CHOICE.match(str(name))
+    return (match["file"], match["choice"].strip()) if match else (str(name), None)
+
+
+def is_of(name, kind):
+    """Return whether the name of an extension is that of a kind."""
+    return bool(re.fullmatch("|".join(NAMES[kind]), name))
+
+
+def is_image(hdu):
+    """Return whether an HDU has an image of two axes or more."""
+    return hdu.is_image and len(hdu.shape) >= 2 and 0 not in hdu.shape
+
+
+def is_visibilities(hdus):
+    """Return whether an open file is UVFITS or FITS-IDI."""
+    return any(isinstance(h, fits.GroupsHDU) or h.name == "UV_DATA" for h in hdus)
+
+
+def find_image(hdus, path, choice=None):
+    """
+    Return the image of a file that is chosen, or that can only be meant.
+
+    That is the only image, ``SCI``, or else the only one with celestial coordinates of
+    its own, planes of one date, and a unit of brightness, that is not named as one
+    that tells of another.  If several remain, a ContentError says how to choose.
+    """
+    found = [hdu for hdu in hdus if is_image(hdu)]
+    if choice is not None:
+        return _chosen(hdus, found, choice)
+    if not found:
+        if is_visibilities(hdus):
+            raise NoImageError(
+                "holds visibilities and no image; make an image of them (difmap, CASA "
+                "or AIPS), or give the models that were fitted to them (.mod)"
+            )
+        raise NoImageError("holds no image")
+    science = [hdu for hdu in found if hdu.name == "SCI"]
+    if science:
+        found = science
+    elif len(found) > 1:
+        marks = [_marks(hdu) for hdu in found]
+        best = max(marks)
+        found = [hdu for hdu, mark in zip(found, marks, strict=True) if mark == best]
+    if len(found) > 1:
+        names = [f"[{_name(hdus, hdu)}]" for hdu in found]
+        file = re.sub(r".*[/\\]", "", split_choice(path)[0])
+        raise headers.ContentError(
+            f"has {len(found)} images, {headers.some(names)}; choose one by its name "
+            f"in brackets, such as '{file}{names[0]}'"
+        )
+    return found[0]
+
+
+def _chosen(hdus, found, choice):
+    wanted = re.sub(r"\s*,\s*", ",", choice.upper())
+    for index, hdu in enumerate(hdus):
+        name = hdu.name or "PRIMARY"
+        names = str(index), name, f"{name},{version(hdus, hdu)}"
+        if wanted in names and is_image(hdu):
+            return hdu
+    has = headers.some([f"[{_name(hdus, hdu)}]" for hdu in found], 8) or "none"
+    raise headers.ContentError(f"has no image [{choice}]; its images are: {has}")
+
+
+def _name(hdus, hdu):
+    """Return the name by which an image can be chosen."""
+    if not hdu.name:
+        return str(hdus.index(hdu))
+    several = sum(other.name == hdu.name for other in hdus) > 1
+    return f"{hdu.name},{version(hdus, hdu)}" if several else hdu.name
+
+
+def version(hdus, hdu):
+    """Return the version of an HDU, its number of those of a name if that is lost."""
+    same = [other for other in hdus if other.name == hdu.name]
+    if len({other.ver for other in same}) == len(same):
+        return hdu.ver
+    return same.index(hdu) + 1
+
+
+def _marks(hdu):
+    """
+    Return what speaks for an image to be the one that is meant, the weightiest first.
+
+    It is not named as one that tells of others, has celestial coordinates, one plane of
+    each date and Stokes parameter, and a unit of brightness, and is named as science.
+    """
+    names, header = (hdu.name, hdu.name.rstrip("0123456789")), hdu.header
+    kind = (headers.get(header, "BTYPE", kind=str) or "").upper()
+    beside = any(is_of(name, other) for other in KINDS for name in names)
+    unit = headers.parse_unit(headers.get(header, "BUNIT", kind=str))
+    bright = unit is not None and unit != u.one and not unit.is_equivalent(u.s)
+    science = not (beside or re.search(NAMES["types"], kind))
+    placed = headers.celestial_axes(header) is not None
+    return science, placed, _is_one_plane(hdu), bright, hdu.name in NAMES["science"]
+
+
+def _is_one_plane(hdu):
+    """Return whether an image has one plane, of each date and Stokes parameter."""
+    with suppress(headers.ContentError):
+        return bool(plane_index(hdu.header, 0))
+    return False
+
+
+def plane_index(header, frame=None):
+    """Return the index of the image plane, in numpy's order of axes."""
+    index, dates = [], time_axis(header)
+    for axis in range(header["NAXIS"], 0, -1):
+        name = str(header.get(f"CTYPE{axis}", "")).upper().strip()
+        length = header[f"NAXIS{axis}"]
+        if headers.axis_kind(name):
+            index.append(slice(None))
+        elif axis == dates and frame is not None:
+            index.append(frame)
+        elif length == 1:
+            index.append(0)
+        elif name.startswith("STOKES"):
+            index.append(_stokes_i(header, axis, length))
+        else:
+            raise headers.ContentError(
+                f"has {length} planes on axis {name or f'{axis} of the file'}; write "
+                "the one to use, or their mean, to a file of its own"
+            )
+    return tuple(index)
+
+
+def _stokes_i(header, axis, length):
+    start, pixel, step = headers.axis_numbers(header, axis)
+    if start is not None:
+        position = (1 - start) / (step or 1) + pixel - 1
+        if abs(position - round(position)) < 1e-6 and 0 <= round(position) < length:
+            return round(position)
+    raise headers.ContentError(
+        f"has {length} planes on axis STOKES and none of them is I; write one to a file"
+    )
+
+
+def beside(hdus, image, kind, shape):
+    """
+    Return the extensions that tell of an image, of its shape.
+
+    The kind is "flags", "weights" or "uncertain".  Of several images, those of its
+    version do.  Others of one name but another shape are refused, but for weights.
+    """
+    found = []
+    for hdu in hdus:
+        if hdu is image or not is_of(hdu.name, kind) or not is_image(hdu):
+            continue
+        several = sum(other.name == hdu.name for other in hdus) > 1
+        if several and version(hdus, hdu) != version(hdus, image):
+            continue
+        if tuple(n for n in hdu.shape if n > 1) == tuple(n for n in shape if n > 1):
+            found.append(hdu)
+        elif kind != "weights":
+            raise headers.ContentError(
+                f"its extension {hdu.name} has shape {hdu.shape}, it {shape}; remove it"
+            )
+    return found
 
 
 def missing(image, mask=False):
@@ -128,9 +315,9 @@ def uncertainty_of(hdu, values, unit, mask):
     """
     name, text = (hdu.header.get(key) for key in ("UTYPE", "BUNIT"))
     kind = UNCERTAINTIES[
-        name if name in UNCERTAINTIES else extensions.NAMES["uncertain"][hdu.name]
+        name if name in UNCERTAINTIES else NAMES["uncertain"][hdu.name]
     ]
-    given = None if text is None else cards.parse_unit(text)
+    given = None if text is None else headers.parse_unit(text)
     values = np.array(values, dtype=float)
     if hdu.name != "UNCERT":
         # Telescopes write 0 where there is no error, and units that do not fit.
@@ -143,16 +330,16 @@ def uncertainty_of(hdu, values, unit, mask):
     return kind(values, unit=given, copy=False)
 
 
-def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf, even=1.5):
+def uncertainty_noise(uncertainty, unit, image, mask, *, even=1.5):
     """
     Return the noise of an image whose pixels have uncertainties.
 
     The noise is the median standard deviation of the valid pixels, in the ``unit`` of
     the image, which is also assumed for an NDUncertainty without a unit.  The function
-    also returns a mask of the pixels without one that is finite and no larger than
-    ``most`` where most pixels have a smaller one, and whether those of the pixels
-    differ by no more than the factor ``even`` from the median.  An uncertainty that
-    cannot be used raises a ValueError.
+    also returns a mask of the pixels without one that is finite and no larger than all
+    that is seen in the image, where most pixels have a smaller one, and a remark if
+    those of the pixels differ by more than the factor ``even`` from the median.  An
+    uncertainty that cannot be used raises a ValueError.
     """
     kind, sigma = type(uncertainty).__name__, uncertainty
     if uncertainty.array is None:
@@ -179,9 +366,9 @@ def uncertainty_noise(uncertainty, unit, mask, *, most=np.inf, even=1.5):
     valid = sigma[~(mask | bad)]
     if valid.size == 0:
         raise ValueError("its uncertainty is finite at no valid pixel; remove it")
-    noise = np.median(valid)
+    noise, most = np.median(valid), np.ptp(image[~mask])
     if 0 < noise < most:
         bad |= sigma > most
         valid = sigma[~(mask | bad)]
     alike = valid.max() <= even * noise and noise <= even * valid.min()
-    return noise * unit, bad, alike
+    return noise * unit, bad, "" if alike else UNEVEN

@@ -12,8 +12,8 @@ from typing import Any
 import astropy.units as u
 import numpy as np
 
-from astro_scc.exceptions import first_line, warn
-from astro_scc.images import grid, local, series
+from astro_scc.exceptions import naming_all, warn
+from astro_scc.images import grid, positions, series
 from astro_scc.images.positions import readable_angle
 
 
@@ -111,7 +111,7 @@ def _combine(cube, items, name, places):
                 # Images are small enough for spherical regions to be flat in them.
                 pixel = item
                 if not isinstance(item, PixelRegion):
-                    pixel = local.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
+                    pixel = positions.region_in_frame(item, cube.wcs).to_pixel(cube.wcs)
                 target = pixel.bounding_box.get_overlap_slices(shape)[0]
                 if target is None:
                     continue
@@ -186,13 +186,11 @@ def _read(path):
     if text.startswith("SIMPLE  =") or "\0" in text:
         raise ValueError(f"{path}: is not a text file; give a DS9 or CRTF region file")
     kind = "crtf" if text.startswith("#CRTF") else "ds9"
-    with warnings.catch_warnings(record=True, action="always") as caught:
-        try:
-            found = Regions.parse(text, format=kind)
-        except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
-            raise ValueError(
-                f"{path}: cannot be read as a {kind} region file ({first_line(error)})"
-            ) from error
+    with (
+        warnings.catch_warnings(record=True, action="always") as caught,
+        naming_all(f"{path}: cannot be read as a {kind} region file"),
+    ):
+        found = Regions.parse(text, format=kind)
     if len(found) == 0:
         raise ValueError(f"{path}: holds no region that can be used")
     for item in caught:
@@ -284,14 +282,13 @@ def refuse_pixels(path, cropped, cube=None):
     from regions import PixelRegion
 
     lines = () if cube is None else cube.meta.get("history", ())
-    why = (
-        "in a part of the images (crop)" if cropped else "in images that are resampled"
-    )
-    if not (cropped or any(line.startswith(grid.RESAMPLED) for line in lines)):
-        return
-    if any(isinstance(item, PixelRegion) for item in _read(path)[0]):
+    resampled = any(line.startswith(grid.RESAMPLED) for line in lines)
+    if (cropped or resampled) and any(
+        isinstance(item, PixelRegion) for item in _read(path)[0]
+    ):
+        where = "a part of the images (crop)" if cropped else "resampled images"
         raise ValueError(
-            f"{path}: is in pixels, which are others {why}; give it in celestial "
+            f"{path}: is in pixels, which are others in {where}; give it in celestial "
             "coordinates"
         )
 

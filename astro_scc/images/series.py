@@ -14,6 +14,7 @@ from typing import Any, Self, TypeVar, overload
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from astropy.io.fits import Header
 from astropy.nddata import CCDData, NDData, StdDevUncertainty
 from astropy.time import Time
 from astropy.utils.masked import Masked
@@ -23,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.exceptions import warn
-from astro_scc.images import cards, dates, headers, local, pixels, positions
-from astro_scc.images.beam import Beam, as_beam, different_beam
+from astro_scc.images import dates, headers, pixels, positions
+from astro_scc.images.beam import BEAM, Beam, as_beam, different_beam
 from astro_scc.intervals import median_interval
 from astro_scc.units import PM_UNIT, speed_unit
 
@@ -73,7 +74,7 @@ class ImageSeries:
         beams, noise = as_beams(self.beams, n), as_noise(self.noise, n, unit)
         mask, wcs = as_mask(data, mask), headers.as_celestial(self.wcs)
         refuse_empty(mask, labels)
-        if not local.is_flat(wcs, data.shape[1:]):
+        if not positions.is_flat(wcs, data.shape[1:]):
             wcs = flat_wcs(wcs, data, mask)
         order = dates.order_of(times)
         dates.warn_of_equal_dates(times[order])
@@ -200,7 +201,7 @@ class ImageSeries:
             noise = StdDevUncertainty(every, unit=self.unit, copy=False)
         return CCDData(
             self.data[index], mask=self.mask[index], unit=self.unit, uncertainty=noise,
-            wcs=self.wcs.deepcopy(), meta=headers.epoch_header(self, index),
+            wcs=self.wcs.deepcopy(), meta=epoch_header(self, index),
         )  # fmt: skip
 
     def mean_image(self) -> CCDData:
@@ -351,6 +352,25 @@ class ImageSeries:
         return self.pixel_to_offset(x, y)
 
 
+def epoch_header(cube, i):
+    """Return the date, label, beam, noise and facts of an epoch as a FITS header."""
+    time = cube.times[i]
+    header = Header()
+    header["DATE-OBS"] = time.isot
+    header["TIMESYS"] = time.scale.upper()
+    header["LABEL"] = cube.labels[i].encode("ascii", "replace").decode()
+    if cube.beams is not None:
+        axes = (getattr(cube.beams[i], name) for name in ("major", "minor", "pa"))
+        header.update(zip(BEAM, (axis.to_value(u.deg) for axis in axes), strict=True))
+    if cube.noise is not None:
+        header["NOISE"] = cube.noise[i].value, f"rms, {cube.noise.unit}"
+    facts = cube.epoch_meta[i]
+    for fact, row in headers.KEYWORDS["facts"].items():
+        if fact in facts:
+            header[row["keywords"][0]] = facts[fact]
+    return header
+
+
 def refuse_empty(mask, labels):
     """Refuse images without a pixel."""
     for i in np.flatnonzero(mask.all(axis=(1, 2))):
@@ -369,10 +389,10 @@ def picked(each, epochs):
 
 
 def flat_wcs(wcs, data, mask):
-    """Return coordinates with a matrix that holds in images, see `local.flat_wcs`."""
-    flat, _ = local.flat_wcs(wcs, mean_of(data, mask))
+    """Return the `positions.flat_wcs` of images, of which the scale must hold."""
+    flat, _ = positions.flat_wcs(wcs, mean_of(data, mask))
     if flat is None:
-        raise ValueError(local.too_wide(wcs))
+        raise ValueError(positions.too_wide(wcs))
     return flat
 
 
@@ -396,7 +416,7 @@ def as_stack(data, mask, unit):
         unit = u.Unit("" if unit is None else unit)
     except (TypeError, ValueError):
         raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
-    if problem := cards.logarithm(unit):
+    if problem := headers.logarithm(unit):
         raise ValueError(f"data: {problem}")
     try:
         if images is data and data:
@@ -450,10 +470,6 @@ def as_shape(shape):
 
 def as_beams(beams, n):
     """Return one beam per epoch, or None."""
-    if np.shape(getattr(beams, "major", None)):
-        # A radio_beam.Beams has arrays of the axes of all beams.
-        each = zip(beams.major, beams.minor, beams.pa, strict=True)
-        beams = [Beam(*one) for one in each]
     beams = beams if np.iterable(beams) or beams is None else [beams] * n
     return as_epoch_tuple(beams, n, "beams", as_beam)
 
@@ -487,30 +503,3 @@ def epoch_index(epoch, n):
     if not -n <= index < n:
         raise IndexError(f"epoch {index} of a cube with {n} epochs")
     return index % n
-
-
-def numbers(column, unit, path, own_unit=None):
-    """
-    Return a column as floats in ``unit``, blanks as NaN.
-
-    ``own_unit`` replaces the unit of the column.  If ``unit`` is
-    `astropy.units.one`, the numbers are returned as they are.
-    """
-    name = column.info.name
-    try:
-        values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
-    except (TypeError, ValueError):
-        raise ValueError(f"{path}: column {name!r} is not numeric") from None
-    for i in np.flatnonzero(np.isinf(values)):
-        raise ValueError(f"{path}, row {i + 1}: {name} is infinite")
-    if unit == u.one:
-        return values
-    own_unit = own_unit or column.unit
-    if own_unit is None:
-        raise ValueError(f"{path}: column {name!r} has no unit, such as {unit}")
-    try:
-        return values * u.Unit(own_unit).to(unit)
-    except (u.UnitConversionError, TypeError, ValueError):
-        raise ValueError(
-            f"{path}: column {name!r} has the unit {own_unit}, expected one like {unit}"
-        ) from None

@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 from astropy.stats import circmean, circstd
 
-from astro_scc.alignment.registration import farthest_upstream
+from astro_scc.epochs.registration import farthest_upstream
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
 from astro_scc.kinematics import PositionAngleFrame

@@ -13,7 +13,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.columns import cell, headed, heading_of
-from astro_scc.components.names import common_names, plain
+from astro_scc.epochs.tables import common_names, plain
 from astro_scc.flow import feature_profile
 from astro_scc.flow.acceleration import accelerations
 from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales

@@ -14,8 +14,8 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.cube import EpochCube
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise, in_pixels
 from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.series import as_beams, as_epoch_tuple

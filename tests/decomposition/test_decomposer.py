@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from astro_scc.components.restoring import correlated_noise
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.decomposition.segmentation import find_ssps, quadratic_peak
 from astro_scc.decomposition.wavelet import (
@@ -25,6 +24,7 @@ from astro_scc.decomposition.wavelet import (
     wavelet_planes,
 )
 from astro_scc.epochs import Beam
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.simulation import simulate_two_fluid
 
 NY, NX = 48, 64

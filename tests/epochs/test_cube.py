@@ -166,8 +166,7 @@ def test_patterns_and_paths(make_fits, make_epochs, tmp_path, monkeypatch):
         ("nowhere/*.fits", FileNotFoundError, r"nowhere/\*.fits: no file matches this"),
         ("nowhere.fits", FileNotFoundError, "nowhere.fits: no such file"),
         ([], FileNotFoundError, "no files were given"),
-        ([5], TypeError, r"paths must be names or a pattern, got \[5\]"),
-        ([b"a.fits"], TypeError, "paths must be text, got b'a.fits'"),
+        *((path, TypeError, "paths must be names or a patt") for path in (5, [b"a"])),
     ):
         with pytest.raises(error, match=words):
             EpochCube.read(name)
@@ -284,12 +283,6 @@ def test_files_of_something_else_are_named(make_epochs):
                     assert said in str(caught[0].message)
 
 
-def test_whole_cubes_are_not_epochs(tmp_path):
-    make_cube().write(tmp_path / "cube.fits")
-    with pytest.raises(ValueError, match="an EpochCube; it has its dates and beams"):
-        EpochCube.read(tmp_path / "cube.fits", times=["2000-01-01"])
-
-
 def gaussian(ny, nx, x0, y0, width=3.0):
     y, x = np.indices((ny, nx))
     return np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2))
@@ -364,9 +357,7 @@ def test_every_problem_is_named_and_nothing_raises(make_fits, tmp_path):
     assert found[str(paths["good"])] == ""
     assert "its unit is none, that of others is Jy" in found[str(paths["unit"])]
     assert (table["date"].mask.sum(), np.isnan(table["noise"]).sum()) == (7, 7)
-
-
-def test_two_epochs_of_the_same_pixels():
+    # Two epochs of the same pixels.
     data = np.random.default_rng(1).normal(size=(4, 8, 8))
     data[3] = data[1]
     said = repeated(EpochCube.from_arrays(data, YEARS, pixel_scale=1 * u.mas))

@@ -199,10 +199,10 @@ VALUES = {
 }
 
 
-@pytest.mark.parametrize("name", VALUES)
-def test_zeros_that_are_values(name):
-    bad, remark = missing(VALUES[name])
-    assert (bad.any(), remark) == (False, "")
+def test_zeros_that_are_values():
+    for name, image in VALUES.items():
+        bad, remark = missing(image)
+        assert (bad.any(), remark) == (False, ""), name
 
 
 GOOD = (~BAD).astype("u1")
@@ -224,26 +224,22 @@ def test_extensions_that_cannot_be_right(tmp_path):
             EpochCube.read(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "unit", "noise"),
-    [
+def test_errors_are_the_noise(tmp_path):
+    for name, values, unit, noise in [
         ("ERR", np.full(SHAPE, 0.5), None, 0.5),
         ("ERR", np.full(SHAPE, 500.0), "mJy/beam", 0.5),
         ("ERR", np.full(SHAPE, 0.5), "furlong", 0.5),
         ("VAR", np.full(SHAPE, 0.25), None, 0.5),
         ("ERR", np.zeros(SHAPE), None, None),
         ("ERR", ERRORS, None, np.median(ERRORS)),
-    ],
-)
-def test_errors_are_the_noise(tmp_path, name, values, unit, noise):
-    path = write(tmp_path / "a.fits", EMPTY, SCI, (name, values, unit, False))
-    with warnings.catch_warnings(record=True, action="always") as said:
-        cube = EpochCube.read(path)
-    assert ["its uncertainty differs" in str(one.message) for one in said] == (
-        [True] * (values is ERRORS)
-    )
-    assert cube.noise is None if noise is None else cube.noise[0].value == noise
-    assert not cube.mask.any()
+    ]:
+        path = write(tmp_path / "a.fits", EMPTY, SCI, (name, values, unit, False))
+        with warnings.catch_warnings(record=True, action="always") as said:
+            cube = EpochCube.read(path)
+        uneven = ["its uncertainty differs" in str(one.message) for one in said]
+        assert uneven == [True] * (values is ERRORS)
+        assert noise == (None if cube.noise is None else cube.noise[0].value)
+        assert not cube.mask.any()
 
 
 def test_brightness_that_does_not_add_up(tmp_path):
@@ -309,12 +305,6 @@ def test_images_that_cannot_be_used(make_fits, data, changes, words):
     refused(make_fits(data=data, **changes), words, ValueError)
 
 
-def test_one_row_of_pixels_is_no_image(tmp_path):
-    fits.PrimaryHDU(np.ones(8)).writeto(tmp_path / "spectrum.fits")
-    refused(tmp_path / "spectrum.fits", "holds no image")
-    assert not looks_like_mask(np.full((2, 2), np.nan))
-
-
 def test_truncated_files_and_headers_that_claim_too_much(make_fits):
     path = make_fits()
     content = path.read_bytes()
@@ -328,6 +318,9 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
     old, new = (b"NAXIS   =" + text.rjust(21) for text in (b"4", b"99999999999"))
     path.write_bytes(content.replace(old, new))
     refused(path, "is broken, it claims 99999999999 axes")
+    fits.writeto(path, np.ones(8), overwrite=True)
+    refused(path, "holds no image")
+    assert not looks_like_mask(np.full((2, 2), np.nan))
     # Missing padding is no loss, and files may be packed, whatever their suffix.
     path.write_bytes(content.rstrip(b"\0"))
     assert np.array_equal(read_plane(path).data, PIXELS[0, 0])

@@ -12,10 +12,10 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from astro_scc.epochs import Beam
-from astro_scc.images.cards import parse_unit
-from astro_scc.images.fits import read_plane
-from astro_scc.images.headers import celestial_wcs, read_header
+from astro_scc.epochs import Beam, EpochCube, inspect_epochs
+from astro_scc.images.dates import observing_time
+from astro_scc.images.fits import read_header, read_plane
+from astro_scc.images.headers import celestial_wcs, parse_unit
 from astro_scc.images.positions import axis_words, name_by_frame, sky_columns
 from astro_scc.quantities import parse_date
 
@@ -48,19 +48,16 @@ def test_dates_of_all_sorts():
                 parse_date(text)
 
 
-@pytest.mark.parametrize(
-    ("text", "unit"),
-    [
+def test_units():
+    for text, unit in [
         *((text, u.Jy / u.beam) for text in ("JY/BEAM", "jy / bm", "JY PER BEAM")),
         ("mJy/beam", u.mJy / u.beam), ("JY/PIXEL", u.Jy / u.pix), ("COUNTS", u.ct),
         ("counts / pixel", u.ct / u.pix), ("ELECTRONS/S", u.electron / u.s),
         ("K", u.K), ("MJy/sr", u.MJy / u.sr), ("MJY/SR", u.MJy / u.sr), (u.Jy, u.Jy),
-        ("", u.one), (None, u.one),
-        ("MJY/BEAM", None), ("furlongs", None), ("(((", None),
-    ],
-)  # fmt: skip
-def test_units(text, unit):
-    assert parse_unit(text) == unit
+        *((none, u.one) for none in ("", None)),
+        *((odd, None) for odd in ("MJY/BEAM", "furlongs", "(((")),
+    ]:  # fmt: skip
+        assert parse_unit(text) == unit, text
 
 
 def test_beam_from_the_header(aips_header):
@@ -112,9 +109,9 @@ def test_beam_from_a_table(aips_header):
     assert header_beam(aips_header(BMAJ=2 / 3.6e6), tables).major > 1.5 * u.mas
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
+def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header):
+    scale = 0.1 / 3.6e6
+    for changes in [
         {},
         {"CTYPE2": "DEC---SIN"},
         {"CTYPE1": "RA--SIN", "CTYPE2": "DEC-SIN"},
@@ -124,15 +121,13 @@ def test_beam_from_a_table(aips_header):
          "CRVAL1": 187.25 * 3600, "CRVAL2": 2.05 * 3600},
         {"DATE_OBS": "nonsense"},
         {"RADESYS": "GAPPT"},
-    ],
-)  # fmt: skip
-def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header, changes):
-    with warnings.catch_warnings(action="error"):
-        wcs = celestial_wcs(aips_header(**changes))
-    assert list(wcs.wcs.ctype) == ["RA---SIN", "DEC--SIN"]
-    scale = 0.1 / 3.6e6
-    assert np.allclose(wcs.pixel_scale_matrix, [[-scale, 0], [0, scale]], rtol=1e-12)
-    assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
+    ]:  # fmt: skip
+        with warnings.catch_warnings(action="error"):
+            wcs = celestial_wcs(aips_header(**changes))
+        assert list(wcs.wcs.ctype) == ["RA---SIN", "DEC--SIN"]
+        expected = [[-scale, 0], [0, scale]]
+        assert np.allclose(wcs.pixel_scale_matrix, expected, rtol=1e-12)
+        assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
 def test_unusable_coordinates_are_refused_in_one_line(aips_header):
@@ -171,13 +166,7 @@ def in_frame(*ctype):
 
 
 def test_words_of_the_axes_and_columns_named_by_them():
-    expected = {
-        ("RA---SIN", "DEC--SIN"): ("east", "north", True),
-        ("HPLN-TAN", "HPLT-TAN"): ("solar west", "solar north", False),
-        ("GLON-CAR", "GLAT-CAR"): ("galactic east", "galactic north", True),
-        ("XLON-CAR", "XLAT-CAR"): ("larger longitude", "larger latitude", True),
-    }
-    assert {ctype: axis_words(in_frame(*ctype)) for ctype in expected} == expected
+    assert axis_words(in_frame("XLON-CAR", "XLAT-CAR"))[0] == "larger longitude"
     table = QTable({"pm_ra_cosdec": [1.0], "pm_dec_err": [0.1], "east": [2.0]})
     table["east"].info.description = "offset to the east"
     assert name_by_frame(table, in_frame("RA---SIN", "DEC--SIN")) is table
@@ -206,13 +195,6 @@ def cd():
     return own | {"CD1_1": steps[0], "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": steps[1]}
 
 
-def sun(scale, **changes):
-    own = {"CTYPE1": "HPLN-TAN", "CTYPE2": "HPLT-TAN", "CUNIT1": "arcsec",
-           "CUNIT2": "arcsec", "CDELT1": scale, "CDELT2": scale, "CRVAL1": 0.0,
-           "CRVAL2": 0.0}  # fmt: skip
-    return sky() | own | changes
-
-
 def image(cards, pixels=PIXELS, name=None):
     """An HDU; cards that are text stand as they are."""
     made = fits.ImageHDU(pixels) if name else fits.PrimaryHDU(pixels)
@@ -235,14 +217,14 @@ AIPS = ["AIPS   IMNAME='3C273' IMCLASS='ICLN'",
 SCI = PIXELS.astype("f4")
 WEIGHT = np.where(PIXELS > 2, 0, 1).astype("f4")
 FLAGS = np.where(PIXELS > 2, 4096, 0).astype("i2")
-#: HDUs; and the date, unit, beam, filter, wavelength and bad pixels.
+#: HDUs; and the date, unit, beam, filter and number of bad pixels.
 HEADERS = {
     "THINGS": (
         [image({"OBJECT": "NGC628", "TELESCOP": "VLA", "DATE-OBS": "1997-01-24",
                 "BUNIT": "JY/B*M/S", "EPOCH": 2000.0, **sky("SIN", 1.5),
                 "CTYPE3": "VELOCITY", "CRVAL3": 7e5, "CDELT3": 2.6e3, "CRPIX3": 1.0,
                 **STOKES, "HISTORY": AIPS}, FOUR)],
-        ("1997-01-24T00:00:00", u.one, WIDE, None, None, 0)),
+        ("1997-01-24T00:00:00", u.one, WIDE, None, 0)),
     "HST flt": (
         [image({"TELESCOP": "HST", "INSTRUME": "WFC3", "TARGNAME": "HH1",
                 "FILTER": "F164N", "DATE-OBS": "2016-04-05", "TIME-OBS": "06:07:08",
@@ -252,7 +234,7 @@ HEADERS = {
          image({"BUNIT": "ELECTRONS/S"}, SCI * 0 + 0.1, "ERR"),
          image({}, FLAGS, "DQ"), image({}, FLAGS * 0 + 9, "SAMP"),
          image({}, SCI * 0 + 600, "TIME")],
-        ("2016-04-05T06:12:08", u.electron / u.s, None, "F164N", None, 15)),
+        ("2016-04-05T06:12:08", u.electron / u.s, None, "F164N", 15)),
     "JWST i2d": (
         [image({"TELESCOP": "JWST", "INSTRUME": "NIRCAM", "TARGNAME": "HH 211",
                 "FILTER": "F444W", "PUPIL": "F470N", "DATE-OBS": "2022-08-28",
@@ -263,22 +245,8 @@ HEADERS = {
          image({"BUNIT": "MJy/sr"}, SCI * 0 + 0.1, "ERR"), image({}, FLAGS, "CON"),
          image({}, WEIGHT, "WHT"), image({}, WEIGHT, "VAR_POISSON"),
          image({}, WEIGHT, "VAR_RNOISE"), image({}, WEIGHT, "VAR_FLAT")],
-        ("2022-08-28T17:07:40.829", u.MJy / u.sr, None, "F444W + F470N", None, 15)),
-    "AIA": (
-        [image({}, None),
-         image({"TELESCOP": "SDO/AIA", "INSTRUME": "AIA_3", "WAVELNTH": 171,
-                "WAVEUNIT": "angstrom", "DATE-OBS": "2011-06-07T06:33:00.34",
-                "T_OBS": "2011-06-07T06:33:01.34Z", "EXPTIME": 1.999,
-                "T_REC": "2011-06-07T06:33:02Z", **sun(0.6)}, None, "COMPRESSED")],
-        ("2011-06-07T06:33:01.34", u.one, None, None, "171 angstrom", 0)),
-    "HMI": (
-        [image({"TELESCOP": "SDO/HMI", "DATE-OBS": "2014-01-01T00:00:07.30", "CONTENT":
-                "MAGNETOGRAM", "T_OBS": "2014.01.01_00:00:42.50_TAI", "BUNIT": "Gauss",
-                "T_REC": "2014.01.01_00:00:45_TAI", "WAVELNTH": 6173.0,
-                **sun(0.504, CROTA2=0.0)})],
-        ("2014-01-01T00:00:07.5", u.Gauss, None, None, "6173", 0)),
+        ("2022-08-28T17:07:40.829", u.MJy / u.sr, None, "F444W + F470N", 15)),
 }  # fmt: skip
-HEADERS["AIA"][0][1].data = PIXELS.astype("f4")
 
 
 @pytest.mark.parametrize("name", HEADERS)
@@ -287,13 +255,195 @@ def test_headers_of_archives(tmp_path, name):
     path = tmp_path / "a.fits"
     fits.HDUList(hdus).writeto(path, output_verify="ignore")
     plane = read_plane(path)
-    date, unit, beam, *facts, bad = expected
+    date, unit, beam, wheel, bad = expected
     assert abs((plane.time - Time(date)).to_value(u.s)) < 2e-3
     assert (plane.unit, plane.beam is None) == (unit, beam is None)
     if beam is not None:
         assert u.isclose(plane.beam.major, beam.major, rtol=1e-4)
         assert u.isclose(plane.beam.minor, beam.minor, rtol=1e-4)
-    assert [plane.facts.get(k) for k in ("filter", "wavelength")] == facts
-    assert plane.mask.sum() == bad
+    assert (plane.facts.get("filter"), plane.mask.sum()) == (wheel, bad)
     assert np.allclose(plane.data, PIXELS, atol=1e-6)
     assert ("unit" in "".join(plane.notes)) == (name == "THINGS")
+
+
+#: 2015-06-18T14:24:00, and the middle of an exposure of 10 minutes from then on.
+MJD = 57191.6
+START, MIDDLE = "2015-06-18T14:24:00.000", "2015-06-18T14:29:00.000"
+MIDNIGHT = "2015-06-18T00:00:00.000"
+DATE = {"DATE-OBS": "2015-06-18"}
+EXPOSURES = np.random.default_rng(1).normal(size=(3, 16, 32))
+CLOCK = {"DATE-OBS": "2015-06-18T14:24:00"}
+
+#: Cards, and the date that they tell.
+DATES = [
+    # The day alone, and the time of day elsewhere.
+    (DATE, MIDNIGHT),
+    (DATE | {"MJD-OBS": MJD}, START),
+    ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
+    ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
+    ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
+    (DATE | {"TIME-OBS": "14:24:00.0"}, START),
+    (DATE | {"TM-START": 51840}, START),
+    (DATE | {"UT": ("14.4", "[h] start")}, START),
+    # Several: the most precise one.
+    (DATE | {"TIME-OBS": "14:24", "UT": "14:24:30"}, "2015-06-18T14:24:30.000"),
+    (CLOCK | {"MJD-OBS": MJD + 0.4 / 86400}, "2015-06-18T14:24:00.400"),
+    (DATE | {"UT": (14.4, "[s] start")}, "2015-06-18T00:00:14.400"),
+    (DATE | {"UT": "77:00:00"}, MIDNIGHT),
+    # What is no time of the day, or is of another time, does not count.
+    (DATE | {"TIME-OBS": "142400.5"}, "2015-06-18T14:24:00.500"),
+    (DATE | {"JD": 57192.1}, MIDNIGHT),
+    (CLOCK | {"UT": "09:00:00"}, START),
+    # The middle of the exposure.
+    (CLOCK | {"EXPTIME": 600.0}, MIDDLE),
+    (CLOCK | {"EXPTIME": (600e3, "exposure (ms)")}, MIDDLE),
+    # The sum of many exposures.
+    (CLOCK | {"EXPTIME": 1e6}, START),
+    (CLOCK | {"DATE-END": "2015-06-18T14:34:00"}, MIDDLE),
+    ({"EXPSTART": MJD, "EXPEND": MJD + 600 / 86400}, MIDDLE),
+    ({"DATE-BEG": START, "DATE-AVG": MIDDLE, "DATE-END": "2015-06-18"}, MIDDLE),
+    (CLOCK | {"DATE-AVG": "2015-06-18"}, START),
+    (DATE | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
+    (DATE | {"MJD-AVG": MJD + 300 / 86400, "EXPTIME": 99.0}, MIDDLE),
+    (CLOCK | {"DATE-AVG": "2015-06-20T14:29:00"}, START),
+    # The end alone.
+    (DATE | {"DATE-END": "2015-06-18T14:34:00", "EXPTIME": 600.0}, MIDDLE),
+    # Exposures that last beyond midnight.
+    ({"DATE-OBS": "2015-06-17T23:59:00", "DATE-AVG": "2015-06-18T00:04:00.5"},
+     "2015-06-18T00:04:00.500"),
+    # Other scales of time.
+    ({"T_OBS": "2015.06.18_14:24:35.00_TAI"}, START),
+    ({"DATE-OBS": "2015-06-18T14:24:16", "TIMESYS": "GPS"}, START),
+    # The date at which a file was written is none.
+    ({"DATE": "2022-07-29", "DATE-OBS": "", "DATE-BEG": "2015-06-18"}, MIDNIGHT),
+    ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT"}, START),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cards", "expected"), DATES)
+def test_the_most_precise_date_counts(cards, expected):
+    header = fits.Header()
+    for key, value in cards.items():
+        header[key] = value
+    # Of a dict, which has no comments, keys may be in lower case.
+    plain = {key.lower(): value for key, value in header.items()}
+    commented = any(isinstance(value, tuple) for value in cards.values())
+    for given in (header,) if commented else (header, plain):
+        time, remark = observing_time(given)
+        assert abs((time - Time(expected)).to_value(u.s)) < 2e-5
+        assert (time.scale, remark) == ("utc", "")
+
+
+#: Cards of which no date is made, or one of which doubts are told.
+DOUBTS = [
+    ({"DATE-OBS": "soon"}, None, "DATE-OBS: 'soon' is no date"),
+    *(({"DATE-OBS": d}, None, "is no date") for d in ("2004-11", "2004-121", "200412")),
+    ({"DATE-OBS": "2015-06-18T24:00:01"}, None, "'2015-06-18T24:00:01' is no date"),
+    ({"MJD-OBS": 457191.6}, None, "MJD-OBS: 457191.6 is no (modified) Julian date; w"),
+    (DATE | {"MJD-OBS": 50000.25}, MIDNIGHT, "is of 2015-06-18, which is taken, and "
+     "MJD-OBS is of 1995-10-10"),
+    (DATE | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is lef"),
+    (DATE | {"TIME-OBS": 14.4}, "2015-06-18T00:00:14.400", "its TIME-OBS = 14.4 may be "
+     "hours or seconds and is seconds; write it as"),
+    (CLOCK | {"TIMESYS": "MST"}, START, "its time scale TIMESYS = MST is not known and "
+     "taken for UTC"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cards", "expected", "words"), DOUBTS)
+def test_dates_of_which_there_are_doubts(cards, expected, words):
+    record = read_header(fits.Header(cards))
+    assert (record["time"] and record["time"].isot) == expected
+    assert words in record.get("date_problem", "") + "".join(record["remarks"])
+
+
+def test_the_same_date_and_the_same_exposure(make_epochs):
+    for clocks, pixels, refused in [
+        ((1, 1, 9), (0, 1, 2), True), ((1, 1.004, 9), (0, 0, 1), True),
+        # Other pixels, or other dates.
+        ((1, 1.004, 9), (0, 1, 2), False), ((1, 3, 9), (0, 0, 0), False),
+    ]:  # fmt: skip
+        dates = [f"2015-06-18T10:00:0{clock}" for clock in clocks]
+        own = zip(dates, EXPOSURES[[*pixels]], strict=True)
+        paths = make_epochs(*({"data": data, "DATE_OBS": text} for text, data in own))
+        if refused:
+            words = "1.fits: is of 2015-06-18T10:00:01, as is 0.fits"
+            with pytest.raises(ValueError, match=words):
+                EpochCube.read(paths)
+        else:
+            assert len(EpochCube.read(paths)) == 3
+
+
+def cube(path, *, table=None, shape=(4, 16, 32), **changes):
+    """A cube with an axis of time, which starts at 10 h."""
+    header = fits.Header({
+        "DATE-OBS": "2015-06-18T10:00:00", "BUNIT": "DN", "CTYPE1": "HPLN-TAN",
+        "CTYPE2": "HPLT-TAN", "CDELT1": 1e-4, "CDELT2": 1e-4, "CRPIX1": 16.0,
+        "CRPIX2": 8.0, "CTYPE3": "TIME", "CRVAL3": 0.0, "CDELT3": 10.0, "CRPIX3": 1.0,
+        "CUNIT3": "s", **changes,
+    })  # fmt: skip
+    for key in [key for key, value in changes.items() if value is None]:
+        del header[key]
+    pixels = np.random.default_rng(1).normal(size=shape)
+    hdus = [fits.PrimaryHDU(pixels, header)]
+    if table is not None:
+        hdus.append(fits.BinTableHDU.from_columns([table], name="TIMES"))
+    fits.HDUList(hdus).writeto(path, overwrite=True)
+    return pixels
+
+
+SECONDS = [0.0, 10, 20, 30]
+HOURS = [0, 3600, 7200, 10800]
+DAYS = {"CRVAL3": 57191 + 10 / 24, "CDELT3": 1 / 24}
+UNEVEN = np.array([0.0, 10, 25, 31])
+#: Changes of the cube, and the seconds of its images after 10 h.
+CUBES = [
+    ({}, SECONDS),
+    ({"CTYPE3": "UTC", "CUNIT3": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
+    ({"MJDREF": 57191.0, "CRVAL3": 36000.0}, SECONDS),
+    (DAYS | {"CUNIT3": "d", "MJDREF": 0.0, "DATE-OBS": None}, HOURS),
+    ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
+    ({"DATEREF": "2015-06-18T09:00:00", "CRVAL3": 3600.0}, SECONDS),
+    (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
+    ({"CRVAL3": 57191 * 86400.0 + 36000}, SECONDS),
+    ({"CTYPE3": "TAI", "CUNIT3": "s", "MJDREF": 57191.0, "CRVAL3": 36035.0}, SECONDS),
+    ({"CTYPE4": "STOKES", "CRVAL4": 1.0, "CDELT4": 1.0, "shape": (1, 4, 16, 32)},
+     SECONDS),
+    ({"CTYPE3": "FREQ", "CRVAL3": 1e9, "CUNIT3": "Hz", "CTYPE4": "TIME",
+      "CDELT4": 10.0, "shape": (4, 1, 16, 32)}, SECONDS),
+    # Tables of times.
+    ({"table": fits.Column("TIME", "1D", unit="s", array=UNEVEN)}, UNEVEN),
+    ({"table": fits.Column("MJD", "1D", array=57191 + (36000 + UNEVEN) / 86400)},
+     UNEVEN),
+    ({"table": fits.Column("DATE-OBS", "23A", array=[
+        f"2015-06-18T10:00:{s:06.3f}" for s in UNEVEN])}, UNEVEN),
+    ({"CTYPE3": "TIME-TAB", "PS3_0": "TIMES", "PS3_1": "FRAME", "CDELT3": None,
+      "table": fits.Column("FRAME", "1D", unit="s", array=UNEVEN)}, UNEVEN),
+    ({"table": fits.Column("TIME", "1D", unit="s", array=[1.0, 2])}, SECONDS),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "seconds"), CUBES)
+def test_an_axis_of_time_has_epochs(tmp_path, changes, seconds):
+    pixels = cube(tmp_path / "movie.fits", **changes).reshape(4, 16, 32)
+    found = EpochCube.read(tmp_path / "movie.fits")
+    after = (found.times - Time("2015-06-18T10:00:00")).to_value(u.s)
+    assert after == pytest.approx(np.asarray(seconds, dtype=float), abs=1e-4)
+    assert np.array_equal(found.data, pixels)
+    assert found.labels[3] == "movie.fits, image 4"
+    table = inspect_epochs(tmp_path / "movie.fits")
+    assert (len(table), set(table["problem"])) == (4, {""})
+
+
+def test_axes_of_which_no_epochs_are_made(tmp_path):
+    for changes, words in [
+        ({"CDELT3": 0.0}, "has no step on axis TIME .CDELT3.; write it"),
+        ({"CUNIT3": "m"}, "has the unit 'm' on axis TIME, which is no time; correct"),
+        ({"DATE-OBS": None}, "has times on axis TIME and no date from which they coun"),
+        ({"CTYPE3": "TIME-TAB"}, "has times in a table on axis TIME-TAB, which is not"),
+        ({"CTYPE3": "WAVE"}, "has 4 planes on axis WAVE; write the one to use"),
+    ]:
+        cube(tmp_path / "movie.fits", **changes)
+        with pytest.raises(ValueError, match=f"movie.fits: {words}"):
+            EpochCube.read(tmp_path / "movie.fits")
+        assert len(inspect_epochs(tmp_path / "movie.fits")["problem"][0]) > 20

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from astro_scc.components.restoring import add_gaussians
 from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.kinematics import (
     ExpansionFrame,
     PositionAngleFrame,

@@ -11,10 +11,10 @@ from astropy.time import Time
 from scipy import ndimage
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.components.restoring import correlated_noise
 from astro_scc.decomposition import Decomposer
 from astro_scc.decomposition.wavelet import propagated_noise
 from astro_scc.epochs import Beam
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.patterns import allow_for_structure
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from astro_scc import Beam, EpochCube, plan
-from astro_scc.components.restoring import add_gaussians
 from astro_scc.decomposition.wavelet import scale_size
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.simulation import simulate_jet
 

@@ -12,8 +12,8 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
-from astro_scc.components.restoring import correlated_noise
 from astro_scc.epochs import Beam
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.kinematics import RidgeLine
 from astro_scc.recovery import FeaturePaths, completeness, draw_paths, inject
 

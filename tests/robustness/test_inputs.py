@@ -12,12 +12,12 @@ import pytest
 from astropy.io import fits
 from astropy.table import QTable
 
-from astro_scc.alignment.align import offsets_from_table
 from astro_scc.cli import main
 from astro_scc.cli.program import Reporter
 from astro_scc.cli.survey import run_survey
 from astro_scc.cli.survey_sources import read_survey
 from astro_scc.epochs import EpochCube, read_components, write_epochs
+from astro_scc.epochs.align import offsets_from_table
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from astropy.time import Time
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from astro_scc.components.restoring import add_gaussians
+from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.simulation import (
     Flow,
     JetSimulation,

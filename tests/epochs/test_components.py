@@ -1,18 +1,23 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Lists of model components: tables, difmap models and AIPS CC tables."""
+"""Lists of model components: their files, sources by their names, and images."""
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import FK4, SkyCoord
 from astropy.io import fits
 from astropy.table import QTable
 from astropy.time import Time
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from astro_scc import EpochCube
-from astro_scc.components.lists import read_sources
-from astro_scc.epochs import Beam, ComponentList, inspect_epochs, read_components
+from astro_scc import Beam, EpochCube
+from astro_scc.epochs import ComponentList, inspect_epochs, read_components, restore
 from astro_scc.epochs.inspection import kind_of
+from astro_scc.epochs.lists import read_sources
+from astro_scc.epochs.restoring import add_gaussians, correlated_noise
+from astro_scc.epochs.tables import place_of, same_source, source_list
 from astro_scc.exceptions import EpochWarning
 
 BEAM = Beam(1.0 * u.mas, 0.5 * u.mas, -7 * u.deg)
@@ -242,7 +247,7 @@ BAD = [
     (NAME, b"\xff\xfe\x00", "it is not text"),
     ("jet.mod", b"1 2 3\n", "no date in a name like .*.mod; write"),
     ("jet.model", b"1 2 3\n", "its suffix is none of .ecsv, .*; rename it"),
-    ("t.fits", b"SIMPLE = no\n", "not a readable FITS file"),
+    ("t.fits", b"SIMPLE = no\n", "cannot be read as FITS"),
     ("t.ecsv", b"<html>not found</html>\n", "not a readable ascii.ecsv"),
     # Options of a FITS file with an AIPS CC table.
     ("a.fits", {"tables": 0}, "no AIPS CC table"),
@@ -333,7 +338,7 @@ def test_lists_that_cannot_be_images(tmp_path, make_fits):
         (beside, None, r"image.fits: .*coordinates"),
         ([image, *models], None, r"09.mod: is a list of components and no im"),
         ([*models, image], BEAM, r"a.fits: no AIPS CC table .* leave it out"),
-        (tmp_path / "w.ecsv", None, "w.ecsv, beam in its meta: is no beam: has"),
+        (tmp_path / "w.ecsv", None, "w.ecsv: beam in its meta: is no beam: has"),
         (negative, BEAM, r"09-09.mod: no component is positive; leave"),
     ]
     for paths, beams, words in calls:
@@ -354,3 +359,221 @@ def test_visibilities(tmp_path):
     for own in tmp_path.iterdir():
         with pytest.raises(OSError, match="holds visibilities and no image; make an"):
             EpochCube.read(own)
+
+
+B1950 = FK4(equinox="B1950")
+OLD = SkyCoord("04h30m", "5d12m", frame=B1950).icrs
+
+
+def write_sources(path, names=("0430+052", "1226+023"), meta=None, **columns):
+    """Write a table with two epochs of each source; its path."""
+    rows = [name for name in names for _ in range(4)]
+    n = len(rows)
+    found = QTable({"source": rows, "feature": [0, 1, 0, 1] * len(names)})
+    found["epoch"] = np.tile(np.repeat(["2006-03-09", "2007-01-01"], 2), len(names))
+    found["flux"] = np.ones(n) * u.Jy
+    found["separation"] = np.tile([0.0, 2.0], n // 2) * u.mas
+    found["position_angle"] = np.zeros(n) * u.deg
+    for name, value in columns.items():
+        found[name] = [value] * n if isinstance(value, str) else value * np.ones(n)
+    found.meta.update(meta or {})
+    found.write(path / "table.ecsv", overwrite=True)
+    return path / "table.ecsv"
+
+
+def test_places_that_names_tell():
+    for name, lon, lat, frame in [
+        ("3c120", 4.5, 5.2, B1950),
+        ("1253\N{MINUS SIGN}055", 12 + 53 / 60, -5.5, B1950),
+        ("0433+0521", 4.55, 5.35, "icrs"),
+        ("J043311.1+052115", 4.55 + 11.1 / 3600, 5.35 + 15 / 3600, "icrs"),
+    ]:
+        wanted = SkyCoord(lon * u.hourangle, lat * u.deg, frame=frame).icrs
+        assert place_of(name).separation(wanted) < 0.1 * u.arcsec
+    assert [*map(place_of, ["", "jet", "M101", "2530+052", "1230+952"])] == [None] * 5
+
+
+NAMES = ["0415+379", "0430+052", "1226+023", "1228+126", "J0854+2006"]
+
+
+def test_sources_by_other_names(tmp_path):
+    same = dict.fromkeys(("0430+052", "3C 120", "3c120", "J0433+0521"), "0430+052")
+    same |= {"M 87": "1228+126", "0851+202": "J0854+2006"}
+    for wanted, found in (same | {"0430+05": None, "3C 279": None}).items():
+        assert same_source(wanted, NAMES) == ([found] if found else [])
+        path = write_sources(tmp_path, NAMES)
+        if found:
+            components = read_components(path, source=wanted)
+            assert (components.meta["object"], len(components)) == (found, 4)
+            assert list(read_sources(path, source=wanted)) == [found]
+        else:
+            words = f"^[^\n]*no source '{wanted[:4]}.* restore TABLE --list lists all"
+            with pytest.raises(ValueError, match=words):
+                read_components(path, source=wanted)
+
+
+@pytest.mark.parametrize(
+    ("columns", "meta"),
+    [
+        ({}, {}),
+        ({}, {"position": "00h40m00s -20d00m00s"}),
+        ({}, {"ra": "10 deg", "dec": "-20 deg"}),
+        ({"RAdeg": 10 * u.deg, "DEdeg": -20 * u.deg}, {}),
+        ({"RAJ2000": 2 / 3 * u.hour, "DEJ2000": -20 * u.deg}, {}),
+        ({"RAJ2000": "00 40 00", "DEJ2000": "-20 00 00"}, {}),
+        ({"RAh": 0, "RAm": 40, "RAs": 0.0, "DE-": "-", "DEd": 20, "DEm": 0, "DEs": 0.0},
+         {}),
+        ({"RAB1950": OLD.fk4.ra, "DEB1950": OLD.fk4.dec}, {}),
+    ],
+)  # fmt: skip
+def test_the_position_of_a_table_is_that_of_its_images(columns, meta, tmp_path):
+    place = SkyCoord(10 * u.deg, -20 * u.deg)
+    if not (columns or meta) or "RAB1950" in columns:
+        place = OLD
+    path = write_sources(tmp_path, meta=meta, **columns)
+    components = read_components(path, source="0430+052")
+    assert components.meta["position"].separation(place) < 0.1 * u.mas
+    assert ("position_from" in components.meta) == (not (columns or meta))
+    cube = restore(components, beam=Beam(1 * u.mas, 1 * u.mas), pixel_scale=0.2 * u.mas)
+    assert_allclose(cube.wcs.wcs.crval, [place.ra.deg, place.dec.deg], atol=1e-9)
+    told = "at the position that the name 0430+052 tells" in cube.meta["history"][0]
+    assert told == (not (columns or meta))
+
+
+def test_the_sources_of_a_table(tmp_path):
+    dates = ["2006-03-09T00:00:00.000", "2007-01-01T00:00:00.000"]
+    path = write_sources(tmp_path)
+    sources = ("0430+052", ["3C 120"], dates), ("1226+023", ["3C 273"], dates)
+    assert source_list(path) == list(sources)
+    model = tmp_path / "m_2006-03-09.mod"
+    model.write_text("1.0v 0.0v 0v 0.1v 1 0 1\n")
+    assert source_list(model) == [("m_2006-03-09", [], dates[:1])]
+    bad = tmp_path / "bad.mod"
+    bad.write_text("1.0v 0.0v 0v 0.1v 1 0 1\n")
+    with pytest.raises(ValueError, match="bad.mod: no DATE-OBS in the header, or no"):
+        source_list(bad)
+
+
+PIXEL = 0.1 * u.mas
+FLIP = np.diag([-1, 1])
+UNITS = u.mas, u.mas, u.deg
+JY_BEAM = u.Jy / u.beam
+
+
+THREE = ComponentList(
+    times=Time(["2006-01-01", "2006-07-01"]), epoch=[0, 0, 1],
+    flux=[1.0, 0.5, 0.8] * u.Jy, east=[0.0, 2.0, 0.4] * u.mas,
+    north=[0.0, 1.0, 0.2] * u.mas, major=[0.0, 0.8, 0.3] * u.mas,
+    minor=[0.0, 0.4, 0.3] * u.mas, pa=[0.0, 60.0, 0.0] * u.deg,
+)  # fmt: skip
+
+
+def one(**changes):
+    """One component at the origin."""
+    place = {"east": [0.0] * u.mas, "north": [0.0] * u.mas, "flux": [2.0] * u.Jy}
+    return ComponentList(times=Time(["2006-01-01"]), epoch=[0], **place | changes)
+
+
+def restored(source, **options):
+    return restore(source, **{"beam": BEAM, "pixel_scale": PIXEL, **options})
+
+
+def moments(image):
+    y, x = np.indices(image.shape)
+    weight = image / image.sum()
+    mean = np.array([(weight * x).sum(), (weight * y).sum()])
+    d = np.stack([x - mean[0], y - mean[1]])
+    return mean, np.einsum("iyx,yx,jyx->ij", d, weight, d)
+
+
+@settings(max_examples=40, deadline=None)
+@given(n=st.integers(0, 4), seed=st.integers(0, 1000))
+def test_boxes_equal_the_literal_sum(n, seed):
+    rng = np.random.default_rng(seed)
+    x, y, peak = rng.uniform(-30, 60, n), rng.uniform(-30, 50, n), rng.normal(size=n)
+    angle, width = rng.uniform(0, np.pi, n), rng.uniform(0.3, 12, n)
+    axes = width[:, None] * np.stack([np.ones(n), rng.uniform(0.02, 1, n)], axis=1)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    covariance = np.einsum("ain,na,ajn->nij", turn.swapaxes(0, 1), axes**2,
+                           turn.swapaxes(0, 1))  # fmt: skip
+    fast = add_gaussians(np.zeros((21, 34)), x, y, peak, covariance)
+    slow, (yy, xx) = np.zeros((21, 34)), np.indices((21, 34))
+    for x0, y0, p, c in zip(x, y, peak, covariance, strict=True):
+        d = np.stack([xx - x0, yy - y0])
+        slow += p * np.exp(-0.5 * np.einsum("iyx,ij,jyx->yx", d, np.linalg.inv(c), d))
+    assert_allclose(fast, slow, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("axes", [(0, 0, 0), (0.9, 0.3, 40)])
+def test_flux_is_kept_and_covariances_add(axes):
+    names = ("major", "minor", "pa")
+    sizes = {k: [v] * x for k, v, x in zip(names, axes, UNITS, strict=True)}
+    cube = restored(one(**sizes))
+    pixels_a_beam = (BEAM.area / PIXEL**2).to_value(u.one)
+    assert cube.data[0].sum() / pixels_a_beam == pytest.approx(2.0, rel=1e-6)
+    total = BEAM.covariance
+    if axes[0]:
+        total = total + Beam(*(v[0] for v in sizes.values())).covariance
+    mean, covariance = moments(cube.data[0])
+    assert_allclose(mean, cube.reference_pixel, atol=1e-6)
+    expected = FLIP @ (total / PIXEL**2).to_value(u.one) @ FLIP
+    assert_allclose(covariance, expected, rtol=1e-4, atol=1e-3)
+    assert (cube.unit, cube.beams, cube.noise) == (JY_BEAM, (BEAM,), None)
+
+
+def test_grids():
+    cube = restored(THREE)
+    (x, y), (ny, nx) = cube.reference_pixel, cube.shape[1:]
+    assert min(x - 20, nx - 1 - x, y, ny - 1 - y - 10) >= 40
+    edges = cube.data[:, [0, -1]].ravel(), cube.data[:, :, [0, -1]].ravel()
+    assert np.abs(np.concatenate(edges)).max() < 1e-12
+    assert restored(one(), shape=(65, 81)).reference_pixel == (40, 32)
+    with pytest.warns(EpochWarning, match="1 of 3 components lie outside"):
+        restored(THREE, shape=(40, 20), reference_pixel=(5, 20))
+
+
+def test_bad_options():
+    for options, message in [
+        ({"beam": [BEAM]}, "2 epochs need 2 beams, got 1"),
+        ({"beam": None}, "needs a beam; give one"),
+        ({"noise": 1 * u.mas}, "noise must be a Quantity in Jy / beam"),
+        ({"pixel_scale": 0 * u.mas}, "pixel_scale = .* must be finite and above 0"),
+        ({"pixel_scale": 1 * u.mas}, "a pixel of 1 mas is larger than the beam of"),
+        ({"pixel_scale": 1e-5 * u.mas}, "give larger pixels"),
+        ({"reference_pixel": (3, 3)}, "reference_pixel needs a shape; give both"),
+    ]:
+        with pytest.raises((ValueError, TypeError), match=message):
+            restored(THREE, **options)
+
+
+def test_restores_what_aips_restored(shared_data):
+    path = min((shared_data / "0506+056").glob("*.fits"))
+    image, header = fits.getdata(path).squeeze(), fits.getheader(path)
+    beam = Beam(*(header[k] * u.deg for k in ("BMAJ", "BMIN", "BPA")))
+    place = {"reference_pixel": (header["CRPIX1"] - 1, header["CRPIX2"] - 1)}
+    how = place | {"shape": image.shape, "pixel_scale": header["CDELT2"] * u.deg}
+    cube = restore(read_components(path), beam=beam, **how)
+    # What remains is the residual image: 0.14 mJy, and no source.
+    residual = image - cube.data[0]
+    assert residual.std() < 2e-4
+    assert np.abs(residual).max() < 0.01 * image.max()
+
+
+def noises(n, beam, shape=(60, 80), rms=1.0):
+    rng = np.random.default_rng(5)
+    options = {"rms": rms, "beam": beam, "pixel_scale": PIXEL, "rng": rng}
+    return np.array([correlated_noise(shape, **options) for _ in range(n)])
+
+
+@settings(max_examples=8)
+@given(
+    shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    major=st.floats(0.05, 1.5), ratio=st.floats(0.2, 1), pa=st.floats(-180, 180),
+)  # fmt: skip
+def test_rms_is_the_theoretical_one_everywhere(shape, major, ratio, pa):
+    beam = Beam(major * u.mas, major * ratio * u.mas, pa * u.deg)
+    noise = noises(200, beam, shape, rms=2.0)
+    assert noise.shape == (200, *shape)
+    # Edges included.
+    for part in (noise, noise[:, :3], noise[:, :, -3:]):
+        assert np.sqrt(np.mean(part**2)) == pytest.approx(2.0, rel=0.3)

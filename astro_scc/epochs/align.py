@@ -14,11 +14,12 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
-from astro_scc.alignment.registration import core_positions, displacement
-from astro_scc.exceptions import MeasurementWarning, first_line, naming, warn
+from astro_scc.columns import numbers
+from astro_scc.epochs.registration import core_positions, displacement
+from astro_scc.exceptions import MeasurementWarning, naming, naming_all, warn
 from astro_scc.images import grid, regions
 from astro_scc.images.dates import as_times
-from astro_scc.images.series import Series, numbers
+from astro_scc.images.series import Series
 
 #: Methods, and the option that each has.
 METHODS = {
@@ -278,26 +279,31 @@ def offsets_from_table(table, times, labels, within=1 * u.day):
     epoch takes the row of the nearest date ``within`` a day.
     """
     name, table = _read_table(table)
-    dates = _dates(table, name)
-    axes = [_axis(table, axis, name) for axis in AXES]
-    values, errors = (np.stack(pair, axis=1) for pair in zip(*axes, strict=True))
-    rows = []
-    for time, label in zip(times, labels, strict=True):
-        where = f"{time.isot[:10]} ({label})"
-        apart = np.abs((dates - time).to_value(u.day))
-        if len(apart) == 0 or not apart.min() <= within.to_value(u.day):
-            raise ValueError(
-                f"{name}: no row within {within:g} of {where}; add one, or leave the "
-                "epoch out"
-            )
-        nearest = np.flatnonzero(np.isclose(apart, apart.min(), rtol=1e-9, atol=0))
-        found = values[nearest]
-        if not np.all(np.isfinite(found)):
-            raise ValueError(f"{name}: the row for {where} has no numbers")
-        if np.any(found != found[0]):
-            raise ValueError(f"{name}: rows that differ for {where}; keep one")
-        rows.append(nearest[0])
+    with naming(name):
+        dates = _dates(table)
+        axes = [_axis(table, axis) for axis in AXES]
+        values, errors = (np.stack(pair, axis=1) for pair in zip(*axes, strict=True))
+        rows = [
+            _row_of(f"{time.isot[:10]} ({label})", dates - time, values, within)
+            for time, label in zip(times, labels, strict=True)
+        ]
     return values[rows] * u.mas, errors[rows] * u.mas
+
+
+def _row_of(where, apart, values, within):
+    """Return the row of the nearest date, of those ``apart`` from that of an epoch."""
+    apart = np.abs(apart.to_value(u.day))
+    if len(apart) == 0 or not apart.min() <= within.to_value(u.day):
+        raise ValueError(
+            f"no row within {within:g} of {where}; add one, or leave the epoch out"
+        )
+    nearest = np.flatnonzero(np.isclose(apart, apart.min(), rtol=1e-9, atol=0))
+    found = values[nearest]
+    if not np.all(np.isfinite(found)):
+        raise ValueError(f"the row for {where} has no numbers")
+    if np.any(found != found[0]):
+        raise ValueError(f"rows that differ for {where}; keep one")
+    return nearest[0]
 
 
 def _read_table(table):
@@ -308,22 +314,19 @@ def _read_table(table):
     path = Path(table)
     text = path.read_text(encoding="utf-8", errors="replace")
     kind = "ascii.ecsv" if text.startswith("# %ECSV") else "ascii.csv"
-    try:
+    with naming_all(f"{path}: is neither CSV nor ECSV"):
         return str(path), Table.read(text.splitlines(), format=kind)
-    except Exception as error:  # astropy's parsers raise errors of many kinds
-        reason = first_line(error)
-        raise ValueError(f"{path}: is neither CSV nor ECSV ({reason})") from error
 
 
-def _dates(table, name):
+def _dates(table):
     columns = [c for c in table.colnames if c.lower() in DATES]
     if len(columns) != 1:
         raise ValueError(
-            f"{name}: {len(columns)} columns of dates, one is needed, "
-            f"called one of {', '.join(DATES)}; it has {', '.join(table.colnames)}"
+            f"{len(columns)} columns of dates, one is needed, called one of "
+            f"{', '.join(DATES)}; it has {', '.join(table.colnames)}"
         )
     column, kind = table[columns[0]], columns[0].lower()
-    where = f"{name}: the dates in column {columns[0]!r} are not understood"
+    where = f"the dates in column {columns[0]!r} are not understood"
     # ERFA warns of years whose leap seconds are unknown.
     with naming(where), warnings.catch_warnings(action="ignore"):
         dated = isinstance(column, Time)
@@ -338,7 +341,7 @@ def _dates(table, name):
         return as_times(column, len(table))
 
 
-def _axis(table, axis, name):
+def _axis(table, axis):
     """Return the offsets along "east" or "north" in mas, and their errors or NaN."""
     words = {c: re.split(r"[^a-z]+", c.lower()) for c in table.colnames}
     columns = [c for c in words if axis in words[c]]
@@ -346,9 +349,8 @@ def _axis(table, axis, name):
     columns = [c for c in columns if c not in wrong]
     if len(columns) != 1:
         raise ValueError(
-            f"{name}: {len(columns)} columns have '{axis}' as a part of their "
-            f"names, one is needed, such as 'core_mas_{axis}'; "
-            f"it has {', '.join(table.colnames)}"
+            f"{len(columns)} columns have '{axis}' as a part of their names, one is "
+            f"needed, such as 'core_mas_{axis}'; it has {', '.join(table.colnames)}"
         )
     found = []
     for column in columns + wrong[:1]:
@@ -356,8 +358,8 @@ def _axis(table, axis, name):
         unit = getattr(table[column], "unit", None)
         if unit is None and len(units) != 1:
             raise ValueError(
-                f"{name}: column {column!r} has no unit; give it one in an ECSV table "
-                f"or in its name, as in {column + '_mas'!r}"
+                f"column {column!r} has no unit; give it one in an ECSV table or in "
+                f"its name, as in {column + '_mas'!r}"
             )
-        found.append(numbers(table[column], u.mas, name, own_unit=unit or units[0]))
+        found.append(numbers(table[column], u.mas, own_unit=unit or units[0]))
     return found if wrong else [*found, np.full(len(table), np.nan)]

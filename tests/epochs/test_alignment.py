@@ -13,10 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from regions import CirclePixelRegion, PixCoord
 from scipy import ndimage
 
-from astro_scc.alignment import registration
-from astro_scc.alignment.align import align, offsets_from_table
-from astro_scc.components.restoring import correlated_noise
-from astro_scc.epochs import Beam, EpochCube
+from astro_scc.epochs import Beam, EpochCube, registration
+from astro_scc.epochs.align import align, offsets_from_table
+from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.exceptions import MeasurementWarning
 from astro_scc.images.positions import offset_wcs
 from astro_scc.simulation import simulate_jet, simulate_static

@@ -12,12 +12,17 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.components.names import plain
-from astro_scc.components.tables import UNITS, open_table, read_fields, source_names
+from astro_scc.epochs.tables import (
+    UNITS,
+    open_table,
+    plain,
+    read_rows,
+    source_names,
+)
 from astro_scc.exceptions import naming, warn
 from astro_scc.images import fits, series
 from astro_scc.images.beam import Beam
-from astro_scc.images.dates import given_times
+from astro_scc.images.dates import as_times, given_times
 from astro_scc.quantities import check_choice, named
 
 COLUMNS = (*UNITS, "feature")
@@ -199,6 +204,78 @@ class ComponentList:
         return table
 
 
+def _read(path, source, origin, date, beam):
+    """Return the `ComponentList` in a file."""
+    table, own_date = open_table(path)
+    with naming(path):
+        values, dates, meta = read_rows(table, source, date or own_date)
+        days, epoch = np.unique(dates, return_inverse=True)
+        has_offsets = {"east", "north"} <= values.keys()
+        if not has_offsets:
+            values |= _offsets(values)
+        relative = not has_offsets and "feature" in values
+        if relative or origin == "core":
+            _refer(values, epoch, days, relative, origin)
+        values |= _sizes(values)
+        fields = {name: values[name] * unit for name, unit in UNITS.items()}
+        fields |= {"times": as_times(list(days), len(days)), "epoch": epoch}
+        own_beam = meta.pop("beam", None)
+        beams = [own_beam if beam is None else beam] * len(days)
+        fields |= {"beams": beams if beams[0] else (), "meta": meta}
+        fields["labels"] = () if len(days) > 1 else (path.name,)
+        return ComponentList(**fields, feature=values.get("feature"))
+
+
+def _refer(values, epoch, days, relative, origin):
+    """Shift the positions of each epoch to the requested origin, in place."""
+    core = values.get("feature", np.full(len(epoch), -1)) == 0
+    needed = origin == ("map" if relative else "core")
+    for day, n in zip(days, np.bincount(epoch[core], minlength=len(days)), strict=True):
+        if n > 1 or (needed and n == 0):
+            found = f"{n} core components" if n else "no core component"
+            raise ValueError(
+                f"{found} (feature 0) on {day[:10]}, expected one to refer positions "
+                "to; correct the file, or give another origin"
+            )
+    for offsets in (values["east"], values["north"]):
+        of_core = np.zeros(len(days))
+        of_core[epoch[core]] = offsets[core]
+        if relative:
+            # The row of the core has its own offset from the map's centre.
+            offsets[core] = 0
+        if origin == "map":
+            offsets += of_core[epoch]
+        elif not relative:
+            offsets -= of_core[epoch]
+
+
+def _offsets(values):
+    """Return the offsets given by separations and position angles."""
+    separation, angle = values["separation"], values["position_angle"]
+    if "feature" in values:
+        # A core with a blank offset is at the map's centre.
+        blank = (values["feature"] == 0) & np.isnan(separation)
+        separation = np.where(blank, 0.0, separation)
+    angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
+    for i in np.flatnonzero(np.isnan(separation + angle)):
+        raise ValueError(f"row {i + 1}: separation or position_angle is blank")
+    return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
+
+
+def _sizes(values):
+    """Return the axes and angles; a blank size is a point, a blank ratio a circle."""
+    zeros = np.zeros(len(values["flux"]))
+    major = values.get("major", zeros)
+    minor = values.get("minor", major * values.get("ratio", 1.0))
+    minor = np.where(np.isnan(minor), major, minor)
+    types = values.get("type", zeros + 1)
+    for i in np.flatnonzero(~np.isin(types, (0, 1))):
+        what = f"component type {types[i]:g} is neither a point (0) nor a Gaussian (1)"
+        raise ValueError(f"row {i + 1}: {what}; replace it by one of these")
+    sizes = {"major": major, "minor": minor, "pa": values.get("pa", zeros)}
+    return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
+
+
 def _concatenate(lists):
     """Concatenate lists, with the first one's position and the meta common to all."""
     starts = np.cumsum([0] + [part.n_epochs for part in lists[:-1]])
@@ -292,14 +369,8 @@ def read_components(
         dates = given_times(dates, len(paths))
     dates = [date and date.utc.isot for date in dates]
     beams = series.as_beams(beams, len(paths)) or [None] * len(paths)
-    lists = []
-    for path, date, beam in zip(paths, dates, beams, strict=True):
-        fields = read_fields(path, source, origin, date)
-        found = fields["meta"].pop("beam", None)
-        beam = found if beam is None else beam
-        fields["beams"] = () if beam is None else (beam,) * len(fields["times"])
-        with naming(path):
-            lists.append(ComponentList(**fields))
+    each = zip(paths, dates, beams, strict=True)
+    lists = [_read(path, source, origin, date, beam) for path, date, beam in each]
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
     if len(objects) > 1:
         warn(

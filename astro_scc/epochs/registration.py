@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import astropy.units as u
 import numpy as np
 import scipy
@@ -304,9 +306,8 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     reached = 24 + int(np.ceil(reach + np.abs(first).max()))
     for box in scipy.ndimage.find_objects(use.astype(np.uint8)):
         near = tuple(slice(max(k.start - reached, 0), k.stop + reached) for k in box)
-        filled, mask, reference, use = (
-            values[near] for values in (filled, mask, reference, use)
-        )
+        filled, mask = filled[near], mask[near]
+        reference, use = reference[near], use[near]
     if start is None:
         # The peak to whole pixels is off by less than one and a half pixels.
         start, reach = _whole_pixels(filled, mask, reference, use, reach), 1.5
@@ -324,28 +325,40 @@ def displacement(image, mask, reference, use, reach, start=None, alike=0.0):
     y, x = y[keep], x[keep]
     target = reference[y, x] - reference[y, x].mean()
     design = [*(slope[y, x] for slope in slopes), target, np.ones_like(target)]
+    found = _fit_displacement(filled, (y, x), design, start, reach, alike)
+    if found is None:
+        raise ValueError("nothing in the image correlates; leave it out")
+    return found
+
+
+def _fit_displacement(filled, pixels, design, start, reach, alike):
+    """
+    Return the displacement and its covariance, None if nothing fits.
+
+    The ``design`` has slopes along x and y, values and ones at the ``pixels`` (y, x).
+    """
+    (y, x), target = pixels, design[2]
     solve = np.linalg.pinv(np.stack(design, axis=1))
     spline = scipy.ndimage.spline_filter(filled, order=3)
+    options = {"order": 3, "prefilter": False, "mode": "mirror"}
     d = np.array(start, dtype=float)
     for _ in range(10):
-        values = scipy.ndimage.map_coordinates(
-            spline, [y + d[1], x + d[0]], order=3, prefilter=False, mode="mirror"
-        )
+        at = [y + d[1], x + d[0]]
+        values = scipy.ndimage.map_coordinates(spline, at, **options)
         *step, gain, level = solve @ values
         # A negative gain or a large shift shows that the steps do not converge.
         if gain <= 0 or np.hypot(*(d - start)) > reach:
-            raise ValueError("nothing in the image correlates; leave it out")
+            return None
         step = np.array(step) / gain
         d -= step * min(1, reach / 2 / max(np.hypot(*step), 1e-9))
         if np.hypot(*step) < 0.01:
             break
     values = values - values.mean()
     if values @ target <= alike * np.sqrt(values @ values * (target @ target)):
-        raise ValueError("nothing in the image correlates; leave it out")
+        return None
     left = values - gain * target
     freedom = max(len(target) - 4, 1)
-    covariance = (solve @ solve.T)[:2, :2] * (left @ left) / freedom / gain**2
-    return d, covariance
+    return d, (solve @ solve.T)[:2, :2] * (left @ left) / freedom / gain**2
 
 
 def _whole_pixels(filled, mask, reference, use, reach, min_overlap=0.5):
@@ -397,7 +410,7 @@ def misalignment(cube: ImageSeries) -> float | None:
 
     Examples
     --------
-    >>> from astro_scc.alignment.registration import misalignment
+    >>> from astro_scc.epochs.registration import misalignment
     >>> from astro_scc.simulation import simulate_jet
     >>> jet = simulate_jet(n_epochs=12, alignment_error=0.3, rng=1)
     >>> round(misalignment(jet.cube), 1)
@@ -420,7 +433,6 @@ def misalignment(cube: ImageSeries) -> float | None:
         k: np.diff(years[k - 1 : k + 2])[::-1] / (years[k + 1] - years[k - 1])
         for k in middle
     }
-    noise = cube.noise_rms().value
 
     def scatter(shifts):
         # The neighbours, whose weighted mean is the reference, scatter as much.
@@ -433,9 +445,7 @@ def misalignment(cube: ImageSeries) -> float | None:
         return float(np.sqrt(np.mean(squares)) / width) if enough else None
 
     def measured(epochs, at=None):
-        return scatter(
-            {k: _shift(cube, k, weights[k], noise[k], width, at) for k in epochs}
-        )
+        return scatter({k: _shift(cube, k, weights[k], at) for k in epochs})
 
     # They give the scatter to 15%.
     if (found := measured(_spread(middle, 24))) is not None:
@@ -462,7 +472,7 @@ def _spread(values, most):
     return values[np.unique(places)]
 
 
-def _shift(cube, k, weights, noise, width, positions, alike=0.9):
+def _shift(cube, k, weights, positions, alike=0.9):
     """
     Return the shift of an epoch from its neighbours in mas, None if unknown.
 
@@ -479,15 +489,12 @@ def _shift(cube, k, weights, noise, width, positions, alike=0.9):
             images[i] = scipy.ndimage.shift(image, (-y, -x), order=3)
     reference = weights[0] * images[0] + weights[1] * images[2]
     masked = cube.mask[three].any(axis=0)
-    source = ~masked & (reference > 5 * noise)
-    reach = width / np.sqrt(abs(np.linalg.det(matrix)))
-    try:
-        shift, _ = displacement(
-            images[1], np.zeros_like(masked), reference, source, reach, (0, 0), alike
-        )
-    except ValueError:
-        return None
-    return matrix @ shift
+    source = ~masked & (reference > 5 * cube.noise_rms()[k].value)
+    reach = (cube.resolution / cube.pixel_scale).to_value(u.one)
+    pair = images[1], np.zeros_like(masked), reference, source
+    with suppress(ValueError):
+        return matrix @ displacement(*pair, reach, (0, 0), alike)[0]
+    return None
 
 
 def warn_of_misalignment(cube):

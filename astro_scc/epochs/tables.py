@@ -1,45 +1,42 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Files of model components: tables, difmap models and AIPS CC tables."""
+"""Files of model components, the columns of their tables, and the sources in them."""
 
 import csv
 import re
 import warnings
 from contextlib import suppress
 from difflib import get_close_matches
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import resources
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
-from astropy.io import fits
+from astropy.coordinates import FK4, SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
-from astro_scc.components.names import also_named, place_of, same_source, table_position
+from astro_scc.columns import numbers
 from astro_scc.exceptions import naming, naming_all
-from astro_scc.images import cards, headers, series
+from astro_scc.images import headers
 from astro_scc.images.beam import parse_beam
-from astro_scc.images.dates import as_times
-from astro_scc.images.fits import AS_TABLE, open_fits
+from astro_scc.images.fits import AS_TABLE, opened, read_header
 from astro_scc.images.headers import some
 from astro_scc.quantities import parse_date
 
 
 def _read_columns():
     """
-    Return what tables have in their columns, of ``columns.csv``.
+    Return what tables have in their columns, of ``components.csv``.
 
     Of each content that is its unit (None for text), its labels in tables, and a
     pattern for what machine-readable tables explain of it, which tells what labels such
     as ID mean.
     """
-    found, units = {}, {"-": None, "1": u.one}
-    with resources.files(__package__).joinpath("columns.csv").open() as file:
+    found = {}
+    with resources.files(__package__).joinpath("components.csv").open() as file:
         for row in csv.DictReader(file):
-            unit = row["unit"]
-            unit = units[unit] if unit in units else u.Unit(unit)
+            unit = None if row["unit"] == "-" else u.Unit(row["unit"])
             found[row["content"]] = unit, row["labels"].split(), row["explained"]
     return found
 
@@ -64,11 +61,29 @@ NO_IMAGE = (
     "track, or make images of them with astro-scc restore"
 )
 #: Keys of the meta that name the source, and other keys that are kept.
-NAMES = ("source", "name", "object")
+NAMES = ("name", "source", "object")
 FACTS = ("telescope", "filter", "stokes", "beam", "position_from")
 FILE_DATE = re.compile(
     r"(?<!\d)(?=((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2([0-3]\d)(?!\d))"
 )
+#: HHMM+DD, HHMM+DDd (tenths of a degree), HHMM+DDMM or HHMMSS.s+DDMMSS.s behind the
+#: name of a catalogue and the letter of the equinox.
+_IAU = re.compile(
+    r"(?:[A-Za-z0-9]*[A-Za-z][A-Za-z0-9]*[\s_-]+|[A-Za-z]{2,4})?([BJ]?)"
+    r"(\d\d)(\d\d)(\d\d(?:\.\d+)?)?([+-])(\d\d)(?:(\d)|(\d\d)(\d\d(?:\.\d+)?)?)?"
+)
+#: Names tell right ascensions to a minute, declinations to a tenth of a degree, and
+#: places of either equinox are told apart no better.
+NEAR = 0.5 * u.deg
+
+
+#: Labels of the position of a source, by preference.
+PLACES = (
+    ("radeg", "dedeg"), ("radeg", "decdeg"), ("raj2000", "dej2000"),
+    ("raj2000", "decj2000"), ("ra", "dec"), ("ra", "de"), ("rab1950", "deb1950"),
+    ("ra1950", "dec1950"), ("ra1950", "de1950"), ("rab1950", "decb1950"),
+)  # fmt: skip
+SEXAGESIMAL = "rah", "ram", "ras", "ded", "dem", "des"
 
 
 def source_names(table, columns=None):
@@ -99,72 +114,37 @@ def open_table(path):
     raise ValueError(f"{path}: its suffix is none of {known}; rename it")
 
 
-def read_fields(path, source, origin, date=None):
+def read_rows(table, source, date):
     """
-    Return the fields of the `~astro_scc.epochs.ComponentList` in a file.
+    Return numbers of the components of a source in a table, their dates, and facts.
 
-    A ``date``, as text, replaces the date of the file or of all rows.
+    A ``date`` is that of all rows, as text, None if the table has dates, "" if there
+    should be one.
     """
-    table, own_date = open_table(path)
-    date = date or own_date
-    if date == "":
-        raise ValueError(f"{path}: {UNDATED}")
     columns = _find_columns(table)
-    table = _select_source(table, columns, source, path)
+    table = _select_source(table, columns, source)
     if len(table) == 0:
-        raise ValueError(f"{path}: no components in the file")
-    has_offsets = {"east", "north"} <= columns.keys()
-    needed = {"flux"} | (set() if has_offsets else {"separation", "position_angle"})
+        raise ValueError("no components in the file")
+    polar = {"separation", "position_angle"}
+    needed = {"flux"} | (set() if {"east", "north"} <= columns.keys() else polar)
     if date is None and not columns.keys() >= {"year", "month", "day"}:
         needed.add("epoch")
     if missing := sorted(needed - columns.keys()):
         # In quotes, as columns are no options of the same names.
         lacks, has = (", ".join(map(repr, n)) for n in (missing, table.colnames))
-        raise ValueError(f"{path}: no column for {lacks}; the table has {has}")
+        raise ValueError(f"no column for {lacks}; the table has {has}")
     values = {
-        what: series.numbers(table[columns[what]], unit, path)
+        what: numbers(table[columns[what]], unit)
         for what, (unit, *_) in COLUMNS.items()
         if unit is not None and what in columns
     }
-    dates = _dates(table, columns, date, path)
-    days, epoch = np.unique(dates, return_inverse=True)
-    if not has_offsets:
-        values |= _offsets(values, path)
-    relative = not has_offsets and "feature" in values
-    if relative or origin == "core":
-        _refer(values, epoch, days, relative, origin, path)
-    values |= _sizes(values, path)
-    fields = {name: values[name] * unit for name, unit in UNITS.items()}
-    fields |= {"times": as_times(list(days), len(days)), "epoch": epoch}
-    fields |= {"feature": values.get("feature"), "meta": _meta(table, columns, path)}
-    return fields | {"labels": () if len(days) > 1 else (path.name,)}
+    return values, _dates(table, columns, date), _meta(table, columns)
 
 
-def _refer(values, epoch, days, relative, origin, path):
-    """Shift the positions of each epoch to the requested origin, in place."""
-    core = values.get("feature", np.full(len(epoch), -1)) == 0
-    needed = origin == ("map" if relative else "core")
-    for day, n in zip(days, np.bincount(epoch[core], minlength=len(days)), strict=True):
-        if n > 1 or (needed and n == 0):
-            found = f"{n} core components" if n else "no core component"
-            raise ValueError(
-                f"{path}: {found} (feature 0) on {day[:10]}, expected one to refer "
-                "positions to; correct the file, or give another origin"
-            )
-    for offsets in (values["east"], values["north"]):
-        of_core = np.zeros(len(days))
-        of_core[epoch[core]] = offsets[core]
-        if relative:
-            # The row of the core has its own offset from the map's centre.
-            offsets[core] = 0
-        if origin == "map":
-            offsets += of_core[epoch]
-        elif not relative:
-            offsets -= of_core[epoch]
-
-
-def _dates(table, columns, date, path):
+def _dates(table, columns, date):
     """Return the date of each row as ISO text; ``date`` applies to all rows."""
+    if date == "":
+        raise ValueError(UNDATED)
     if date is not None:
         texts = [date] * len(table)
     elif "epoch" in columns:
@@ -178,8 +158,8 @@ def _dates(table, columns, date, path):
     # ERFA warns of years whose leap seconds are unknown.
     with warnings.catch_warnings(action="ignore"):
         for text in dict.fromkeys(texts):
-            row = "" if date is not None else f", row {texts.index(text) + 1}"
-            with naming(f"{path}{row}"):
+            where = "the date" if date is not None else f"row {texts.index(text) + 1}"
+            with naming(where):
                 known[text] = parse_date(text).isot
     return [known[text] for text in texts]
 
@@ -200,15 +180,15 @@ def _find_columns(table):
     return found
 
 
-def _select_source(table, columns, source, path):
+def _select_source(table, columns, source):
     """Return the rows of one source; without a column, the meta names the source."""
-    names = [str(table.meta[k]) for k in NAMES if k in table.meta]
-    mine, column = slice(None), source_names(table, columns)
+    names, mine = _names(table), slice(None)
+    column = source_names(table, columns)
     if column is not None:
         names = list(dict.fromkeys(column.tolist()))
         if source is None and len(names) > 1:
             raise ValueError(
-                f"{path}: {len(names)} sources in the table ({some(names, 8)}); "
+                f"{len(names)} sources in the table ({some(names, 8)}); "
                 "say which, with --source NAME of astro-scc restore or source=; "
                 "astro-scc restore TABLE --list lists them"
             )
@@ -224,7 +204,7 @@ def _select_source(table, columns, source, path):
         has = f"it has {some(names, 8)}"
     if len(names) > 1:
         has = f"{has.rstrip('?')}; astro-scc restore TABLE --list lists all"
-    raise ValueError(f"{path}: no source {source!r}; {has}")
+    raise ValueError(f"no source {source!r}; {has}")
 
 
 def source_list(path):
@@ -237,65 +217,38 @@ def source_list(path):
         The name, the common names, and the dates of each, in order.
     """
     table, date = open_table(path)
-    if date == "":
-        raise ValueError(f"{path}: {UNDATED}")
     columns = _find_columns(table)
     names = source_names(table, columns)
     if names is None:
-        name = next((str(table.meta[k]) for k in NAMES if k in table.meta), path.stem)
-        names = np.array([name] * len(table))
-    dates = np.array(_dates(table, columns, date, path))
+        names = np.array([*_names(table), path.stem][:1] * len(table))
+    with naming(path):
+        dates = np.array(_dates(table, columns, date))
     return [
         (name, also_named(name), np.unique(dates[names == name]).tolist())
         for name in dict.fromkeys(names.tolist())
     ]
 
 
-def _offsets(values, path):
-    """Return the offsets given by separations and position angles."""
-    separation, angle = values["separation"], values["position_angle"]
-    if "feature" in values:
-        # A core with a blank offset is at the map's centre.
-        blank = (values["feature"] == 0) & np.isnan(separation)
-        separation = np.where(blank, 0.0, separation)
-    angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
-    for i in np.flatnonzero(np.isnan(separation + angle)):
-        raise ValueError(f"{path}, row {i + 1}: separation or position_angle is blank")
-    return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
+def _names(table):
+    """Return the names of the source that the meta of a table has."""
+    return [str(table.meta[key]) for key in NAMES if table.meta.get(key)]
 
 
-def _sizes(values, path):
-    """Return the axes and angles; a blank size is a point, a blank ratio a circle."""
-    zeros = np.zeros(len(values["flux"]))
-    major = values.get("major", zeros)
-    minor = values.get("minor", major * values.get("ratio", 1.0))
-    minor = np.where(np.isnan(minor), major, minor)
-    types = values.get("type", zeros + 1)
-    for i in np.flatnonzero(~np.isin(types, (0, 1))):
-        what = f"component type {types[i]:g} is neither a point (0) nor a Gaussian (1)"
-        raise ValueError(f"{path}, row {i + 1}: {what}; replace it by one of these")
-    sizes = {"major": major, "minor": minor, "pa": values.get("pa", zeros)}
-    return {name: np.where(types == 0, 0.0, size) for name, size in sizes.items()}
-
-
-def _meta(table, columns, path):
+def _meta(table, columns):
     """Return facts about the source, from the meta and the columns of a table."""
-    facts = table.meta
+    facts, names = table.meta, _names(table)
     meta = {name: facts[name] for name in FACTS if name in facts}
-    name = facts.get("name") or facts.get("source") or facts.get("object")
-    if name is None and "source" in columns:
-        name = str(table[columns["source"]][0]).strip()
-    if name is not None:
-        meta["object"] = str(name)
-    names = [str(facts[key]) for key in NAMES if key in facts] + [str(name or "")]
-    places = {one: place_of(one) for one in names}
-    known = [one for one in names if places[one] is not None]
+    if "source" in columns:
+        names.append(str(table[columns["source"]][0]).strip())
+    if names:
+        meta["object"] = names[0]
+    known = [name for name in names if place_of(name) is not None]
     if (place := table_position(table)) is not None:
         meta["position"] = place
     elif known:
-        meta |= {"position": places[known[0]], "position_from": known[0]}
+        meta |= {"position": place_of(known[0]), "position_from": known[0]}
     if isinstance(text := facts.get("beam"), str):
-        with naming(f"{path}, beam in its meta"):
+        with naming("beam in its meta"):
             meta["beam"] = parse_beam(text)
     if "redshift" in facts:
         meta["redshift"] = float(facts["redshift"])
@@ -377,28 +330,20 @@ def _difmap_row(text, where):
 
 def _open_aips(path):
     """Return the newest AIPS CC table of a FITS file, and its date."""
-    with (
-        naming_all(f"{path}: not a readable FITS file", OSError),
-        # AIPS files break minor rules of the standard throughout.
-        warnings.catch_warnings(action="ignore"),
-        # astropy.io.fits does not close files that it fails to open.
-        path.open("rb") as file,
-        open_fits(file) as hdus,
-    ):
+    with opened(path) as hdus:
         header = hdus[0].header
         found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
-        table = _aips_table(max(found, key=lambda h: h.ver)) if found else None
-        tables = (h for h in hdus if isinstance(h, fits.BinTableHDU))
-        record = headers.read_header(header, tables)
-    if table is None:
-        raise ValueError(f"{path}: no AIPS CC table in the file; leave it out")
+        if not found:
+            raise headers.ContentError("no AIPS CC table in the file; leave it out")
+        table = _aips_table(max(found, key=lambda h: h.ver))
+        record = read_header(header, hdus)
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
     with suppress(ValueError):
         wcs = headers.celestial_wcs(header)
         frame = wcs_to_celestial_frame(wcs)
         table.meta["position"] = SkyCoord(*wcs.wcs.crval, unit="deg", frame=frame).icrs
-    return table, cards.get(header, "DATE-OBS", kind=str) or ""
+    return table, headers.get(header, "DATE-OBS", kind=str) or ""
 
 
 def _aips_table(hdu):
@@ -411,3 +356,136 @@ def _aips_table(hdu):
         table[name] = np.array(hdu.data[column.name], dtype=float).ravel()
         table[name].unit = u.Unit(unit, parse_strict="silent")
     return table
+
+
+def plain(name):
+    """Return a name without spaces, in lower case."""
+    return "".join(name.split()).casefold()
+
+
+@cache
+def common_names():
+    """Return the names by the coordinates of B1950 of well-known sources."""
+    text = resources.files(__package__).joinpath("names.csv").read_text("utf-8")
+    found = {}
+    for row in csv.DictReader(text.splitlines()):
+        found.setdefault(row["b1950"], []).append(row["name"])
+    return found
+
+
+def iau_name(name):
+    """Return the match of an IAU name, of a common one its name by B1950, or None."""
+    for coordinates, names in common_names().items():
+        if plain(name) in map(plain, names):
+            name = coordinates
+    dashes = str.maketrans(dict.fromkeys("\N{MINUS SIGN}\N{EN DASH}", "-"))
+    return _IAU.fullmatch(name.strip().translate(dashes))
+
+
+def place_of(name):
+    """
+    Return the place that a name tells as SkyCoord, None if it tells none.
+
+    Names of the IAU are of B1950 unless they begin with J or have four digits of
+    declination.
+
+    Examples
+    --------
+    >>> from astro_scc.epochs.tables import place_of
+    >>> place_of("0430+052").fk4.to_string("hmsdms", precision=0)
+    '04h30m00s +05d12m00s'
+    >>> place_of("J0433+0521").to_string("hmsdms", precision=0)
+    '04h33m00s +05d21m00s'
+    """
+    match = iau_name(name)
+    if match is None:
+        return None
+    _, hours, minutes, seconds, sign, degrees, tenths, arcmin, arcsec = match.groups()
+    lon = int(hours) + int(minutes) / 60 + float(seconds or 0) / 3600
+    lat = int(degrees) + int(tenths or 0) / 10
+    lat += int(arcmin or 0) / 60 + float(arcsec or 0) / 3600
+    if lon >= 24 or int(minutes) >= 60 or int(arcmin or 0) >= 60 or lat > 90:
+        return None
+    frame = "icrs" if _is_modern(match) else FK4(equinox="B1950")
+    lat = -lat if sign == "-" else lat
+    return SkyCoord(lon * u.hourangle, lat * u.deg, frame=frame).icrs
+
+
+def also_named(name):
+    """Return the common names of the source of a name."""
+    match = iau_name(name)
+    found = common_names().get(_digits(match), []) if match else []
+    return [other for other in found if plain(other) != plain(name)]
+
+
+def same_source(wanted, names):
+    """
+    Return those of some names that are of the source that is wanted.
+
+    They are spelled as it, or its common name, or its coordinates behind the name of
+    a catalogue, or its coordinates in the other equinox if only one is near.
+    """
+    if same := [name for name in names if plain(name) == plain(wanted)]:
+        return same
+    match = iau_name(wanted)
+    if match is None:
+        return []
+    named = {name: other for name in names if (other := iau_name(name))}
+    same = [name for name, other in named.items() if _digits(other) == _digits(match)]
+    if same or (place := place_of(wanted)) is None:
+        return same
+    near = []
+    for name, other in named.items():
+        there = place_of(name) if _is_modern(other) != _is_modern(match) else None
+        if there is not None and place.separation(there) < NEAR:
+            near.append(name)
+    return near if len(near) == 1 else []
+
+
+def _is_modern(match):
+    """Return whether an IAU name is by the coordinates of J2000."""
+    return match[1] == "J" or (match[1] == "" and bool(match[4] or match[8]))
+
+
+def _digits(match):
+    """Return the coordinates of an IAU name, with a J if they are of J2000."""
+    return ("J" if match[1] == "J" else "") + match[0][match.start(2) - match.start() :]
+
+
+def table_position(table):
+    """Return the position of the source that a table has, None if it has none."""
+    facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
+    units = {name: table[name].unit for name in table.colnames}
+    keys = {re.sub(r"[^a-z0-9]", "", str(key).lower()): key for key in facts}
+    place = facts.get(keys.get("position"))
+    if isinstance(place, SkyCoord):
+        return place.icrs
+    found = {label: facts[key] for label, key in keys.items()}
+    pairs = [pair for pair in PLACES if found.keys() >= {*pair}]
+    # Words that are no angles are none of a position.
+    with suppress(TypeError, ValueError, u.UnitsError):
+        if isinstance(place, str):
+            return SkyCoord(place, unit=(u.hourangle, u.deg))
+        if found.keys() >= {*SEXAGESIMAL}:
+            words = [f"{float(found[label]):.12g}" for label in SEXAGESIMAL]
+            sign = "-" if str(found.get("de", "")).strip() == "-" else ""
+            lon, lat = " ".join(words[:3]), sign + " ".join(words[3:])
+            return SkyCoord(lon, lat, unit=(u.hourangle, u.deg))
+        for pair in pairs:
+            lon, lat = (_angle(found[label], units.get(keys[label])) for label in pair)
+            old = "1950" in pair[0]
+            frame = FK4(equinox="B1950") if old else "icrs"
+            text = {"unit": (u.hourangle, u.deg)} if isinstance(lon, str) else {}
+            return SkyCoord(lon, lat, frame=frame, **text).icrs
+    return None
+
+
+def _angle(value, unit):
+    """Return an angle of a table, or the text of one in hours or degrees."""
+    if isinstance(value, str):
+        with suppress(TypeError, ValueError):
+            return u.Quantity(value, None if value.strip()[-1:].isalpha() else u.deg)
+        return value
+    if isinstance(value, u.Quantity):
+        return value
+    return float(value) * (u.hourangle if unit == u.hour else unit or u.deg)

@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 import regions
-from astropy.coordinates import FK4, SkyCoord
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.nddata import CCDData
 from astropy.wcs import WCS
@@ -15,8 +15,7 @@ from numpy.testing import assert_allclose
 
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
-from astro_scc.images import local
-from astro_scc.images.local import north_in, turned
+from astro_scc.images.positions import north_in, turned, unwrapped
 from astro_scc.images.regions import refuse_pixels, region_mask
 
 NY, NX = 24, 32
@@ -146,7 +145,7 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     assert len({str(warning.message)[:5] for warning in said}) == 2
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
-    with pytest.raises(ValueError, match="a.reg: is in pixels, .* that are resampled"):
+    with pytest.raises(ValueError, match="a.reg: is in pixels, .* in resampled images"):
         refuse_pixels(tmp_path / "a.reg", False, cube)
     assert "resampled onto a tangent plane" in cube.meta["history"][-1]
     assert cube.wcs.wcs.ctype[0] == "RA---ARC"
@@ -175,6 +174,12 @@ def test_structure_over_much_of_the_sky_is_refused():
     flat = EpochCube.from_arrays(own, DATES, pixel_scale=1 * u.deg)
     with pytest.raises(ValueError, match="projection .CAR. changes the scale"):
         flat.reproject_to(WCS(wide), (NY, NX))
+    # Pixels without sky.
+    wcs = WCS(header("SIN", (120.0, 0.0), 1.0))
+    wcs.wcs.crpix = [500, 500]
+    assert unwrapped(wcs, (NY, NX)) is wcs
+    with pytest.raises(ValueError, match="projection .SIN"):
+        EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
 
 
 def test_far_reference_pixels_are_no_origin(tmp_path):
@@ -197,22 +202,17 @@ def test_far_reference_pixels_are_no_origin(tmp_path):
         assert cube.align("wcs").meta["alignment"][-1]["shift_east_mas"] == 0
 
 
-def equinoxes(lat):
-    """Return the WCS of one place in B1950 and in J2000."""
-    place = SkyCoord(83.0, lat, unit="deg", frame="fk5")
-    old = place.transform_to(FK4(equinox="B1950"))
-    made = []
-    for where, equinox in ((old, 1950.0), (place, 2000.0)):
-        head = header("SIN", (83.0, lat), 0.1 / 3.6e6)
-        head.update({"CRVAL1": where.ra.deg, "CRVAL2": where.dec.deg})
-        head.update({"EQUINOX": equinox, "CRPIX1": 8.0, "CRPIX2": 12.0})
-        made.append(WCS(head))
-    return made
-
-
 @pytest.mark.filterwarnings("error", "ignore:.*on another grid")
 def test_epochs_of_both_equinoxes_have_one_north():
-    old, new = equinoxes(80.0)
+    place, made = SkyCoord(83.0, 80.0, unit="deg", frame="fk5"), []
+    for frame in ("fk4", "fk5"):
+        where = place.transform_to(frame)
+        head = header("SIN", (83.0, 80.0), 0.1 / 3.6e6)
+        head.update({"CRVAL1": where.data.lon.deg, "CRVAL2": where.data.lat.deg})
+        head.update({"EQUINOX": 1950.0 if frame == "fk4" else 2000.0})
+        head.update({"CRPIX1": 8.0, "CRPIX2": 12.0})
+        made.append(WCS(head))
+    old, new = made
     turn = north_in(old, new)
     beam = Beam(0.6 * u.mas, 0.3 * u.mas, 20 * u.deg)
     # A spot in the frame of J2000, seen on the grid of B1950.
@@ -278,14 +278,6 @@ def test_regions_are_turned_from_the_frame_of_their_drawing(drawn, image, mirror
     assert region_mask(cube, regions.PolygonSkyRegion(SkyCoord(vertices)))[39, 39]
     hollow = regions.CircleAnnulusSkyRegion(centre, 1 * MAS, 3 * MAS)
     assert not region_mask(cube, hollow)[39, 39]
-
-
-def test_pixels_without_sky():
-    wcs = WCS(header("SIN", (120.0, 0.0), 1.0))
-    wcs.wcs.crpix = [500, 500]
-    assert local.unwrapped(wcs, (NY, NX)) is wcs
-    with pytest.raises(ValueError, match="projection .SIN"):
-        EpochCube(np.ones((1, NY, NX)), DATES[:1], wcs)
 
 
 @pytest.mark.filterwarnings("error")

@@ -9,9 +9,9 @@ import astropy.units as u
 import numpy as np
 import scipy
 
-from astro_scc.components.lists import ComponentList, read_components
+from astro_scc.epochs.lists import ComponentList, read_components
 from astro_scc.exceptions import warn
-from astro_scc.images import cards, positions, series
+from astro_scc.images import headers, positions, series
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.grid import gaussian_transfer
 from astro_scc.quantities import Seed, random_generator
@@ -97,8 +97,6 @@ def restore(
     n_epochs, unit = components.n_epochs, u.Jy / u.beam
     beams = series.as_beams(beam, n_epochs)
     noise = series.as_noise(noise, n_epochs, unit)
-    if not beams:
-        raise ValueError("restore needs a beam; give one, or one for each epoch")
     scale = _side(pixel_scale, beams)
     x, y = -components.east.value / scale, components.north.value / scale
     if shape is None:
@@ -122,7 +120,7 @@ def restore(
             rms, grid = noise[i].value, {"pixel_scale": pixel_scale, "rng": noise_rng}
             data[i] += correlated_noise(shape, rms=rms, beam=beams[i], **grid)
     meta = components.meta
-    facts = {name: meta[name] for name in cards.KEYWORDS["facts"] if name in meta}
+    facts = {name: meta[name] for name in headers.KEYWORDS["facts"] if name in meta}
     return cls.from_arrays(
         data, components.times, pixel_scale=pixel_scale, beams=beams, noise=noise,
         reference_pixel=reference_pixel, position=meta.get("position"), unit=unit,
@@ -133,6 +131,8 @@ def restore(
 
 def _side(pixel_scale, beams):
     """Return the side of a pixel in mas, which the beams must be wider than."""
+    if not beams:
+        raise ValueError("restore needs a beam; give one, or one for each epoch")
     scale = positions.pixel_side(pixel_scale).to_value(u.mas)
     narrow = min(beam.minor.value for beam in beams)
     if scale > narrow:
@@ -326,7 +326,7 @@ def correlated_noise(
     --------
     >>> import astropy.units as u
     >>> from astro_scc.images.beam import Beam
-    >>> from astro_scc.components.restoring import correlated_noise
+    >>> from astro_scc.epochs.restoring import correlated_noise
     >>> beam = Beam(1 * u.mas, 0.5 * u.mas)
     >>> noise = correlated_noise((64, 128), rms=0.3 * u.mJy / u.beam, beam=beam,
     ...                          pixel_scale=0.1 * u.mas, rng=1)
