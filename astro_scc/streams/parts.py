@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from astro_scc.kinematics import PositionAngleFrame
-from astro_scc.spectrum.diagram import Diagram, correlate
+from astro_scc.spectrum.diagram import Diagram, correlate, weight_of_pairs
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
 from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
@@ -138,8 +138,11 @@ def is_behind(flow, planes, speed):
 
 
 def has_flow(flow):
-    """Return whether a flow is seen in a part."""
-    return float(weight_of(flow).sum()) >= 4
+    """Return whether most of what is seen in a part can be followed for half a beam."""
+    mask, weight = flow.planes[0].mask, weight_of(flow)
+    lag = min(round(0.5 / flow.planes[0].step), len(mask) - 1)
+    followed = float(weight_of_pairs(mask, weight, lag, 0).sum())
+    return followed >= max(4.0, weight.sum() / 2)
 
 
 def weight_of(flow):
