@@ -137,12 +137,17 @@ def is_behind(flow, planes, speed):
     return bool(moves[0] > moves[1])
 
 
-def has_flow(flow):
-    """Return whether most of what is seen in a part can be followed for half a beam."""
-    mask, weight = flow.planes[0].mask, weight_of(flow)
-    lag = min(round(0.5 / flow.planes[0].step), len(mask) - 1)
-    followed = float(weight_of_pairs(mask, weight, lag, 0).sum())
-    return followed >= max(4.0, weight.sum() / 2)
+def has_flow(flow, least=0.4):
+    """
+    Return whether a flow is seen in a part, and can be followed for half a beam.
+
+    Both ends must be seen around an area of ``least`` square beams: in a smaller one,
+    as beside an edge, slow patterns alone are known.
+    """
+    planes, weight = flow.planes[0], weight_of(flow)
+    lag = min(round(0.5 / planes.step), len(planes.mask) - 1)
+    followed = float(weight_of_pairs(planes.mask, weight, lag, 0).sum())
+    return followed * planes.step**2 >= least
 
 
 def weight_of(flow):
