@@ -137,7 +137,7 @@ def is_behind(flow, planes, speed):
     return bool(moves[0] > moves[1])
 
 
-def has_flow(flow, least=0.4):
+def has_flow(flow, least=0.3):
     """
     Return whether a flow is seen in a part, and can be followed for half a beam.
 

@@ -271,7 +271,6 @@ def test_the_speed_across_is_found(across):
         assert 0 < error < 2.0
         found.append(speed)
     assert np.mean(found) == pytest.approx(across, abs=0.15)
-    # Where the speed along is not known, it is neither.
     assert transverse_speed([], 0.4, 2.0)[0] == 0
     unknown = transverse_speed(correlate_aside(flow, [2]), 2 * STEP, 1e-3)
     assert_equal(unknown[:2], [0, np.nan])
