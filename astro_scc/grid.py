@@ -31,6 +31,9 @@ SMALLEST = 0.1
 MARGIN = 0.5
 #: Margin around the grid, in sizes of the largest scale.
 BORDER = 10
+#: Least share of known points along the flow, as far as a wavelet reaches: more than
+#: beside an edge, less than around single bad pixels.
+KNOWN = 7 / 8
 #: Lines that diverge do so from so many beams behind the core.
 BEHIND = 1.0
 
@@ -440,6 +443,11 @@ def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH
             valid[k] &= sampled(missing.astype(float), where, order=1, cval=1.0) < 0.5
     mask = sampled(seen[box].astype(float), where, order=1) > 0.5
     side = cube.pixel_scale.to_value(u.mas) / (grid.along[1] - grid.along[0])
+    # In the mirror image beyond an edge across the flow all moves backward.
+    far = max(wavelet.scale_reach(scale, kernel) for scale in scales)
+    around = 1, 1 + 2 * int(np.ceil(side / grid.beam * far - 1e-6)), 3
+    share = scipy.ndimage.uniform_filter(np.float32(valid), around, mode="nearest")
+    valid &= share > KNOWN
     return SampledPlanes(
         planes, valid, mask, np.sqrt((noise**2).mean(axis=0)), grid,
         cube.years.to_value(u.yr), tuple(scales),

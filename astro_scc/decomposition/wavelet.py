@@ -63,6 +63,12 @@ def scale_kernel(scale, kernel):
     return "b3", level
 
 
+def scale_reach(scale, kernel):
+    """Return how many pixels away an image still adds to a wavelet plane."""
+    name, level = scale_kernel(scale, kernel)
+    return len(KERNELS[name]) // 2 * (2 ** (level + 1) - 1)
+
+
 def _smooth(image, kernel, level):
     """Return an image convolved with the filter dilated by 2^level, edges mirrored."""
     dilated = np.zeros((len(kernel) - 1) * 2**level + 1)

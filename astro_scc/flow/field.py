@@ -105,7 +105,8 @@ def measure_field(
     Measure speeds in cells of distance and place across the flow.
 
     One stream is fitted in each cell, and motion is tested there.  The side of the
-    counter-jet is left out.
+    counter-jet is left out, and cells have no speed where nothing can be followed for
+    half a beam, as beside an edge of the images.
 
     Parameters
     ----------

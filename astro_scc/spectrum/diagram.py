@@ -102,7 +102,7 @@ def correlate(flow, *, region=None, across=0):
     total = max((mask * weight).sum(), 1.0)
     # Without a displacement across, negative ones are the same products.
     asked = both if across else steps
-    weights = [_weight_of_pairs(mask, weight, lag, across) for lag in asked]
+    weights = [weight_of_pairs(mask, weight, lag, across) for lag in asked]
     overlap = np.array([at.sum() for at in weights]) / total
     if not across:
         overlap = np.concatenate([overlap[:0:-1], overlap])
@@ -118,7 +118,7 @@ def correlate(flow, *, region=None, across=0):
     return Diagram(sums, overlap, both * flow.step, flow.years)
 
 
-def _weight_of_pairs(mask, weight, lag, across):
+def weight_of_pairs(mask, weight, lag, across):
     """Return the weight of the places from which a displacement starts."""
     here, there = ends(lag, len(mask))
     left, right = ends(across, mask.shape[1])
@@ -244,7 +244,7 @@ def _influences_by_points(flow, diagram, functions, norm, weight):
     values, number = _at_points(flow)
     found = [np.zeros((len(mask), n)) for _ in functions]
     for k, lag in enumerate(lags(flow)):
-        at = _weight_of_pairs(mask, weight, lag, 0)
+        at = weight_of_pairs(mask, weight, lag, 0)
         used = at > 0
         if norm[diagram.zero + k] == 0 or not used.any():
             continue

@@ -247,7 +247,7 @@ def decompose_flow(
     Raises
     ------
     `~astro_scc.exceptions.NoFlowError`
-        If no flow is seen.
+        If no flow is seen, or only beside the edge of the images.
     """
     core = has_core(cube, beam)
     seen = _seen(cube, beam, region, core)
@@ -261,6 +261,12 @@ def decompose_flow(
     scales = tuple(scales)
     sampled = [sample_planes(cube, g, scales, seen, **sampling) for g in grids]
     planes = tuple(one.changes(normalise) for one in sampled)
+    if not any(one.mask.any() for one in planes):
+        raise NoFlowError(
+            "all that is seen is so near to the edge of the images, or to missing "
+            "pixels, that wavelets reach beyond: leave out the largest scales, or give "
+            "larger images"
+        )
     regions = (None,) * len(grids)
     if region is not None:
         regions = tuple(sample_mask(region, g).astype(np.float32) for g in grids)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.spectrum.diagram import Diagram, correlate
+from astro_scc.spectrum.diagram import Diagram, correlate, weight_of_pairs
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.errors import fit_errors
 from astro_scc.spectrum.gaussians import StreamFit, fit_streams, one_stream
@@ -135,9 +135,17 @@ def is_behind(flow, planes, speed):
     return bool(moves[0] > moves[1])
 
 
-def has_flow(flow):
-    """Return whether a flow is seen in a part."""
-    return float(weight_of(flow).sum()) >= 4
+def has_flow(flow, least=0.3):
+    """
+    Return whether a flow is seen in a part, and can be followed for half a beam.
+
+    Both ends must be seen around an area of ``least`` square beams: in a smaller one,
+    as beside an edge, slow patterns alone are known.
+    """
+    planes, weight = flow.planes[0], weight_of(flow)
+    lag = min(round(0.5 / planes.step), len(planes.mask) - 1)
+    followed = float(weight_of_pairs(planes.mask, weight, lag, 0).sum())
+    return followed * planes.step**2 >= least
 
 
 def weight_of(flow):

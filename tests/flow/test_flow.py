@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Bins, scales and cells of simulated flows, their covariance, and fits of profiles."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -32,6 +33,10 @@ PM = u.mas / u.yr
 SCC = StackedCrossCorrelation(position_angle=270 * u.deg)
 WEST = PositionAngleFrame(270 * u.deg)
 BINS = [1.6, 4.0, 6.4, 99, 120] * u.mas
+
+
+def flow_of(cube):
+    return decompose_flow(cube, WEST, beam=cube.resolution.to_value(u.mas))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +117,7 @@ def test_the_covariance_is_that_of_repeated_jets():
     speeds, expected = [], []
     for seed in range(24):
         cube = simulate_jet(n_epochs=15, n_features=8, dispersion=0.2, rng=seed).cube
-        flow = decompose_flow(cube, WEST, beam=cube.resolution.to_value(u.mas))
+        flow = flow_of(cube)
         parts = [flow.between(*limits) for limits in ((1.6, 4.0), (4.0, 6.4))]
         found = speeds_in_parts([fit_part(part) for part in parts], [2.8, 5.2])
         speeds.append(found.speed)
@@ -227,6 +232,17 @@ def test_cells_of_radial_flows_turn_with_the_jet(turn):
     assert_allclose(table["pm_parallel"].value, [np.nan, 2.28, np.nan], 0.02)
 
 
+def test_speeds_beside_an_edge_are_those_of_the_whole_image():
+    cube = simulate_jet(n_epochs=12, n_features=60, dispersion=0.05, rng=2).cube
+    missing = cube.mask | (np.arange(cube.shape[2]) >= 114)
+    cut = cube.crop(np.s_[:, :114]), replace(cube, mask=missing)
+    whole, *cuts = map(flow_of, (cube, *cut))
+    speed = fit_part(whole.between(3.8, 5)).fit.mean[0]
+    for cut in cuts:
+        assert fit_part(cut.between(3.8, 9)).fit.mean[0] == pytest.approx(speed, 0.03)
+        assert fit_part(cut.between(4.2, 9)) is None
+
+
 REFUSED = [
     (lambda *_: bins_of([1.0] * u.mas), "2 distance"),
     (lambda *_: bins_of([2.0, 1.0] * u.mas), "bins = .* must be increasing distances"),
@@ -234,6 +250,7 @@ REFUSED = [
     (lambda d, _: measure_profile(SCC, d, [80, 90] * u.mas), "nothing is seen in the"),
     (lambda d, _: measure_profile(SCC, d, BINS, scale_groups="1"), "two groups of"),
     (lambda d, _: measure_profile(SCC, d, BINS, scale_groups="1,2; 2"), "share scale"),
+    (lambda d, _: flow_of(d.cube.crop(np.s_[:, 90:102])), "wavelets reach beyond"),
     (lambda *_: fit_profile(R, V, V, model="cubic"), "unknown model 'cubic'"),
     (lambda *_: fit_profile(R[:2], V[:2], V[:2], model="broken"), "at 4 distances or"),
     (lambda *_: fit_profile(R, -V, V, model="power-law"), "above 0"),

@@ -1,4 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
+from dataclasses import replace
+
 import hypothesis.extra.numpy
 import numpy as np
 import pytest
@@ -71,8 +73,6 @@ def test_motion_is_found_with_its_sign(moving_flow, speed):
 
 
 def test_units_of_time_do_not_matter(moving_flow):
-    from dataclasses import replace
-
     flow = moving_flow([0.5], n_epochs=8)
     found = p_of(flow, n_trials=99)
     for unit in (1e-8, 1e4):
