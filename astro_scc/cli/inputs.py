@@ -257,7 +257,7 @@ def prepare(cube, settings, *, note=None, features=False):
     if settings.scales is None and settings.method == "paper":
         found["scales"], reason = plan.choose_scales(cube)
         chosen.append(f"--scales {','.join(map(str, found['scales']))}: {reason}")
-    elif settings.scales is None:
+    elif settings.scales is None and not settings.scale_groups:
         pixels = plan.flow_beam(cube) / cube.pixel_scale.to_value(u.mas)
         scales = ",".join(map(str, default_scales(pixels)))
         chosen.append(f"speeds from scales {scales}: the largest up to 0.55 beams")
