@@ -130,7 +130,9 @@ def test_finds_the_motion(result):
     ids=repr,
 )
 def test_finds_it_with_other_settings(cube, settings):
-    check_motion(measure(cube, **settings), (3, 1))
+    # The filter b3 reaches far beyond the edges: the error is 0.2 pixels.
+    atol = 0.2 if "wavelet" in settings else 0.15
+    check_motion(measure(cube, **settings), (3, 1), atol=atol)
 
 
 @pytest.mark.slow

@@ -64,9 +64,16 @@ def scale_kernel(scale, kernel):
 
 
 def scale_reach(scale, kernel):
-    """Return how many pixels away an image still adds to a wavelet plane."""
+    """
+    Return how many pixels away an image still adds to a wavelet plane.
+
+    It is the whole reach of "b1", and as many standard deviations of "b3", whose far
+    weights are small.
+    """
     name, level = scale_kernel(scale, kernel)
-    return len(KERNELS[name]) // 2 * (2 ** (level + 1) - 1)
+    taps = KERNELS[name]
+    square = (np.arange(len(taps)) - len(taps) // 2) ** 2
+    return np.sqrt(2 * square @ taps) * (2 ** (level + 1) - 1)
 
 
 def _smooth(image, kernel, level):

@@ -261,7 +261,7 @@ def decompose_flow(
     scales = tuple(scales)
     sampled = [sample_planes(cube, g, scales, seen, **sampling) for g in grids]
     planes = tuple(one.changes(normalise) for one in sampled)
-    if not any(one.mask.any() for one in planes):
+    if region is None and not any(one.mask.any() for one in planes):
         raise NoFlowError(
             "all that is seen is so near to the edge of the images, or to missing "
             "pixels, that wavelets reach beyond: leave out the largest scales, or give "
