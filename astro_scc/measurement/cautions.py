@@ -149,7 +149,7 @@ def _other_directions(result):
     if scatter > turns * ALL:
         # A ridge line does not lead to several sides.
         radial = about < scatter / 2
-        advice = "try --position-angle radial" if radial else "take that of each"
+        advice = "try --position-angle radial" if radial else "give a region for each"
         return [f"{NO_DIRECTION}: {said}, {advice}"]
     return [
         f"{said}, and speeds are those along one: try the position angles 'ridge' and "
