@@ -10,6 +10,10 @@ from astro_scc.spectrum.equations import deconvolve
 
 #: Smallest dispersion, relative to the mean: patterns change on their way.
 FLOOR = 0.1
+#: Largest dispersion of one stream, relative to the mean.
+WIDEST = 0.6
+#: Smallest sum of the shares of a Gaussian, part of which is beyond the speeds.
+LEAST_TOTAL = 0.2
 #: Two streams fit better than a broad one if they explain so much more.
 GAIN = 0.05
 
@@ -41,20 +45,34 @@ class StreamFit:
 
 
 def shares_of(equations, mean, sd):
-    """Return the share of Gaussians at each speed, and distances from their means."""
-    sd = np.hypot(sd, 0.05 * np.abs(mean))[:, None]
-    z = (equations.speed - mean[:, None]) / sd
-    shares = np.exp(-0.5 * z**2) * equations.width / sd / np.sqrt(2 * np.pi)
-    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 0.2)
-    return shares, z, sd
+    """
+    Return the share of Gaussians at each speed, and its derivatives.
+
+    Returns
+    -------
+    shares, of_mean, of_sd : `~numpy.ndarray`, shape (k, n_v)
+        The derivatives by the mean and by the logarithm of the dispersion.
+    """
+    mean, sd = mean[:, None], sd[:, None]
+    width = np.hypot(sd, 0.05 * mean)
+    z = (equations.speed - mean) / width
+    shares = np.exp(-0.5 * z**2) * equations.width / width / np.sqrt(2 * np.pi)
+    total = shares.sum(axis=1, keepdims=True)
+    shares /= np.maximum(total, LEAST_TOTAL)
+    of_width = (z * z - 1) / width
+    found = [shares]
+    for change in (z + of_width * 0.05**2 * mean, of_width * sd**2):
+        change = shares * change / width
+        lost = change.sum(axis=1, keepdims=True) * (total > LEAST_TOTAL)
+        found.append(change - shares * lost)
+    return found
 
 
 def gaussian_columns(equations, mean, sd):
     """Return Gaussians in speed as combinations of columns, and their derivatives."""
-    shares, z, sd = shares_of(equations, mean, sd)
-    pad = (0, 0), (0, len(equations.gram) - shares.shape[1])
-    both = shares * z / sd, shares * (z * z - 1)
-    return tuple(np.pad(part, pad) for part in (shares, *both))
+    found = shares_of(equations, mean, sd)
+    pad = (0, 0), (0, len(equations.gram) - len(equations.speed))
+    return tuple(np.pad(part, pad) for part in found)
 
 
 def standing_columns(equations):
@@ -70,7 +88,7 @@ def amplitudes_of(equations, mean, sd):
     return StreamFit(mean, sd, found[:k], found[k:], misfit)
 
 
-def fit_streams(equations, start, widest=0.6):
+def fit_streams(equations, start, widest=WIDEST):
     """
     Fit means and dispersions of streams by least squares.
 
@@ -86,33 +104,36 @@ def fit_streams(equations, start, widest=0.6):
     -------
     `StreamFit`
     """
-    top = equations.speed[-1]
-    square = equations.square
-    sign = np.sign([mean for mean, _ in start])
+    k, square = len(start), equations.square
+    first, sd = np.array(start, float).T
+    sign, n = np.sign(first), len(equations.speed)
 
     def unpack(p):
-        mean = sign * np.exp(p[::2])
-        low, high = FLOOR * np.abs(mean), widest * np.abs(mean)
-        return mean, low + (high - low) / (1 + np.exp(-p[1::2]))
+        # Of a speed, and of the range of dispersions.
+        size, part = np.exp(p[:k]), scipy.special.expit(p[k:])
+        return sign * size, size * (FLOOR + (widest - FLOOR) * part), part
 
     def cost(p):
-        mean, sd = unpack(p)
-        if np.abs(mean).max() > top:
-            return 2 * square
-        penalty = 1e-6 * square * (p[1::2] ** 2).sum()
-        return amplitudes_of(equations, mean, sd).misfit + penalty
+        mean, sd, part = unpack(p)
+        shares, of_mean, of_sd = shares_of(equations, mean, sd)
+        found, misfit = equations.solve(shares)
+        # The amplitudes are the best ones: their changes do not count.
+        of_shares = np.append(found[:k] @ shares, found[k:]) @ equations.gram[:, :n]
+        of_shares = 2 * (of_shares - equations.right[:n])
+        of_mean, of_sd = found[:k] * [of_mean @ of_shares, of_sd @ of_shares]
+        range_of = np.abs(mean) * (widest - FLOOR) * part * (1 - part) / sd
+        slope = np.concatenate([of_mean * mean + of_sd, of_sd * range_of]) / square
+        slope[k:] += 2e-6 * p[k:]
+        return misfit / square + 1e-6 * (p[k:] ** 2).sum(), slope
 
-    first = []
-    for mean, sd in start:
-        part = np.clip((sd / abs(mean) - FLOOR) / (widest - FLOOR), 0.05, 0.95)
-        first += [np.log(abs(mean)), np.log(part / (1 - part))]
-    first = np.array(first)
-    steps = np.tile([0.06, 1.0], len(start))
-    simplex = np.vstack([first, first + np.diag(steps)])
-    options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-7 * square}
-    options["maxiter"] = 150 * len(start)
-    found = scipy.optimize.minimize(cost, first, method="Nelder-Mead", options=options)
-    mean, sd = unpack(found.x)
+    part = np.clip((sd / np.abs(first) - FLOOR) / (widest - FLOOR), 0.05, 0.95)
+    first = np.append(np.log(np.abs(first)), scipy.special.logit(part))
+    speed = np.log(equations.speed[[n // 2 + 1, -1]])
+    bounds = [speed] * k + [(-8, 8)] * k
+    found = scipy.optimize.minimize(
+        cost, first, jac=True, bounds=bounds, options={"ftol": 1e-10}
+    )
+    mean, sd, _ = unpack(found.x)
     order = np.argsort(np.abs(mean))
     return amplitudes_of(equations, mean[order], sd[order])
 
@@ -149,21 +170,21 @@ def peaks_of(equations, spectrum, least):
     return sorted(found, key=lambda peak: -peak[2])
 
 
-def one_stream(equations, least, sign=1):
-    """Return the best fit of one stream of one sign, or None without a peak."""
-    spectrum = deconvolve(equations)
-    peaks = [p for p in peaks_of(equations, spectrum, least) if p[0] * sign > 0]
-    if not peaks:
+def one_stream(equations, least, sign=1, parts=(0.15, 0.4)):
+    """
+    Return the best fit of one stream of one sign, or None if nothing moves so.
+
+    It starts from the best speeds with dispersions of such ``parts``: patterns at equal
+    distances fill a spectrum with aliases.
+    """
+    v = equations.speed[equations.speed * sign >= least][::2]
+    starts = [(speed, part * abs(speed)) for speed in v for part in parts]
+    tried = [amplitudes_of(equations, [mean], [sd]) for mean, sd in starts]
+    best = sorted(tried, key=lambda fit: fit.misfit)[:2]
+    if not best or not best[0].amplitude > 0:
         return None
-    mass = sum(p[2] for p in peaks)
-    mean = sum(p[0] * p[2] for p in peaks) / mass
-    starts = [(mean, 0.2 * abs(mean)), *((p[0], p[1]) for p in peaks[:2])]
-    # Patterns at equal distances fill a spectrum with aliases: the best single speed.
-    v = equations.speed[equations.speed * sign >= least]
-    fits = [amplitudes_of(equations, [speed], [0.2 * abs(speed)]) for speed in v]
-    best = min(fits, key=lambda fit: fit.misfit)
-    starts.append((best.mean[0], best.sd[0]))
-    return min((fit_streams(equations, [s]) for s in starts), key=lambda f: f.misfit)
+    fits = [fit_streams(equations, [(fit.mean[0], fit.sd[0])]) for fit in best]
+    return min(fits, key=lambda fit: fit.misfit)
 
 
 def two_streams(equations, one, least, tested=(), widest=0.3):

@@ -38,7 +38,6 @@ from astro_scc.streams.search import (
 from astro_scc.streams.spread import (
     chance_of_separation,
     mean_speed,
-    separation,
     unknown_scatter,
 )
 
@@ -67,10 +66,10 @@ ASIDE = 0.4
 #: Without a known direction, that of the flow is found in so many turns, of at most
 #: and at least so many radians.
 MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
-#: Two streams are one broad one if as many features are less separate, unless the
-#: speeds differ by such a factor; if they are more separate, two need explain less.
-#: Features tell if such a share of them is on either side of the middle.
-FEWEST, SEPARATE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.9, 6.0, 0.03, 0.2
+#: Two streams are one broad one if as many features of one would be as separate more
+#: often than so, unless the speeds differ by such a factor; if not, two need explain
+#: less.  Features tell if such a share of them is on either side of the middle.
+FEWEST, BY_CHANCE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.03, 6.0, 0.03, 0.2
 #: Features speak for a flow if they are this share of all detections.
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
@@ -182,13 +181,17 @@ def _streams_of(search, equations, fit, moving, settings, rng, *, diffusing):
     test, least = search.test, 1 / np.ptp(search.flow.years)
     first = test.speed[test.best[1]]
     second, p_distinct = test.beside(first, least / 2)
-    if p_distinct > settings.alpha and not diffusing and len(moving) >= FEWEST:
+    if diffusing:
+        return fit, p_distinct
+    speed, chance = np.abs(moving.along) / search.beam, 1.0
+    if len(speed) >= FEWEST:
+        chance = chance_of_separation(speed, settings.n_trials, rng)
+    if p_distinct > settings.alpha:
         # A second test where the first does not reject.
-        chance = chance_of_separation(np.abs(moving.along), settings.n_trials, rng)
         p_distinct = min(p_distinct, 2 * chance)
-    if p_distinct <= settings.alpha and not diffusing:
+    if p_distinct <= settings.alpha:
         two = two_streams(equations, fit, least, (first, second))
-        if two is not None and _are_two(equations, fit, two, moving, search.beam):
+        if two is not None and _are_two(equations, fit, two, speed, chance):
             fit = two
     return fit, p_distinct
 
@@ -223,16 +226,14 @@ def find_motion(flow, settings, rng):
     )
 
 
-def _are_two(equations, one, two, moving, beam):
+def _are_two(equations, one, two, speed, chance):
     """Return whether spectrum and features show two streams rather than a broad one."""
-    slow, fast = np.abs(two.mean) * beam
-    speed, middle = np.abs(moving.along), np.sqrt(slow * fast)
-    side = min((speed > middle).mean(), (speed < middle).mean()) if len(speed) else 0
-    known = len(speed) >= FEWEST and side >= LEAST_SIDE
-    apart = separation(speed) if known else np.nan
-    if known and apart < SEPARATE and fast < BROAD * slow:
+    slow, fast = np.abs(two.mean)
+    below = (speed < np.sqrt(slow * fast)).mean() if len(speed) >= FEWEST else 0.0
+    known = min(below, 1 - below) >= LEAST_SIDE
+    if known and chance > BY_CHANCE and fast < BROAD * slow:
         return False
-    gain = LEAST_GAIN if known and apart >= SEPARATE else GAIN
+    gain = LEAST_GAIN if known and chance <= BY_CHANCE else GAIN
     return two_are_better(equations, one, two, gain)
 
 

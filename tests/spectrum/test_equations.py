@@ -11,6 +11,7 @@ from astro_scc.spectrum.gaussians import (
     amplitudes_of,
     one_stream,
     peaks_of,
+    shares_of,
     two_are_better,
     two_streams,
 )
@@ -185,3 +186,19 @@ def test_parts_have_no_mean():
     assert found.of_scales([1]).values.shape == found.values.shape
     along = planes_of(rng.normal(size=(9, 20, 10)), normalise="along")
     assert along.values.std() > 0.5
+
+
+@pytest.mark.parametrize(("mean", "sd"), [(1.0, 0.2), (-2.0, 0.3), (0.11, 0.06)])
+def test_derivatives_of_the_shares_of_gaussians(mean, sd):
+    """Also of a Gaussian part of which is beyond the speeds."""
+    equations = set_up(exact_diagram({1.0: 1.0}, YEARS))
+    step = 1e-6
+
+    def shares(mean, sd):
+        return shares_of(equations, np.array([mean]), np.array([sd]))[0]
+
+    _, of_mean, of_sd = shares_of(equations, np.array([mean]), np.array([sd]))
+    by_mean = shares(mean + step, sd) - shares(mean - step, sd)
+    by_sd = shares(mean, sd * (1 + step)) - shares(mean, sd * (1 - step))
+    for found, change in ((of_mean, by_mean), (of_sd, by_sd)):
+        np.testing.assert_allclose(found, change / 2 / step, atol=1e-6)
