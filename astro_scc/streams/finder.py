@@ -69,7 +69,7 @@ MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
 #: Two streams are one broad one if as many features of one would be as separate more
 #: often than so, unless the speeds differ by such a factor; if not, two need explain
 #: less.  Features tell if such a share of them is on either side of the middle.
-FEWEST, BY_CHANCE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.03, 6.0, 0.03, 0.2
+FEWEST, BY_CHANCE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.05, 6.0, 0.03, 0.2
 #: Features speak for a flow if they are this share of all detections.
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
@@ -229,8 +229,8 @@ def find_motion(flow, settings, rng):
 def _are_two(equations, one, two, speed, chance):
     """Return whether spectrum and features show two streams rather than a broad one."""
     slow, fast = np.abs(two.mean)
-    below = (speed < np.sqrt(slow * fast)).mean() if len(speed) >= FEWEST else 0.0
-    known = min(below, 1 - below) >= LEAST_SIDE
+    sides = np.bincount(speed < np.sqrt(slow * fast), minlength=2)
+    known = len(speed) >= FEWEST and sides.min() >= LEAST_SIDE * len(speed)
     if known and chance > BY_CHANCE and fast < BROAD * slow:
         return False
     gain = LEAST_GAIN if known and chance <= BY_CHANCE else GAIN
