@@ -12,7 +12,6 @@ from astropy.time import Time
 from scipy.ndimage import map_coordinates
 
 from astro_scc.features import Features, TrackSettings, trust
-from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
 from astro_scc.images.dates import date_labels
 from astro_scc.intervals import median_interval
@@ -249,16 +248,14 @@ def _trusted(features, k):
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
     false, moved, same = features.p_false[k], features.moved[k], track.same_speed
-    most, least = trust.MOST_FALSE, trust.LEAST_EPOCHS
+    most = trust.MOST_FALSE
     checks = {
         f"p_false {false:.2g} (at most {most:g})": false <= most,
-        f"{_count(len(track))} (at least {least})": len(track) >= least,
         f"the same speed in {same:.0%} of the perturbed assignments (at least "
         f"{trust.SAME_SPEED:.0%})": same >= trust.SAME_SPEED,
-        f"motion of {moved:.2g} beams (at least {trust.LEAST_MOTION:g})":
-            moved >= trust.LEAST_MOTION,
-        f"a speed of {sigma:.2g} standard errors (at least {SIGNIFICANT:g})":
-            sigma >= SIGNIFICANT,
+        f"motion of {moved:.2g} beams and {sigma:.2g} standard errors in "
+        f"{_count(len(track))} (at least {trust.motions_in_words()})":
+            trust.moves_enough(moved, sigma, len(track)),
     }  # fmt: skip
     failed = [text for text, passed in checks.items() if not passed]
     return [

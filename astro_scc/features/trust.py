@@ -14,11 +14,13 @@ COEFFICIENTS = np.array([1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62, -7.23])
 #: Which of them is that of the angle between motion and radius.
 COSINE = 3
 #: A feature is secure if it is false with at most this probability, has the same
-#: speed in such a share of the disturbed assignments, and has moved so many beams: of
-#: static jets at most one in twenty then has one (``benchmarks/features.py``).
-MOST_FALSE, SAME_SPEED, LEAST_MOTION = 0.3, 0.5, 1.0
+#: speed in such a share of the disturbed assignments, and moves so: of static jets at
+#: most one in twenty then has one (``benchmarks/features.py``).
+MOST_FALSE, SAME_SPEED = 0.3, 0.5
 #: Fewest epochs of a secure feature.
 LEAST_EPOCHS = 4
+#: Least motion in beams and in standard errors, and fewest epochs: far, or clearly.
+MOTIONS = (1.0, SIGNIFICANT, LEAST_EPOCHS), (0.5, 5.0, 5)
 #: Beyond so many beams, other detections do not matter.
 FAR = 2.0
 
@@ -91,9 +93,8 @@ def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> boo
     """
     Return whether a track is one feature with a reliable speed.
 
-    It has at least ``LEAST_EPOCHS`` epochs, a ``p_false`` of at most ``MOST_FALSE``,
-    the same speed in the share ``SAME_SPEED`` of the assignments, and it moves by
-    ``LEAST_MOTION`` beams and ``SIGNIFICANT`` standard errors.
+    It has a ``p_false`` of at most ``MOST_FALSE``, the same speed in the share
+    ``SAME_SPEED`` of the assignments, and `moves_enough`.
 
     Parameters
     ----------
@@ -107,6 +108,24 @@ def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> boo
     -------
     bool
     """
-    moves = motion.speed >= SIGNIFICANT * motion.speed_err and moved >= LEAST_MOTION
-    stable = track.same_speed >= SAME_SPEED and len(track) >= LEAST_EPOCHS
-    return bool(moves and stable and p_false <= MOST_FALSE)
+    stable = track.same_speed >= SAME_SPEED and p_false <= MOST_FALSE
+    errors = motion.speed / motion.speed_err
+    return bool(stable and moves_enough(moved, errors, len(track)))
+
+
+def moves_enough(moved, errors, n_epochs):
+    """Return whether motions in beams and in standard errors are one of ``MOTIONS``."""
+    enough = [
+        (moved >= beams) & (errors >= sigma) & (n_epochs >= epochs)
+        for beams, sigma, epochs in MOTIONS
+    ]
+    return np.logical_or.reduce(enough)
+
+
+def motions_in_words():
+    """Return ``MOTIONS`` in words."""
+    return ", or ".join(
+        f"{beams:g} beam{'s' * (beams != 1)} and {sigma:g} standard errors in "
+        f"{epochs} epochs"
+        for beams, sigma, epochs in MOTIONS
+    )

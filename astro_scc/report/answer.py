@@ -5,8 +5,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
-from astro_scc.features.motion import SIGNIFICANT
-from astro_scc.features.trust import LEAST_EPOCHS, LEAST_MOTION, MOST_FALSE, SAME_SPEED
+from astro_scc.features.trust import MOST_FALSE, MOTIONS, SAME_SPEED, motions_in_words
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.measurement.cautions import NO_DIRECTION
 from astro_scc.measurement.tables import dates_as_text
@@ -21,8 +20,7 @@ EXPLANATION = (
 #: What makes a feature secure, and what its p_false is.
 SECURE = (
     "p_false: probability that it is no feature, or parts of several; secure: p_false "
-    f"of at most {MOST_FALSE:g}, {LEAST_EPOCHS} epochs or more, moved by "
-    f"{LEAST_MOTION:g} beam and {SIGNIFICANT:g} standard errors or more, at this speed "
+    f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, at this speed "
     f"in {SAME_SPEED:.0%} or more of the perturbed assignments"
 )
 #: Speeds agree within so many errors of both.
@@ -371,7 +369,8 @@ def _lacking(features):
         return ["No detections of four epochs or more are in steady motion."]
     motion, false = features["motion"].value, features["p_false"]
     errors = (features["pm"] / features["pm_err"]).value
-    shares = MOST_FALSE / false, motion / LEAST_MOTION, errors / SIGNIFICANT
+    beams, sigma, _ = MOTIONS[0]
+    shares = MOST_FALSE / false, motion / beams, errors / sigma
     best = np.argmax(np.minimum.reduce(shares))
     share, row = shares[1][best], features[best]
     text = (

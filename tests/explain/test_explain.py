@@ -26,7 +26,8 @@ def test_a_secure_feature(known_features, secure):
     text = " ".join(lines)
     assert lines[0].startswith(f"Detected within 0.5 beams in {len(rows)} of")
     assert f"p_false {known_features.p_false[k]:.2g} (at most 0.3)" in text
-    assert f"motion of {known_features.moved[k]:.2g} beams (at least 1)" in text
+    assert f"motion of {known_features.moved[k]:.2g} beams and " in text
+    assert "(at least 1 beam and 3 standard errors in 4 epochs, or 0.5 beams" in text
     assert lines[-1] == "It is secure."
 
 
