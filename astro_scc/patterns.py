@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,8 @@ class DecomposedEpochs:
         The SSPs of the region.
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
         The pixels of the region; None for all.
+    matches : `~astro_scc.paper.Matches`, optional
+        Of the SSPs in other epochs, see `~astro_scc.StackedCrossCorrelation.match`.
 
     Examples
     --------
@@ -53,10 +56,12 @@ class DecomposedEpochs:
     ssps: SSPs
     select: np.ndarray
     region: np.ndarray | None = None
+    matches: Any = None
 
     def __repr__(self):
         n, n_ssps = len(self.cube), np.count_nonzero(self.select)
-        return f"<{type(self).__name__}: {n} epochs, {n_ssps} SSPs>"
+        more = "" if self.matches is None else f", {len(self.matches)} matches"
+        return f"<DecomposedEpochs: {n} epochs, {n_ssps} SSPs{more}>"
 
     @property
     def scales(self) -> tuple[float, ...]:

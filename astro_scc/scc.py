@@ -33,7 +33,7 @@ from astro_scc.grid import has_core
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.parts import parts_of
-from astro_scc.paper.matching import SearchPlan, match
+from astro_scc.paper.method import match, measure_as_in_paper, plan_matches
 from astro_scc.parallel import Workers
 from astro_scc.progress import progress
 from astro_scc.quantities import Seed, seeded
@@ -149,25 +149,6 @@ class StackedCrossCorrelation(MeasurementSettings):
             scales, self.wavelet, self.detection, self.segmentation, self.noise
         )
 
-    def plan(self, cube: EpochCube) -> SearchPlan:
-        """
-        Return what the settings mean for matches of SSPs in a cube.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        `~astro_scc.paper.matching.SearchPlan`
-
-        Raises
-        ------
-        ValueError
-            If no two epochs make a pair, or a scale does not fit the pixels.
-        """
-        return SearchPlan.of(cube, self)
-
     def decomposer(self, cube: EpochCube) -> Decomposer:
         """
         Return the decomposer for the epochs of a cube.
@@ -227,7 +208,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             warn(empty, MeasurementWarning)
         return found
 
-    match = match
+    plan, match = plan_matches, match
 
     def flow(self, decomposed: patterns.DecomposedEpochs) -> DecomposedFlow:
         """
@@ -350,8 +331,6 @@ class StackedCrossCorrelation(MeasurementSettings):
         n_trials = require("n_trials", n_trials)
         refuse_other_method(self.method, self.to_dict())
         if self.method == "paper":
-            from astro_scc.paper.method import measure_as_in_paper
-
             found: Any = measure_as_in_paper(
                 cube, self, region=region, n_trials=n_trials, rng=rng,
                 n_workers=n_workers, progress_bar=progress_bar,
