@@ -6,7 +6,7 @@ from __future__ import annotations
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -39,18 +39,11 @@ NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
 
 
-class FeaturePaths(NamedTuple):
-    """Positions of features at each epoch of a cube, see `draw_paths`."""
-
-    x: np.ndarray
-    y: np.ndarray
-
-
 def draw_paths(
     cube: EpochCube, area: ArrayLike, *, speed: u.Quantity,
     position_angle: u.Quantity | str, n_features: float = 10,
     scatter: u.Quantity | None = None, rng: Seed | None = None,
-) -> FeaturePaths:  # fmt: skip
+) -> np.ndarray:  # fmt: skip
     """
     Draw features that flow through an area at one speed.
 
@@ -78,9 +71,9 @@ def draw_paths(
 
     Returns
     -------
-    ``FeaturePaths``
-        ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
-        NaN at epochs before a feature has left the origin of a radial flow.
+    `~numpy.ndarray`, shape (2, n_features, n_epochs)
+        x and y in pixels counted from 0, NaN at epochs before a feature has left the
+        origin of a radial flow.
 
     Raises
     ------
@@ -99,7 +92,7 @@ def draw_paths(
     >>> area[10:20, 10:50] = True
     >>> paths = draw_paths(cube, area, speed=1 * u.mas / u.yr,
     ...                    position_angle=270 * u.deg, n_features=4, rng=1)
-    >>> np.diff(paths.x)[0].round(1)  # west is to the right
+    >>> np.diff(paths[0])[0].round(1)  # west is to the right
     array([10., 20.])
     """
     rng = random_generator(rng)
@@ -129,7 +122,7 @@ def draw_paths(
         sigma = u.Quantity(scatter).to_value(u.mas)
         shift = rng.normal(0, sigma, (len(lines), len(years), 2))
         lines = lines + np.einsum("ij,nej->nie", to_pixels, shift)
-    return FeaturePaths(lines[:, 0], lines[:, 1])
+    return lines.swapaxes(0, 1)
 
 
 def _motion(start, origin, to_sky, position_angle):
@@ -152,7 +145,7 @@ def _is_inside(line, area):
 
 
 def inject(
-    cube: EpochCube, paths: FeaturePaths, peak: u.Quantity, *,
+    cube: EpochCube, paths: ArrayLike, peak: u.Quantity, *,
     fwhm: u.Quantity | None = None,
 ) -> EpochCube:  # fmt: skip
     """
@@ -163,7 +156,7 @@ def inject(
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    paths : ``FeaturePaths``
+    paths : array_like, shape (2, n_features, n_epochs)
         See `draw_paths`.
     peak : `~astropy.units.Quantity`
         Peak of a feature in the unit of the cube.
@@ -203,12 +196,12 @@ def inject(
     else:
         raise ValueError(NO_BEAMS)
     value = u.Quantity(peak, cube.unit).to_value(cube.unit)
-    data, pixels = cube.data.copy(), np.stack([paths.x, paths.y])
+    data, paths = cube.data.copy(), np.asarray(paths)
     for epoch, covariance in enumerate(covariances):
-        x, y = pixels[:, np.isfinite(paths.x[:, epoch]), epoch]
+        x, y = paths[:, np.isfinite(paths[0, :, epoch]), epoch]
         shape = [to_pixels @ covariance @ to_pixels.T] * len(x)
         add_gaussians(data[epoch], x, y, [value] * len(x), shape)
-    return cube.with_step(f"{len(paths.x)} simulated features added", data=data)
+    return cube.with_step(f"{paths.shape[1]} simulated features added", data=data)
 
 
 def completeness(
