@@ -11,7 +11,7 @@ from astropy.table import QTable
 from astropy.time import Time
 from scipy.ndimage import map_coordinates
 
-from astro_scc.features import Features, TrackSettings, trust
+from astro_scc.features import Features, TrackSettings, finder
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
 from astro_scc.images.dates import date_labels
@@ -26,7 +26,7 @@ SAME, RIVAL = 0.5, 1.0
 BRIGHT = 5.0
 #: Most epochs that are named one by one.
 MOST = 6
-#: What the properties of `astro_scc.features.trust.properties` are, the first three as
+#: What the properties of `astro_scc.features.finder.properties` are, the first three as
 #: logarithms.
 PROPERTIES = (
     "{0:.0f} epochs, {1:.2g} beams of motion, {2:.2g} beams from the core, cosine "
@@ -244,19 +244,19 @@ def _linked(features, k):
 def _trusted(features, k):
     """Return what makes a feature secure or not, as lines."""
     track, motion = features.tracks[k], features.motions[k]
-    known = trust.properties(features.detections, track, motion)
+    known = finder.properties(features.detections, track, motion)
     # The distance has an offset, see `properties`.
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
     false, moved, same = features.p_false[k], features.moved[k], track.same_speed
-    most, least = trust.MOST_FALSE, trust.LEAST_EPOCHS
+    most, least = finder.MOST_FALSE, finder.LEAST_EPOCHS
     checks = {
         f"p_false {false:.2g} (at most {most:g})": false <= most,
         f"{_count(len(track))} (at least {least})": len(track) >= least,
         f"the same speed in {same:.0%} of the perturbed assignments (at least "
-        f"{trust.SAME_SPEED:.0%})": same >= trust.SAME_SPEED,
-        f"motion of {moved:.2g} beams (at least {trust.LEAST_MOTION:g})":
-            moved >= trust.LEAST_MOTION,
+        f"{finder.SAME_SPEED:.0%})": same >= finder.SAME_SPEED,
+        f"motion of {moved:.2g} beams (at least {finder.LEAST_MOTION:g})":
+            moved >= finder.LEAST_MOTION,
         f"a speed of {sigma:.2g} standard errors (at least {SIGNIFICANT:g})":
             sigma >= SIGNIFICANT,
     }  # fmt: skip

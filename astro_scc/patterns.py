@@ -16,8 +16,7 @@ from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.beam import require_common_beam
-from astro_scc.parallel import Workers, in_order
-from astro_scc.progress import progress
+from astro_scc.parallel import Workers, in_order, progress
 
 __all__ = ["DecomposedEpochs"]
 
@@ -214,9 +213,8 @@ def decompose_epochs(cube, decomposer, *, region=None, n_workers=1, progress_bar
     # A propagated noise needs the rms of each image and its beam in pixels.
     rms = beams = [None] * len(cube)
     if decomposer.noise == "propagated":
-        rms, inverse = cube.noise_rms().value, np.linalg.inv(cube.pixel_matrix.value)
-        if cube.beams is not None:
-            beams = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
+        rms = cube.noise_rms().value
+        beams = beams if cube.beams is None else cube.beam_shapes
     images = cube.data, cube.mask, rms, beams
     work = zip([decomposer] * len(cube), *images, strict=True)
     found = []

@@ -23,8 +23,8 @@ from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.intervals import median_interval
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
+from astro_scc.parallel import progress
 from astro_scc.plan import flow_beam, out_of_reach, used_intervals, velocity_frame
-from astro_scc.progress import progress
 from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
@@ -187,20 +187,19 @@ def inject(
     >>> bool(fuller.data.max() > 1)
     True
     """
-    to_pixels = np.linalg.inv(cube.pixel_matrix.value)
     if fwhm is not None:
+        to_pixels = np.linalg.inv(cube.pixel_matrix.value)
         sigma = FWHM_TO_SIGMA * u.Quantity(fwhm).to_value(u.mas)
-        covariances = [sigma**2 * np.eye(2)] * len(cube)
+        shapes = [to_pixels @ (sigma**2 * np.eye(2)) @ to_pixels.T] * len(cube)
     elif cube.beams is not None:
-        covariances = [beam.covariance.to_value(u.mas**2) for beam in cube.beams]
+        shapes = cube.beam_shapes
     else:
         raise ValueError(NO_BEAMS)
     value = u.Quantity(peak, cube.unit).to_value(cube.unit)
     data, paths = cube.data.copy(), np.asarray(paths)
-    for epoch, covariance in enumerate(covariances):
+    for epoch, shape in enumerate(shapes):
         x, y = paths[:, np.isfinite(paths[0, :, epoch]), epoch]
-        shape = [to_pixels @ covariance @ to_pixels.T] * len(x)
-        add_gaussians(data[epoch], x, y, [value] * len(x), shape)
+        add_gaussians(data[epoch], x, y, [value] * len(x), [shape] * len(x))
     return cube.with_step(f"{paths.shape[1]} simulated features added", data=data)
 
 

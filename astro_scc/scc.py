@@ -18,7 +18,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 from astropy.table import QTable
@@ -32,10 +32,9 @@ from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.grid import has_core
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.parts import parts_of
+from astro_scc.measurement.cautions import parts_of
 from astro_scc.paper.method import match, measure_as_in_paper, plan_matches
-from astro_scc.parallel import Workers
-from astro_scc.progress import progress
+from astro_scc.parallel import Workers, progress
 from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import (
     MeasurementSettings,
@@ -51,7 +50,6 @@ from astro_scc.writing import versions
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class StackedCrossCorrelation(MeasurementSettings):
     """
     Measure the streams of a flow by stacked cross-correlation.

@@ -32,9 +32,9 @@ from astro_scc.flow import measure_profile
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stream_table
+from astro_scc.parallel import progress
 from astro_scc.products import publication
 from astro_scc.products.folder import plain_meta
-from astro_scc.progress import progress
 from astro_scc.report.answer import PROFILE_EXPLANATION
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation

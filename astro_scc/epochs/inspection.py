@@ -309,10 +309,11 @@ def problems(planes, peaks, scale=100, first=1880):
     Return the images that do not belong to the others.
 
     Of each, these are its index, what is odd about it, what to do, and whether it is
-    refused.  It is of another unit, object, band or polarisation, of the date of another one, or
-    has no beam where others have one.  Another name for the same place, a mirror image,
-    a date before the ``first`` photograph of a nebula, and a peak (in ``peaks``) that
-    differs by a factor ``scale``, which is hardly variability, need only a warning.
+    refused.  It is of another unit, object, band or polarisation, of the date of
+    another one, or has no beam where others have one.  Another name for the same place,
+    a mirror image, a date before the ``first`` photograph of a nebula, and a peak (in
+    ``peaks``) that differs by a factor ``scale``, which is hardly variability, need
+    only a warning.
     """
     # What is of another object may be of the same date.
     found = [*_strangers(planes), *_same_dates(planes)]

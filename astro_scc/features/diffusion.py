@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astro_scc.features.finder import Features
-from astro_scc.features.trust import LEAST_EPOCHS
+from astro_scc.features.finder import LEAST_EPOCHS, Features
 from astro_scc.intervals import median_interval
 
 #: Variance of the slope of a straight line through a random walk, times its duration

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Find and follow the features of a cube, and their tables."""
+"""Find and follow the features of a cube, their tables, and trust in them."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ from astro_scc.features.detections import (
     pixel_flux,
     ssps_of,
 )
-from astro_scc.features.motion import Motion, fit_motion
+from astro_scc.features.motion import SIGNIFICANT, Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
-from astro_scc.features.trust import is_secure, p_false_of, properties
 from astro_scc.images.positions import name_by_frame
 from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit
@@ -394,3 +393,110 @@ def _row(features, number):
         "size": np.median(d.size[track.detection]),
         "proven": track.proven,
     }
+
+
+# -- trust -------------------------------------------------------------------------
+
+#: Logistic regression of what the survey's positions confirm, on the properties in
+#: `properties`: constant, and coefficients (``benchmarks/features.py trust``).
+CONSTANT = -5.88
+COEFFICIENTS = np.array([1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62, -7.23])
+#: Which of them is that of the angle between motion and radius.
+COSINE = 3
+#: A feature is secure if it is false with at most this probability, has the same
+#: speed in such a share of the disturbed assignments, and has moved so many beams: of
+#: static jets at most one in twenty then has one (``benchmarks/features.py``).
+MOST_FALSE, SAME_SPEED, LEAST_MOTION = 0.3, 0.5, 1.0
+#: Fewest epochs of a secure feature.
+LEAST_EPOCHS = 4
+#: Beyond so many beams, other detections do not matter.
+FAR = 2.0
+
+
+def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarray:
+    """
+    Return the properties of a track from which its probability follows.
+
+    Parameters
+    ----------
+    detections : ``Detections``
+    track : ``Track``
+    motion : ``Motion``
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (8,)
+        Logarithms of the number of its epochs, of its motion and of its distance
+        from the core in beams; cosine of the angle between motion and radius;
+        share of the epochs from first to last in which it is seen; distance of the
+        nearest other detection in beams; scatter of the logarithm of its flux
+        from epoch to epoch; scatter of its positions in beams.
+    """
+    d, members = detections, track.detection
+    epoch, place = d.epoch[members], d.in_beams
+    distance = np.hypot(*motion.place)
+    length = distance * motion.speed
+    cosine = motion.velocity @ motion.place / length if length > 0 else 0.0
+    nearest = []
+    for k in members.tolist():
+        same = np.arange(*np.searchsorted(d.epoch, (d.epoch[k], d.epoch[k] + 1)))
+        away = np.hypot(*(place[same[same != k]] - place[k]).T)
+        nearest.append(away.min(initial=FAR))
+    return np.array(
+        [
+            np.log(len(members)),
+            np.log(max(np.hypot(*d.to_beams(motion.moved)), 0.05)),
+            np.log(distance / d.fwhm + 0.3),
+            cosine,
+            len(members) / (epoch[-1] - epoch[0] + 1),
+            np.median(nearest),
+            np.diff(np.log(d.flux[members])).std(),
+            np.sqrt((motion.residual**2).mean()) / d.fwhm,
+        ]
+    )
+
+
+def p_false_of(known: np.ndarray, *, outward: bool = False) -> np.ndarray:
+    """
+    Return the probability of each track that it is no feature, or parts of several.
+
+    Parameters
+    ----------
+    known : array_like, shape (n, 8)
+        Their `properties`.
+    outward : bool, optional
+        Whether they count as moving outward, for want of a core.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n,)
+    """
+    known = np.array(known).reshape(-1, len(COEFFICIENTS))
+    if outward:
+        known[:, COSINE] = 1.0
+    return 1 / (1 + np.exp(CONSTANT + known @ COEFFICIENTS))
+
+
+def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> bool:
+    """
+    Return whether a track is one feature with a reliable speed.
+
+    It has at least ``LEAST_EPOCHS`` epochs, a ``p_false`` of at most ``MOST_FALSE``,
+    the same speed in the share ``SAME_SPEED`` of the assignments, and it moves by
+    ``LEAST_MOTION`` beams and ``SIGNIFICANT`` standard errors.
+
+    Parameters
+    ----------
+    p_false : float
+    moved : float
+        Motion from the first to the last date, in beams along it.
+    track : ``Track``
+    motion : ``Motion``
+
+    Returns
+    -------
+    bool
+    """
+    moves = motion.speed >= SIGNIFICANT * motion.speed_err and moved >= LEAST_MOTION
+    stable = track.same_speed >= SAME_SPEED and len(track) >= LEAST_EPOCHS
+    return bool(moves and stable and p_false <= MOST_FALSE)

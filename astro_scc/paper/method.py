@@ -16,16 +16,12 @@ from astro_scc.columns import build_table, round_to_errors
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import MeasurementWarning, warn
-from astro_scc.images.positions import (
-    beam_fwhm,
-    name_by_frame,
-    position_errors,
-    ssp_offsets,
-)
+from astro_scc.images.beam import beam_fwhm, position_errors
+from astro_scc.images.positions import name_by_frame, ssp_offsets
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
 from astro_scc.paper import stack
 from astro_scc.paper.correlate import Correlator, all_pairs, target_ssps
-from astro_scc.parallel import Workers, workers_of
+from astro_scc.parallel import Workers, progress, workers_of
 from astro_scc.plan import (
     flow_beam,
     flow_direction,
@@ -34,7 +30,6 @@ from astro_scc.plan import (
     scale_numbers,
     velocity_frame,
 )
-from astro_scc.progress import progress
 from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import MeasurementSettings, refuse_other_method, require
 from astro_scc.spectrum.maps import VelocityMap
@@ -338,14 +333,12 @@ class PaperMeasurement(VelocityMaps):
         return float(np.quantile(self.trial_z, 1 - self.meta["alpha"]))
 
     @property
-    def components(self) -> QTable:
+    def streams(self) -> QTable:
         """
         The components as a table, with the numbers that streams have.
 
         Those that move come first, then what stands still and what is not significant,
-        the slowest of each first.
-        Its columns are those of ``PaperComponent``, with velocities on
-        the sky and along the jet.
+        the slowest of each first.  Velocities are on the sky and along the jet.
         """
         given = self.frame, self.position_angle, self.meta["alpha"]
         rows = [component_row(one, *given) for one in self.found]
@@ -355,11 +348,6 @@ class PaperMeasurement(VelocityMaps):
         table = in_speed_unit(build_table("paper", rows), self.cube.speed_unit)
         table.meta.update(self.meta | self.cube.facts)
         return name_by_frame(round_to_errors(table), self.cube)
-
-    @property
-    def streams(self) -> QTable:
-        """Another name of `components`."""
-        return self.components
 
     def plot(self, **options: Any) -> Figure:
         """
@@ -387,7 +375,7 @@ def component_row(component, frame, angle, alpha):
     Parameters
     ----------
     component : dict
-        Of ``PaperStack.components``.
+        Of those of `astro_scc.paper.stack_patterns`.
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Position angle of the jet.

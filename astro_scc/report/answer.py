@@ -5,8 +5,8 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
+from astro_scc.features.finder import LEAST_EPOCHS, LEAST_MOTION, MOST_FALSE, SAME_SPEED
 from astro_scc.features.motion import SIGNIFICANT
-from astro_scc.features.trust import LEAST_EPOCHS, LEAST_MOTION, MOST_FALSE, SAME_SPEED
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.measurement.cautions import NO_DIRECTION
 from astro_scc.measurement.tables import dates_as_text
