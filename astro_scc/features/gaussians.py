@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
@@ -95,8 +93,12 @@ def fit_gaussians(
     >>> found["y"].round(2), found["x"].round(2), found["size"].round(2)
     (array([20.3, 30. ]), array([30.6, 40. ]), array([0.  , 7.06]))
     """
-    data = _Data.of(image, beam, noise, mask)
-    p, wholes = (np.empty((0, 6)), []) if data is None else _model(data)
+    good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
+    value = np.where(good, image, 0.0) / noise if noise > 0 else np.zeros(1)
+    if not np.any(value > THRESHOLD):
+        return np.empty(0, COLUMNS)
+    data = _Samples(value, good, beam)
+    p, wholes = _model(data) if len(data.y) else (np.empty((0, 6)), [])
     if len(p) == 0:
         return np.empty(0, COLUMNS)
     errors, group = _position_errors(p, data), np.zeros(len(p), dtype=int)
@@ -124,8 +126,7 @@ def fit_gaussians(
     return np.array([*zip(*columns, strict=True)], COLUMNS)
 
 
-@dataclass(frozen=True, eq=False)
-class _Data:
+class _Samples:
     """
     Samples of an image near its bright parts, three to a beam.
 
@@ -133,37 +134,13 @@ class _Data:
     positions ``y`` and ``x`` count from ``origin``.  ``root`` is the Cholesky factor of
     the ``beam``, ``inverse_root`` its inverse, ``independent`` the number of
     independent samples for each sample, ``penalty`` the least decrease of chi^2 for a
-    component, ``widest`` its largest variance.
+    component, ``widest`` its largest variance.  The ``relative`` error is that of the
+    largest value within half a beam, for what is neither Gaussian nor well calibrated,
+    added to the noise in quadrature.
     """
 
-    y: np.ndarray
-    x: np.ndarray
-    value: np.ndarray
-    weight: np.ndarray
-    origin: tuple[int, int]
-    beam: np.ndarray
-    root: np.ndarray
-    inverse_root: np.ndarray
-    independent: float
-    penalty: float
-    widest: float
-
-    @classmethod
-    def of(cls, image, beam, noise, mask, relative=0.001):
-        """
-        Return the samples of an image; None if nothing is above the threshold.
-
-        The ``relative`` error is that of the largest value within half a beam, for what
-        is neither Gaussian nor well calibrated, added to the noise in quadrature.
-        """
-        if not noise > 0:
-            return None
-        good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
-        value = np.where(good, image, 0.0) / noise
-        bright = value > THRESHOLD
-        if not bright.any():
-            return None
-        width = _FWHM * np.sqrt(np.diag(beam))
+    def __init__(self, value, good, beam, relative=0.001):
+        bright, width = value > THRESHOLD, _FWHM * np.sqrt(np.diag(beam))
         margin = np.ceil(width).astype(int)
         cut = tuple(
             slice(max(at.min() - m, 0), at.max() + m + 1)
@@ -174,20 +151,15 @@ class _Data:
         near = scipy.ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
         step = np.maximum(width.astype(int) // 3, 1)
         y, x = np.nonzero((near & good)[:: step[0], :: step[1]])
-        if len(y) == 0:
-            return None
-        independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
         at = y * step[0], x * step[1]
-        error = np.hypot(1.0, relative * peak[at])
-        y, x = (places.astype(float) for places in at)
-        root = np.linalg.cholesky(beam)
-        return cls(
-            y=y, x=x, value=value[at], weight=1 / error, beam=beam,
-            origin=(cut[0].start, cut[1].start), root=root,
-            inverse_root=np.linalg.inv(root), independent=independent,
-            penalty=4 * np.log(max(len(y) * independent, 2)),
-            widest=np.ptp(y) ** 2 + np.ptp(x) ** 2,
-        )  # fmt: skip
+        self.y, self.x = (places.astype(float) for places in at)
+        self.value, self.weight = value[at], 1 / np.hypot(1.0, relative * peak[at])
+        self.origin, self.beam = (cut[0].start, cut[1].start), beam
+        self.root = np.linalg.cholesky(beam)
+        self.inverse_root = np.linalg.inv(self.root)
+        self.independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
+        self.penalty = 4 * np.log(max(len(y) * self.independent, 2))
+        self.widest = sum(np.ptp(v) ** 2 for v in (self.y, self.x) if len(v))
 
     def distance(self, y, x, at):
         """Return distances from a position in full widths of the beam."""

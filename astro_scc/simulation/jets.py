@@ -18,11 +18,7 @@ from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.series import as_beams, as_epoch_tuple
 from astro_scc.quantities import Seed, random_generator
-from astro_scc.simulation.streams import (
-    Flow,
-    Stream,
-    check_not_negative,
-)
+from astro_scc.simulation.streams import Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
 
