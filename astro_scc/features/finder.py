@@ -22,7 +22,7 @@ from astro_scc.features.detections import (
     pixel_flux,
     ssps_of,
 )
-from astro_scc.features.motion import SIGNIFICANT, Motion, fit_motion
+from astro_scc.features.motion import LEAST_EPOCHS, SIGNIFICANT, Motion, fit_motion
 from astro_scc.features.tracks import Track, TrackSettings, find_tracks
 from astro_scc.images.positions import name_by_frame
 from astro_scc.quantities import check_choice
@@ -407,8 +407,6 @@ COSINE = 3
 #: speed in such a share of the disturbed assignments, and has moved so many beams: of
 #: static jets at most one in twenty then has one (``benchmarks/features.py``).
 MOST_FALSE, SAME_SPEED, LEAST_MOTION = 0.3, 0.5, 1.0
-#: Fewest epochs of a secure feature.
-LEAST_EPOCHS = 4
 #: Beyond so many beams, other detections do not matter.
 FAR = 2.0
 
