@@ -467,10 +467,9 @@ def unwrapped(wcs, shape):
     lon = (matrix @ (middle - wcs.wcs.crpix + 1))[0]
     # Along an equator that is that of the sky, and by whole turns along others.
     for shift, turned in ((lon, lon), (360 * np.rint(lon / 360), 0.0)):
-        moved = wcs.deepcopy()
-        moved.wcs.crpix = wcs.wcs.crpix + np.linalg.solve(matrix, [shift, 0])
-        moved.wcs.crval = (wcs.wcs.crval[0] + turned) % 360, wcs.wcs.crval[1]
-        moved.wcs.set()
+        crpix = wcs.wcs.crpix + np.linalg.solve(matrix, [shift, 0])
+        crval = (wcs.wcs.crval[0] + turned) % 360, wcs.wcs.crval[1]
+        moved = changed_wcs(wcs, crpix=crpix, crval=crval)
         found = _axes(*moved.pixel_to_world_values(*places))[2]
         if np.all(np.abs(found - sky) < 1e-9):
             return moved
@@ -574,9 +573,14 @@ def placed_as(wcs, other):
 
 def with_frame(wcs, axes, **values):
     """Return a copy of a WCS with other axis names and frame values."""
-    changed = wcs.deepcopy()
     codes = zip(axes, wcs.wcs.ctype, strict=True)
-    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
+    ctype = [name[:5] + code[5:] for name, code in codes]
+    return changed_wcs(wcs, **values, ctype=ctype)
+
+
+def changed_wcs(wcs, **values):
+    """Return a copy of a WCS with other values."""
+    changed = wcs.deepcopy()
     for name, value in values.items():
         setattr(changed.wcs, name, value)
     changed.wcs.set()
