@@ -305,7 +305,7 @@ def _fit(image_mask_beam_rms):
     return fit_gaussians(image, covariance, rms, mask=mask)
 
 
-def finest_patterns(ssps, keep=None, choice=True):
+def finest_patterns(ssps):
     """
     Return which SSPs are patterns of their own, each on the finest of its scales.
 
@@ -313,20 +313,15 @@ def finest_patterns(ssps, keep=None, choice=True):
     ----------
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
-    keep : `~numpy.ndarray` of bool, shape (n_ssps,), optional
-        SSPs that are kept in any case.
-    choice : array_like of bool, optional
-        SSPs among which others are chosen.
 
     Returns
     -------
     `~numpy.ndarray` of int, shape (n,)
         In the order of the epochs.
     """
-    keep = np.zeros(len(ssps), dtype=bool) if keep is None else keep.copy()
-    choice = np.broadcast_to(choice, keep.shape)
+    keep = np.zeros(len(ssps), dtype=bool)
     for k in np.lexsort((-ssps.snr, ssps.scale)).tolist():
-        keep[k] |= choice[k] and is_new(ssps, keep, k)
+        keep[k] = is_new(ssps, keep, k)
     return np.flatnonzero(keep)
 
 
