@@ -10,10 +10,8 @@ all tables stands in its first row.
 
 import csv
 from collections import defaultdict
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -26,32 +24,22 @@ from astro_scc.units import unit_name
 #: Types of columns without a unit; of an empty one the values decide.
 TYPES = {"int": int, "float": float, "bool": bool, "text": str, "word": "U15"}
 TYPES |= {"ratio": u.one, "": None}
+#: What is known of a column that is in no table of the file.
+UNKNOWN = dict.fromkeys("meaning ucd latex heading terminal format".split(), "")
 
 
-@dataclass(frozen=True)
-class Column:
-    """What is known of a column of a table."""
-
-    kind: Any = None
-    meaning: str = ""
-    ucd: str = ""
-    latex: str = ""
-    heading: str = ""
-    terminal: str = ""
-    format: str = ""
-
-    def values(self, values):
-        """Return values with the unit or type; those that are None are masked."""
-        is_unit = isinstance(self.kind, u.UnitBase)
-        missing = np.array([value is None for value in values], dtype=bool)
-        values = [0.0 if value is None else value for value in values]
-        column = np.array(values, dtype=float if is_unit else self.kind)
-        if is_unit:
-            column = column * self.kind
-        if missing.any():
-            masked = Masked if is_unit else np.ma.MaskedArray
-            column = masked(column, mask=missing)
-        return column
+def _filled(kind, values):
+    """Return values with their unit or type; those that are None are masked."""
+    is_unit = isinstance(kind, u.UnitBase)
+    missing = np.array([value is None for value in values], dtype=bool)
+    values = [0.0 if value is None else value for value in values]
+    column = np.array(values, dtype=float if is_unit else kind)
+    if is_unit:
+        column = column * kind
+    if missing.any():
+        masked = Masked if is_unit else np.ma.MaskedArray
+        column = masked(column, mask=missing)
+    return column
 
 
 @cache
@@ -60,18 +48,19 @@ def _tables():
     found, kinds = defaultdict(dict), cache(u.Unit)
     with resources.files("astro_scc").joinpath("columns.csv").open() as file:
         for row in csv.DictReader(file):
-            name, table, kind, error = map(row.pop, ("name", "table", "kind", "error"))
-            kind = TYPES[kind] if kind in TYPES else kinds(kind)
-            found[table][name] = Column(kind, **row)
+            name, table, error = map(row.pop, ("name", "table", "error"))
+            kind = row["kind"]
+            row["kind"] = TYPES[kind] if kind in TYPES else kinds(kind)
+            found[table][name] = row
             if error:
                 ucd = f"stat.error;{row['ucd']}" if row["ucd"] else ""
-                column = Column(kind, error.format(name), ucd)
-                found[table][f"{name}_err"] = column
+                about = {"kind": row["kind"], "meaning": error.format(name), "ucd": ucd}
+                found[table][f"{name}_err"] = UNKNOWN | about
     return dict(found)
 
 
 def columns_of(of_table):
-    """Return the columns of a table in ``columns.csv`` by their names."""
+    """Return the rows of a table in ``columns.csv`` by their names."""
     return _tables()[of_table]
 
 
@@ -79,13 +68,13 @@ def columns_of(of_table):
 def column_of(name):
     """Return what is known of a column in all tables."""
     every = (columns[name] for columns in _tables().values() if name in columns)
-    return next(every, Column())
+    return next(every, UNKNOWN)
 
 
 def describe(table, of_table):
     """Set the meanings of the columns of a table in ``columns.csv``; return it."""
     for name in columns_of(of_table).keys() & set(table.colnames):
-        table[name].info.description = columns_of(of_table)[name].meaning
+        table[name].info.description = columns_of(of_table)[name]["meaning"]
     return table
 
 
@@ -96,9 +85,9 @@ def build_table(of_table, rows=(), **columns):
     Values that are None are masked.
     """
     table = QTable()
-    for name, column in columns_of(of_table).items():
+    for name, known in columns_of(of_table).items():
         if name not in columns:
-            columns[name] = column.values([row[name] for row in rows])
+            columns[name] = _filled(known["kind"], [row[name] for row in rows])
         table[name] = columns[name]
     return describe(table, of_table)
 
@@ -130,7 +119,7 @@ def round_to_errors(table):
             continue
         error = f"{name.removesuffix('_err')}_err"
         is_p = name.startswith("p_")
-        form = column_of(name).format or (".2g" if is_p or "_err" in name else ".4g")
+        form = column_of(name)["format"] or (".2g" if is_p or "_err" in name else ".4g")
         if error in table.colnames and not is_p:
             errors = np.asarray(getattr(table[error], "unmasked", table[error]))
             errors = errors[np.isfinite(errors) & (errors > 0)]
@@ -231,7 +220,7 @@ def headed(table, names, *, of_table=None, terminal=False, forms=None):
 def heading_of(name, unit, of_table=None, *, terminal=False):
     """Return the heading of a column, see `headed`."""
     known = _tables().get(of_table, {}).get(name) or column_of(name)
-    heading = (terminal and known.terminal) or known.heading or name
+    heading = (terminal and known["terminal"]) or known["heading"] or name
     return heading.format(unit=unit)
 
 

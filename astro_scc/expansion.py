@@ -16,7 +16,7 @@ from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stack_tables
-from astro_scc.paper.matching import MatchedEpochs, matched_displacements
+from astro_scc.paper.method import matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
 from astro_scc.plan import alignment_errors
 from astro_scc.quantities import Seed, check_integer, named, random_generator
@@ -52,8 +52,9 @@ class ShellFit:
 
 
 def fit_shell(
-    scc: StackedCrossCorrelation, matched: MatchedEpochs | Mapping[str, MatchedEpochs],
-    *, centre: u.Quantity | None = None,
+    scc: StackedCrossCorrelation,
+    matched: DecomposedEpochs | Mapping[str, DecomposedEpochs], *,
+    centre: u.Quantity | None = None,
 ) -> ShellFit:  # fmt: skip
     r"""
     Fit the centre of a shell and its expansion rates.
@@ -62,7 +63,7 @@ def fit_shell(
     ----------
     scc : `~astro_scc.StackedCrossCorrelation`
         The settings; its velocity axes are not used.
-    matched : `~astro_scc.paper.matching.MatchedEpochs` or dict of it
+    matched : `~astro_scc.patterns.DecomposedEpochs` or dict of it
         In a dict, each value is a group that has a rate of its own, with the key
         as its name; all must have the same dates.
     centre : `~astropy.units.Quantity`, shape (2,), optional
@@ -106,13 +107,13 @@ def fit_shell(
     >>> bool(abs(fit.rate[0] - 0.11 * u.percent / u.yr) < 0.02 * u.percent / u.yr)
     True
     """
-    parts = {"all": matched} if hasattr(matched, "matches") else dict(matched)
+    parts = dict(matched) if hasattr(matched, "keys") else {"all": matched}
     cube, *others = (part.cube for part in parts.values())
     dates = cube.times.mjd
     if not all(np.array_equal(dates, other.times.mjd) for other in others):
         raise ValueError("the matches of a shell must be of the same dates")
-    limit = scc.plan(cube).max_speed
-    samples, first, weight = _samples_of(scc, parts, limit)
+    _, pairs, limit, _ = scc.plan(cube)
+    samples, first, weight = _samples_of(parts, pairs, limit, scc.min_error_beams)
     x = samples.x
     given = None if centre is None else u.Quantity(centre).to_value(u.mas)
     max_rate = limit / np.median(np.hypot(*(x - x.mean(axis=0)).T))
@@ -154,18 +155,17 @@ class Samples(NamedTuple):
     kind: np.ndarray
 
 
-def _samples_of(scc, parts, limit):
+def _samples_of(parts, pairs, limit, least):
     """Return velocity samples, and the earlier date and the weight of each."""
-    columns, least = [], scc.min_error_beams
+    columns = []
     for k, (name, part) in enumerate(parts.items()):
         # Use east and north, as radial axes need the centre.
-        s = matched_displacements(part, SkyFrame(), min_error_beams=least)
+        s = matched_displacements(part, SkyFrame(), least)
         motion = np.stack([s.d1, s.d2], axis=1)
         position = np.stack(ssp_offsets(part.ssps, part.cube), axis=1)[s.ssp]
         years = part.cube.years.to_value(u.yr)
         interval = years[s.target] - years[s.reference]
         # Those of pairs of dates, in any direction, that are slow enough.
-        pairs = scc.plan(part.cube).pairs
         paired = np.zeros((len(years),) * 2, dtype=bool)
         paired[pairs.first, pairs.second] = paired[pairs.second, pairs.first] = True
         use = np.all(np.abs(motion) <= limit * np.abs(interval)[:, None], axis=1)

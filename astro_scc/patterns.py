@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +16,7 @@ from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
 from astro_scc.images.beam import require_common_beam
-from astro_scc.parallel import Workers, in_order
-from astro_scc.progress import progress
+from astro_scc.parallel import Workers, in_order, progress
 
 __all__ = ["DecomposedEpochs"]
 
@@ -37,6 +37,8 @@ class DecomposedEpochs:
         The SSPs of the region.
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
         The pixels of the region; None for all.
+    matches : `~astro_scc.paper.Matches`, optional
+        Of the SSPs in other epochs, see `~astro_scc.StackedCrossCorrelation.match`.
 
     Examples
     --------
@@ -53,10 +55,12 @@ class DecomposedEpochs:
     ssps: SSPs
     select: np.ndarray
     region: np.ndarray | None = None
+    matches: Any = None
 
     def __repr__(self):
         n, n_ssps = len(self.cube), np.count_nonzero(self.select)
-        return f"<{type(self).__name__}: {n} epochs, {n_ssps} SSPs>"
+        more = "" if self.matches is None else f", {len(self.matches)} matches"
+        return f"<DecomposedEpochs: {n} epochs, {n_ssps} SSPs{more}>"
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -209,9 +213,8 @@ def decompose_epochs(cube, decomposer, *, region=None, n_workers=1, progress_bar
     # A propagated noise needs the rms of each image and its beam in pixels.
     rms = beams = [None] * len(cube)
     if decomposer.noise == "propagated":
-        rms, inverse = cube.noise_rms().value, np.linalg.inv(cube.pixel_matrix.value)
-        if cube.beams is not None:
-            beams = [inverse @ b.covariance.value @ inverse.T for b in cube.beams]
+        rms = cube.noise_rms().value
+        beams = beams if cube.beams is None else cube.beam_shapes
     images = cube.data, cube.mask, rms, beams
     work = zip([decomposer] * len(cube), *images, strict=True)
     found = []

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -23,8 +23,8 @@ from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.intervals import median_interval
 from astro_scc.kinematics import PositionAngleFrame, RadialFrame
+from astro_scc.parallel import progress
 from astro_scc.plan import flow_beam, out_of_reach, used_intervals, velocity_frame
-from astro_scc.progress import progress
 from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
@@ -39,18 +39,11 @@ NOTHING_THERE = ".*: no significant pattern has its centroid inside"
 NO_BEAMS = "the cube has no beams: give fwhm, the full width of features, as an angle"
 
 
-class FeaturePaths(NamedTuple):
-    """Positions of features at each epoch of a cube, see `draw_paths`."""
-
-    x: np.ndarray
-    y: np.ndarray
-
-
 def draw_paths(
     cube: EpochCube, area: ArrayLike, *, speed: u.Quantity,
     position_angle: u.Quantity | str, n_features: float = 10,
     scatter: u.Quantity | None = None, rng: Seed | None = None,
-) -> FeaturePaths:  # fmt: skip
+) -> np.ndarray:  # fmt: skip
     """
     Draw features that flow through an area at one speed.
 
@@ -78,9 +71,9 @@ def draw_paths(
 
     Returns
     -------
-    ``FeaturePaths``
-        ``x`` and ``y``, shape (n_features, n_epochs), in pixels counted from 0,
-        NaN at epochs before a feature has left the origin of a radial flow.
+    `~numpy.ndarray`, shape (2, n_features, n_epochs)
+        x and y in pixels counted from 0, NaN at epochs before a feature has left the
+        origin of a radial flow.
 
     Raises
     ------
@@ -99,7 +92,7 @@ def draw_paths(
     >>> area[10:20, 10:50] = True
     >>> paths = draw_paths(cube, area, speed=1 * u.mas / u.yr,
     ...                    position_angle=270 * u.deg, n_features=4, rng=1)
-    >>> np.diff(paths.x)[0].round(1)  # west is to the right
+    >>> np.diff(paths[0])[0].round(1)  # west is to the right
     array([10., 20.])
     """
     rng = random_generator(rng)
@@ -129,7 +122,7 @@ def draw_paths(
         sigma = u.Quantity(scatter).to_value(u.mas)
         shift = rng.normal(0, sigma, (len(lines), len(years), 2))
         lines = lines + np.einsum("ij,nej->nie", to_pixels, shift)
-    return FeaturePaths(lines[:, 0], lines[:, 1])
+    return lines.swapaxes(0, 1)
 
 
 def _motion(start, origin, to_sky, position_angle):
@@ -152,7 +145,7 @@ def _is_inside(line, area):
 
 
 def inject(
-    cube: EpochCube, paths: FeaturePaths, peak: u.Quantity, *,
+    cube: EpochCube, paths: ArrayLike, peak: u.Quantity, *,
     fwhm: u.Quantity | None = None,
 ) -> EpochCube:  # fmt: skip
     """
@@ -163,7 +156,7 @@ def inject(
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
-    paths : ``FeaturePaths``
+    paths : array_like, shape (2, n_features, n_epochs)
         See `draw_paths`.
     peak : `~astropy.units.Quantity`
         Peak of a feature in the unit of the cube.
@@ -194,21 +187,20 @@ def inject(
     >>> bool(fuller.data.max() > 1)
     True
     """
-    to_pixels = np.linalg.inv(cube.pixel_matrix.value)
     if fwhm is not None:
+        to_pixels = np.linalg.inv(cube.pixel_matrix.value)
         sigma = FWHM_TO_SIGMA * u.Quantity(fwhm).to_value(u.mas)
-        covariances = [sigma**2 * np.eye(2)] * len(cube)
+        shapes = [to_pixels @ (sigma**2 * np.eye(2)) @ to_pixels.T] * len(cube)
     elif cube.beams is not None:
-        covariances = [beam.covariance.to_value(u.mas**2) for beam in cube.beams]
+        shapes = cube.beam_shapes
     else:
         raise ValueError(NO_BEAMS)
     value = u.Quantity(peak, cube.unit).to_value(cube.unit)
-    data, pixels = cube.data.copy(), np.stack([paths.x, paths.y])
-    for epoch, covariance in enumerate(covariances):
-        x, y = pixels[:, np.isfinite(paths.x[:, epoch]), epoch]
-        shape = [to_pixels @ covariance @ to_pixels.T] * len(x)
-        add_gaussians(data[epoch], x, y, [value] * len(x), shape)
-    return cube.with_step(f"{len(paths.x)} simulated features added", data=data)
+    data, paths = cube.data.copy(), np.asarray(paths)
+    for epoch, shape in enumerate(shapes):
+        x, y = paths[:, np.isfinite(paths[0, :, epoch]), epoch]
+        add_gaussians(data[epoch], x, y, [value] * len(x), [shape] * len(x))
+    return cube.with_step(f"{paths.shape[1]} simulated features added", data=data)
 
 
 def completeness(

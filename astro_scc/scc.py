@@ -18,7 +18,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 from astropy.table import QTable
@@ -32,10 +32,9 @@ from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.grid import has_core
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.measurement import SCCResult
-from astro_scc.measurement.parts import parts_of
-from astro_scc.paper.matching import SearchPlan, match
-from astro_scc.parallel import Workers
-from astro_scc.progress import progress
+from astro_scc.measurement.cautions import parts_of
+from astro_scc.paper.method import match, measure_as_in_paper, plan_matches
+from astro_scc.parallel import Workers, progress
 from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import (
     MeasurementSettings,
@@ -51,7 +50,6 @@ from astro_scc.writing import versions
 __all__ = ["StackedCrossCorrelation", "measure_velocities"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class StackedCrossCorrelation(MeasurementSettings):
     """
     Measure the streams of a flow by stacked cross-correlation.
@@ -149,25 +147,6 @@ class StackedCrossCorrelation(MeasurementSettings):
             scales, self.wavelet, self.detection, self.segmentation, self.noise
         )
 
-    def plan(self, cube: EpochCube) -> SearchPlan:
-        """
-        Return what the settings mean for matches of SSPs in a cube.
-
-        Parameters
-        ----------
-        cube : `~astro_scc.epochs.EpochCube`
-
-        Returns
-        -------
-        `~astro_scc.paper.matching.SearchPlan`
-
-        Raises
-        ------
-        ValueError
-            If no two epochs make a pair, or a scale does not fit the pixels.
-        """
-        return SearchPlan.of(cube, self)
-
     def decomposer(self, cube: EpochCube) -> Decomposer:
         """
         Return the decomposer for the epochs of a cube.
@@ -227,7 +206,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             warn(empty, MeasurementWarning)
         return found
 
-    match = match
+    plan, match = plan_matches, match
 
     def flow(self, decomposed: patterns.DecomposedEpochs) -> DecomposedFlow:
         """
@@ -350,8 +329,6 @@ class StackedCrossCorrelation(MeasurementSettings):
         n_trials = require("n_trials", n_trials)
         refuse_other_method(self.method, self.to_dict())
         if self.method == "paper":
-            from astro_scc.paper.method import measure_as_in_paper
-
             found: Any = measure_as_in_paper(
                 cube, self, region=region, n_trials=n_trials, rng=rng,
                 n_workers=n_workers, progress_bar=progress_bar,

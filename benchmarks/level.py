@@ -34,7 +34,6 @@ from astro_scc.simulation import (
     simulate_resolved_jet,
     simulate_unrelated,
 )
-from astro_scc.simulation.streams import SimulatedFeatures
 
 sys.path.insert(0, str(Path(__file__).parent / "calibration"))
 from run import static
@@ -89,7 +88,8 @@ class Flares:
         y = jet.axis + 0.5 * jet.beam_length * rng.standard_normal((n, 1)) + 0 * times
         fwhm = np.full(s.shape, 0.5 * jet.beam_length)
         group = np.full(n, self.name)
-        return SimulatedFeatures(group, jet.extent[0] + s, y, self.flux * flux, fwhm)
+        columns = {"x": jet.extent[0] + s, "y": y, "flux": self.flux * flux}
+        return columns | {"fwhm": fwhm, "group": group}
 
 
 FLARES = {

@@ -77,7 +77,7 @@ def timed(survey, output, n_workers):
         Client(cluster, set_as_default=False) as client,
     ):
         client.wait_for_workers(n_workers)
-        client.run(ready, survey.parts[0])
+        client.run(ready, survey[0][0])
         before = sum(client.run(time.process_time).values())
         with Sampler(at_work, 0.5) as busy:
             start = time.perf_counter()

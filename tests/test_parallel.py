@@ -16,8 +16,7 @@ from operator import truediv
 
 import pytest
 
-from astro_scc.parallel import WAITING, as_done, in_order
-from astro_scc.progress import progress
+from astro_scc.parallel import WAITING, as_done, in_order, progress
 from astro_scc.writing import partial_folder, replace_when_complete
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -209,7 +208,7 @@ def test_lines_where_there_is_no_terminal(monkeypatch, capsys, total, steps):
     with progress(4, "Correlating") as done:
         done(4)
     assert capsys.readouterr() == ("", "")
-    monkeypatch.setattr("astro_scc.progress.EVERY", 0.01)
+    monkeypatch.setattr("astro_scc.parallel.EVERY", 0.01)
     threads = threading.active_count()
     with progress(total, "Searching") as done:
         done(1)

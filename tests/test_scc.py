@@ -11,7 +11,7 @@ from astropy.time import Time
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation, measure_velocities
 from astro_scc.exceptions import MeasurementWarning
-from astro_scc.paper.peaks import find_velocity_peaks
+from astro_scc.paper.stack import find_velocity_peaks
 from astro_scc.products import write_products
 
 PM = u.mas / u.yr

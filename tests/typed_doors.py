@@ -24,7 +24,6 @@ from astro_scc import (
     simulation,
 )
 from astro_scc.measurement import SCCResult
-from astro_scc.paper.matching import MatchedEpochs, SearchPlan
 from astro_scc.paper.method import measure_as_in_paper
 from astro_scc.patterns import DecomposedEpochs
 
@@ -35,12 +34,12 @@ def measure(cube: EpochCube, path: Path) -> QTable:
     scc = StackedCrossCorrelation(scales=[1, 2, 3], max_speed=2 * u.mas / u.yr)
     StackedCrossCorrelation(max_speed=2.0)  # type: ignore[arg-type]
     StackedCrossCorrelation(speed=2 * u.mas / u.yr)  # type: ignore[call-arg]
-    assert_type(scc.plan(cube), SearchPlan)
+    assert_type(scc.plan(cube)[2], float)
     decomposed = scc.decompose(cube, region="jet.reg", n_workers=2)
     assert_type(decomposed, DecomposedEpochs)
     result = scc.measure(decomposed, n_trials=100, rng=np.random.default_rng(1))
     scc.measure(cube)  # type: ignore[arg-type]
-    assert_type(scc.match(cube, region="jet.reg"), MatchedEpochs)
+    assert_type(scc.match(cube, region="jet.reg"), DecomposedEpochs)
     assert_type(scc(cube, region=None, n_trials=1000, rng=1), SCCResult)
     return result.streams
 
@@ -93,7 +92,7 @@ def read_and_prepare(paths: list[str], table: Table) -> EpochCube:
     return EpochCube.from_arrays(np.ones((2, 8, 8)), ["2000", "2001"], pixel_scale=east)
 
 
-def read_results(result: SCCResult, matched: MatchedEpochs) -> list[Path]:
+def read_results(result: SCCResult, matched: DecomposedEpochs) -> list[Path]:
     assert_type(result.components_in_c(redshift=0.158, cosmology="Planck18"), QTable)
     assert_type(result.velocity_map("z_score"), NDData)
     assert_type(SCCResult.read("result.fits"), SCCResult)

@@ -32,9 +32,9 @@ from astro_scc.flow import measure_profile
 from astro_scc.kinematics.cosmology import table_in_c
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stream_table
+from astro_scc.parallel import progress
 from astro_scc.products import publication
 from astro_scc.products.folder import plain_meta
-from astro_scc.progress import progress
 from astro_scc.report.answer import PROFILE_EXPLANATION
 from astro_scc.report.page import write_overview
 from astro_scc.scc import StackedCrossCorrelation
@@ -103,17 +103,17 @@ def _summary(table):
 
 
 def run_survey(
-    survey: sources.Survey, output: Path | str, *, n_workers: parallel.Workers = 1,
-    report: bool = False, done: Callable[..., Any] | None = None,
-    progress_bar: bool = False,
+    survey: tuple[list[sources.Part], str], output: Path | str, *,
+    n_workers: parallel.Workers = 1, report: bool = False,
+    done: Callable[..., Any] | None = None, progress_bar: bool = False,
 ) -> QTable:  # fmt: skip
     """
     Measure all sources of a survey and write one table.
 
     Parameters
     ----------
-    survey : Survey
-        See `~astro_scc.cli.survey_sources.read_survey`.
+    survey : tuple
+        Its parts, and its text, see `~astro_scc.cli.survey_sources.read_survey`.
     output : path
         Folder of the products; on a cluster, all workers must see it.  What an
         earlier run in this folder finished is not measured again.
@@ -163,13 +163,13 @@ def run_survey(
     >>> set(table["source"].tolist()), set(table["status"].tolist())
     ({'Jet'}, {'measured'})
     """
-    output, measured = Path(output).absolute(), {}
+    (parts, text), output, measured = survey, Path(output).absolute(), {}
     plan = output / sources.PLAN
     if output.is_dir() and any(output.iterdir()) and not plan.is_file():
         raise OSError(f"{output}: exists and is not of a survey; choose another folder")
     writing.make_folder(output / SOURCES, output)
     # The largest first, so that no process waits for one at the end.
-    order = sorted(survey.parts, key=sources.Part.size, reverse=True)
+    order = sorted(parts, key=sources.Part.size, reverse=True)
     with (
         sources.alone(output),
         progress(len(order), "Parts", show=progress_bar) as step,
@@ -177,7 +177,7 @@ def run_survey(
         writing.partial_folder(output, PARTIAL) as folder,
     ):
         with writing.replace_when_complete(plan, overwrite=True) as file:
-            file.write_text(survey.text, encoding="utf-8")
+            file.write_text(text, encoding="utf-8")
         work = ((part, output, report, folder) for part in order)
         with closing(parallel.as_done(_once, work, n_workers)) as results:
             for k, result in results:
@@ -188,8 +188,7 @@ def run_survey(
                 step(1)
                 if done is not None:
                     done(*result)
-        parts = [measured[part] for part in survey.parts]
-        return _write_catalogues(parts, output, folder)
+        return _write_catalogues([measured[part] for part in parts], output, folder)
 
 
 def _write_catalogues(parts, output, folder):

@@ -156,20 +156,9 @@ def alone(folder):
         os.close(handle)
 
 
-@dataclass(frozen=True)
-class Survey:
-    """Parts of sources to be measured together, and the text of their file."""
-
-    parts: tuple[Part, ...]
-    text: str = ""
-
-    @property
-    def names(self):
-        """Names of the sources."""
-        return list(dict.fromkeys(part.source for part in self.parts))
-
-
-def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> Survey:
+def read_survey(
+    path: Path | str, redshifts: dict[str, float] | None = None
+) -> tuple[list[Part], str]:
     """
     Read the file of a survey.
 
@@ -188,8 +177,10 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
 
     Returns
     -------
-    Survey
-        With ``parts``, for `~astro_scc.cli.survey.run_survey`.
+    parts : list of ``Part``
+        A region and scale group of a source each.
+    text : str
+        The text of the file.
 
     Raises
     ------
@@ -209,8 +200,8 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
     ... epochs = "3c273/*.fits"
     ... redshift = 0.158
     ... ''')
-    >>> survey = read_survey("survey.toml")
-    >>> [part.title for part in survey.parts]
+    >>> parts, _ = read_survey("survey.toml")
+    >>> [part.title for part in parts]
     ['3C 273, fine', '3C 273, coarse']
     """
     path = Path(path)
@@ -237,7 +228,7 @@ def read_survey(path: Path | str, redshifts: dict[str, float] | None = None) -> 
             if getattr(error, "setting", None) not in {None, *values}:
                 where = f"{path}: defaults"
             raise ValueError(f"{where}: {error}") from None
-    return Survey(tuple(found), text)
+    return found, text
 
 
 def _table(value, where):
@@ -346,8 +337,8 @@ def survey_of(args, output, reporter):
     if args.redshifts:
         redshifts = read_redshifts(args.redshifts)
     path = given if of_file else write_survey(args, output, reporter)
-    survey = read_survey(path, redshifts)
-    if unknown := redshifts.keys() - {*survey.names}:
+    survey = parts, _ = read_survey(path, redshifts)
+    if unknown := redshifts.keys() - {part.source for part in parts}:
         some = "source is" if len(unknown) == 1 else "sources are"
         reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
     return survey, of_file if args.report is None else args.report

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
 from zlib import crc32
 
 import astropy.units as u
@@ -304,23 +304,16 @@ def plan_intervals(cube: series.ImageSeries) -> IntervalPlan:
     )
 
 
-class Problem(NamedTuple):
-    """What is odd about the image of an index, and what to do with it."""
-
-    index: int
-    what: str
-    advice: str = UNCHECKED
-    refused: bool = True
-
-
 def problems(planes, peaks, scale=100, first=1880):
     """
-    Return the `Problem` of each image that does not belong to the others.
+    Return the images that do not belong to the others.
 
-    It is of another unit, object, band or polarisation, of the date of another one, or
-    has no beam where others have one.  Another name for the same place, a mirror image,
-    a date before the ``first`` photograph of a nebula, and a peak (in ``peaks``) that
-    differs by a factor ``scale``, which is hardly variability, need only a warning.
+    Of each, these are its index, what is odd about it, what to do, and whether it is
+    refused.  It is of another unit, object, band or polarisation, of the date of
+    another one, or has no beam where others have one.  Another name for the same place,
+    a mirror image, a date before the ``first`` photograph of a nebula, and a peak (in
+    ``peaks``) that differs by a factor ``scale``, which is hardly variability, need
+    only a warning.
     """
     # What is of another object may be of the same date.
     found = [*_strangers(planes), *_same_dates(planes)]
@@ -346,15 +339,14 @@ def problems(planes, peaks, scale=100, first=1880):
         if ratio > 0 and scale < max(ratio, 1 / ratio) < np.inf:
             what = f"its peak is {ratio:.2g} times that of most images"
             odd.append((what, "correct its unit or scale"))
-        found += [Problem(i, *words, refused=False) for words in odd]
+        found += [(i, *words, False) for words in odd]
         if not plane.unit.is_equivalent(unit):
             mine, other = (one.to_string() or "none" for one in (plane.unit, unit))
             what = f"its unit is {mine}, that of others is {other}"
-            found.append(Problem(i, what, "leave one out"))
+            found.append((i, what, "leave one out", True))
         if some_have_beams and plane.beam is None:
-            what = "no beam where other epochs have one"
-            found.append(Problem(i, what, NO_BEAM))
-    return sorted(found, key=lambda problem: problem.index)
+            found.append((i, "no beam where other epochs have one", NO_BEAM, True))
+    return sorted(found, key=itemgetter(0))
 
 
 def far_away(planes, part=0.05):
@@ -375,7 +367,7 @@ def far_away(planes, part=0.05):
         advice = (
             "use frame='absolute' (--align wcs) where the coordinates are to be trusted"
         )
-        yield Problem(k, what, advice, refused=False)
+        yield k, what, advice, False
 
 
 def _warned(planes):
@@ -388,9 +380,9 @@ def _warned(planes):
     name = Path(planes[k].name).name
     for i, (plane, frame) in enumerate(zip(planes, frames, strict=True)):
         if grid.whole_step(frame, frames[k], plane.shape) is None:
-            yield Problem(i, f"on another grid than {name}, the finest, and resampled")
+            yield i, f"on another grid than {name}, the finest, and resampled"
         if some_have_noise and plane.noise is None:
-            yield Problem(i, "no noise where other epochs have one")
+            yield i, "no noise where other epochs have one"
 
 
 def _same_dates(planes, part=1e-3):
@@ -418,7 +410,7 @@ def _same_dates(planes, part=1e-3):
             "leave one out, or average them: two images of the same data share their "
             "noise, and would pass for structure (in Python, check=False reads both)"
         )
-        yield Problem(other, what, advice)
+        yield other, what, advice, True
 
 
 def repeated(cube):
@@ -449,7 +441,7 @@ def _strangers(planes):
         where = "at the same place" if same else "somewhere else"
         what = f"shows {mine}, {where}, where others show {others}"
         advice = "leave it out if it is another object" if same else UNCHECKED
-        yield Problem(i, what, advice, refused=not same)
+        yield i, what, advice, not same
     intensity = [s if s in POLARISED else s and "I" for s in stokes]
     hands = [None if s in POLARISED else s for s in stokes]
     kinds = [("Stokes", intensity, UNCHECKED)]
@@ -462,7 +454,7 @@ def _strangers(planes):
         refused = advice == UNCHECKED
         for i, mine, others in _minority(values)[: None if refused else 1]:
             what_is = f"is of {what} {mine}, others are of {others}"
-            yield Problem(i, what_is, advice, refused)
+            yield i, what_is, advice, refused
     yield from _other_frequencies(planes, known)
 
 
@@ -479,7 +471,7 @@ def _other_frequencies(planes, known, band=0.1, channel=1e-3):
     usual = int(np.argmax(near.sum(axis=1)))
     for i in np.flatnonzero(~near[usual] & ~np.isnan(known)):
         mine, others = (f"{known[k] / 1e9:.4g}" for k in (i, usual))
-        yield Problem(int(i), f"is at {mine} GHz, others are at {others}")
+        yield int(i), f"is at {mine} GHz, others are at {others}", UNCHECKED, True
     widths = [plane.bandwidth or 0.0 for plane in planes]
     # A width that is no more than rounding is none.
     width = min((w for w in widths if w > channel**2 * known[usual]), default=np.inf)
@@ -491,7 +483,7 @@ def _other_frequencies(planes, known, band=0.1, channel=1e-3):
         mine, others = (f"{known[k] / 1e9:.7g}" for k in (odd[0], usual))
         more = f", as are {len(odd) - 1} more" if len(odd) > 1 else ""
         what = f"is at {mine} GHz{more}, others are at {others}, in the same band"
-        yield Problem(int(odd[0]), what, OTHER_CHANNEL, refused=False)
+        yield int(odd[0]), what, OTHER_CHANNEL, False
 
 
 def _key(text):

@@ -12,13 +12,7 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.epochs.tables import (
-    UNITS,
-    open_table,
-    plain,
-    read_rows,
-    source_names,
-)
+from astro_scc.epochs.tables import UNITS, open_table, plain, read_rows, source_names
 from astro_scc.exceptions import naming, warn
 from astro_scc.images import fits, series
 from astro_scc.images.beam import Beam

@@ -107,14 +107,12 @@ def core_positions(cube: ImageSeries, *, jet_pa: u.Quantity | None = None) -> QT
             "or align with 'correlate' or a table of positions"
         )
     matrix = cube.pixel_matrix.to_value(u.mas)
-    to_pixels = np.linalg.inv(matrix)
-    shapes = [to_pixels @ b.covariance.value @ to_pixels.T for b in cube.beams]
-    noise = cube.noise_rms().to_value(cube.unit)
+    shapes, noise = cube.beam_shapes, cube.noise_rms().to_value(cube.unit)
     if jet_pa is None:
         direction = _mean_direction(cube, shapes[0], noise.mean())
     else:
         pa = u.Quantity(jet_pa).to_value(u.rad)
-        direction = to_pixels @ [np.sin(pa), np.cos(pa)]
+        direction = np.linalg.inv(matrix) @ [np.sin(pa), np.cos(pa)]
         direction = direction / np.hypot(*direction)
     rows = _fits(cube, shapes, direction, noise)
     if direction is not None and not _stands(cube, rows):
@@ -185,10 +183,9 @@ def farthest_upstream(cube: ImageSeries, direction: np.ndarray) -> np.ndarray:
         Offset (east, north) in mas of the local maximum that is farthest upstream and
         has a tenth of the peak; of the reference pixel, if there is none.
     """
-    mean, to_pixels = cube.mean_image(), np.linalg.inv(cube.pixel_matrix.value)
-    shape = to_pixels @ cube.beams[0].covariance.value @ to_pixels.T
+    mean, way = cube.mean_image(), np.linalg.inv(cube.pixel_matrix.value) @ direction
     image, noise = np.where(mean.mask, 0, mean.data), np.median(cube.noise_rms().value)
-    found = _candidate(image, ~mean.mask, shape, to_pixels @ direction, noise)
+    found = _candidate(image, ~mean.mask, cube.beam_shapes[0], way, noise)
     if found is None:
         return np.zeros(2)
     return np.array([v.to_value(u.mas) for v in cube.pixel_to_offset(*found)])

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.features.gaussians import fit_gaussians
-from astro_scc.images import positions
-from astro_scc.parallel import in_order
-from astro_scc.progress import progress
+from astro_scc.images.beam import beam_covariance, beam_fwhm, position_errors
+from astro_scc.images.positions import ssp_offsets
+from astro_scc.parallel import in_order, progress
 
 #: Distance from the origin within which the core lies if the epochs are not aligned,
 #: and its scatter if they are, in beams.
@@ -274,7 +274,7 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
     """
     # From (y, x) in pixels to offsets on the two axes.
     matrix, every = cube.pixel_matrix.value[:, ::-1], np.arange(len(cube))
-    beams = positions.beam_covariance(cube, every, every)
+    beams = beam_covariance(cube, every, every)
     inverse, noise = np.linalg.inv(matrix), cube.noise_rms().value
     work = zip(cube.data, cube.mask, inverse @ beams @ inverse.T, noise, strict=True)
     models = []
@@ -282,9 +282,9 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         for model in in_order(_fit, work, n_workers):
             models.append(model)
             done(1)
-    y, x, y_err, x_err, flux, size, group = (
-        np.concatenate([getattr(model, name) for model in models])
-        for name in ("y", "x", "y_err", "x_err", "flux", "size", "group")
+    found = np.concatenate(models)
+    y, x, y_err, x_err, flux, size = (
+        found[name].copy() for name in ("y", "x", "y_err", "x_err", "flux", "size")
     )
     epoch = np.repeat(every, [len(model) for model in models])
     pixels = 2 * np.pi * np.sqrt(np.linalg.det(beams)) / cube.pixel_scale.value**2
@@ -295,7 +295,7 @@ def gaussians_of(cube, *, n_workers=1, progress_bar=False):
         epoch=epoch, place=np.stack([y - y0, x - x0], axis=1) @ matrix.T,
         place_error=CLEANED * np.sqrt(errors**2 @ (matrix**2).T), flux=flux,
         size=size * cube.pixel_scale.value, years=_years(cube), beam=beams.mean(axis=0),
-        number=rank_in_group(epoch), group=group.astype(int),
+        number=rank_in_group(epoch), group=found["group"].copy(),
     )  # fmt: skip
 
 
@@ -305,7 +305,7 @@ def _fit(image_mask_beam_rms):
     return fit_gaussians(image, covariance, rms, mask=mask)
 
 
-def finest_patterns(ssps, keep=None, choice=True):
+def finest_patterns(ssps):
     """
     Return which SSPs are patterns of their own, each on the finest of its scales.
 
@@ -313,20 +313,15 @@ def finest_patterns(ssps, keep=None, choice=True):
     ----------
     ssps : `~astro_scc.decomposition.SSPs`
         Of all epochs.
-    keep : `~numpy.ndarray` of bool, shape (n_ssps,), optional
-        SSPs that are kept in any case.
-    choice : array_like of bool, optional
-        SSPs among which others are chosen.
 
     Returns
     -------
     `~numpy.ndarray` of int, shape (n,)
         In the order of the epochs.
     """
-    keep = np.zeros(len(ssps), dtype=bool) if keep is None else keep.copy()
-    choice = np.broadcast_to(choice, keep.shape)
+    keep = np.zeros(len(ssps), dtype=bool)
     for k in np.lexsort((-ssps.snr, ssps.scale)).tolist():
-        keep[k] |= choice[k] and is_new(ssps, keep, k)
+        keep[k] = is_new(ssps, keep, k)
     return np.flatnonzero(keep)
 
 
@@ -360,10 +355,10 @@ def ssps_of(cube, ssps, which):
         the resolution is that of the finest scale.
     """
     finest = np.full(len(cube), ssps.scale.min() if len(ssps) else 0)
-    beams = positions.beam_covariance(cube, np.arange(len(cube)), finest)
-    place = np.stack(positions.ssp_offsets(ssps, cube), axis=1)
-    widths = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
-    errors = positions.position_errors(ssps.snr, widths, 0.0)
+    beams = beam_covariance(cube, np.arange(len(cube)), finest)
+    place = np.stack(ssp_offsets(ssps, cube), axis=1)
+    widths = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    errors = position_errors(ssps.snr, widths, 0.0)
     return Detections(
         epoch=ssps.epoch[which], place=place[which], place_error=errors[which],
         flux=ssps.flux[which] * pixel_flux(cube).value[ssps.epoch[which]],

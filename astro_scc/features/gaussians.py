@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
@@ -25,59 +23,16 @@ THRESHOLD = 5.0
 JOINED, MOST_JOINED, BETTER = 1.6, 5, 5.0
 #: An ellipse is at least as wide as so many beams: those of headers may be off.
 NARROWEST = 0.9
+#: Columns of Gaussians, see `fit_gaussians`.
+COLUMNS = np.dtype([*((k, float) for k in "y x peak flux size y_err x_err".split()),
+                    ("group", int)])  # fmt: skip
 #: A fit is hopeless if so many times what its next step promises are not enough.
 HOPELESS = 100.0
 
 
-@dataclass(frozen=True, eq=False)
-class Gaussians:
-    """
-    Gaussians that make up a model of one image, brightest first.
-
-    Attributes
-    ----------
-    y, x : `~numpy.ndarray`, shape (n,)
-        Position in pixels.
-    peak : `~numpy.ndarray`, shape (n,)
-        Peak after the convolution with the beam, in the unit of the image.
-    flux : `~numpy.ndarray`, shape (n,)
-        Integrated flux in the unit of the image times beams: Jy for an image in
-        Jy/beam.
-    size : `~numpy.ndarray`, shape (n,)
-        Full width at half maximum in pixels before the convolution; zero for a
-        point.
-    y_err, x_err : `~numpy.ndarray`, shape (n,)
-        Standard errors of the position in pixels.
-    group : `~numpy.ndarray` of int, shape (n,)
-        Where one ellipse fits as well as several components, these have a number, and
-        the ellipse that can replace them has its negative; others have zero.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.features.gaussians import fit_gaussians
-    >>> y, x = np.mgrid[:40, :60]
-    >>> image = np.exp(-((x - 20.3) ** 2 + (y - 15) ** 2) / 18)
-    >>> len(fit_gaussians(image, 9 * np.eye(2), 0.01))
-    1
-    """
-
-    y: np.ndarray
-    x: np.ndarray
-    peak: np.ndarray
-    flux: np.ndarray
-    size: np.ndarray
-    y_err: np.ndarray
-    x_err: np.ndarray
-    group: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.y)
-
-
 def fit_gaussians(
     image: ArrayLike, beam: np.ndarray, noise: float, *, mask: ArrayLike = False
-) -> Gaussians:
+) -> np.ndarray:
     r"""
     Fit Gaussians, convolved with the beam, to an image.
 
@@ -116,8 +71,15 @@ def fit_gaussians(
 
     Returns
     -------
-    `Gaussians`
-        Without rows if nothing is above five errors.
+    `~numpy.ndarray`, shape (n,)
+        The Gaussians, brightest first; none if nothing is above five errors.  The
+        fields are ``y`` and ``x``, the position in pixels, with standard errors
+        ``y_err`` and ``x_err``; ``peak``, after the convolution with the beam, in the
+        unit of the image; ``flux``, integrated, in that unit times beams: Jy for an
+        image in Jy/beam; ``size``, the full width at half maximum in pixels before the
+        convolution, zero for a point; and ``group``: where one ellipse fits as well as
+        several components, these have a number, and the ellipse that can replace them
+        has its negative; others have zero.
 
     Examples
     --------
@@ -128,13 +90,17 @@ def fit_gaussians(
     >>> point = np.exp(-((y - 20.3) ** 2 / 32 + (x - 30.6) ** 2 / 18))
     >>> wide = np.exp(-((y - 30) ** 2 / 50 + (x - 40) ** 2 / 36))
     >>> found = fit_gaussians(point + 0.5 * wide, beam, 0.001)
-    >>> found.y.round(2), found.x.round(2), found.size.round(2)
+    >>> found["y"].round(2), found["x"].round(2), found["size"].round(2)
     (array([20.3, 30. ]), array([30.6, 40. ]), array([0.  , 7.06]))
     """
-    data = _Data.of(image, beam, noise, mask)
-    p, wholes = (np.empty((0, 6)), []) if data is None else _model(data)
+    good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
+    value = np.where(good, image, 0.0) / noise if noise > 0 else np.zeros(1)
+    if not np.any(value > THRESHOLD):
+        return np.empty(0, COLUMNS)
+    data = _Samples(value, good, beam)
+    p, wholes = _model(data) if len(data.y) else (np.empty((0, 6)), [])
     if len(p) == 0:
-        return Gaussians(*(np.empty(0) for _ in fields(Gaussians)))
+        return np.empty(0, COLUMNS)
     errors, group = _position_errors(p, data), np.zeros(len(p), dtype=int)
     rows = [(p, *errors, group)]
     for number, (parts, ellipse) in enumerate(wholes, start=1):
@@ -152,16 +118,15 @@ def fit_gaussians(
     order = order[p[order, _PEAK] * beside >= THRESHOLD]
     p, y_err, x_err, group = p[order], y_err[order], x_err[order], group[order]
     peak = p[:, _PEAK] * noise
-    return Gaussians(
-        y=p[:, _Y] + data.origin[0], x=p[:, _X] + data.origin[1], peak=peak,
-        flux=peak * np.sqrt(_areas(p, beam) / np.linalg.det(beam)),
-        size=_FWHM * np.sqrt(p[:, _VARIANCE].clip(0)), y_err=y_err, x_err=x_err,
-        group=group,
+    columns = (
+        p[:, _Y] + data.origin[0], p[:, _X] + data.origin[1], peak,
+        peak * np.sqrt(_areas(p, beam) / np.linalg.det(beam)),
+        _FWHM * np.sqrt(p[:, _VARIANCE].clip(0)), y_err, x_err, group,
     )  # fmt: skip
+    return np.array([*zip(*columns, strict=True)], COLUMNS)
 
 
-@dataclass(frozen=True, eq=False)
-class _Data:
+class _Samples:
     """
     Samples of an image near its bright parts, three to a beam.
 
@@ -169,37 +134,13 @@ class _Data:
     positions ``y`` and ``x`` count from ``origin``.  ``root`` is the Cholesky factor of
     the ``beam``, ``inverse_root`` its inverse, ``independent`` the number of
     independent samples for each sample, ``penalty`` the least decrease of chi^2 for a
-    component, ``widest`` its largest variance.
+    component, ``widest`` its largest variance.  The ``relative`` error is that of the
+    largest value within half a beam, for what is neither Gaussian nor well calibrated,
+    added to the noise in quadrature.
     """
 
-    y: np.ndarray
-    x: np.ndarray
-    value: np.ndarray
-    weight: np.ndarray
-    origin: tuple[int, int]
-    beam: np.ndarray
-    root: np.ndarray
-    inverse_root: np.ndarray
-    independent: float
-    penalty: float
-    widest: float
-
-    @classmethod
-    def of(cls, image, beam, noise, mask, relative=0.001):
-        """
-        Return the samples of an image; None if nothing is above the threshold.
-
-        The ``relative`` error is that of the largest value within half a beam, for what
-        is neither Gaussian nor well calibrated, added to the noise in quadrature.
-        """
-        if not noise > 0:
-            return None
-        good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
-        value = np.where(good, image, 0.0) / noise
-        bright = value > THRESHOLD
-        if not bright.any():
-            return None
-        width = _FWHM * np.sqrt(np.diag(beam))
+    def __init__(self, value, good, beam, relative=0.001):
+        bright, width = value > THRESHOLD, _FWHM * np.sqrt(np.diag(beam))
         margin = np.ceil(width).astype(int)
         cut = tuple(
             slice(max(at.min() - m, 0), at.max() + m + 1)
@@ -210,20 +151,15 @@ class _Data:
         near = scipy.ndimage.maximum_filter(bright, size=tuple(2 * margin + 1))
         step = np.maximum(width.astype(int) // 3, 1)
         y, x = np.nonzero((near & good)[:: step[0], :: step[1]])
-        if len(y) == 0:
-            return None
-        independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
         at = y * step[0], x * step[1]
-        error = np.hypot(1.0, relative * peak[at])
-        y, x = (places.astype(float) for places in at)
-        root = np.linalg.cholesky(beam)
-        return cls(
-            y=y, x=x, value=value[at], weight=1 / error, beam=beam,
-            origin=(cut[0].start, cut[1].start), root=root,
-            inverse_root=np.linalg.inv(root), independent=independent,
-            penalty=4 * np.log(max(len(y) * independent, 2)),
-            widest=np.ptp(y) ** 2 + np.ptp(x) ** 2,
-        )  # fmt: skip
+        self.y, self.x = (places.astype(float) for places in at)
+        self.value, self.weight = value[at], 1 / np.hypot(1.0, relative * peak[at])
+        self.origin, self.beam = (cut[0].start, cut[1].start), beam
+        self.root = np.linalg.cholesky(beam)
+        self.inverse_root = np.linalg.inv(self.root)
+        self.independent = step.prod() / (4 * np.pi * np.sqrt(np.linalg.det(beam)))
+        self.penalty = 4 * np.log(max(len(y) * self.independent, 2))
+        self.widest = sum(np.ptp(v) ** 2 for v in (self.y, self.x) if len(v))
 
     def distance(self, y, x, at):
         """Return distances from a position in full widths of the beam."""

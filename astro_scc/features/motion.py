@@ -1,12 +1,15 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Motion of a feature: a straight line or a parabola through its positions."""
+"""Motions of features: lines or parabolas through places, or random walks."""
 
 from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from astro_scc.intervals import median_interval
 
 #: Scatter of positions beyond noise in beams, and the number of positions that it
 #: counts as: a straight line through four positions has few degrees of freedom.
@@ -22,6 +25,8 @@ ACCELERATED_EPOCHS, ACCELERATED = 7, 3.0
 #: Largest angle between motion and radius, plus two standard errors, in degrees
 #: (Lister et al. 2019), and errors from which a speed is significant.
 RADIAL, SIGNIFICANT = 15.0, 3.0
+#: Fewest epochs of a secure feature.
+LEAST_EPOCHS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,3 +261,122 @@ def _robust(dt, place, scatter, degree):
     cost = (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM).sum()
     span = span[:, None]
     return _Fit(solution / span, errors / span, residual, weight, float(cost))
+
+
+# -- whether features diffuse -------------------------------------------------------
+
+#: Variance of the slope of a straight line through a random walk, times its duration
+#: over the variance of the walk in unit time.
+SLOPE = 1.2
+#: Epochs of a feature of which each half has a speed, and fewest such features.
+HALVES_OF, FEWEST = 6, 10
+#: Smallest random step in the median interval, in beams, change of the speeds between
+#: the halves, and isotropy: what random walks have, as far as they can be followed, and
+#: neither simulated jets nor those of MOJAVE have together
+#: (``benchmarks/calibration/diffusion.py``).
+STEP, CHANGE, ISOTROPY = 0.085, 0.7, 0.7
+
+
+def measure_diffusion(features: Any) -> dict[str, float]:
+    """
+    Compare the speeds of features in both halves of their epochs.
+
+    Parameters
+    ----------
+    features : `~astro_scc.features.Features`
+
+    Returns
+    -------
+    dict of float
+        ``n_features`` that are seen in so many epochs that each half has a speed;
+        ``step``, the random step on each axis in the median interval, in beams;
+        ``change``, the variance of the difference of the speeds of the halves, over
+        that of the speeds of features: 0 if each keeps its own speed, 4 in a random
+        walk; ``isotropy``, the scatter of the speeds across their mean direction over
+        that along it; and ``variance`` of the speeds on each axis, times years, in
+        mas^2/yr.
+    """
+    found = {"step": 0.0, "change": 0.0, "isotropy": 0.0, "variance": 0.0}
+    d = features.detections
+    each = zip(features.tracks, features.motions, strict=True)
+    long = [(t.detection, motion) for t, motion in each if len(t) >= HALVES_OF]
+    found["n_features"] = len(long)
+    if len(long) < 2:
+        return found
+    span = np.array([motion.span for _, motion in long])
+    speed = np.array([motion.velocity for _, motion in long])
+    mean = np.average(speed, axis=0, weights=span)
+    length = np.hypot(*mean)
+    along = mean / length if length > 0 else np.array([1.0, 0.0])
+    axes = np.stack([along, along[::-1] * (-1, 1)], axis=1)
+    variance = span @ ((speed - mean) @ axes) ** 2
+    if not np.all(variance > 0):
+        return found
+    difference = 0.0
+    for years, (members, _) in zip(span, long, strict=True):
+        half = len(members) // 2
+        v, v_var = d.velocity(members[:half])
+        w, w_var = d.velocity(members[-half:])
+        difference += years * ((v - w) ** 2 - v_var - w_var).sum()
+    walk = random_walk(features) * median_interval(d.time)
+    return found | {
+        "change": float(difference / variance.sum()),
+        "step": float(np.sqrt(walk / SLOPE) / d.fwhm),
+        "isotropy": float(np.sqrt(variance[1] / variance[0])),
+        "variance": float(variance.sum() / 2 / (len(long) - 1)),
+    }
+
+
+def is_walk(found: dict[str, float]) -> bool:
+    """
+    Return whether features diffuse.
+
+    Parameters
+    ----------
+    found : dict of float
+        See `measure_diffusion`.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> from astro_scc.features.motion import is_walk
+    >>> is_walk({"n_features": 30, "step": 0.1, "change": 1.5, "isotropy": 1.0})
+    True
+    """
+    enough = found["n_features"] >= FEWEST and found["step"] >= STEP
+    return enough and found["change"] >= CHANGE and found["isotropy"] >= ISOTROPY
+
+
+def random_walk(features: Any) -> float:
+    """
+    Return the variance of the speeds of features from their random walk, times years.
+
+    The variance of a step about the motion is that of the walk plus twice that of a
+    position, and neighbouring steps have minus the latter in common.  The slope of a
+    straight line through a walk of variance q a year over T years has the variance
+    ``SLOPE * q / T``.
+
+    Parameters
+    ----------
+    features : `~astro_scc.features.Features`
+
+    Returns
+    -------
+    float
+        In mas^2/yr.
+    """
+    d, walk, years = features.detections, 0.0, 0.0
+    for track, motion in zip(features.tracks, features.motions, strict=True):
+        time, place = d.time[track.detection], d.place[track.detection]
+        n = len(time) - 1
+        if n < LEAST_EPOCHS - 1:
+            continue
+        step = np.diff(place, axis=0) - np.diff(time)[:, None] * motion.velocity
+        square = (step**2).sum() + 2 * (step[1:] * step[:-1]).sum()
+        # The straight line takes up one of the steps.
+        walk += square / 2 * n / (n - 1)
+        years += time[-1] - time[0]
+    return SLOPE * max(walk, 0.0) / years if years else 0.0

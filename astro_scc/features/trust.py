@@ -4,7 +4,7 @@
 import numpy as np
 
 from astro_scc.features.detections import Detections
-from astro_scc.features.motion import SIGNIFICANT, Motion
+from astro_scc.features.motion import LEAST_EPOCHS, SIGNIFICANT, Motion
 from astro_scc.features.tracks import Track
 
 #: Logistic regression of what the survey's positions confirm, on the properties in
@@ -17,8 +17,6 @@ COSINE = 3
 #: speed in such a share of the disturbed assignments, and moves so: of static jets at
 #: most one in twenty then has one (``benchmarks/features.py``).
 MOST_FALSE, SAME_SPEED = 0.3, 0.5
-#: Fewest epochs of a secure feature.
-LEAST_EPOCHS = 4
 #: Least motion in beams and in standard errors, and fewest epochs: far, or clearly.
 MOTIONS = (1.0, SIGNIFICANT, LEAST_EPOCHS), (0.5, 5.0, 5)
 #: Beyond so many beams, other detections do not matter.

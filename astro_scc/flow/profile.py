@@ -16,24 +16,25 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.acceleration import (
+from astro_scc.flow.models import fit_profile
+from astro_scc.flow.speeds import (
     FlowAcceleration,
-    PartSpeeds,
     acceleration_of,
+    distances_along,
+    flows_by_scale,
+    halves,
     place_of,
     speeds_in_parts,
 )
-from astro_scc.flow.models import fit_profile
-from astro_scc.flow.speeds import distances_along, flows_by_scale, halves
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import RidgeLine
 from astro_scc.kinematics.cosmology import beta_per_pm
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
+from astro_scc.parallel import progress
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.plan import flow_direction, scale_numbers, search_settings
 from astro_scc.products.folder import write_files, write_tables
-from astro_scc.progress import progress
 from astro_scc.quantities import seeded
 from astro_scc.scc import StackedCrossCorrelation, meta_of
 from astro_scc.settings import require
@@ -78,7 +79,7 @@ class Profile(Components):
         if nothing is seen there.
     fits, speeds : dict
         By the same names: one stream fitted to each bin, None if its speed is not
-        known, and its speeds with their covariance, in beams and years.
+        known, and its distances, speeds and their covariance, in beams and years.
     pairs : tuple of (sequence of (float, float) or None)
         For each bin, with groups: mean and dispersion of two streams of the whole flow
         or, if it has one, of a group in this bin.
@@ -103,7 +104,7 @@ class Profile(Components):
     bins: u.Quantity
     results: dict[str, tuple[SCCResult | None, ...]]
     fits: dict[str, tuple[PartFit | None, ...]]
-    speeds: dict[str, PartSpeeds]
+    speeds: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
     flow: DecomposedFlow
     along: str = "radius"
     pairs: tuple[list[tuple[float, float]] | None, ...] = ()
@@ -129,7 +130,7 @@ class Profile(Components):
 
         The speeds are the means of one Gaussian in each bin; NaN where none is known.
         """
-        return self.speeds[self.groups[0]].covariance * (self.flow.beam * PM_UNIT) ** 2
+        return self.speeds[self.groups[0]][2] * (self.flow.beam * PM_UNIT) ** 2
 
     @cached_property
     def acceleration(self) -> FlowAcceleration:
@@ -146,7 +147,7 @@ class Profile(Components):
         }
 
     @cached_property
-    def components(self) -> QTable:
+    def streams(self) -> QTable:
         """
         The streams of all bins, a `~astropy.table.QTable`.
 
@@ -180,26 +181,21 @@ class Profile(Components):
             "acceleration": {name: asdict(found) for name, found in accelerations},
         })  # fmt: skip
 
-    @property
-    def streams(self) -> QTable:
-        """Another name of `components`."""
-        return self.components
-
     def _covariance(self, name):
         """Return the speeds of a group and their covariance for the meta."""
-        speeds, beam = self.speeds[name], self.flow.beam
-        known = np.flatnonzero(np.isfinite(speeds.speed))
-        square = speeds.covariance[np.ix_(known, known)]
+        (place, speed, covariance), beam = self.speeds[name], self.flow.beam
+        known = np.flatnonzero(np.isfinite(speed))
+        square = covariance[np.ix_(known, known)]
         return {
-            "bins": known.tolist(), "distance": speeds.place[known] * beam * u.mas,
-            "speed": speeds.speed[known] * beam * PM_UNIT,
+            "bins": known.tolist(), "distance": place[known] * beam * u.mas,
+            "speed": speed[known] * beam * PM_UNIT,
             "covariance": square * (beam * PM_UNIT) ** 2,
         }  # fmt: skip
 
     @property
     def main(self) -> QTable:
-        """The rows of `components` that are ``main`` in their bin."""
-        return self.components[self.components["main"]]
+        """The rows of `streams` that are ``main`` in their bin."""
+        return self.streams[self.streams["main"]]
 
 
 def _in_bin(table, limits, group):
@@ -472,12 +468,13 @@ def _line_of(result, length):
 
 def _fits(profile):
     """Return a straight line and a power law, if there are enough speeds."""
-    found, beam = profile.speeds[profile.groups[0]], profile.flow.beam
-    unit = profile.flow.cube.speed_unit
-    v, e = ((x * beam * PM_UNIT).to(unit) for x in (found.speed, found.error))
+    place, speed, covariance = profile.speeds[profile.groups[0]]
+    beam, unit = profile.flow.beam, profile.flow.cube.speed_unit
+    errors = np.sqrt(np.diag(covariance))
+    v, e = ((x * beam * PM_UNIT).to(unit) for x in (speed, errors))
     fits, given = [], {"covariance": profile.covariance}
     for model in ("linear", "power-law"):
         with suppress(ValueError):
-            r = found.place * beam * u.mas
+            r = place * beam * u.mas
             fits.append(fit_profile(r, v, e, model=model, **given))
     return tuple(fits)

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The elliptical Gaussian beam (PSF): of a header, and common to several epochs."""
+"""The elliptical Gaussian beam (PSF): of headers, common to epochs, and at patterns."""
 
 import re
 from collections.abc import Sequence
@@ -10,6 +10,7 @@ import astropy.units as u
 import numpy as np
 import scipy
 
+from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.headers import KEYWORDS, axis_numbers, axis_of, get, parse_unit
 from astro_scc.quantities import parse_quantities
 
@@ -277,6 +278,93 @@ def smallest_common_beam(beams: Sequence[Beam]) -> Beam:
     # Rounding errors must not leave a beam that does not fit.
     least = least * max(1.0, beam_excess(least, covariances).max() * (1 + 1e-9))
     return beam_of(least, u.mas)
+
+
+def beam_fwhm(cube, epoch, scale, axes):
+    """
+    Return the width of the resolution along two axes, in mas.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    epoch : array_like of int, shape (n,)
+    scale : array_like, shape (n,)
+        Scale numbers of the SSPs.
+    axes : `~numpy.ndarray`, shape (2, 2) or (n, 2, 2)
+        Rows are the vectors (east, north) of the axes, of unit length except in
+        frames that scale with distance.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n, 2)
+        Full width at half maximum of the epoch's beam; for a cube without beams,
+        twice the size of the SSP's scale.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from astro_scc.images.beam import beam_fwhm
+    >>> from astro_scc.simulation import simulate_static
+    >>> cube = simulate_static(n_epochs=2, rng=1).cube
+    >>> beam_fwhm(cube, [0], [2], np.eye(2))
+    array([[1., 1.]])
+    """
+    covariance = beam_covariance(cube, epoch, scale)
+    variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
+    return np.sqrt(8 * np.log(2) * variance)
+
+
+def beam_covariance(cube, epoch, scale):
+    """
+    Return the resolution as covariances of Gaussians, in mas^2, shape (n, 2, 2).
+
+    Parameters
+    ----------
+    cube, epoch, scale
+        See `beam_fwhm`.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n, 2, 2)
+    """
+    if cube.beams is None:
+        size = np.vectorize(scale_size, otypes=[float])(scale)
+        variance = (2 * size * cube.pixel_scale.value) ** 2
+        return variance[..., None, None] / (8 * np.log(2)) * np.eye(2)
+    each = np.stack([beam.covariance.value for beam in cube.beams])
+    return each[np.asarray(epoch)]
+
+
+def position_errors(snr, fwhm, fraction):
+    """
+    Return the standard errors of positions.
+
+    ``sigma^2 = (b / (sqrt(2) SNR))^2 + (f b)^2 / 2`` on each axis: the
+    thermal error (Fomalont 1999; Mertens & Lobanov 2016, Eq. 2) and a floor
+    for errors beyond noise, where f is the ``fraction`` of the beam b by which
+    the difference of two positions is uncertain.
+
+    Parameters
+    ----------
+    snr : array_like, shape (n,)
+    fwhm : array_like, shape (n, 2)
+        Width of the beam along each axis.
+    fraction : float
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n, 2)
+        In the unit of ``fwhm``.
+
+    Examples
+    --------
+    >>> from astro_scc.images.beam import position_errors
+    >>> position_errors([10, 100], [[1, 1], [1, 1]], 0.2).round(3)
+    array([[0.158, 0.158],
+           [0.142, 0.142]])
+    """
+    snr = np.maximum(np.asarray(snr, dtype=float), 1.0)[:, None]
+    return fwhm * np.sqrt(0.5 / snr**2 + 0.5 * fraction**2)
 
 
 class SeveralBeamsError(ValueError):

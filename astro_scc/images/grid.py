@@ -127,10 +127,7 @@ def is_same(wcs, other):
 
 def moved_wcs(wcs, shift):
     """Return the WCS of a grid whose content has moved by (dx, dy) pixels."""
-    moved = wcs.deepcopy()
-    moved.wcs.crpix = moved.wcs.crpix + np.asarray(shift, dtype=float)
-    moved.wcs.set()
-    return moved
+    return positions.changed_wcs(wcs, crpix=wcs.wcs.crpix + np.asarray(shift, float))
 
 
 def cut_wcs(wcs, window):

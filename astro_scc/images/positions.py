@@ -1,6 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """
-Positions on the sky and their errors; scale and north of images where structure is.
+Positions on the sky; scale and north of images where structure is.
 
 Speeds, directions and offsets are measured with one matrix, that of the ``wcs`` at
 its reference pixel.  It holds where the sky is flat in the image.  Where the reference
@@ -17,7 +17,7 @@ from astropy.coordinates import FK5, ICRS, SkyCoord, angular_separation
 from astropy.wcs import WCS
 from astropy.wcs.utils import wcs_to_celestial_frame
 
-from astro_scc.decomposition.wavelet import measure_noise, scale_size
+from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.images.headers import KEYWORDS
 from astro_scc.quantities import named, one_quantity
 
@@ -166,93 +166,6 @@ def sky_columns(table):
     if "pm_lon_coslat" in table.colnames:
         return "pm_lon_coslat", "pm_lat"
     return "pm_ra_cosdec", "pm_dec"
-
-
-def beam_fwhm(cube, epoch, scale, axes):
-    """
-    Return the width of the resolution along two axes, in mas.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    epoch : array_like of int, shape (n,)
-    scale : array_like, shape (n,)
-        Scale numbers of the SSPs.
-    axes : `~numpy.ndarray`, shape (2, 2) or (n, 2, 2)
-        Rows are the vectors (east, north) of the axes, of unit length except in
-        frames that scale with distance.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n, 2)
-        Full width at half maximum of the epoch's beam; for a cube without beams,
-        twice the size of the SSP's scale.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.images.positions import beam_fwhm
-    >>> from astro_scc.simulation import simulate_static
-    >>> cube = simulate_static(n_epochs=2, rng=1).cube
-    >>> beam_fwhm(cube, [0], [2], np.eye(2))
-    array([[1., 1.]])
-    """
-    covariance = beam_covariance(cube, epoch, scale)
-    variance = np.einsum("...ai,...ij,...aj->...a", axes, covariance, axes)
-    return np.sqrt(8 * np.log(2) * variance)
-
-
-def beam_covariance(cube, epoch, scale):
-    """
-    Return the resolution as covariances of Gaussians, in mas^2, shape (n, 2, 2).
-
-    Parameters
-    ----------
-    cube, epoch, scale
-        See `beam_fwhm`.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n, 2, 2)
-    """
-    if cube.beams is None:
-        size = np.vectorize(scale_size, otypes=[float])(scale)
-        variance = (2 * size * cube.pixel_scale.value) ** 2
-        return variance[..., None, None] / (8 * np.log(2)) * np.eye(2)
-    each = np.stack([beam.covariance.value for beam in cube.beams])
-    return each[np.asarray(epoch)]
-
-
-def position_errors(snr, fwhm, fraction):
-    """
-    Return the standard errors of positions.
-
-    ``sigma^2 = (b / (sqrt(2) SNR))^2 + (f b)^2 / 2`` on each axis: the
-    thermal error (Fomalont 1999; Mertens & Lobanov 2016, Eq. 2) and a floor
-    for errors beyond noise, where f is the ``fraction`` of the beam b by which
-    the difference of two positions is uncertain.
-
-    Parameters
-    ----------
-    snr : array_like, shape (n,)
-    fwhm : array_like, shape (n, 2)
-        Width of the beam along each axis.
-    fraction : float
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n, 2)
-        In the unit of ``fwhm``.
-
-    Examples
-    --------
-    >>> from astro_scc.images.positions import position_errors
-    >>> position_errors([10, 100], [[1, 1], [1, 1]], 0.2).round(3)
-    array([[0.158, 0.158],
-           [0.142, 0.142]])
-    """
-    snr = np.maximum(np.asarray(snr, dtype=float), 1.0)[:, None]
-    return fwhm * np.sqrt(0.5 / snr**2 + 0.5 * fraction**2)
 
 
 def local_matrix(wcs, x, y, step=1e-6):
@@ -554,10 +467,9 @@ def unwrapped(wcs, shape):
     lon = (matrix @ (middle - wcs.wcs.crpix + 1))[0]
     # Along an equator that is that of the sky, and by whole turns along others.
     for shift, turned in ((lon, lon), (360 * np.rint(lon / 360), 0.0)):
-        moved = wcs.deepcopy()
-        moved.wcs.crpix = wcs.wcs.crpix + np.linalg.solve(matrix, [shift, 0])
-        moved.wcs.crval = (wcs.wcs.crval[0] + turned) % 360, wcs.wcs.crval[1]
-        moved.wcs.set()
+        crpix = wcs.wcs.crpix + np.linalg.solve(matrix, [shift, 0])
+        crval = (wcs.wcs.crval[0] + turned) % 360, wcs.wcs.crval[1]
+        moved = changed_wcs(wcs, crpix=crpix, crval=crval)
         found = _axes(*moved.pixel_to_world_values(*places))[2]
         if np.all(np.abs(found - sky) < 1e-9):
             return moved
@@ -661,9 +573,14 @@ def placed_as(wcs, other):
 
 def with_frame(wcs, axes, **values):
     """Return a copy of a WCS with other axis names and frame values."""
-    changed = wcs.deepcopy()
     codes = zip(axes, wcs.wcs.ctype, strict=True)
-    values["ctype"] = [name[:5] + code[5:] for name, code in codes]
+    ctype = [name[:5] + code[5:] for name, code in codes]
+    return changed_wcs(wcs, **values, ctype=ctype)
+
+
+def changed_wcs(wcs, **values):
+    """Return a copy of a WCS with other values."""
+    changed = wcs.deepcopy()
     for name, value in values.items():
         setattr(changed.wcs, name, value)
     changed.wcs.set()

@@ -293,6 +293,12 @@ class ImageSeries:
         return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in self.beams]))
 
     @property
+    def beam_shapes(self) -> list[np.ndarray]:
+        """Covariances of the beams over (x, y) in square pixels."""
+        to_pixels = np.linalg.inv(self.pixel_matrix.value)
+        return [to_pixels @ b.covariance.value @ to_pixels.T for b in self.beams]
+
+    @property
     def reference_pixel(self) -> tuple[float, float]:
         """(x, y) of the origin of offsets, counted from 0."""
         x, y = self.wcs.wcs.crpix - 1

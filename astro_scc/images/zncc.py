@@ -2,7 +2,6 @@
 """Zero-mean normalised cross-correlation of a masked template with windows."""
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -13,21 +12,6 @@ from astro_scc.decomposition.segmentation import quadratic_peak
 #: which were measured as 7e-16.  A pattern beside a core a million times brighter
 #: still counts, with an error of 0.002.
 VARIANCE_FLOOR = 5e-15
-
-
-class Overlap(NamedTuple):
-    """The effect of missing pixels on a template, at each displacement."""
-
-    #: Fraction of the template's pixels that fall on valid pixels.
-    share: np.ndarray
-    #: Whether that fraction is too small.
-    unjudged: np.ndarray
-    #: Number of pixels of the template over the number of valid ones.
-    ratio: np.ndarray
-    #: Scaled mean of the template over valid pixels, and the inverse square
-    #: root of its variance there.
-    own_mean: np.ndarray
-    scale: np.ndarray
 
 
 class Template:
@@ -71,8 +55,14 @@ class Template:
         rows = scipy.fft.irfft(columns[..., :ny, :], self.fft_shape[1], axis=-1)
         return rows[..., :nx]
 
-    def overlap(self, valid, min_overlap):
-        """Return the `Overlap` of the template with valid pixels, shape (..., h, w)."""
+    def _overlap(self, valid):
+        """
+        Return the effect of missing pixels of windows, at each displacement.
+
+        These are the share of the template's pixels that fall on valid ones, and the
+        inverse of that; the scaled mean of the template over valid pixels, and the
+        inverse square root of its variance there.
+        """
         valid_fft = scipy.fft.rfft2(valid.astype(float), self.fft_shape)
         values_fft, footprint_fft = self._transforms
         number = np.rint(self._correlate(valid_fft, footprint_fft))
@@ -84,15 +74,15 @@ class Template:
         share, ratio = number / self.n_pixels, self.n_pixels / some
         own_mean = own_mean * self.n_pixels**0.5 / some
         scale = np.where(flat, 0.0, np.where(flat, 1.0, variance) ** -0.5)
-        return Overlap(share, share < min_overlap, ratio, own_mean, scale)
+        return share, ratio, own_mean, scale
 
-    def of_windows(self, windows, overlap=None):
+    def of_windows(self, windows, valid=None, min_overlap=0.0):
         """
-        Return the coefficients of windows, shape (..., ny, nx).
+        Return the coefficients of windows, and the overlap, shape (..., ny, nx).
 
         Windows are in double precision and zero where pixels are missing; if
-        some are, ``overlap`` accounts for them, and coefficients are NaN where
-        it is too small.
+        some are, ``valid`` tells which are there, and coefficients are NaN where
+        the share of the template that falls on them is too small.
         """
         transform = scipy.fft.rfft2(windows, self.fft_shape)
         squares = windows * windows
@@ -102,20 +92,21 @@ class Template:
         variance = self._correlate(squares_fft, footprint_fft)
         total = self._correlate(transform, footprint_fft * self.n_pixels**-0.5)
         covariance = self._correlate(transform, values_fft)
-        if overlap is None:
+        if valid is None:
+            share = np.broadcast_to(1.0, covariance.shape)
             variance -= np.multiply(total, total, out=total)
         else:
-            covariance -= total * overlap.own_mean
-            covariance *= overlap.scale
+            share, ratio, own_mean, scale = self._overlap(valid)
+            covariance -= total * own_mean
+            covariance *= scale
             total *= total
-            variance -= np.multiply(total, overlap.ratio, out=total)
+            variance -= np.multiply(total, ratio, out=total)
         np.copyto(variance, np.inf, where=variance <= floor)
         coefficient = covariance / np.sqrt(variance, out=variance)
-        if overlap is not None:
-            # Beside a displacement that cannot be judged there is no
-            # maximum, as the pattern may have moved further.
-            np.copyto(coefficient, np.nan, where=overlap.unjudged)
-        return coefficient
+        # Beside a displacement that cannot be judged there is no maximum, as the
+        # pattern may have moved further.
+        np.copyto(coefficient, np.nan, where=share < min_overlap)
+        return coefficient, share
 
 
 def correlate_windows(
@@ -180,9 +171,8 @@ def correlate_windows(
     number = np.maximum(exists.sum(axis=(-2, -1), keepdims=True), 1)
     windows -= windows.sum(axis=(-2, -1), keepdims=True) / number
     windows[~exists] = 0.0
-    overlap = template.overlap(exists, min_overlap)
-    coefficient = template.of_windows(windows, overlap)
-    return np.nan_to_num(coefficient, copy=False), overlap.share
+    coefficient, overlap = template.of_windows(windows, exists, min_overlap)
+    return np.nan_to_num(coefficient, copy=False), overlap
 
 
 def find_peaks(coefficient, threshold):

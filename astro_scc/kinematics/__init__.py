@@ -15,9 +15,11 @@ from astro_scc.kinematics.frames import (
     ExpansionFrame,
     PositionAngleFrame,
     RadialFrame,
+    RidgeLine,
     SkyFrame,
+    find_ridge_line,
+    fit_position_angle,
 )
-from astro_scc.kinematics.ridge import RidgeLine, find_ridge_line, fit_position_angle
 
 __all__ = [
     "ExpansionFrame", "PositionAngleFrame", "RadialFrame", "RidgeLine", "SkyFrame",

@@ -239,11 +239,6 @@ class SCCResult(tables.VelocityMaps):
         table = tables.stream_table(rows, meta=meta, unit=unit)
         return name_by_frame(table, self.cube)
 
-    @property
-    def components(self) -> QTable:
-        """Another name of `streams`."""
-        return self.streams
-
     @cached_property
     def spectrum(self) -> QTable:
         """

@@ -1,9 +1,11 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Tables of a measurement: streams, spectrum, SSPs, and adjusted p-values."""
+"""Tables of a measurement: streams, spectrum, SSPs, p-values, and what to cite."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
@@ -16,11 +18,12 @@ from astropy.wcs import WCS
 from astro_scc.columns import build_table, cells, describe, round_to_errors, with_errors
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images import positions
+from astro_scc.images.beam import beam_fwhm, position_errors
 from astro_scc.images.dates import date_labels
-from astro_scc.kinematics.cosmology import table_in_c
+from astro_scc.kinematics.cosmology import cosmology_text, table_in_c, to_cosmology
 from astro_scc.measurement.cautions import cautions_of
-from astro_scc.measurement.citations import citations_of
 from astro_scc.units import PM_UNIT, in_speed_unit
+from astro_scc.writing import versions
 
 if TYPE_CHECKING:
     from astropy.cosmology import FLRW
@@ -72,7 +75,12 @@ def stream_table(
 
 
 class Components:
-    """A measurement with a table of ``components``."""
+    """A measurement with a table of ``streams``."""
+
+    @property
+    def components(self: Any) -> QTable:
+        """Another name of ``streams``."""
+        return self.streams
 
     def components_in_c(
         self, *, redshift: float | str | u.Quantity | None = None,
@@ -333,8 +341,8 @@ def ssp_table(decomposed):
     frames without right ascension they have other names.
     """
     ssps, cube = decomposed.ssps, decomposed.cube
-    fwhm = positions.beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
-    error = positions.position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
+    fwhm = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
+    error = position_errors(ssps.snr, fwhm.reshape(-1, 2), 0.0)
     size = np.array([scale_size(s) for s in ssps.scale], dtype=float)
     names, date = ("epoch", "scale", "snr", "n_pixels"), cube.times[ssps.epoch]
     columns = {"ssp": np.arange(len(ssps)), "date": Time(date, format="isot")}
@@ -454,3 +462,59 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
         table.add_column(values, index, name="p_fdr")
         describe(table, "added").meta.update(meta)
     return done if is_mapping else list(done.values())
+
+
+# -- what to cite ------------------------------------------------------------------
+
+#: What names the MOJAVE survey and its table of features in a history.
+MOJAVE = re.compile(r"MOJAVE|apjac230ft4|J/ApJ/923/30")
+
+
+def citations_of(history, meta):
+    """
+    Return what a measurement rests on as BibTeX.
+
+    Parameters
+    ----------
+    history : sequence of str
+        What was done to the images, and what they were compared with.
+    meta : dict
+        Of a table: its ``cosmology`` is cited.
+
+    Returns
+    -------
+    str
+        Entries, and comments on what has none.
+
+    Examples
+    --------
+    >>> from astro_scc.measurement.tables import citations_of
+    >>> text = citations_of(["components from MOJAVE"], {"cosmology": "Planck18"})
+    >>> print("; ".join(line for line in text.splitlines() if line.startswith("@")))
+    @article{mertens2016,; @article{mertens2015,; @software{astro_scc,;
+    @article{lister2021,; @misc{cosmology,
+    """
+    text = resources.files("astro_scc.measurement").joinpath("citations.bib")
+    version = versions()["astro_scc"]
+    entries = text.read_text(encoding="utf-8").replace("VERSION", version)
+    *parts, survey = entries.strip().split("\n\n")
+    if any(MOJAVE.search(line) for line in history):
+        parts.append(survey)
+    else:
+        parts.append("% Cite the survey or the observers of the images, too.")
+    if "cosmology" in meta:
+        parts.append(_cosmology(to_cosmology(meta["cosmology"])))
+    return "\n\n".join(parts) + "\n"
+
+
+def _cosmology(cosmology):
+    """Return the source of a cosmology as an entry, or the cosmology as a comment."""
+    from astropy.cosmology import available
+
+    # Tables keep the parameters and the name, which astropy knows with its source.
+    known = to_cosmology(cosmology.name) if cosmology.name in available else cosmology
+    if source := known.meta.get("reference"):
+        note = re.sub(r"([&%#_])", r"\\\1", source)
+        return f"@misc{{cosmology,\n  note = {{{cosmology.name}: {note}}}\n}}"
+    whose = ", as in mertens2016" if cosmology == to_cosmology() else ""
+    return f"% Cosmology: {cosmology_text(cosmology)}{whose}."

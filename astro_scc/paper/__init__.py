@@ -7,14 +7,14 @@ arrays.
 """
 
 from astro_scc.paper.correlate import Correlator, Matches, all_pairs
-from astro_scc.paper.peaks import stack_patterns
 from astro_scc.paper.stack import (
     Displacements,
     baseline_pairs,
     consecutive_pairs,
     draw_orders,
     image_pairs,
-)  # fmt: skip
+    stack_patterns,
+)
 
 __all__ = [
     "Correlator", "Displacements", "Matches", "all_pairs", "baseline_pairs",

@@ -349,15 +349,12 @@ class TargetStack:
         start, (ny, nx) = box[:2], template.window_shape
         window = np.s_[start[0] : start[0] + ny, start[1] : start[1] + nx]
         for k in np.flatnonzero(self.values[:, *window].any(axis=(1, 2))):
-            valid, overlap = self.valid[k][window], None
-            if not valid.all():
-                overlap = template.overlap(valid, self.settings.min_overlap)
-            pixels = self.values[k][window].astype(float)
-            coefficient = template.of_windows(pixels, overlap)
+            pixels, valid = self.values[k][window].astype(float), self.valid[k][window]
+            coefficient, share = template.of_windows(
+                pixels, None if valid.all() else valid, self.settings.min_overlap
+            )
             _, y, x, value = find_peaks(coefficient[None], self.settings.kappa)
-            share = np.ones(len(value))
-            if overlap is not None:
-                share = overlap.share[np.rint(y).astype(int), np.rint(x).astype(int)]
+            share = share[np.rint(y).astype(int), np.rint(x).astype(int)]
             here = np.full((2, len(value)), [[i], [k]])
             yield *here, y - self.margin[0], x - self.margin[1], value, share
 

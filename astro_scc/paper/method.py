@@ -1,9 +1,9 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The paper's own method: from a cube of images to its velocity components."""
+"""The paper's own method: from a cube to matches of its patterns, and components."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import astropy.units as u
@@ -11,22 +11,29 @@ import numpy as np
 from astropy.table import QTable
 from threadpoolctl import threadpool_limits
 
+from astro_scc import patterns
 from astro_scc.columns import build_table, round_to_errors
 from astro_scc.decomposition.segmentation import require_ssps
 from astro_scc.epochs import EpochCube
-from astro_scc.images.positions import beam_fwhm, name_by_frame
+from astro_scc.exceptions import MeasurementWarning, warn
+from astro_scc.images.beam import beam_fwhm, position_errors
+from astro_scc.images.positions import name_by_frame, ssp_offsets
 from astro_scc.measurement.tables import VelocityMaps, ssp_table, velocity_columns
-from astro_scc.paper import matching
-from astro_scc.paper.peaks import PaperStack, stack_patterns
-from astro_scc.paper.stack import draw_orders, image_pairs
-from astro_scc.parallel import Workers
-from astro_scc.patterns import check_cube, empty_region
-from astro_scc.plan import flow_direction, velocity_frame
-from astro_scc.progress import progress
+from astro_scc.paper import stack
+from astro_scc.paper.correlate import Correlator, all_pairs, target_ssps
+from astro_scc.parallel import Workers, progress, workers_of
+from astro_scc.plan import (
+    flow_beam,
+    flow_direction,
+    motion_of,
+    require_pairs,
+    scale_numbers,
+    velocity_frame,
+)
 from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import MeasurementSettings, refuse_other_method, require
 from astro_scc.spectrum.maps import VelocityMap
-from astro_scc.units import in_speed_unit
+from astro_scc.units import PM_UNIT, in_speed_unit
 from astro_scc.writing import versions
 
 if TYPE_CHECKING:
@@ -38,6 +45,233 @@ __all__ = ["PaperMeasurement", "measure_as_in_paper"]
 KINDS = "moving", "stationary", "not significant"
 
 
+def plan_matches(
+    settings: Any, cube: EpochCube
+) -> tuple[tuple[float, ...], stack.DatePairs, float, tuple[int, int]]:
+    """
+    Return what settings mean for matches of SSPs in a cube.
+
+    Parameters
+    ----------
+    settings : `~astro_scc.StackedCrossCorrelation`
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    scales : tuple of float
+        Numbers of the scales.
+    pairs : ``DatePairs``
+        Pairs of dates that are compared.
+    max_speed : float
+        The largest speed of a match, in mas/yr.
+    reach : tuple of int
+        The largest displacement to match between any two epochs, along (y, x) in
+        pixels.
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair, a scale does not fit the pixels, or the
+        largest speed leads far out of the image even in the shortest interval, or
+        hardly moves anything even in the longest.
+
+    Examples
+    --------
+    >>> from astro_scc import StackedCrossCorrelation
+    >>> from astro_scc.simulation import simulate_two_fluid
+    >>> cube = simulate_two_fluid(rng=1).cube
+    >>> scales, pairs, _, reach = StackedCrossCorrelation().plan(cube)
+    >>> scales, len(pairs), reach
+    ((1, 2, 3, 4), 9, (50, 50))
+    """
+    pairs = pairs_of_dates(cube, settings.baseline)
+    scales = scale_numbers(cube, settings.scales)
+    beam = flow_beam(cube)
+    # Four beams in the longest interval, as in the simulated jets of the paper.
+    speed = 4 * beam / pairs.interval.max()
+    if settings.max_speed is not None:
+        speed = settings.max_speed.to_value(PM_UNIT)
+    moved, most = motion_of(cube, speed, pairs.interval)
+    # Pixels may not be square: (x, y) sides.
+    side, shape = np.hypot(*cube.pixel_matrix.value), np.array(cube.shape[1:])
+    far = np.any(most / side > (shape.max() - 1) // 2)
+    if far and settings.max_speed is not None:
+        warn(
+            f"{moved}, more than half the image: give a smaller one, or a "
+            "baseline that leaves out long intervals",
+            MeasurementWarning,
+        )
+    # Matches a little beyond the largest speed still reach into its map.
+    reach = np.ceil((most + beam) / side).astype(int)[::-1]
+    reach = tuple(np.minimum(reach, shape - 1).tolist())
+    return scales, pairs, speed, reach
+
+
+def pairs_of_dates(cube, baseline):
+    """
+    Return the pairs of dates that are compared.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    baseline : `~astropy.units.Quantity`, shape (2,), or None
+        Shortest and longest interval; if None, consecutive epochs are paired.
+
+    Returns
+    -------
+    ``DatePairs``
+
+    Raises
+    ------
+    ValueError
+        If no two epochs make a pair.
+    """
+    years = cube.years.to_value(u.yr)
+    if baseline is None:
+        pairs = stack.consecutive_pairs(years)
+    else:
+        pairs = stack.baseline_pairs(years, *baseline.to_value(u.yr))
+    require_pairs(cube, baseline, len(pairs))
+    return pairs
+
+
+def match(
+    settings: Any, cube: EpochCube, *, region: Any = None, n_workers: Workers = 1,
+    progress_bar: bool = False,
+) -> patterns.DecomposedEpochs:  # fmt: skip
+    """
+    Decompose the epochs and correlate each SSP with all other epochs.
+
+    Expansions of shells are measured from these matches; other flows need none.
+
+    Parameters
+    ----------
+    settings : `~astro_scc.StackedCrossCorrelation`
+    cube : `~astro_scc.epochs.EpochCube`
+    region : optional
+        Anything that ``cube.region_mask`` takes.  Only SSPs whose centroid
+        lies inside are correlated.
+    n_workers : int, str or `dask.distributed.Client`, optional
+        Number of processes, or a Dask scheduler, given by its address or a
+        client.  The results do not depend on it.
+    progress_bar : bool, optional
+        Show the progress on standard error.
+
+    Returns
+    -------
+    `~astro_scc.patterns.DecomposedEpochs`
+        With ``matches``.
+
+    Raises
+    ------
+    TypeError
+        If ``cube`` is no cube.
+    ValueError
+        If the beams of the epochs differ, unless ``common_beam`` is False.
+
+    Warns
+    -----
+    `~astro_scc.exceptions.MeasurementWarning`
+        If no SSP lies in the region, structure fills the images, the alignment
+        of the epochs scatters by 0.2 beams or more, or ``max_speed`` moves by more
+        than half the image.
+    """
+    patterns.check_cube(cube, settings.common_beam)
+    *_, reach = settings.plan(cube)
+    found = match_epochs(
+        cube, settings, reach, region=region, n_workers=n_workers,
+        progress_bar=progress_bar,
+    )  # fmt: skip
+    if empty := patterns.empty_region(found, region):
+        warn(empty, MeasurementWarning)
+    return found
+
+
+def match_epochs(
+    cube, settings, reach, *, pairs=None, region=None, n_workers=1, progress_bar=False
+):
+    """
+    Decompose epochs and correlate their SSPs.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    settings : `~astro_scc.StackedCrossCorrelation`
+    reach : tuple of int
+        See `plan_matches`.
+    pairs : `~numpy.ndarray` of int, shape (n, 2), optional
+        Ordered pairs of epochs that are correlated, by default all.
+    region, n_workers, progress_bar
+        See `~astro_scc.StackedCrossCorrelation.match`.
+
+    Returns
+    -------
+    `~astro_scc.patterns.DecomposedEpochs`
+        With ``matches``.
+    """
+    correlator = Correlator(settings.kappa, settings.target, settings.min_overlap)
+    pairs = all_pairs(len(cube)) if pairs is None else pairs
+    with workers_of(n_workers) as workers:
+        found, decompositions = patterns.decompose_epochs(
+            cube, settings.decomposer(cube), region=region, n_workers=workers,
+            progress_bar=progress_bar,
+        )  # fmt: skip
+        with progress(len(cube), "Correlating", show=progress_bar) as done:
+            matches = correlator(
+                decompositions, pairs, reach, select=found.select,
+                n_workers=workers, progress=done,
+            )  # fmt: skip
+    return replace(found, matches=matches)
+
+
+def matched_displacements(matched, frame, min_error_beams):
+    """
+    Return matches as displacements along the axes of a frame, in mas.
+
+    Parameters
+    ----------
+    matched : `~astro_scc.patterns.DecomposedEpochs`
+        With ``matches``.
+    frame : frame of `astro_scc.kinematics`
+        Gives the two axes at the position of each SSP.
+    min_error_beams : float
+        Smallest standard error of a displacement, in beams.
+
+    Returns
+    -------
+    `~astro_scc.paper.Displacements`
+        Of the selected SSPs.  SSPs at which the frame has no axes count as
+        SSPs without a match.
+    """
+    cube, ssps, select = matched.cube, matched.ssps, matched.select
+    east, north = ssp_offsets(ssps, cube)
+    axes = np.asarray(frame.matrix(east, north))
+    # A radial frame has no axes at its origin.
+    known = select & np.isfinite(axes).all(axis=(-2, -1))
+    matches = matched.matches.select(known[matched.matches.ssp])
+    owner = matches.ssp
+    pixels = np.stack([matches.dx, matches.dy], axis=-1).astype(float)
+    position = np.stack([east[owner], north[owner]], axis=-1)
+    d = frame.displacement(position, pixels @ cube.pixel_matrix.value.T)
+    # The resolution in the epochs of SSPs and of their matches.
+    here = beam_fwhm(cube, ssps.epoch, ssps.scale, axes)[owner]
+    axes = axes if axes.ndim == 2 else axes[owner]
+    there = beam_fwhm(cube, matches.target, ssps.scale[owner], axes)
+    first = position_errors(ssps.snr[owner], here, min_error_beams)
+    second = position_errors(matches.target_snr, there, min_error_beams)
+    s = np.sqrt(first**2 + second**2)
+    return stack.Displacements(
+        *d.T, *s.T, weight=(matches.coefficient * matches.overlap).astype(float),
+        reference=ssps.epoch[owner].astype(np.int32),
+        target=matches.target.astype(np.int32), ssp=owner.astype(np.int32),
+        target_ssp=target_ssps(matches, ssps).astype(np.int32),
+        n_ssps=np.bincount(ssps.epoch[select], minlength=len(cube)),
+    )  # fmt: skip
+
+
+# -- the measurement ----------------------------------------------------------------
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperMeasurement(VelocityMaps):
     """
@@ -45,13 +279,18 @@ class PaperMeasurement(VelocityMaps):
 
     Attributes
     ----------
-    matched : `~astro_scc.paper.matching.MatchedEpochs`
+    matched : `~astro_scc.patterns.DecomposedEpochs`
+        With ``matches``.
     frame : frame of `astro_scc.kinematics`
         The two axes of velocities.
     position_angle : `~astropy.units.Quantity`
         Direction of the jet, north through east.
-    stack : ``PaperStack``
-        In mas/yr.
+    grid : ``VelocityMap``
+        The stack, and its velocities in mas/yr.
+    trial_z : `~numpy.ndarray`, shape (n_trials,)
+        The largest z-score of each trial.
+    found : list of dict
+        The components, see `astro_scc.paper.stack_patterns`.
     meta : dict
         Level of significance, seed, numbers of trials, SSPs and pairs, and versions.
 
@@ -66,14 +305,16 @@ class PaperMeasurement(VelocityMaps):
     True
     """
 
-    matched: matching.MatchedEpochs
+    matched: patterns.DecomposedEpochs
     frame: Any
     position_angle: u.Quantity
-    stack: PaperStack
+    grid: VelocityMap
+    trial_z: np.ndarray
+    found: list[dict[str, Any]]
     meta: dict[str, Any]
 
     def __repr__(self):
-        n = len(self.stack.components)
+        n = len(self.found)
         return f"<PaperMeasurement: {len(self.cube)} epochs, {n} components>"
 
     @property
@@ -87,38 +328,26 @@ class PaperMeasurement(VelocityMaps):
         return ssp_table(self.matched)
 
     @property
-    def grid(self) -> VelocityMap:
-        """The velocities of the maps, in mas/yr."""
-        return self.stack.velocities
-
-    @property
     def level(self) -> float:
         """The z-score that significant components exceed."""
-        return float(np.quantile(self.stack.trial_z, 1 - self.meta["alpha"]))
+        return float(np.quantile(self.trial_z, 1 - self.meta["alpha"]))
 
     @property
-    def components(self) -> QTable:
+    def streams(self) -> QTable:
         """
         The components as a table, with the numbers that streams have.
 
         Those that move come first, then what stands still and what is not significant,
-        the slowest of each first.
-        Its columns are those of ``PaperComponent``, with velocities on
-        the sky and along the jet.
+        the slowest of each first.  Velocities are on the sky and along the jet.
         """
         given = self.frame, self.position_angle, self.meta["alpha"]
-        rows = [component_row(one, *given) for one in self.stack.components]
+        rows = [component_row(one, *given) for one in self.found]
         rows.sort(key=lambda row: (KINDS.index(row["kind"]), row["pm"]))
         for number, row in enumerate(rows, start=1):
             row["stream"] = number
         table = in_speed_unit(build_table("paper", rows), self.cube.speed_unit)
         table.meta.update(self.meta | self.cube.facts)
         return name_by_frame(round_to_errors(table), self.cube)
-
-    @property
-    def streams(self) -> QTable:
-        """Another name of `components`."""
-        return self.components
 
     def plot(self, **options: Any) -> Figure:
         """
@@ -146,7 +375,7 @@ def component_row(component, frame, angle, alpha):
     Parameters
     ----------
     component : dict
-        Of ``PaperStack.components``.
+        Of those of `astro_scc.paper.stack_patterns`.
     frame : frame of `astro_scc.kinematics`
     angle : `~astropy.units.Quantity`
         Position angle of the jet.
@@ -214,42 +443,37 @@ def measure_as_in_paper(
     <Quantity 6. mas / yr>
     """
     n_trials = require("n_trials", n_trials)
-    _check(cube, settings)
+    refuse_other_method("paper", settings.to_dict())
+    patterns.check_cube(cube, settings.common_beam)
     generator, seed = seeded(rng)
-    plan = matching.SearchPlan.of(cube, settings)
-    orders = draw_orders(plan.pairs, n_trials, generator)
-    matched = matching.match_epochs(
-        cube, settings, plan, pairs=image_pairs(plan.pairs, orders), region=region,
+    scales, pairs, max_speed, reach = plan_matches(settings, cube)
+    orders = stack.draw_orders(pairs, n_trials, generator)
+    matched = match_epochs(
+        cube, settings, reach, pairs=stack.image_pairs(pairs, orders), region=region,
         n_workers=n_workers, progress_bar=progress_bar,
     )  # fmt: skip
-    require_ssps(matched.ssps, plan.scales)
-    if empty := empty_region(matched, region):
+    require_ssps(matched.ssps, scales)
+    if empty := patterns.empty_region(matched, region):
         raise ValueError(empty)
     frame = velocity_frame(cube, settings.position_angle)
-    displacements = matching.matched_displacements(
-        matched, frame, min_error_beams=settings.min_error_beams
-    )
+    displacements = matched_displacements(matched, frame, settings.min_error_beams)
     axes = np.asarray(frame.matrix(0.0, 0.0)) if frame.uniform else np.eye(2)
-    epoch, level = np.indices((len(cube), len(plan.scales))).reshape(2, -1)
-    fwhm = beam_fwhm(cube, epoch, np.array(plan.scales)[level], axes).mean(axis=0)
+    epoch, level = np.indices((len(cube), len(scales))).reshape(2, -1)
+    fwhm = beam_fwhm(cube, epoch, np.array(scales)[level], axes).mean(axis=0)
     with (
         progress(n_trials, "Permuting", show=progress_bar) as done,
         # The matrix products are small: threads would wait for one another.
         threadpool_limits(1, "blas"),
     ):
-        stack = stack_patterns(
-            displacements, plan.pairs, orders, fwhm=fwhm, max_speed=plan.max_speed,
+        found = stack.stack_patterns(
+            displacements, pairs, orders, fwhm=fwhm, max_speed=max_speed,
             rng=generator, shift_beams=0.2 * settings.small_displacement_correction,
             progress=done,
         )  # fmt: skip
     meta = {
         "method": "paper", "n_trials": n_trials, "seed": seed, "versions": versions(),
-        "n_ssp": stack.n_ssp, "n_pairs": len(plan.pairs), "alpha": settings.alpha,
+        "n_ssp": int(displacements.n_ssps[np.unique(pairs.first)].sum()),
+        "n_pairs": len(pairs), "alpha": settings.alpha,
     }  # fmt: skip
-    return PaperMeasurement(matched, frame, flow_direction(matched, frame), stack, meta)
-
-
-def _check(cube, settings):
-    """Refuse settings that are not the paper's and beams that differ."""
-    refuse_other_method("paper", settings.to_dict())
-    check_cube(cube, settings.common_beam)
+    angle = flow_direction(matched, frame)
+    return PaperMeasurement(matched, frame, angle, *found, meta)

@@ -25,8 +25,8 @@ from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.images.series import epoch_index
 from astro_scc.kinematics.cosmology import table_in_c_as
-from astro_scc.measurement.citations import citations_of
 from astro_scc.measurement.result import SCCResult, map_hdus, velocity_hdus
+from astro_scc.measurement.tables import citations_of
 from astro_scc.products.publication import with_published, write_publication
 
 if TYPE_CHECKING:

@@ -167,12 +167,12 @@ def latex_texts_of(table, name):
     Values and errors are rounded to two digits of the error.
     """
     paper = paper_table(table, sign=r"\pm")
-    heads = [column_of(column).latex for column in paper.colnames]
+    heads = [column_of(column)["latex"] for column in paper.colnames]
     units = [_latex_unit(column, paper[column].unit) for column in paper.colnames]
     cells = zip(*(map(_latex_cell, paper[k]) for k in paper.colnames), strict=True)
     rows = [" & ".join(row) for row in cells]
     about = {k: table[k].info.description for k in paper.colnames}
-    about = [f"{column_of(k).latex}: {escaped(v)}." for k, v in about.items() if v]
+    about = [f"{column_of(k)['latex']}: {escaped(v)}." for k, v in about.items() if v]
     what = {
         "align": "l" * len(heads),
         "caption": f"{escaped(_caption(table, name))}.",
@@ -340,7 +340,7 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
 def _describe_columns(votable, dates):
     """Give the columns UCDs and units, and those of dates their time system."""
     for field in votable.get_first_table().fields:
-        field.ucd = column_of(field.name).ucd or None
+        field.ucd = column_of(field.name)["ucd"] or None
         if field.unit is None and field.datatype == "double":
             field.unit = u.one
         if field.name in dates:

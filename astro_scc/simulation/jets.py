@@ -18,12 +18,7 @@ from astro_scc.epochs.serialize import write_epochs
 from astro_scc.images.beam import FWHM_TO_SIGMA, Beam
 from astro_scc.images.series import as_beams, as_epoch_tuple
 from astro_scc.quantities import Seed, random_generator
-from astro_scc.simulation.streams import (
-    Flow,
-    SimulatedFeatures,
-    Stream,
-    check_not_negative,
-)
+from astro_scc.simulation.streams import Flow, Stream, check_not_negative
 from astro_scc.writing import replace_when_complete
 
 
@@ -219,7 +214,7 @@ class JetSimulation:
         features = self._features(stream_rngs, flux_rng)
         shift = self.beam_length * (self.alignment_error or 0.0)
         dx, dy = shift * shift_rng.standard_normal((2, self.n_epochs))
-        seen = features._replace(x=features.x + dx, y=features.y + dy)
+        seen = features | {"x": features["x"] + dx, "y": features["y"] + dy}
         unit = u.Jy / u.beam
         # The noise of images with artefacts must be measured.
         noise = None if self.ripple or self.bowl else self.noise * unit
@@ -238,18 +233,19 @@ class JetSimulation:
         parts = [stream.features(self, rng) for stream, rng in pairs]
         if self.core:
             still = np.zeros((1, self.n_epochs))
-            x, y, flux = (still + k for k in (self.extent[0], self.axis, self.core))
-            parts.append(SimulatedFeatures(np.array(["core"]), x, y, flux, still))
-        features = SimulatedFeatures(*map(np.concatenate, zip(*parts, strict=True)))
+            core = {"x": self.extent[0], "y": self.axis, "flux": self.core, "fwhm": 0.0}
+            core = {name: still + value for name, value in core.items()}
+            parts.append(core | {"group": np.array(["core"])})
+        features = {k: np.concatenate([part[k] for part in parts]) for k in parts[0]}
         if self.flux_variation:
-            series = self._series(len(features.x), flux_rng)
-            flux = features.flux * np.exp(self.flux_variation * series)
-            features = features._replace(flux=flux)
+            series = self._series(len(features["x"]), flux_rng)
+            features["flux"] *= np.exp(self.flux_variation * series)
         turn = (self.position_angle - 270 * u.deg).to_value(u.rad)
         if turn:
             x0, y0 = self.extent[0], self.axis
-            place = ((features.x - x0) + 1j * (features.y - y0)) * np.exp(1j * turn)
-            features = features._replace(x=place.real + x0, y=place.imag + y0)
+            place = (features["x"] - x0) + 1j * (features["y"] - y0)
+            place = place * np.exp(1j * turn)
+            features |= {"x": place.real + x0, "y": place.imag + y0}
         return features
 
     def _series(self, n, rng):
@@ -263,14 +259,14 @@ class JetSimulation:
 
     def _images(self, features, rng, ripple_rng):
         images = np.zeros((self.n_epochs, *self.shape))
-        sizes = (FWHM_TO_SIGMA * features.fwhm)[..., None, None] ** 2 * np.eye(2)
+        sizes = (FWHM_TO_SIGMA * features["fwhm"])[..., None, None] ** 2 * np.eye(2)
         rngs = rng.spawn(self.n_epochs)
         epochs = zip(images, self.beams, self.noise, rngs, strict=True)
         for i, (image, beam, noise, noise_rng) in enumerate(epochs):
             covariance = in_pixels(beam, self.pixel_scale)
             beam_area = np.sqrt(np.linalg.det(covariance))
-            there = features.flux[:, i] > 0
-            x, y, flux = (values[there, i] for values in features[1:4])
+            there = features["flux"][:, i] > 0
+            x, y, flux = (features[k][there, i] for k in ("x", "y", "flux"))
             total = sizes[there, i] + covariance
             peak = flux * beam_area / np.sqrt(np.linalg.det(total))
             add_gaussians(image, x, y, peak, total)
@@ -298,20 +294,20 @@ class JetSimulation:
 
     def _truth(self, features, seen):
         scale = self.pixel_scale.to_value(u.mas)
-        east = -(features.x - self.extent[0]) * scale
-        north = (features.y - self.axis) * scale
+        east = -(features["x"] - self.extent[0]) * scale
+        north = (features["y"] - self.axis) * scale
         # The motion is to the next epoch, or from the previous one for the last.
         pm = np.full((2, *east.shape), np.nan)
         years = (self.dates - self.dates[0]).to_value(u.yr)
         pm[..., :-1] = np.diff([east, north], axis=-1) / np.diff(years)
         pm[..., 1:] = np.where(np.isnan(pm[..., 1:]), pm[..., :-1], pm[..., 1:])
-        visible = features.flux > 0
+        visible = features["flux"] > 0
         feature, epoch = np.indices(east.shape)
         columns = {
-            "feature": feature, "group": features.group[feature].astype(str),
-            "epoch": epoch, "date": self.dates[epoch], "x": seen.x * u.pix,
-            "y": seen.y * u.pix, "east": east * u.mas, "north": north * u.mas,
-            "flux": features.flux * u.Jy, "fwhm": features.fwhm * scale * u.mas,
+            "feature": feature, "group": features["group"][feature].astype(str),
+            "epoch": epoch, "date": self.dates[epoch], "x": seen["x"] * u.pix,
+            "y": seen["y"] * u.pix, "east": east * u.mas, "north": north * u.mas,
+            "flux": features["flux"] * u.Jy, "fwhm": features["fwhm"] * scale * u.mas,
             "visible": visible, "pm_east": pm[0] * u.mas / u.yr,
             "pm_north": pm[1] * u.mas / u.yr,
         }  # fmt: skip
@@ -320,7 +316,7 @@ class JetSimulation:
         angle = self.position_angle
         outward = pm[0] * np.sin(angle).value + pm[1] * np.cos(angle).value
         outward = np.where(visible, outward, np.nan)
-        speeds = [outward[features.group == stream.name] for stream in self.streams]
+        speeds = [outward[features["group"] == stream.name] for stream in self.streams]
         meta["streams"] = [*map(_stream_facts, self.streams, speeds)]
         exists = np.isfinite(east)
         return QTable({k: v[exists] for k, v in columns.items()}, meta=meta)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import astropy.units as u
 import numpy as np
@@ -19,25 +19,17 @@ from astro_scc.quantities import check_choice, named, one_quantity
 RAMP = 2.0
 
 
-class SimulatedFeatures(NamedTuple):
+def in_view(name, seen, **columns):
     """
-    Features of a jet along x, at every epoch.
+    Return the features of a jet along x that are seen at any epoch, as columns.
 
-    Positions in pixels from 0 (NaN where a feature does not exist), flux densities in
-    Jy and widths in pixels have the shape (n, n_epochs), groups the shape (n,).
+    These are positions ``x`` and ``y`` in pixels from 0 (NaN where a feature does not
+    exist), ``flux`` densities in Jy and widths ``fwhm`` in pixels, shape (n, n_epochs),
+    and the name of the ``group``, shape (n,).
     """
-
-    group: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    flux: np.ndarray
-    fwhm: np.ndarray
-
-
-def in_view(name, seen, x, y, flux, fwhm):
-    """Return the features of one group that are seen, from arrays (n, n_epochs)."""
-    values = (np.broadcast_to(value, x.shape)[seen] for value in (x, y, flux, fwhm))
-    return SimulatedFeatures(np.full(seen.sum(), name), *values)
+    shape = columns["x"].shape
+    found = {k: np.broadcast_to(v, shape)[seen] for k, v in columns.items()}
+    return found | {"group": np.full(seen.sum(), name)}
 
 
 def raised_cosine(part):
@@ -138,7 +130,7 @@ class Stream:
                 wanted = "must be a number, two limits or a function of (x, y)"
                 raise ValueError(f"{whose}: {name} {wanted}, got {value}")
 
-    def features(self, jet: Any, rng: np.random.Generator) -> SimulatedFeatures:
+    def features(self, jet: Any, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """
         Draw the features, and follow the visible ones over the epochs.
 
@@ -149,7 +141,8 @@ class Stream:
 
         Returns
         -------
-        SimulatedFeatures
+        dict of `~numpy.ndarray`
+            See ``in_view``.
         """
         beam, (start, end) = jet.beam_length, jet.extent
         x, y = self._trajectories(jet, rng)
@@ -158,7 +151,7 @@ class Stream:
         visible = raised_cosine(np.minimum(x - start, end - x) / 10)
         flux = peak * (beam**2 + fwhm**2) / beam**2 * visible
         seen = ((x >= start) & (x <= end)).any(axis=1)
-        return in_view(self.name, seen, x, y, flux, fwhm)
+        return in_view(self.name, seen, x=x, y=y, flux=flux, fwhm=fwhm)
 
     def _trajectories(self, jet, rng):
         """
@@ -323,7 +316,7 @@ class Flow:
         # Slower features would stay for ever.
         return self.speed * np.maximum(factor, 0.1)
 
-    def features(self, jet: Any, rng: np.random.Generator) -> SimulatedFeatures:
+    def features(self, jet: Any, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """
         Draw the features and follow them over the epochs.
 
@@ -334,7 +327,8 @@ class Flow:
 
         Returns
         -------
-        SimulatedFeatures
+        dict of `~numpy.ndarray`
+            See ``in_view``.
         """
         times, beam = jet.times, jet.beam_length
         length = np.ptp(jet.extent) / beam
@@ -352,7 +346,8 @@ class Flow:
         fwhm = self.size * (1 + s) ** self.widening
         x, y = jet.extent[0] + beam * s, jet.axis + beam * across
         every = np.ones(n, dtype=bool)
-        return in_view(self.name, every, x, y, np.nan_to_num(flux), beam * fwhm)
+        flux = np.nan_to_num(flux)
+        return in_view(self.name, every, x=x, y=y, flux=flux, fwhm=beam * fwhm)
 
     def _moving(self, times, length, rng):
         """Return distances from the core; NaN before the ejection and after the end."""
@@ -469,7 +464,7 @@ class Layer:
             wanted = "life must be positive, and finite for a layer that moves"
             raise ValueError(f"{whose}{wanted}, got {self.life}")
 
-    def features(self, jet: Any, rng: np.random.Generator) -> SimulatedFeatures:
+    def features(self, jet: Any, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """
         Draw the clumps and follow them over the epochs.
 
@@ -480,7 +475,8 @@ class Layer:
 
         Returns
         -------
-        SimulatedFeatures
+        dict of `~numpy.ndarray`
+            See ``in_view``.
         """
         scale, interval = jet.pixel_scale.to_value(u.mas), jet.interval.to_value(u.yr)
         table = self.distance.to_value(u.mas)
@@ -508,7 +504,7 @@ class Layer:
         flux = np.nan_to_num(flux)
         seen = (flux > 0).any(axis=1)
         x, y = jet.extent[0] + r / scale, jet.axis + y / scale
-        return in_view(self.name, seen, x, y, flux, fwhm / scale)
+        return in_view(self.name, seen, x=x, y=y, flux=flux, fwhm=fwhm / scale)
 
     def _moved(self, start, age):
         """Return distances at ages in years of clumps that were born at ``start``."""

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from astro_scc.features.diffusion import measure_diffusion
-from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.features.motion import SIGNIFICANT, is_walk, measure_diffusion
 from astro_scc.spectrum.diagram import correlate_aside
 from astro_scc.spectrum.equations import deconvolve, set_up
 from astro_scc.spectrum.errors import fit_errors
@@ -108,7 +107,7 @@ def find_streams(
     sheet, aside = _sheet(planes, flow.regions[0], 3)
     sign = float(np.sign(test.speed[test.best[1]]))
     diffusion = measure_diffusion(features)
-    walk = diffusion.variance if diffusion.is_walk else None
+    walk = diffusion["variance"] if is_walk(diffusion) else None
     folded = bool(flow.grids[0].counter.any())
     moving = moving_features(
         features, flow.frame, flow.angle, inside, walk, folded=folded

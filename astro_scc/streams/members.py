@@ -3,8 +3,7 @@
 
 import numpy as np
 
-from astro_scc.features.motion import SIGNIFICANT
-from astro_scc.features.trust import LEAST_EPOCHS
+from astro_scc.features.motion import LEAST_EPOCHS, SIGNIFICANT
 
 #: A secure feature that moves, along a direction: speeds, errors, epochs, number, and
 #: 1 on the side of the jet, -1 on that of a counter-jet.

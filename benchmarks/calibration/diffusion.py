@@ -21,7 +21,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 from run import KINDS, diffusing
 
 from astro_scc.features import find_features
-from astro_scc.features.diffusion import measure_diffusion
+from astro_scc.features.motion import is_walk, measure_diffusion
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from common import mojave_images, print_table
@@ -57,8 +57,10 @@ def row_of(name, seed, cube):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = measure_diffusion(find_features(cube))
-    numbers = f"{found.step:.3f}", f"{found.change:.2f}", f"{found.isotropy:.2f}"
-    return [name, seed, found.n_features, *numbers, "yes" if found.is_walk else "no"]
+    numbers = (f"{found['step']:.3f}", f"{found['change']:.2f}",
+               f"{found['isotropy']:.2f}")  # fmt: skip
+    walk = "yes" if is_walk(found) else "no"
+    return [name, seed, found["n_features"], *numbers, walk]
 
 
 if __name__ == "__main__":

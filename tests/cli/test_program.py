@@ -123,7 +123,7 @@ def test_warnings_are_lines_each_once(capsys, quiet):
 @pytest.mark.slow
 def test_long_commands_tell_how_far_they_are(jet, done, monkeypatch):
     # As if every half minute, and pytest's standard error is no terminal.
-    monkeypatch.setattr("astro_scc.progress.EVERY", 0.001)
+    monkeypatch.setattr("astro_scc.parallel.EVERY", 0.001)
     for words, labels in (
         ("measure --n-trials=119 --no-report", {"Decomposing", "Searching"}),
         ("track --no-figures", {"Fitting"}),

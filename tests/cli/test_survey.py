@@ -195,7 +195,7 @@ def test_a_second_run_in_a_folder_ends_at_once(folder, here, refused):
 
 @pytest.mark.slow
 def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
-    *_, two, coarse, _ = read_survey(folder / "survey.toml").parts
+    *_, two, coarse, _ = read_survey(folder / "survey.toml")[0]
     real = survey.write_measurement
 
     def wrong(result, epochs, folder, **options):
@@ -258,7 +258,7 @@ def test_defaults_and_what_replaces_them(tmp_path):
         "[sources.C]\nepochs = 'c'\nalign = 'core 9 deg'\nscales = [3, 1]\n"
         "redshift = '15.8 %'\nposition_angle = '-112deg'\n"
     )
-    parts = read_survey(tmp_path / "s.toml", {"B": 0.3}).parts
+    parts, _ = read_survey(tmp_path / "s.toml", {"B": 0.3})
     a, b, other, c = (part.settings for part in parts)
     assert b.redshift == 0.3
     assert (a.distance, a.redshift, a.cosmology) == (3 * u.Mpc, None, None)

@@ -72,13 +72,13 @@ def test_an_ellipse_is_found_with_its_place_and_flux():
     beam = np.array([[16.0, 2.0], [2.0, 9.0]])
     covariance = beam + np.array([[6.0, -8.0], [-8.0, 14.0]])
     found = fit_gaussians(gaussian(40.3, 45.6, covariance), beam, 1e-3)
-    (k,) = np.flatnonzero(found.group <= 0)
-    assert found.y[k] == pytest.approx(40.3, abs=1e-3)
-    assert found.x[k] == pytest.approx(45.6, abs=1e-3)
-    assert found.peak[k] == pytest.approx(1, rel=1e-3)
+    (k,) = np.flatnonzero(found["group"] <= 0)
+    assert found["y"][k] == pytest.approx(40.3, abs=1e-3)
+    assert found["x"][k] == pytest.approx(45.6, abs=1e-3)
+    assert found["peak"][k] == pytest.approx(1, rel=1e-3)
     ratio = np.linalg.det(covariance) / np.linalg.det(beam)
-    assert found.flux[k] == pytest.approx(np.sqrt(ratio), rel=1e-3)
-    assert found.size[k] == pytest.approx(FWHM * np.sqrt(10), rel=1e-3)
+    assert found["flux"][k] == pytest.approx(np.sqrt(ratio), rel=1e-3)
+    assert found["size"][k] == pytest.approx(FWHM * np.sqrt(10), rel=1e-3)
 
 
 INTEGRAL = 18 * np.pi  # of the Gaussian, in pixels of 0.01 mas2
@@ -113,7 +113,7 @@ def test_two_bright_points_stay_two(apart):
         for dx, peak in ((-0.5, 1.0), (0.5, 0.6))
     )
     found = fit_gaussians(image, beam, 1e-3)
-    assert np.sum(found.group >= 0) == 2
+    assert np.sum(found["group"] >= 0) == 2
 
 
 @pytest.fixture(scope="module")

@@ -44,13 +44,14 @@ def test_noiseless(components, beam):
     found = fit_gaussians(sky(*components, beam=beam), beam, 1e-3)
     peak, y, x, variance = np.array(components).T
     assert len(found) == len(components)
-    np.testing.assert_allclose(found.y, y, atol=1e-3)
-    np.testing.assert_allclose(found.x, x, atol=1e-3)
-    np.testing.assert_allclose(found.peak, peak, rtol=1e-3)
-    np.testing.assert_allclose(found.size, np.sqrt(8 * np.log(2) * variance), atol=0.05)
+    np.testing.assert_allclose(found["y"], y, atol=1e-3)
+    np.testing.assert_allclose(found["x"], x, atol=1e-3)
+    np.testing.assert_allclose(found["peak"], peak, rtol=1e-3)
+    size = np.sqrt(8 * np.log(2) * variance)
+    np.testing.assert_allclose(found["size"], size, atol=0.05)
     wider = [np.linalg.det(beam + v * np.eye(2)) for v in variance]
     flux = peak * np.sqrt(wider / np.linalg.det(beam))
-    np.testing.assert_allclose(found.flux, flux, rtol=2e-3)
+    np.testing.assert_allclose(found["flux"], flux, rtol=2e-3)
 
 
 @pytest.mark.parametrize("variance", [0.0, 6.0])
@@ -60,9 +61,9 @@ def test_errors_of_positions(variance):
     pulls = []
     for _ in range(60):
         found = fit_gaussians(image + beam_noise(rng), BEAM, 1.0)
-        k = np.argmax(found.peak)
-        pulls.append((found.y[k] - 40.3) / found.y_err[k])
-        pulls.append((found.x[k] - 45.2) / found.x_err[k])
+        k = np.argmax(found["peak"])
+        pulls.append((found["y"][k] - 40.3) / found["y_err"][k])
+        pulls.append((found["x"][k] - 45.2) / found["x_err"][k])
     # 120 pulls have a standard deviation within 7% of its true value.
     assert 0.8 < np.std(pulls) < 1.2
     assert abs(np.mean(pulls)) < 0.3
@@ -73,8 +74,8 @@ def test_no_scale():
     one, small = (fit_gaussians(k * image, BEAM, k * 1e-3) for k in (1, 1e-9))
     for name in ("y", "x", "size", "y_err", "x_err", "peak", "flux"):
         unit = 1e-9 if name in ("peak", "flux") else 1
-        value = unit * getattr(one, name)
-        np.testing.assert_allclose(getattr(small, name), value, 1e-6, 1e-9 * unit)
+        value = unit * one[name]
+        np.testing.assert_allclose(small[name], value, 1e-6, 1e-9 * unit)
 
 
 @pytest.mark.parametrize("bad", [np.nan, -1e6])
@@ -85,8 +86,8 @@ def test_missing_pixels_do_not_spread(bad):
     image[mask] = bad
     found = fit_gaussians(image, BEAM, 1e-3, mask=mask & np.isfinite(bad))
     assert len(found) == 2
-    np.testing.assert_allclose(found.y, [30.3, 52.4], atol=1e-3)
-    np.testing.assert_allclose(found.x, [40.2, 60.7], atol=1e-3)
+    np.testing.assert_allclose(found["y"], [30.3, 52.4], atol=1e-3)
+    np.testing.assert_allclose(found["x"], [40.2, 60.7], atol=1e-3)
 
 
 @pytest.mark.parametrize(

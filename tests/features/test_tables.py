@@ -45,11 +45,11 @@ def test_each_column_has_a_unit_or_type_and_a_meaning(features, empty):
         known_ones = columns_of(own)
         assert table.colnames == list(known_ones)
         for column, known in zip(table.itercols(), known_ones.values(), strict=True):
-            assert column.info.description == known.meaning
-            if known.kind in (int, float, bool):
-                assert column.dtype.kind == np.dtype(known.kind).kind
+            assert column.info.description == known["meaning"]
+            if known["kind"] in (int, float, bool):
+                assert column.dtype.kind == np.dtype(known["kind"]).kind
             elif not isinstance(column, Time):
-                assert column.unit == (known.kind or u.Jy)
+                assert column.unit == (known["kind"] or u.Jy)
     assert len(found.table) == len(found.tracks)
     assert len(found.positions) == sum(map(len, found.tracks))
 

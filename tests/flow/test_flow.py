@@ -21,9 +21,8 @@ from astro_scc.flow import (
     measure_field,
     measure_profile,
 )
-from astro_scc.flow.acceleration import PartSpeeds, slope_of, speeds_in_parts
 from astro_scc.flow.profile import bins_of
-from astro_scc.flow.speeds import distances_along
+from astro_scc.flow.speeds import distances_along, slope_of, speeds_in_parts
 from astro_scc.kinematics import ExpansionFrame, PositionAngleFrame, RidgeLine
 from astro_scc.simulation import simulate_jet
 from astro_scc.streams.decomposed import decompose_flow
@@ -107,7 +106,7 @@ def test_along_a_ridge_line_and_in_windows(decomposed):
     assert found.components.meta["along"] == "ridge"
     straight = measure_profile(SCC, decomposed, edges, **how)
     # The same direction: the same speeds.
-    pm = (own.speeds["all"].speed[0] for own in (found, straight))
+    pm = (own.speeds["all"][1][0] for own in (found, straight))
     assert_allclose(*pm, rtol=0.02)
 
 
@@ -119,9 +118,10 @@ def test_the_covariance_is_that_of_repeated_jets():
         cube = simulate_jet(n_epochs=15, n_features=8, dispersion=0.2, rng=seed).cube
         flow = flow_of(cube)
         parts = [flow.between(*limits) for limits in ((1.6, 4.0), (4.0, 6.4))]
-        found = speeds_in_parts([fit_part(part) for part in parts], [2.8, 5.2])
-        speeds.append(found.speed)
-        expected.append(found.covariance)
+        fits = [fit_part(part) for part in parts]
+        _, speed, covariance = speeds_in_parts(fits, [2.8, 5.2])
+        speeds.append(speed)
+        expected.append(covariance)
     scatter, expected = np.cov(np.transpose(speeds)), np.median(expected, axis=0)
     ratio = np.sqrt(np.diag(expected) / np.diag(scatter))
     assert np.all((ratio > 0.5) & (ratio < 2))
@@ -173,7 +173,7 @@ def test_the_p_of_a_line_is_that_of_its_acceleration(scale):
     """Student's, whether the speeds scatter by more or less than their errors."""
     error = 0.1 * scale * np.ones(12)
     v = np.random.default_rng(5).normal(2 + 0.03 * R.value, 0.1)
-    found = slope_of(PartSpeeds(R.value, v, np.diag(error**2)))
+    found = slope_of(R.value, v, np.diag(error**2))
     fit = fit_profile(R, v, error)
     slope, slope_err = found[2:4]
     assert fit.p_constant == pytest.approx(2 * stdtr(10, -abs(slope / slope_err)))

@@ -19,7 +19,7 @@ from astro_scc.kinematics import (
     find_ridge_line,
     fit_position_angle,
 )
-from astro_scc.kinematics.ridge import STEP, _smoothed
+from astro_scc.kinematics.frames import STEP, _smoothed
 
 OFFSET = st.floats(-50, 50)
 CENTRE, RADIUS = [3.0, -2.0] * u.arcsec, 20 * u.arcsec

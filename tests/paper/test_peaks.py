@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from astro_scc.paper import Displacements, consecutive_pairs, peaks
+from astro_scc.paper import Displacements, consecutive_pairs, stack
 from astro_scc.paper.stack import match_velocities, velocity_axes
 
 AXES = velocity_axes((10.0, 8.0), (0.5, 0.4))
@@ -29,7 +29,7 @@ near, width = st.floats(-0.5, 0.5), st.floats(0.8, 2.0)
 def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
     axes = velocity_axes(2.0, 0.25)
     surface = gaussian(axes, x, y, sx, sy, angle, height)
-    found = peaks.fit_gaussian(surface, *axes)
+    found = stack.fit_gaussian(surface, *axes)
     np.testing.assert_allclose(found[:2], (x, y), atol=1e-6)
 
 
@@ -48,7 +48,7 @@ def test_fit_of_a_gaussian_is_exact(x, y, sx, sy, angle, height):
 )
 def test_no_maximum_no_fit(surface):
     axis = np.arange(-2.0, 3)
-    assert peaks.fit_gaussian(surface, axis, axis) is None
+    assert stack.fit_gaussian(surface, axis, axis) is None
 
 
 @pytest.mark.parametrize("box", [(4.0, 4.0), (10.0, 10.0)])
@@ -57,14 +57,14 @@ def test_overlapping_gaussians_are_kept_apart(separation, second, box):
     """Four widths and more apart; the box holds the neighbour too."""
     scc = gaussian(AXES, -0.4, 0.3, 1.2, 1.0)
     scc += gaussian(AXES, separation - 0.4, -0.2, 1.2, 1.0, height=second)
-    found = sorted(peaks.find_velocity_peaks(scc, AXES, box)[0].tolist())
+    found = sorted(stack.find_velocity_peaks(scc, AXES, box)[0].tolist())
     true = [(-0.4, 0.3), (separation - 0.4, -0.2)]
     np.testing.assert_allclose(found, true, atol=0.05)
 
 
 @pytest.mark.parametrize("place", [(10.0, 0.0), (0.0, -8.0), (10.0, 8.0), (11.0, 0.0)])
 def test_a_maximum_on_the_border_is_none(place):
-    found = peaks.find_velocity_peaks(gaussian(AXES, *place, 1.0, 1.0), AXES, BOX)
+    found = stack.find_velocity_peaks(gaussian(AXES, *place, 1.0, 1.0), AXES, BOX)
     assert [len(part) for part in found] == [0, 0]
 
 
@@ -83,7 +83,7 @@ def clump(n, *, velocity=(1.0, -0.5), s=(0.2, 0.2)):
 
 def jitter(d, n_trials=1000, *, pairs=PAIRS, at=(1.0, -0.5), box=(3.0, 3.0), seed=0):
     rng, (ends, _, columns) = np.random.default_rng(seed), match_velocities(d, pairs)
-    return peaks.jitter_positions(ends, columns, at, box, n_trials, rng)
+    return stack.jitter_positions(ends, columns, at, box, n_trials, rng)
 
 
 def expected_error(s, n):
@@ -100,7 +100,7 @@ def test_independent_ssps(n):
     assert np.all((share < 1) & (share > 0.75))
     assert abs(np.corrcoef(found.T)[0, 1]) < 0.15
     assert np.abs(found.mean(axis=0)).max() < 0.15 * largest
-    assert peaks.normal_probability(found) > 0.01
+    assert stack.normal_probability(found) > 0.01
 
 
 def chains(n, n_epochs):
@@ -145,7 +145,7 @@ def test_the_nearest_of_two_maxima_is_found_again():
 def test_normal_values_look_normal_and_others_do_not():
     rng = np.random.default_rng(3)
     turn = np.array([[2.0, 0.0], [1.5, 0.3]])
-    p = [peaks.normal_probability(rng.normal(size=(100, 2)) @ turn) for _ in range(400)]
+    p = [stack.normal_probability(rng.normal(size=(100, 2)) @ turn) for _ in range(400)]
     assert 0.02 < np.mean(np.array(p) < 0.05) < 0.08
-    assert peaks.normal_probability(rng.exponential(size=(100, 2))) < 1e-3
-    assert peaks.normal_probability(rng.uniform(size=(1000, 2)) @ turn) < 1e-3
+    assert stack.normal_probability(rng.exponential(size=(100, 2))) < 1e-3
+    assert stack.normal_probability(rng.uniform(size=(1000, 2)) @ turn) < 1e-3

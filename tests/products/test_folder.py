@@ -16,7 +16,7 @@ from astropy.wcs import WCS
 from regions import Regions
 
 from astro_scc.decomposition import SSPs
-from astro_scc.measurement.citations import citations_of
+from astro_scc.measurement.tables import citations_of
 from astro_scc.products import (
     ssp_regions,
     ssp_segmentation,

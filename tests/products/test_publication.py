@@ -97,10 +97,10 @@ def test_a_votable_says_of_what_it_is(folder, name, capsys):
 def test_columns_are_described_and_have_ucds_of_the_vocabulary(sky_result):
     for own in ("streams", "features", "positions", "ssps", "added"):
         for name in columns_of(own):
-            ucd = column_of(name).ucd
+            ucd = column_of(name)["ucd"]
             assert check_ucd(ucd, check_controlled_vocabulary=True), name
             assert ucd.startswith("stat.error;") == ("_err" in name)
-    assert column_of("unheard_of").ucd == ""
+    assert column_of("unheard_of")["ucd"] == ""
     names = "streams features feature_positions ssps sensitivity spectrum".split()
     for table in (getattr(sky_result, k) for k in names):
         assert [n for n in table.colnames if not table[n].info.description] == []

@@ -15,7 +15,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs import Beam
 from astro_scc.epochs.restoring import correlated_noise
 from astro_scc.kinematics import RidgeLine
-from astro_scc.recovery import FeaturePaths, completeness, draw_paths, inject
+from astro_scc.recovery import completeness, draw_paths, inject
 
 PM, WEST = u.mas / u.yr, 270 * u.deg
 FAST = 10 * PM
@@ -104,7 +104,7 @@ def test_features_are_gaussians_of_each_epochs_beam():
     cube = cube_of(angle=20, ratio=1.3, beams=beams)
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 60, (3, 5)), rng.uniform(0, 40, (3, 5))
-    full = inject(cube, FeaturePaths(x, y), 0.7)
+    full = inject(cube, (x, y), 0.7)
     column, row = np.meshgrid(np.arange(60), np.arange(40))
     for k, beam in enumerate(beams):
         expected = np.zeros((40, 60))
@@ -123,7 +123,7 @@ def test_the_epochs_stay_as_they_are_and_without_beams_a_width_is_needed():
     cube = cube_of(data)
     x = np.full((1, 5), 29.0)
     x[0, 2] = np.nan
-    paths = FeaturePaths(x, 0 * x + 20)
+    paths = x, 0 * x + 20
     with pytest.raises(ValueError, match="has no beams: give fwhm, the full width"):
         inject(cube, paths, 1.0)
     full = inject(cube, paths, 5.0, fwhm=0.8 * u.mas)
@@ -143,13 +143,13 @@ def test_features_move_at_the_speed_in_the_direction(angle, turn, speed, seed):
     cube = cube_of(angle=turn, ratio=1.5)
     how = {"position_angle": angle * u.deg, "n_features": 5, "rng": seed}
     paths = draw_paths(cube, BOX, speed=speed * PM, **how)
-    pixels = np.stack([paths.x - paths.x[:, :1], paths.y - paths.y[:, :1]])
+    pixels = paths - paths[:, :, :1]
     sky = np.einsum("ij,jne->ine", cube.pixel_matrix.value, pixels)
     direction = np.array([np.sin(np.deg2rad(angle)), np.cos(np.deg2rad(angle))])
     expected = speed * direction[:, None, None] * cube.years.value
     np.testing.assert_allclose(sky - expected, 0, atol=1e-6)
     # Five are in the box on average, to the last of them.
-    inside = (abs(paths.x - 29.5) < 25) & (abs(paths.y - 19.5) < 10)
+    inside = (abs(paths[0] - 29.5) < 25) & (abs(paths[1] - 19.5) < 10)
     assert inside.any(axis=1).all()
     assert 5 <= inside.sum(axis=0).mean() + 1e-6 < 6.01
 
@@ -161,7 +161,7 @@ def test_radial_features_leave_the_reference_pixel():
     with pytest.raises(ValueError, match="area for features holds no pixel"):
         draw_paths(cube, BOX & False, **how)
     x0, y0 = cube.reference_pixel
-    distance = np.hypot(paths.x - x0, paths.y - y0) * 0.1
+    distance = np.hypot(paths[0] - x0, paths[1] - y0) * 0.1
     gone = np.isnan(distance)
     # None before it was sent off, and none comes back.
     assert gone.any()
