@@ -43,8 +43,8 @@ from scipy.optimize import minimize
 from astro_scc import EpochCube
 from astro_scc.cli import main as astro_scc
 from astro_scc.features import find_features
-from astro_scc.features.trust import is_secure, properties
 from astro_scc.features.tracks import find_tracks
+from astro_scc.features.trust import is_secure, properties
 
 TABLE = "data/mojave_xviii/apjac230ft4_mrt.txt"
 KNOWN = (
