@@ -21,9 +21,9 @@ EXPLANATION = (
 #: What makes a feature secure, and what its p_false is.
 SECURE = (
     "p_false: probability that it is no feature, or parts of several; secure: p_false "
-    f"of at most {MOST_FALSE:g}, {LEAST_EPOCHS} epochs or more, moved by "
-    f"{LEAST_MOTION:g} beam and {SIGNIFICANT:g} standard errors or more, at this speed "
-    f"in {SAME_SPEED:.0%} or more of the perturbed assignments"
+    f"of at most {MOST_FALSE:g}, seen in {LEAST_EPOCHS} epochs or more, moved by "
+    f"{LEAST_MOTION:g} beam and {SIGNIFICANT:g} standard errors or more, and at this "
+    f"speed in {SAME_SPEED:.0%} or more of the perturbed assignments to features"
 )
 #: Speeds agree within so many errors of both.
 AGREE = 2
@@ -41,7 +41,8 @@ PROFILE = (
     "bin scale_group pm_parallel pm beta_app v_app p_global p_fdr n_features remark"
 ).split()
 OF_PAPER = (
-    "stream kind pm pm_pa beta_app v_app coefficient z_score p_global n_ssp n_pairs"
+    "stream kind pm pm_pa beta_app v_app coefficient z_score p_global p_normal n_ssp "
+    "n_pairs"
 ).split()
 #: Formats of numbers whose errors are not shown.
 FORMATS = dict.fromkeys(("share", "dispersion", "p_global", "p_fdr", "p_false"), ".2g")
@@ -57,6 +58,8 @@ PAPER_EXPLANATION = (
     "epochs",
     "p_global: fraction of shuffled series of epochs with as large a z-score at any "
     "velocity; n_ssp, n_pairs: patterns and pairs of epochs with a match there",
+    "p_normal: probability that normally distributed trials of the velocity look less "
+    "normal; if small, its error is not valid",
 )
 
 
@@ -307,7 +310,8 @@ def feature_count(features):
         return said
     numbers = sorted(set(stream.tolist()), key=lambda k: (k == 0, k))
     each = (
-        f"{np.sum(stream == k)} of {f'stream {k}' if k else 'none'}" for k in numbers
+        f"{np.sum(stream == k)} of {f'stream {k}' if k else 'no stream'}"
+        for k in numbers
     )
     return f"{said} ({', '.join(each)})"
 
