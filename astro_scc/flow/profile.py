@@ -471,13 +471,16 @@ def _line_of(result, length):
 
 
 def _fits(profile):
-    """Return a straight line and a power law, if there are enough speeds."""
-    found, beam = profile.speeds[profile.groups[0]], profile.flow.beam
-    unit = profile.flow.cube.speed_unit
-    v, e = ((x * beam * PM_UNIT).to(unit) for x in (found.speed, found.error))
-    fits, given = [], {"covariance": profile.covariance}
-    for model in ("linear", "power-law"):
-        with suppress(ValueError):
-            r = found.place * beam * u.mas
-            fits.append(fit_profile(r, v, e, model=model, **given))
-    return tuple(fits)
+    """Return the lines through the speeds by group of scales, if there are enough."""
+    beam, unit, fits = profile.flow.beam, profile.flow.cube.speed_unit, {}
+    alone = len(profile.groups) == 1
+    for name, found in profile.speeds.items():
+        v, e = ((x * beam * PM_UNIT).to(unit) for x in (found.speed, found.error))
+        given = {"covariance": found.covariance * (beam * PM_UNIT) ** 2}
+        for model in ("linear", "power-law") if alone else ("linear",):
+            with suppress(ValueError):
+                fit = fit_profile(
+                    found.place * beam * u.mas, v, e, model=model, **given
+                )
+                fits.setdefault("" if alone else name, []).append(fit)
+    return fits

@@ -235,7 +235,7 @@ def plot_significance(
         )  # fmt: skip
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), level or 0.0)
-    ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
+    ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.55 * top)
     x = np.linspace(speed[0], speed[-1], 2000)
     curves = [np.interp(x, speed, line) for line in (axis, highest)]
     curves += [] if level is None else [np.full(len(x), level)]
@@ -262,6 +262,9 @@ def _draw_z_scores(scene, drawn):
     drawn = to_points * scene.ax.transData.transform(drawn)
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
+    # The highest z-score may be beside the maximum.
+    maxima = "z_score" in scene.components.colnames
+    label = "maxima of the correlation" if maxima else "streams"
     for row, kind, strong, numbers in scene.streams(*names):
         along, error, across, across_error = numbers
         z, color = _z_of(scene, row), style.VERMILION if strong else GREY
@@ -270,6 +273,7 @@ def _draw_z_scores(scene, drawn):
             along, z, xerr=error if np.isfinite(error) else 0.0,
             fmt=style.KIND_MARKERS[kind], color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
+            label=label if row["stream"] == 1 else None,
         )  # fmt: skip
         off = drawn - to_points * scene.ax.transData.transform((along, z))
 
