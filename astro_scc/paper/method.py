@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The paper's own method: from a cube of images to its velocity components."""
+"""The paper's own method: from a cube of images to its streams."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KINDS = "moving", "stationary", "not significant"
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperMeasurement(VelocityMaps):
     """
-    The velocity components that the paper's method finds in a cube.
+    The streams that the paper's method finds in a cube.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class PaperMeasurement(VelocityMaps):
 
     def __repr__(self):
         n = len(self.stack.components)
-        return f"<PaperMeasurement: {len(self.cube)} epochs, {n} components>"
+        return f"<PaperMeasurement: {len(self.cube)} epochs, {n} streams>"
 
     @property
     def cube(self) -> EpochCube:
@@ -93,18 +93,16 @@ class PaperMeasurement(VelocityMaps):
 
     @property
     def level(self) -> float:
-        """The z-score that significant components exceed."""
+        """The z-score that significant streams exceed."""
         return float(np.quantile(self.stack.trial_z, 1 - self.meta["alpha"]))
 
     @property
     def components(self) -> QTable:
         """
-        The components as a table, with the numbers that streams have.
+        The streams as a table.
 
         Those that move come first, then what stands still and what is not significant,
         the slowest of each first.
-        Its columns are those of ``PaperComponent``, with velocities on
-        the sky and along the jet.
         """
         given = self.frame, self.position_angle, self.meta["alpha"]
         rows = [component_row(one, *given) for one in self.stack.components]

@@ -19,7 +19,7 @@ from astro_scc.spectrum.maps import VelocityMap
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperStack:
     """
-    The stacked cross-correlation of a series, and its velocity components.
+    The stacked cross-correlation of a series, and its streams.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class PaperStack:
 
     def __repr__(self):
         n = len(self.components)
-        return f"<PaperStack: {n} components of {self.n_ssp} SSPs>"
+        return f"<PaperStack: {n} streams of {self.n_ssp} SSPs>"
 
 
 def stack_patterns(
@@ -60,7 +60,7 @@ def stack_patterns(
     shift_beams: float = 0.0, progress: Callable[[int], Any] | None = None,
 ) -> PaperStack:  # fmt: skip
     """
-    Measure velocity components by stacked cross-correlation, as in the paper.
+    Measure streams by stacked cross-correlation, as in the paper.
 
     Parameters
     ----------

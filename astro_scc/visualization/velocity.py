@@ -144,7 +144,7 @@ def axis_columns(components, *, on_sky):
 
 
 def _draw_components(scene):
-    """Draw the components; return their positions as fractions of the axes, (n, 2)."""
+    """Draw the streams; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
     names = axis_columns(scene.components, on_sky=scene.on_sky)
@@ -213,9 +213,9 @@ def plot_significance(
     Draw the z-score along the jet, at zero speed across it.
 
     The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin
-    line is the largest z-score at any speed across the jet; components off the axis
+    line is the largest z-score at any speed across the jet; streams off the axis
     have open symbols; a dashed line is at ``level``, the z-score of significant
-    components.  On axes east and north, the map is interpolated along the
+    streams.  On axes east and north, the map is interpolated along the
     direction in which the flow moves.  Further keywords are those of the line.
     """
     scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
@@ -428,7 +428,7 @@ def _direction(scene, image):
 
 def ray_slopes(components, kinds, angle):
     """
-    Return the slopes of the components' rays in the diagram.
+    Return the slopes of the streams' rays in the diagram.
 
     Parameters
     ----------
@@ -440,7 +440,7 @@ def ray_slopes(components, kinds, angle):
     Returns
     -------
     `~numpy.ndarray`
-        In mas/yr.  That of a stationary component is zero, as is its speed within its
+        In mas/yr.  That of a stationary stream is zero, as is its speed within its
         errors.
     """
     slopes = components["pm_parallel"].to_value(PM_UNIT)

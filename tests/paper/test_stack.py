@@ -118,7 +118,7 @@ def test_without_matches_or_ssps_it_is_zero():
         np.testing.assert_array_equal(found.velocities.coefficient, 0.0)
         np.testing.assert_array_equal(found.velocities.z_score, 0.0)
         assert found.components == ()
-    assert (found.n_ssp, repr(found)) == (0, "<PaperStack: 0 components of 0 SSPs>")
+    assert (found.n_ssp, repr(found)) == (0, "<PaperStack: 0 streams of 0 SSPs>")
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.2])
