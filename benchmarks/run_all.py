@@ -234,6 +234,9 @@ def make(entry, *, data, images):
     before = {name: read_cells(REPOSITORY / name) for name in entry.files}
     words = shlex.split(entry.command.format(data=data, images=images))
     environment = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"} | dict(os.environ)
+    # That of this clone, whichever is installed.
+    paths = str(REPOSITORY), environment.get("PYTHONPATH")
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     done = subprocess.run(
         [sys.executable, *words[1:]], cwd=REPOSITORY, env=environment, check=False,
         text=True, stdout=subprocess.PIPE,

@@ -58,6 +58,7 @@ def test_commands_are_those_of_scripts_that_are_there():
 TIMES = {"CPU s", "GB"}
 #: Cheap tables: the arguments that make some of their rows.
 CHEAP = {"files": ["{data}"], "real_images": ["{data}"], "subpixel": []}
+CHEAP["paper_test"] = ["{data}/paper_test"]
 CHEAP["mojave"] = ["{data}/mojave_xviii", "--only", "0003+380"]
 
 
