@@ -63,7 +63,7 @@ PAPER_EXPLANATION = (
 )
 
 
-def headline(streams):
+def headline(streams, features=None):
     """
     Return the result of a measurement as a sentence.
 
@@ -75,6 +75,8 @@ def headline(streams):
     ----------
     streams : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.streams`.
+    features : `~astropy.table.QTable`, optional
+        Of which the secure ones of no stream are counted.
 
     Returns
     -------
@@ -94,7 +96,9 @@ def headline(streams):
         if rows := [_motion(row) for row in streams[kinds == kind]]:
             parts.append(said + "; and ".join(rows))
     if parts and np.isfinite(streams["p_global"][kinds != "not significant"]).any():
-        return f"{''.join(first)}{'. '.join(parts)}."
+        n = 0 if features is None else len(_of_no_stream(streams, features))
+        more = f"; {_secure(n)} of no stream" if n else ""
+        return f"{''.join(first)}{'. '.join(parts)}{more}."
     some, meta = streams[kinds == "not significant"], streams.meta
     more = [f"p_global {some['p_global'][0]:.2g}"] if len(some) else []
     if "unambiguous" in meta:
@@ -109,6 +113,16 @@ def headline(streams):
         ]
     nothing = f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}"
     return f"{''.join(first)}{'. '.join([nothing, *parts])}."
+
+
+def _of_no_stream(streams, features):
+    """Return the secure features of no stream, where streams move."""
+    moving = np.any(streams["kind"] == "moving")
+    return features[features["secure"] & (features["stream"] == 0) & moving]
+
+
+def _secure(n):
+    return f"{n} secure {'feature' if n == 1 else 'features'}"
 
 
 def _speed(row):
@@ -151,7 +165,7 @@ def notes(streams, features):
         that of the mean speed of features that are named; there is none if one of
         them is faster.
     """
-    lines, said = [], headline(streams)
+    lines, said = [], headline(streams, features)
     for row in streams:
         limit, number = row["pm_limit"], row["stream"]
         members = features[features["stream"] == number]
@@ -170,11 +184,10 @@ def notes(streams, features):
                 f"Stream {number}: {limit.value:.2g} {unit_name(limit.unit)} is the "
                 f"upper limit (95%) of the mean speed of its features{named}"
             )
-    alone = features[features["secure"] & (features["stream"] == 0)]
-    if len(alone) and np.any(streams["kind"] == "moving"):
-        numbers, n = ", ".join(map(str, alone["feature"][:MOST])), len(alone)
+    if n := len(alone := _of_no_stream(streams, features)):
+        numbers = ", ".join(map(str, alone["feature"][:MOST]))
         lines.append(
-            f"{n} secure {'feature belongs' if n == 1 else 'features belong'} to no "
+            f"{_secure(n)} {'belongs' if n == 1 else 'belong'} to no "
             f"stream ({numbers}{', ...' if n > MOST else ''}): moving across the flow, "
             "against it, or too slowly for their errors"
         )
@@ -246,7 +259,7 @@ def stream_lines(streams, features):
     list of str
     """
     followed = feature_lines(table_in_c_as(features, streams))
-    lines = [headline(streams)]
+    lines = [headline(streams, features)]
     if len(streams):
         lines += ["", *column_lines(streams, STREAMS), *EXPLANATION]
     lines += notes(streams, features)
