@@ -188,11 +188,16 @@ def _cautions(search, stream, row, alpha, unit):
     turned = given and np.cos(search.angle) < 0
     whose = "given" if search.flow.given else "fitted"
     cored = not search.flow.passes and (given or search.flow.cube.beams is not None)
-    outward = row["pm_parallel"] * (-1 if turned != stream.counter else 1)
+    along, across = row["pm_parallel"] * (-1 if turned else 1), row["pm_transverse"]
+    off_axis = np.radians(row["pm_pa"]) - search.flow.grids[0].angle
+    if search.flow.outward and np.isfinite(off_axis):
+        # A region may have the position angle of the counter-jet.
+        along, across = speed * np.cos(off_axis), speed * np.sin(off_axis)
+    outward = along * (-1 if stream.counter else 1)
     close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
     cautions = {
         "it is of the counter-jet": stream.counter,
-        "moves towards the core": cored and outward < -abs(row["pm_transverse"]),
+        "moves towards the core": cored and outward < -abs(across),
         f"the jet is on the other side of the core than the {whose} position angle":
             turned and cored,
         f"p_global {p:.2g} is above alpha, {alpha:g}: the motion rests on its secure "

@@ -173,8 +173,13 @@ def test_the_counter_jet_moves_to_its_own_side():
 
 
 def test_a_stream_of_both_sides_has_the_direction_of_one():
-    found = measured(knots((0, 180), n=16), position_angle=0 * u.deg)
+    cube = knots((0, 180), n=16)
+    found = measured(cube, position_angle=0 * u.deg)
     assert "it moves on both sides of the core" in found.streams["caution"][0]
+    north = cube.offsets()[1] > 0 * u.mas
+    row = StackedCrossCorrelation()(cube, region=north, n_trials=119, rng=1).streams[0]
+    assert row["pm_pa"].value == pytest.approx(0, abs=5)
+    assert row["caution"] == "it is of the counter-jet"
 
 
 @pytest.mark.parametrize(
