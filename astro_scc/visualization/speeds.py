@@ -367,12 +367,13 @@ def _draw_bins(ax, table, given):
 
     Those that are not main in their bin are smaller.
     """
-    table = table[np.isfinite(table["pm_parallel"])]
-    kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
     group = np.full(len(table), "")
     if "scale_group" in table.colnames:
         group = np.asarray(table["scale_group"], dtype=str)
     names = list(dict.fromkeys(group.tolist()))
+    known = np.isfinite(table["pm_parallel"])
+    table, group = table[known], group[known]
+    kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
     for name, kind in product(names, style.KIND_MARKERS):
         here, color = (kinds == kind) & (group == name), names.index(name) + 1
         for part, size in ((here & main, 5), (here & ~main, 3)):
