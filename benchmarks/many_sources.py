@@ -79,9 +79,9 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         survey = write_sources(folder, args.sources)
-        how = {"n_workers": args.workers, "done": count}
+        how = {"n_workers": args.workers}
         start = time.process_time()
-        table = run_survey(survey, folder / "out", **how)
+        table = run_survey(survey, folder / "out", done=count, **how)
         failed = table["status"] != "measured"
         if failed.mean() > MOST_FAILED:
             raise SystemExit(f"not measured: {sorted({*table['message'][failed]})}")

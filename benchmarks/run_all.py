@@ -114,7 +114,7 @@ ENTRIES = {
     "speed": _script("speed", 2, timing=True),
     "memory": _script("memory", 60, timing=True),
     "survey": _script("survey", 15, timing=True),
-    "many_sources": _script("many_sources", 60, timing=True),
+    "many_sources": _script("many_sources", 5, args="--sources 200", timing=True),
 }  # fmt: skip
 
 
