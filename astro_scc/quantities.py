@@ -418,7 +418,7 @@ def check_range(
 
 
 def check_position_angle(value):
-    """Return an angle, a frame or the name of a frame."""
+    """Return an angle of 0 to 360 deg, a frame or the name of a frame."""
     # A frame of astro_scc.kinematics checks itself.
     if hasattr(value, "matrix") or (
         isinstance(value, str) and value in ("radial", "ridge", "fit", "any")
@@ -427,7 +427,10 @@ def check_position_angle(value):
     unit = str(getattr(value, "unit", value))
     if re.search(r"(?<![a-z])(?:[mu]?as|arc(?:sec|min))\s*$", unit):
         raise ValueError("must be in degrees or radians, such as '65 deg'")
-    return one_quantity(value, "radial, ridge, fit, any or an angle", "65 deg", False)
+    import astropy.units as u
+
+    what = "radial, ridge, fit, any or an angle"
+    return one_quantity(value, what, "65 deg", False) % (360 * u.deg)
 
 
 def check_alignment_error(value):

@@ -90,8 +90,8 @@ class StackedCrossCorrelation(MeasurementSettings):
     alpha : float, optional
         Largest ``p_global`` of a significant stream.
     outward : bool, optional
-        Search only speeds away from the core, if the direction of the jet
-        is given.
+        Search only speeds away from the core, or without one along the position
+        angle, if the jet has a direction.
     alignment_error : `~astropy.units.Quantity`, optional
         Standard error of the alignment on either axis, one for all epochs or
         one per epoch.  By default the error that `~astro_scc.EpochCube.align` found.

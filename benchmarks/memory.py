@@ -3,7 +3,7 @@
 Measure the time and memory for images that are larger than the memory.
 
 A part of 400 x 400 pixels is measured in a hundred epochs of 4096 x 4096 pixels, and in
-five of 8192 x 8192::
+six of 8192 x 8192::
 
     python benchmarks/memory.py
 
@@ -95,7 +95,7 @@ def main():
     """Print the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument("--folder", type=Path, help="for the files; default temporary")
-    parser.add_argument("--series", default="100x4096,5x8192", help="epochs x pixels")
+    parser.add_argument("--series", default="100x4096,6x8192", help="epochs x pixels")
     parser.add_argument("--n-trials", default="100")
     args = parser.parse_args()
     header = ["epochs", "size", "files (GB)", "as a cube (GB)", "command", "time (s)",

@@ -28,7 +28,7 @@ def measure(table, before=None, n_trials=1000):
     scc = StackedCrossCorrelation(
         scales=[1, 2, 3, 4],
         max_speed=0.6 * u.mas / u.yr,
-        position_angle=-72 * u.deg,
+        position_angle=288 * u.deg,
         baseline=[1, 4] * u.yr,
     )
     edges = [0.5, 2, 4, 8, 16] * u.mas

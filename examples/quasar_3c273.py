@@ -41,7 +41,7 @@ def measure(table, before="2011-01-01", n_trials=200):
         noise=0.3 * u.mJy / u.beam,
         rng=1,
     )
-    scc = StackedCrossCorrelation(scales=[1, 2, 3, 4], position_angle=-138 * u.deg)
+    scc = StackedCrossCorrelation(scales=[1, 2, 3, 4], position_angle=222 * u.deg)
     profile = measure_profile(
         scc, cube, [1, 6, 11, 16] * u.mas, scale_groups=GROUPS, n_trials=n_trials, rng=1
     )

@@ -13,6 +13,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from astro_scc.cli.survey import run_survey
+
 REPOSITORY = Path(__file__).parents[1]
 PATH = REPOSITORY / "benchmarks" / "run_all.py"
 if not PATH.is_file():
@@ -58,6 +60,7 @@ def test_commands_are_those_of_scripts_that_are_there():
 TIMES = {"CPU s", "GB"}
 #: Cheap tables: the arguments that make some of their rows.
 CHEAP = {"files": ["{data}"], "real_images": ["{data}"], "subpixel": []}
+CHEAP["paper_test"] = ["{data}/paper_test"]
 CHEAP["mojave"] = ["{data}/mojave_xviii", "--only", "0003+380"]
 
 
@@ -92,6 +95,11 @@ def script(monkeypatch):
     """Import a benchmark by its name."""
     monkeypatch.syspath_prepend(str(PATH.parent))
     return importlib.import_module
+
+
+def test_the_sources_of_a_large_survey_can_be_measured(script, tmp_path):
+    survey = script("many_sources").write_sources(tmp_path, 1)
+    assert run_survey(survey, tmp_path / "out")["status"].tolist() == ["measured"]
 
 
 def test_movies_in_true_and_in_scrambled_order(script):

@@ -131,7 +131,8 @@ def test_features_are_counted_once(result):
     assert any(line.startswith(said) for line in answer.notes(streams, table))
     table["secure"] = np.arange(len(table)) == alone
     n, said = len(table) - 1, answer.feature_count(table)
-    assert said == f"{n + 1} features ({n} of stream 1, 1 of none)"
+    assert said == f"{n + 1} features ({n} of stream 1, 1 of no stream)"
+    assert answer.headline(streams, table).endswith("; 1 secure feature of no stream.")
 
 
 @pytest.fixture(scope="module")

@@ -68,8 +68,8 @@ class Features:
     def __repr__(self):
         secure = int(np.sum(self.secure))
         return (
-            f"<Features: {len(self)} in {len(self.cube)} epochs, {secure} of them "
-            f"secure, of {len(self.detections)} detections>"
+            f"<Features: {len(self)}, {secure} of them secure, from "
+            f"{len(self.detections)} detections in {len(self.cube)} epochs>"
         )
 
     @cached_property

@@ -467,14 +467,15 @@ def _line_of(result, length):
 
 
 def _fits(profile):
-    """Return a straight line and a power law, if there are enough speeds."""
-    place, speed, covariance = profile.speeds[profile.groups[0]]
-    beam, unit = profile.flow.beam, profile.flow.cube.speed_unit
-    errors = np.sqrt(np.diag(covariance))
-    v, e = ((x * beam * PM_UNIT).to(unit) for x in (speed, errors))
-    fits, given = [], {"covariance": profile.covariance}
-    for model in ("linear", "power-law"):
-        with suppress(ValueError):
-            r = place * beam * u.mas
-            fits.append(fit_profile(r, v, e, model=model, **given))
-    return tuple(fits)
+    """Return the lines through the speeds by group of scales, if there are enough."""
+    beam, unit, fits = profile.flow.beam, profile.flow.cube.speed_unit, {}
+    alone = len(profile.groups) == 1
+    for name, (place, speed, covariance) in profile.speeds.items():
+        errors = np.sqrt(np.diag(covariance))
+        v, e = ((x * beam * PM_UNIT).to(unit) for x in (speed, errors))
+        given = {"covariance": covariance * (beam * PM_UNIT) ** 2}
+        for model in ("linear", "power-law") if alone else ("linear",):
+            with suppress(ValueError):
+                fit = fit_profile(place * beam * u.mas, v, e, model=model, **given)
+                fits.setdefault("" if alone else name, []).append(fit)
+    return fits

@@ -88,7 +88,7 @@ class PositionAngleFrame(StraightAxes):
     Parameters
     ----------
     pa : `~astropy.units.Quantity`
-        Scalar angle.
+        Scalar angle, of which the attribute is between 0 and 360 deg.
 
     Raises
     ------
@@ -116,7 +116,7 @@ class PositionAngleFrame(StraightAxes):
 
     def __post_init__(self):
         pa = named("pa", one_quantity, self.pa, "an angle", "65 deg", False)
-        self.pa = pa.to(u.deg)
+        self.pa = pa.to(u.deg) % (360 * u.deg)
 
     def matrix(self, east: ArrayLike = 0.0, north: ArrayLike = 0.0) -> np.ndarray:
         """

@@ -51,6 +51,7 @@ def cautions_of(result, k, row):
     if k == 0 and stream.kind != "stationary":
         said += [*_upstream(result, stream, row), *_other_directions(result)]
     if stream.kind == "moving":
+        said += _both_sides(result, stream)
         said += _cautions(search, stream, row, alpha, unit)
         if k == _main(search):
             said.append(result.sensitivity_line)
@@ -74,11 +75,32 @@ def _doubts(result, stream, alpha):
     search, unit = result.search, result.cube.speed_unit
     never = search.test.p_smallest > alpha
     low, high = (_shown(speed, unit) for speed in (search.slowest, search.fastest))
+    one_way, grid = [], result.flow.grids[0]
+    if result.meta["settings"]["outward"] and result.flow.directed:
+        way = "away from the core"
+        if not result.flow.outward:
+            way = f"towards PA {np.degrees(grid.angle) % 360:.0f} deg"
+        one_way = [f"'outward' searches only motion {way}: try without it"]
     return [
         f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
         f"{', which so few epochs or trials cannot reach' if never else ''}",
+        *one_way,
         f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
         "faster shorter intervals",
+    ]
+
+
+def _both_sides(result, stream, *, least=0.25):
+    """Return that both sides of the core have a stream, as a list of text."""
+    if not result.flow.grids[0].counter.any() or not len(stream.members):
+        return []
+    way = result.flow.grids[0].axes[0]
+    behind = np.mean(result.tracked_features.places[stream.members] @ way < 0)
+    if not least <= behind <= 1 - least:
+        return []
+    return [
+        "it moves on both sides of the core, and the direction is that of one: measure "
+        "each in a region of its own"
     ]
 
 
@@ -170,13 +192,19 @@ def _cautions(search, stream, row, alpha, unit):
     off = np.nan_to_num(abs(a - b) / np.hypot(e, f)) if e > 0 and f > 0 else 0.0
     given = isinstance(search.flow.frame, PositionAngleFrame)
     turned = given and np.cos(search.angle) < 0
+    whose = "given" if search.flow.given else "fitted"
     cored = not search.flow.passes and (given or search.flow.cube.beams is not None)
-    outward = row["pm_parallel"] * (-1 if turned != stream.counter else 1)
+    along, across = row["pm_parallel"] * (-1 if turned else 1), row["pm_transverse"]
+    off_axis = np.radians(row["pm_pa"]) - search.flow.grids[0].angle
+    if search.flow.outward and np.isfinite(off_axis):
+        # A region may have the position angle of the counter-jet.
+        along, across = speed * np.cos(off_axis), speed * np.sin(off_axis)
+    outward = along * (-1 if stream.counter else 1)
     close = abs(p - alpha) <= 2 * row["p_global_err"] and p > search.test.p_smallest
     cautions = {
         "it is of the counter-jet": stream.counter,
-        "moves towards the core": cored and outward < -abs(row["pm_transverse"]),
-        "the jet is on the other side of the core than the given position angle":
+        "moves towards the core": cored and outward < -abs(across),
+        f"the jet is on the other side of the core than the {whose} position angle":
             turned and cored,
         f"p_global {p:.2g} is above alpha, {alpha:g}: the motion rests on its secure "
         "features too": p > alpha,

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The paper's own method: from a cube to matches of its patterns, and components."""
+"""The paper's own method: from a cube of images to matches and streams."""
 
 from __future__ import annotations
 
@@ -275,7 +275,7 @@ def matched_displacements(matched, frame, min_error_beams):
 @dataclass(frozen=True, eq=False, repr=False)
 class PaperMeasurement(VelocityMaps):
     """
-    The velocity components that the paper's method finds in a cube.
+    The streams that the paper's method finds in a cube.
 
     Attributes
     ----------
@@ -329,13 +329,13 @@ class PaperMeasurement(VelocityMaps):
 
     @property
     def level(self) -> float:
-        """The z-score that significant components exceed."""
+        """The z-score that significant streams exceed."""
         return float(np.quantile(self.trial_z, 1 - self.meta["alpha"]))
 
     @property
     def streams(self) -> QTable:
         """
-        The components as a table, with the numbers that streams have.
+        The streams as a table.
 
         Those that move come first, then what stands still and what is not significant,
         the slowest of each first.  Velocities are on the sky and along the jet.

@@ -387,7 +387,7 @@ def stack_matches(
     return total / number if number > 0 else total
 
 
-# -- velocity components -----------------------------------------------------------
+# -- streams -----------------------------------------------------------------------
 
 
 def stack_patterns(
@@ -396,7 +396,7 @@ def stack_patterns(
     shift_beams: float = 0.0, progress: Callable[[int], Any] | None = None,
 ) -> tuple[VelocityMap, np.ndarray, list[dict[str, Any]]]:  # fmt: skip
     """
-    Measure velocity components by stacked cross-correlation, as in the paper.
+    Measure streams by stacked cross-correlation, as in the paper.
 
     Parameters
     ----------

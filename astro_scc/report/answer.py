@@ -20,8 +20,8 @@ EXPLANATION = (
 #: What makes a feature secure, and what its p_false is.
 SECURE = (
     "p_false: probability that it is no feature, or parts of several; secure: p_false "
-    f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, at this speed "
-    f"in {SAME_SPEED:.0%} or more of the perturbed assignments"
+    f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, and at this "
+    f"speed in {SAME_SPEED:.0%} or more of the perturbed assignments to features"
 )
 #: Speeds agree within so many errors of both.
 AGREE = 2
@@ -39,7 +39,8 @@ PROFILE = (
     "bin scale_group pm_parallel pm beta_app v_app p_global p_fdr n_features remark"
 ).split()
 OF_PAPER = (
-    "stream kind pm pm_pa beta_app v_app coefficient z_score p_global n_ssp n_pairs"
+    "stream kind pm pm_pa beta_app v_app coefficient z_score p_global p_normal n_ssp "
+    "n_pairs"
 ).split()
 #: Formats of numbers whose errors are not shown.
 FORMATS = dict.fromkeys(("share", "dispersion", "p_global", "p_fdr", "p_false"), ".2g")
@@ -55,10 +56,12 @@ PAPER_EXPLANATION = (
     "epochs",
     "p_global: fraction of shuffled series of epochs with as large a z-score at any "
     "velocity; n_ssp, n_pairs: patterns and pairs of epochs with a match there",
+    "p_normal: probability that normally distributed trials of the velocity look less "
+    "normal; if small, its error is not valid",
 )
 
 
-def headline(streams):
+def headline(streams, features=None):
     """
     Return the result of a measurement as a sentence.
 
@@ -70,6 +73,8 @@ def headline(streams):
     ----------
     streams : `~astropy.table.QTable`
         See `~astro_scc.measurement.SCCResult.streams`.
+    features : `~astropy.table.QTable`, optional
+        Of which the secure ones of no stream are counted.
 
     Returns
     -------
@@ -89,7 +94,9 @@ def headline(streams):
         if rows := [_motion(row) for row in streams[kinds == kind]]:
             parts.append(said + "; and ".join(rows))
     if parts and np.isfinite(streams["p_global"][kinds != "not significant"]).any():
-        return f"{''.join(first)}{'. '.join(parts)}."
+        n = 0 if features is None else len(_of_no_stream(streams, features))
+        more = f"; {_secure(n)} of no stream" if n else ""
+        return f"{''.join(first)}{'. '.join(parts)}{more}."
     some, meta = streams[kinds == "not significant"], streams.meta
     more = [f"p_global {some['p_global'][0]:.2g}"] if len(some) else []
     if "unambiguous" in meta:
@@ -104,6 +111,16 @@ def headline(streams):
         ]
     nothing = f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}"
     return f"{''.join(first)}{'. '.join([nothing, *parts])}."
+
+
+def _of_no_stream(streams, features):
+    """Return the secure features of no stream, where streams move."""
+    moving = np.any(streams["kind"] == "moving")
+    return features[features["secure"] & (features["stream"] == 0) & moving]
+
+
+def _secure(n):
+    return f"{n} secure {'feature' if n == 1 else 'features'}"
 
 
 def _speed(row):
@@ -146,7 +163,7 @@ def notes(streams, features):
         that of the mean speed of features that are named; there is none if one of
         them is faster.
     """
-    lines, said = [], headline(streams)
+    lines, said = [], headline(streams, features)
     for row in streams:
         limit, number = row["pm_limit"], row["stream"]
         members = features[features["stream"] == number]
@@ -165,11 +182,10 @@ def notes(streams, features):
                 f"Stream {number}: {limit.value:.2g} {unit_name(limit.unit)} is the "
                 f"upper limit (95%) of the mean speed of its features{named}"
             )
-    alone = features[features["secure"] & (features["stream"] == 0)]
-    if len(alone) and np.any(streams["kind"] == "moving"):
-        numbers, n = ", ".join(map(str, alone["feature"][:MOST])), len(alone)
+    if n := len(alone := _of_no_stream(streams, features)):
+        numbers = ", ".join(map(str, alone["feature"][:MOST]))
         lines.append(
-            f"{n} secure {'feature belongs' if n == 1 else 'features belong'} to no "
+            f"{_secure(n)} {'belongs' if n == 1 else 'belong'} to no "
             f"stream ({numbers}{', ...' if n > MOST else ''}): moving across the flow, "
             "against it, or too slowly for their errors"
         )
@@ -241,7 +257,7 @@ def stream_lines(streams, features):
     list of str
     """
     followed = feature_lines(table_in_c_as(features, streams))
-    lines = [headline(streams)]
+    lines = [headline(streams, features)]
     if len(streams):
         lines += ["", *column_lines(streams, STREAMS), *EXPLANATION]
     lines += notes(streams, features)
@@ -305,7 +321,8 @@ def feature_count(features):
         return said
     numbers = sorted(set(stream.tolist()), key=lambda k: (k == 0, k))
     each = (
-        f"{np.sum(stream == k)} of {f'stream {k}' if k else 'none'}" for k in numbers
+        f"{np.sum(stream == k)} of {f'stream {k}' if k else 'no stream'}"
+        for k in numbers
     )
     return f"{said} ({', '.join(each)})"
 

@@ -362,7 +362,7 @@ def write_report(
     settings = meta.pop("settings", {}) | meta
     page = _template("report.html").render(
         result=result, title=title or name, streams=streams,
-        headline=answer.headline(streams), tables=stream_tables(streams),
+        headline=answer.headline(streams, features), tables=stream_tables(streams),
         aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
         alignment=answer.misalignment_text(settings.pop("misalignment_beams", None)),
         features=feature_rows(in_c), count=answer.feature_count(features),

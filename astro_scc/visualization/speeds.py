@@ -7,7 +7,7 @@ That of parts of the data is here, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -108,7 +108,7 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     _draw_test(lower, search, speeds)
     for ax in (upper, lower):
         ax.set(xscale="log", xlim=speed[[0, -1]])
-    _draw_limits(upper, lower, search, speeds)
+    _draw_limits(upper, lower, search, speeds, top)
     upper.set_ylabel("Share of the variance\nof the moving emission")
     lower.set_xlabel(f"Speed along the flow ({unit_name(speeds.unit)})")
     upper.legend(fontsize="small", frameon=False, loc="best")
@@ -119,7 +119,7 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     return figure
 
 
-def _draw_limits(upper, lower, search, speeds):
+def _draw_limits(upper, lower, search, speeds, top):
     """Shade speeds that were not searched, and mark where they are ambiguous."""
     limits = search.slowest, search.fastest, search.unambiguous
     slowest, fastest, safe = (limit * speeds.factor for limit in limits)
@@ -127,9 +127,11 @@ def _draw_limits(upper, lower, search, speeds):
     for ax in (upper, lower):
         for ends in ((low, slowest), (fastest, high)):
             ax.axvspan(*ends, color=style.GREY, alpha=0.15, lw=0, gid="not searched")
-        if low < safe < high:
-            ax.axvline(safe, color=style.BLACK, lw=0.8, ls=":", gid="unambiguous")
     if low < safe < high:
+        line = {"color": style.BLACK, "lw": 0.8, "ls": ":", "gid": "unambiguous"}
+        lower.axvline(safe, **line)
+        # Above the spectrum are the streams with their labels.
+        upper.plot([safe, safe], [upper.get_ylim()[0], 1.02 * top], **line)
         left = safe**2 > low * high
         lower.annotate(
             "ambiguous beyond", (safe, 0.97), xycoords=lower.get_xaxis_transform(),
@@ -274,7 +276,7 @@ def plot_distance(result, *, ax=None, unit=None, beta_per_pm=None, **look):
 
 def plot_profile(
     table: QTable, *, cube: EpochCube | None = None, line: RidgeLine | None = None,
-    fits: Sequence[Callable[[u.Quantity], u.Quantity]] = (),
+    fits: Sequence[Any] | dict[str, Sequence[Any]] = (),
     others: Sequence[tuple[str, u.Quantity, u.Quantity, u.Quantity]] = (),
     beta_per_pm: float | None = None, **look: Any,
 ) -> Figure:  # fmt: skip
@@ -289,8 +291,8 @@ def plot_profile(
         Cube whose mean image is drawn above, on the same scale of distances.
     line : `~astro_scc.kinematics.RidgeLine`, optional
         Line along which the jet is drawn; it needs the cube.
-    fits : sequence of `~astro_scc.flow.ProfileFit`, optional
-        Fits that are drawn as curves.
+    fits : sequence of `~astro_scc.flow.ProfileFit`, or dict of them, optional
+        Fits that are drawn as curves; of groups of scales, by their names.
     others : sequence of (str, distance, speed, error), optional
         Names and values of published or other speeds.
     beta_per_pm : float, optional
@@ -336,13 +338,16 @@ def plot_profile(
         grey = {"fmt": "D", "color": style.GREY, "ms": 3, "lw": 0.8, "zorder": 1}
         ax.errorbar(r, *u.Quantity(speed).to_value(speeds), label=name, **grey)
         far = max(far, float(np.max(r, initial=0)))
-    _draw_bins(ax, table, look)
+    groups = _draw_bins(ax, table, look)
     grid = np.linspace(0, far, 200)[1:] * u.mas
-    for k, fit in enumerate(fits):
-        ax.plot(
-            grid.value, u.Quantity(fit(grid)).to_value(speeds), lw=1.2, zorder=2,
-            color=style.BLACK, label=str(fit), ls=style.LINES[k % 3],
-        )  # fmt: skip
+    for name, each in (fits if isinstance(fits, dict) else {"": fits}).items():
+        color = style.component_color(groups.index(name) + 1) if name else style.BLACK
+        for k, fit in enumerate(each):
+            ax.plot(
+                grid.value, u.Quantity(fit(grid)).to_value(speeds), lw=1.2, zorder=2,
+                color=color, label=f"scales {name}, {fit}" if name else str(fit),
+                ls=style.LINES[k % 3],
+            )  # fmt: skip
     ax.set_xlim(0, 1.02 * far)
     # Very large errors must not squeeze the rest.
     shown = np.append(table["pm_parallel"].value, 0.0)
@@ -357,13 +362,18 @@ def plot_profile(
 
 
 def _draw_bins(ax, table, given):
-    """Draw streams by kind and group of scales, those not main in their bin smaller."""
-    table = table[np.isfinite(table["pm_parallel"])]
-    kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
+    """
+    Draw streams by kind and group of scales, and return the names of the groups.
+
+    Those that are not main in their bin are smaller.
+    """
     group = np.full(len(table), "")
     if "scale_group" in table.colnames:
         group = np.asarray(table["scale_group"], dtype=str)
     names = list(dict.fromkeys(group.tolist()))
+    known = np.isfinite(table["pm_parallel"])
+    table, group = table[known], group[known]
+    kinds, main = np.asarray(table["kind"], dtype=str), np.asarray(table["main"])
     for name, kind in product(names, style.KIND_MARKERS):
         here, color = (kinds == kind) & (group == name), names.index(name) + 1
         for part, size in ((here & main, 5), (here & ~main, 3)):
@@ -376,6 +386,7 @@ def _draw_bins(ax, table, given):
                     label=label if size == 5 or not (here & main).any() else None,
                 )  # fmt: skip
                 style.draw_bins(ax, table[part], u.mas, table["pm_parallel"].unit, look)
+    return names
 
 
 def _draw_strip(ax, cube, line, far):
@@ -433,6 +444,8 @@ def plot_position_angles(groups):
         if len(v):
             ax.axvline(np.median(v), color=color, lw=0.8)
     ax.set(xlabel="Position angle (deg)", ylabel="Fraction of the SSPs")
+    # A jet to the north has both 359 and 1.
+    ax.xaxis.set_major_formatter(lambda angle, _: f"{angle % 360:g}")
     ax.legend(fontsize="small")
     return figure
 

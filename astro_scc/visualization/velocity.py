@@ -144,7 +144,7 @@ def axis_columns(components, *, on_sky):
 
 
 def _draw_components(scene):
-    """Draw the components; return their positions as fractions of the axes, (n, 2)."""
+    """Draw the streams; return their positions as fractions of the axes, (n, 2)."""
     from matplotlib.patches import Ellipse
 
     names = axis_columns(scene.components, on_sky=scene.on_sky)
@@ -213,9 +213,9 @@ def plot_significance(
     Draw the z-score along the jet, at zero speed across it.
 
     The figure is like the lower panels of Fig. 2 of Mertens & Lobanov (2016).  A thin
-    line is the largest z-score at any speed across the jet; components off the axis
+    line is the largest z-score at any speed across the jet; streams off the axis
     have open symbols; a dashed line is at ``level``, the z-score of significant
-    components.  On axes east and north, the map is interpolated along the
+    streams.  On axes east and north, the map is interpolated along the
     direction in which the flow moves.  Further keywords are those of the line.
     """
     scene = Scene(result, (style.WIDTH, 3.4), ax, components, unit)
@@ -235,7 +235,7 @@ def plot_significance(
         )  # fmt: skip
     ax.set_xlim(speed[0], speed[-1])
     top = max(np.nanmax(highest, initial=1.0), level or 0.0)
-    ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.4 * top)
+    ax.set_ylim(min(np.nanmin(axis, initial=0.0), 0.0) - 0.05 * top, 1.55 * top)
     x = np.linspace(speed[0], speed[-1], 2000)
     curves = [np.interp(x, speed, line) for line in (axis, highest)]
     curves += [] if level is None else [np.full(len(x), level)]
@@ -262,6 +262,9 @@ def _draw_z_scores(scene, drawn):
     drawn = to_points * scene.ax.transData.transform(drawn)
     names = ("pm_parallel", "pm_parallel_err", "pm_transverse", "pm_transverse_err")
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
+    # The highest z-score may be beside the maximum.
+    maxima = "z_score" in scene.components.colnames
+    label = "maxima of the correlation" if maxima else "streams"
     for row, kind, strong, numbers in scene.streams(*names):
         along, error, across, across_error = numbers
         z, color = _z_of(scene, row), style.VERMILION if strong else GREY
@@ -270,6 +273,7 @@ def _draw_z_scores(scene, drawn):
             along, z, xerr=error if np.isfinite(error) else 0.0,
             fmt=style.KIND_MARKERS[kind], color=color, markersize=5,
             markerfacecolor=color if on_axis else "white", capsize=2, zorder=3,
+            label=label if row["stream"] == 1 else None,
         )  # fmt: skip
         off = drawn - to_points * scene.ax.transData.transform((along, z))
 
@@ -424,7 +428,7 @@ def _direction(scene, image):
 
 def ray_slopes(components, kinds, angle):
     """
-    Return the slopes of the components' rays in the diagram.
+    Return the slopes of the streams' rays in the diagram.
 
     Parameters
     ----------
@@ -436,7 +440,7 @@ def ray_slopes(components, kinds, angle):
     Returns
     -------
     `~numpy.ndarray`
-        In mas/yr.  That of a stationary component is zero, as is its speed within its
+        In mas/yr.  That of a stationary stream is zero, as is its speed within its
         errors.
     """
     slopes = components["pm_parallel"].to_value(PM_UNIT)

@@ -37,7 +37,7 @@ def test_tables_maps_and_settings(measured, jet):
     assert config == table.meta["configuration"]
     wanted = {
         "epochs": [str(path) for path in jet], "align": "none", "common_beam": False,
-        "max_speed": "30.0 mas / yr", "position_angle": "-90.0 deg",
+        "max_speed": "30.0 mas / yr", "position_angle": "270.0 deg",
         "seed": table.meta["seed"], "redshift": 0.158, "cosmology": "H0=71,Om0=0.27",
     }  # fmt: skip
     assert wanted.items() <= config.items()

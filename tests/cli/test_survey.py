@@ -268,7 +268,7 @@ def test_defaults_and_what_replaces_them(tmp_path):
     assert (b.scales, [*b.scale_groups]) == (None, ["x", "y"])
     assert b.scale_groups == other.scale_groups
     assert (c.scales, c.redshift, c.align) == ((3, 1), 0.158, "core 9 deg")
-    assert c.position_angle == -112 * u.deg
+    assert c.position_angle == 248 * u.deg
 
 
 BOTH = ("0003+380", "0010+405")

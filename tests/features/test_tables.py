@@ -58,7 +58,7 @@ def test_the_motion_of_a_radial_feature(features):
     row = features.table[0]
     assert (row["feature"], row["n_epochs"], row["stream"]) == (101, N, 0)
     assert (row["secure"], row["flux"], row["t_ej_err"] > 0) == (True, 2 * u.Jy, True)
-    words = "<Features: 3 in 8 epochs, 1 of them secure, of 24 detections>"
+    words = "<Features: 3, 1 of them secure, from 24 detections in 8 epochs>"
     assert repr(features) == words
     wanted = {
         "ra_offset": 2.4, "dec_offset": 0, "separation": 2.4, "motion": 2.8, "pm": 0.4,

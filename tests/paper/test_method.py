@@ -10,6 +10,7 @@ from astropy.wcs import WCS
 from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.measurement.result import map_hdus
 from astro_scc.paper.method import measure_as_in_paper
+from astro_scc.report.answer import paper_lines
 from astro_scc.simulation import simulate_two_fluid
 from astro_scc.units import PM_UNIT
 
@@ -56,7 +57,12 @@ def test_both_streams_are_significant(cube, found):
     assert np.all(moving["pm_ra_cosdec"] < 0)
     earlier = found.matched.select & (found.matched.ssps.epoch < len(cube) - 1)
     assert (table.meta["n_pairs"], table.meta["n_ssp"]) == (9, earlier.sum())
-    assert repr(found).startswith("<PaperMeasurement: 10 epochs, ")
+    assert repr(found) == f"<PaperMeasurement: 10 epochs, {len(table)} streams>"
+    lines = paper_lines(table, found.level)
+    assert lines[0].startswith("Paper's method: 2 streams with a z-score above")
+    assert "p_normal" in lines[2].split()
+    legend = found.plot().axes[1].get_legend()
+    assert "maxima of the correlation" in [k.get_text() for k in legend.get_texts()]
 
 
 def test_axes_of_the_sky_and_workers_give_the_same(cube, region, found):

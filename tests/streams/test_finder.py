@@ -12,7 +12,7 @@ import pytest
 from astropy.time import Time
 from numpy.testing import assert_equal
 
-from astro_scc import Beam, StackedCrossCorrelation
+from astro_scc import Beam, StackedCrossCorrelation, kinematics
 from astro_scc.epochs import ComponentList, restore
 from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
@@ -98,16 +98,20 @@ def test_a_static_jet_does_not_move(seed):
     assert false_discovery_rate([found.streams])[0]["p_fdr"][0] > 0.01
 
 
-def test_one_stream_is_that_of_its_features():
+def test_one_stream_is_that_of_its_features(monkeypatch):
     jet = simulate_jet(dispersion=0.1, rng=7)
     found = measured(jet.cube, position_angle=270 * u.deg)
     row = found.streams[0]
     assert (row["kind"], row["pm_from"]) == ("moving", "features")
     assert row["pm_min"] <= row["pm"] <= row["pm_max"]
     assert np.sum(found.streams["kind"] == "moving") == 1
-    row = measured(jet.cube, position_angle=90 * u.deg).streams[0]
-    assert "on the other side of the core" in row["caution"]
-    assert row["pm_pa"].value == pytest.approx(270, abs=10)
+    fitted = 90 * u.deg, 1 * u.deg
+    monkeypatch.setattr(kinematics, "fit_position_angle", lambda _: fitted)
+    for angle, which in ((-270 * u.deg, "given"), ("fit", "fitted")):
+        row = measured(jet.cube, position_angle=angle).streams[0]
+        words = f"on the other side of the core than the {which} position angle"
+        assert words in row["caution"]
+        assert row["pm_pa"].value == pytest.approx(270, abs=10)
 
 
 YEARS = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
@@ -166,6 +170,29 @@ def test_the_counter_jet_moves_to_its_own_side():
     assert row["caution"].startswith("it is of the counter-jet")
     assert "towards the core" not in row["caution"]
     assert found["n_features"].min() > 0
+
+
+def test_a_stream_of_both_sides_has_the_direction_of_one():
+    cube = knots((0, 180), n=16)
+    found = measured(cube, position_angle=0 * u.deg)
+    assert "it moves on both sides of the core" in found.streams["caution"][0]
+    north = cube.offsets()[1] > 0 * u.mas
+    row = StackedCrossCorrelation()(cube, region=north, n_trials=119, rng=1).streams[0]
+    assert row["pm_pa"].value == pytest.approx(0, abs=5)
+    assert row["caution"] == "it is of the counter-jet"
+
+
+@pytest.mark.parametrize(
+    ("behind", "way"), [(0, "away from the core"), (4, "towards PA 180 deg")]
+)
+def test_what_outward_leaves_out_is_said(behind, way):
+    cube = knots((0,), n=12, behind=behind)
+    if not behind:
+        # In reverse, towards the core.
+        cube = replace(cube, data=cube.data[::-1])
+    row = measured(cube, position_angle="fit", outward=True).streams[0]
+    assert row["kind"] == "not significant"
+    assert f"'outward' searches only motion {way}" in row["caution"]
 
 
 @pytest.mark.parametrize(("behind", "angle"), [(2.2, 180), (4, None), (4, "radial")])

@@ -213,9 +213,14 @@ def test_components_fits_and_others_have_names(jet_cube):
     assert ax.get_ylim()[1] < 2
     plot_profile(table[:0]).draw_without_rendering()
     table["scale_group"] = ["1, 2", "3", "3"]
-    plot_profile(table, markersize=9).draw_without_rendering()
-    angles = {"a": [240, 250, 251] * u.deg, "b": [] * u.deg}
-    speeds.plot_position_angles(angles).draw_without_rendering()
+    ax = plot_profile(table, markersize=9, fits={"3": [fit]}).axes[0]
+    (line,) = (k for k in ax.get_lines() if k.get_label() == f"scales 3, {fit}")
+    assert line.get_color() == style.component_color(2)
+    angles = {"a": [350, 360, 371] * u.deg, "b": [] * u.deg}
+    figure = speeds.plot_position_angles(angles)
+    figure.draw_without_rendering()
+    labels = {k.get_text() for k in figure.axes[0].get_xticklabels()}
+    assert {"355", "0", "5"} <= labels
 
 
 def test_the_features_of_many_sources():
