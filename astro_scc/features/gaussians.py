@@ -20,6 +20,8 @@ _PEAK, _Y, _X, _VARIANCE, _STRETCH, _TILT = range(6)
 EVERYWHERE = slice(None)
 #: Least residual for a new component, and its least peak, in errors of the image there.
 THRESHOLD = 5.0
+#: Least noise, in parts of the peak: numbers of single precision are rounded as much.
+ROUNDING = 1e-7
 #: Components of which the nearest are so many beams away may be parts of one ellipse,
 #: at most so many of them, if it lowers chi^2 by so many penalties of a component.
 JOINED, MOST_JOINED, BETTER = 1.6, 5, 5.0
@@ -110,7 +112,8 @@ def fit_gaussians(
     beam : `~numpy.ndarray`, shape (2, 2)
         Covariance of the Gaussian beam over (y, x) in square pixels.
     noise : float
-        Standard deviation of the noise, in the unit of the image.
+        Standard deviation of the noise, in the unit of the image.  If not 0, it is at
+        least 1e-7 of the peak, as images without noise have that of their rounding.
     mask : array_like of bool, shape (ny, nx), optional
         True marks missing pixels, as does NaN.  They take no part in the fit.
 
@@ -131,7 +134,10 @@ def fit_gaussians(
     >>> found.y.round(2), found.x.round(2), found.size.round(2)
     (array([20.3, 30. ]), array([30.6, 40. ]), array([0.  , 7.06]))
     """
-    data = _Data.of(image, beam, noise, mask)
+    good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
+    if noise > 0:
+        noise = max(noise, ROUNDING * np.max(image, where=good, initial=0.0))
+    data = _Data.of(image, beam, noise, good)
     p, wholes = (np.empty((0, 6)), []) if data is None else _model(data)
     if len(p) == 0:
         return Gaussians(*(np.empty(0) for _ in fields(Gaussians)))
@@ -185,16 +191,15 @@ class _Data:
     widest: float
 
     @classmethod
-    def of(cls, image, beam, noise, mask, relative=0.001):
+    def of(cls, image, beam, noise, good, relative=0.001):
         """
-        Return the samples of an image; None if nothing is above the threshold.
+        Return the ``good`` samples of an image; None if none is above the threshold.
 
         The ``relative`` error is that of the largest value within half a beam, for what
         is neither Gaussian nor well calibrated, added to the noise in quadrature.
         """
         if not noise > 0:
             return None
-        good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
         value = np.where(good, image, 0.0) / noise
         bright = value > THRESHOLD
         if not bright.any():
