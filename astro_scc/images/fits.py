@@ -28,7 +28,7 @@ CUBE_CREATOR = "astro_scc EpochCube"
 #: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 #: Suffixes of text that is no list of components by its name.
-TEXT = ".csv", ".tsv", ".asc", ".tab", ".tbl", ".xls", ".xlsx"
+TEXT = ".csv", ".tsv", ".asc", ".tab", ".tbl", ".xls", ".xlsx", ".vot", ".xml", ".tex"
 #: What to do with a list in a form of its own, such as spots of masers.
 AS_TABLE = (
     "a list of spots or components is read as .ecsv: with astropy, table = "
