@@ -216,7 +216,9 @@ class SCCResult(tables.VelocityMaps):
             unit, rows = unit_name(table["pm"].unit), np.array(self.choices)[apart]
             # Parts that agree differ from the whole.
             apart[0] = not (len(rows) > 1 and largest_difference(rows) > DIFFERENT)
-            each = (f"{cell(row, 'pm', '+-')} ({row['choice']})" for row in table[apart])
+            each = (
+                f"{cell(row, 'pm', '+-')} ({row['choice']})" for row in table[apart]
+            )
             lines.append(f"its speed differs between parts: {', '.join(each)} {unit}")
         # The first row is the whole.
         missing, n = np.sum(~found), len(table[1:])
