@@ -300,6 +300,7 @@ SIP = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "A_ORDER": 2, "B_ORDE
         (broadcast(5, 16, 32), {"CTYPE3": None}, "has 5 planes on axis 3 of the file"),
         (PIXELS[0, 0], SIP, "has distortions .SIP.; resample"),
         (PIXELS * np.nan, {}, "no valid pixel, all are NaN"),
+        (PIXELS, {"CDELT1": -56.0, "CDELT2": 56.0}, "its sides are 1.79e.03 deg by CD"),
     ],
 )
 def test_images_that_cannot_be_used(make_fits, data, changes, words):
