@@ -231,4 +231,5 @@ def test_choices_that_change_the_speed_are_named(result):
     (said,) = answer.notes(other.streams, other.features)
     assert said.startswith("Stream 1 (moving): its speed differs between parts: ")
     assert f"({choices[1]['choice']})" in said
+    assert "(the whole spectrum)" in said
     assert replace(result, choices=[]).sensitivity_line == ""

@@ -227,6 +227,9 @@ each("beam in mas where degrees belong", "larger than the image; write BMAJ, BMI
 each("beam smaller than a pixel", "smaller than a pixel; write BMAJ, BMIN")(
     lambda i: {"BMAJ": 0.05 * MAS, "BMIN": 0.04 * MAS}
 )
+refused(
+    "a beam in uas that is given for images in mas", "is smaller than a pixel; give"
+)(lambda folder: [*series(folder, lambda i: NO_BEAM), "--beam=0.4 uas 0.35 uas -7deg"])
 each("beams that differ", "note: the beams differ: convolving to a common one")(
     lambda i: {"BMAJ": (0.4 + 0.02 * i) * MAS}
 )
@@ -278,6 +281,9 @@ refused("no celestial axes", "e0.fits: it has no celestial coordinates")(
 refused("no pixel scale", "e0.fits: its celestial axes have no pixel scale")(
     lambda folder: series(folder, lambda i: {"CDELT1": 0.0})
 )
+refused(
+    "pixels of 56 arcsec without a unit", "e0.fits: its sides are 2.69e.03 deg by CD"
+)(lambda folder: series(folder, lambda i: {"CDELT1": -56.0, "CDELT2": 56.0}))
 refused("reference pixel that is no number", "e0.fits: CRPIX1 = 'x' is not a finite")(
     lambda folder: series(folder, lambda i: {"CRPIX1": "x"})
 )

@@ -204,12 +204,12 @@ def _completed(planes, times, beams):
         plane.time = _observed(plane, time)
         written = plane.beam
         if beam is not None:
-            if beam.major.to_value(u.deg) > plane.extent:
-                raise ValueError(
-                    f"{plane.name}: the beam that is given, {beam}, is larger than the "
-                    "image; give another"
-                )
             plane.beam, plane.beam_problem, plane.beam_choice = beam, "", ""
+            large = beam.major.to_value(u.deg) > plane.extent
+            if large or plane.beam_is_small:
+                size = "larger than the image" if large else "smaller than a pixel"
+                what = f"the beam that is given, {beam}, is {size}; give another"
+                raise ValueError(f"{plane.name}: {what}")
             if written is not None and different_beam((beam, written)) is not None:
                 line = f"the beam that is given, {beam}, replaces that of the header"
                 plane.remarks.append(line)

@@ -20,6 +20,7 @@ from astro_scc.columns import numbers
 from astro_scc.exceptions import naming, naming_all
 from astro_scc.images import headers
 from astro_scc.images.beam import parse_beam
+from astro_scc.images.dates import times_of_numbers
 from astro_scc.images.fits import AS_TABLE, opened, read_header
 from astro_scc.images.headers import some
 from astro_scc.quantities import parse_date
@@ -132,6 +133,7 @@ def read_rows(table, source, date):
     if missing := sorted(needed - columns.keys()):
         # In quotes, as columns are no options of the same names.
         lacks, has = (", ".join(map(repr, n)) for n in (missing, table.colnames))
+        lacks += " (or 'east', 'north')" if polar & {*missing} else ""
         raise ValueError(f"no column for {lacks}; the table has {has}")
     values = {
         what: numbers(table[columns[what]], unit)
@@ -149,6 +151,8 @@ def _dates(table, columns, date):
         texts = [date] * len(table)
     elif "epoch" in columns:
         column = table[columns["epoch"]]
+        if not isinstance(column, Time) and column.dtype.kind in "fi":
+            column = times_of_numbers(column) or column
         texts = column.utc.isot if isinstance(column, Time) else column
         texts = [str(text) for text in texts]
     else:

@@ -18,6 +18,8 @@ _PEAK, _Y, _X, _VARIANCE, _STRETCH, _TILT = range(6)
 EVERYWHERE = slice(None)
 #: Least residual for a new component, and its least peak, in errors of the image there.
 THRESHOLD = 5.0
+#: Least noise, in parts of the peak: numbers of single precision are rounded as much.
+ROUNDING = 1e-7
 #: Components of which the nearest are so many beams away may be parts of one ellipse,
 #: at most so many of them, if it lowers chi^2 by so many penalties of a component.
 JOINED, MOST_JOINED, BETTER = 1.6, 5, 5.0
@@ -65,7 +67,8 @@ def fit_gaussians(
     beam : `~numpy.ndarray`, shape (2, 2)
         Covariance of the Gaussian beam over (y, x) in square pixels.
     noise : float
-        Standard deviation of the noise, in the unit of the image.
+        Standard deviation of the noise, in the unit of the image.  If not 0, it is at
+        least 1e-7 of the peak, as images without noise have that of their rounding.
     mask : array_like of bool, shape (ny, nx), optional
         True marks missing pixels, as does NaN.  They take no part in the fit.
 
@@ -94,6 +97,8 @@ def fit_gaussians(
     (array([20.3, 30. ]), array([30.6, 40. ]), array([0.  , 7.06]))
     """
     good = np.isfinite(image) & ~np.asarray(mask, dtype=bool)
+    if noise > 0:
+        noise = max(noise, ROUNDING * np.max(image, where=good, initial=0.0))
     value = np.where(good, image, 0.0) / noise if noise > 0 else np.zeros(1)
     if not np.any(value > THRESHOLD):
         return np.empty(0, COLUMNS)

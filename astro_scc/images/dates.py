@@ -316,6 +316,18 @@ def as_times(times, n):
     return without_doubt(times)
 
 
+def times_of_numbers(numbers):
+    """Return the Time of decimal years or (modified) Julian dates, None of others."""
+    values = np.ma.masked_invalid(np.ma.asarray(numbers))
+    low, high = values.min(), values.max()
+    kinds = {"jyear": (1800, 2200), "mjd": (1e4, 1e5), "jd": (FIRST_JD, 3e6)}
+    for form, (least, most) in kinds.items():
+        if least <= low and high < most:
+            with warnings.catch_warnings(action="ignore"):
+                return Time(values.astype(float), format=form, scale="utc")
+    return None
+
+
 def given_times(times, n):
     """Return the dates that are given for n images, None for those that are not."""
     if isinstance(times, str) or not np.iterable(times):

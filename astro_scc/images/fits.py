@@ -28,7 +28,7 @@ CUBE_CREATOR = "astro_scc EpochCube"
 #: Advice for a beam that cannot be right.
 CORRECT_BEAM = "write BMAJ, BMIN and BPA in degrees to its header"
 #: Suffixes of text that is no list of components by its name.
-TEXT = ".csv", ".tsv", ".asc", ".tab", ".tbl", ".xls", ".xlsx"
+TEXT = ".csv", ".tsv", ".asc", ".tab", ".tbl", ".xls", ".xlsx", ".vot", ".xml", ".tex"
 #: What to do with a list in a form of its own, such as spots of masers.
 AS_TABLE = (
     "a list of spots or components is read as .ecsv: with astropy, table = "
@@ -40,6 +40,8 @@ STRETCHED = (
     "its brightness is stretched by asinh (BSOFTEN, BOFFSET of Pan-STARRS); make it "
     "linear, BOFFSET + 2 BSOFTEN sinh(pixel / 1.0857362), and remove these keywords"
 )
+#: Longest side of an image in degrees: maps of the whole sky may have margins.
+WHOLE_SKY = 600.0
 #: Bytes of a block of a FITS file.
 BLOCK = 2880
 #: Cards that are of one image alone.
@@ -273,6 +275,11 @@ def plane_of(hdus, path, *, window=None, load=True, frame=None):
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     record = read_header(header, hdus)
     plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, **record)
+    if plane.extent > WHOLE_SKY:
+        raise headers.ContentError(
+            f"its sides are {plane.extent:.3g} deg by CDELT or CD; correct these, or "
+            "write their unit, such as arcsec, to CUNIT1 and CUNIT2"
+        )
     plane.bandwidth = headers.bandwidth(header)
     if (axis := time_axis(header)) is not None:
         try:

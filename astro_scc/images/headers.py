@@ -26,7 +26,9 @@ _LOGARITHM = re.compile(r"(?<![a-z])(mag|mags|magnitudes?|dex|db|log|log10)(?![a
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
 _SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
 _MATRIX = re.compile(r"PV|CDELT|CROTA|(PC|CD)\d+_|WCSAXES|NAXIS|CRPIX[3-9]")
-_CELESTIAL = re.compile(r"((RA|[A-Z]LON|[A-Z]{2}LN)|DEC|[A-Z]LAT|[A-Z]{2}LT)(-|$)")
+_CELESTIAL = re.compile(
+    r"((RA|[A-Z]LON|[A-Z]{2}LN|SOLAR.?X)|DEC|[A-Z]LAT|[A-Z]{2}LT|SOLAR.?Y)(-|$)"
+)
 
 
 class ContentError(ValueError):
@@ -289,6 +291,9 @@ def _standard(keyword, value):
         ctype = str(value).strip().upper()
         if match := re.fullmatch(r"([A-Z]{2,4})-+([A-Z]{3})(-SIP)?", ctype):
             return f"{match[1]:-<5}{match[2]}{match[3] or ''}"
+        if match := re.fullmatch(r"SOLAR.?([XY])", ctype):
+            # Older than the standard: SOHO, MDI, XRT.
+            return "HPLN-TAN" if match[1] == "X" else "HPLT-TAN"
         # AIPS and difmap omit the projection if it is orthographic.
         return {"RA": "RA---SIN", "DEC": "DEC--SIN"}.get(ctype, ctype)
     if keyword.startswith("CUNIT"):

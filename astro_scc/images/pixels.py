@@ -75,6 +75,11 @@ def find_image(hdus, path, choice=None):
                 "holds visibilities and no image; make an image of them (difmap, CASA "
                 "or AIPS), or give the models that were fitted to them (.mod)"
             )
+        if any(isinstance(hdu, fits.BinTableHDU) for hdu in hdus):
+            raise NoImageError(
+                "holds no image but a table; make an image of events, and of a list of "
+                "spots or components a table of astropy, as .ecsv"
+            )
         raise NoImageError("holds no image")
     science = [hdu for hdu in found if hdu.name == "SCI"]
     if science:

@@ -23,8 +23,8 @@ from astro_scc.units import PM_UNIT, offset_unit, unit_name
 #: differ.
 NEAR, DISAGREE = 0.8, 2.5
 #: Difference of directions, in radians, of which a projection loses 5%, and scatter of
-#: them about no direction.
-DIRECTIONS, ALL = 0.3, np.pi / 2
+#: them over more than half of the circle, about no direction.
+DIRECTIONS, ALL = 0.3, 1.0
 #: How that is said, which headlines begin with.
 NO_DIRECTION = "no one direction holds for the emission"
 
@@ -51,7 +51,7 @@ def cautions_of(result, k, row):
     if k == 0 and stream.kind != "stationary":
         said += [*_upstream(result, stream, row), *_other_directions(result)]
     if stream.kind == "moving":
-        said += _both_sides(result, stream)
+        said += _of_both_sides(result, stream)
         said += _cautions(search, stream, row, alpha, unit)
         if k == _main(search):
             said.append(result.sensitivity_line)
@@ -87,20 +87,6 @@ def _doubts(result, stream, alpha):
         *one_way,
         f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
         "faster shorter intervals",
-    ]
-
-
-def _both_sides(result, stream, *, least=0.25):
-    """Return that both sides of the core have a stream, as a list of text."""
-    if not result.flow.grids[0].counter.any() or not len(stream.members):
-        return []
-    way = result.flow.grids[0].axes[0]
-    behind = np.mean(result.tracked_features.places[stream.members] @ way < 0)
-    if not least <= behind <= 1 - least:
-        return []
-    return [
-        "it moves on both sides of the core, and the direction is that of one: measure "
-        "each in a region of its own"
     ]
 
 
@@ -147,7 +133,7 @@ def _upstream(result, stream, row, *, least=1.2):
 
 
 def _other_directions(result):
-    """Return that directions of features depend on their place, as a list of text."""
+    """Return that features move in several directions, as a list of text."""
     features, frame = result.tracked_features, result.frame
     velocity, covariance = frame_velocities(frame, features)
     error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
@@ -168,21 +154,74 @@ def _other_directions(result):
     apart = abs(np.angle(np.exp(1j * (outer - inner))))
     errors = [circstd(half, method="circular") / np.sqrt(len(half)) for half in halves]
     bends = apart > max(turns * DIRECTIONS, SIGNIFICANT * np.hypot(*errors))
-    if not (bends or (scatter > turns * DIRECTIONS and about < scatter / 2)):
+    everywhere, about_place = scatter > turns * ALL, about < scatter / 2
+    if not (bends or everywhere or (scatter > turns * DIRECTIONS and about_place)):
         return []
-    said = (
-        f"directions of secure features scatter by {np.degrees(scatter / turns):.0f} "
-        "deg with their place"
-    )
-    if scatter > turns * ALL:
+    said = f"directions of secure features scatter by {np.degrees(scatter / turns):.0f}"
+    if everywhere:
         # A ridge line does not lead to several sides.
-        radial = about < scatter / 2
-        advice = "try --position-angle radial" if radial else "give a region for each"
-        return [f"{NO_DIRECTION}: {said}, {advice}"]
+        away = about_place and np.cos(circmean(angle - outward)) > np.cos(ALL)
+        return [f"{NO_DIRECTION}: {said} deg, {_for_all_sides(result, away)}"]
     return [
-        f"{said}, and speeds are those along one: try the position angles 'ridge' and "
-        "'radial'"
+        f"{said} deg with their place, and speeds are those along one: try the "
+        "position angles 'ridge' and 'radial'"
     ]
+
+
+def _for_all_sides(result, away, *, explained=0.75, near=0.1):
+    """
+    Return what to do where secure features move to all sides, in words.
+
+    They may come from one place, the centre of an expansion by which this part of
+    the variance of their velocities is ``explained``, or move ``away`` from the
+    reference position, which counts as the centre if it is as ``near`` to it, in their
+    distances.
+    """
+    features = result.tracked_features
+    secure = np.flatnonzero(features.secure)
+    place = features.places[secure]
+    velocity = np.array([features.motions[k].velocity for k in secure])
+    x, v = place - place.mean(axis=0), velocity - velocity.mean(axis=0)
+    rate = np.vdot(x, v) / np.vdot(x, x)
+    if rate > 0 and rate * np.vdot(x, v) > explained * np.vdot(v, v):
+        centre = place.mean(axis=0) - velocity.mean(axis=0) / rate
+        away = np.hypot(*centre) < near * np.sqrt(np.vdot(x, x) / len(x))
+        if not away:
+            unit = offset_unit(np.hypot(*centre))
+            shown = ", ".join(f"{one:.3g}" for one in (centre * u.mas).to_value(unit))
+            return (
+                f"they move away from ({shown}) {unit} of the reference position: in "
+                "Python, give the position_angle RadialFrame of this place"
+            )
+    return "try --position-angle radial" if away else "give a region for each"
+
+
+def _of_both_sides(result, stream, *, least=0.25):
+    """
+    Return that a stream is that of a jet and its counter-jet, as a list of text.
+
+    Their speeds differ, or such a share of its features at ``least`` is on either side.
+    """
+    if not result.flow.grids[0].counter.any() or len(stream.members) == 0:
+        return []
+    velocity, covariance = frame_velocities(result.frame, result.tracked_features)
+    way = stream.velocity / np.hypot(*stream.velocity)
+    along = (velocity @ way)[stream.members]
+    variance = (way @ covariance @ way)[stream.members]
+    sides = [np.flatnonzero(along * sign > 0) for sign in (1, -1)]
+    if not all(map(len, sides)):
+        return []
+    jet, counter = (abs(along[side].mean()) for side in sides)
+    error = np.sqrt(sum(variance[side].sum() / len(side) ** 2 for side in sides))
+    if abs(jet - counter) >= SIGNIFICANT * error:
+        unit = result.cube.speed_unit
+        return [
+            f"it is the mean of the jet, {_shown(jet, unit)}, and the counter-jet, "
+            f"{_shown(counter, unit)}: give a region for each"
+        ]
+    few = min(map(len, sides)) < least * len(along)
+    said = "it moves on both sides of the core, and the direction is that of one"
+    return [] if few else [f"{said}: give a region for each"]
 
 
 def _cautions(search, stream, row, alpha, unit):

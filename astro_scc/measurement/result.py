@@ -23,6 +23,7 @@ from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
 from astro_scc.images.positions import name_by_frame
 from astro_scc.measurement import tables
+from astro_scc.measurement.parts import DIFFERENT, largest_difference
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.streams import members
@@ -210,9 +211,14 @@ class SCCResult(tables.VelocityMaps):
     def sensitivity_line(self) -> str:
         """On what the main speed depends, in words; empty if on nothing."""
         lines, table, found = [], self.sensitivity, np.isfinite(self.sensitivity["pm"])
-        if len(parts := table[table["significant"] & found]):
-            unit = unit_name(table["pm"].unit)
-            each = (f"{cell(row, 'pm', '+-')} ({row['choice']})" for row in parts)
+        apart = found & table["significant"]
+        if apart.any():
+            unit, rows = unit_name(table["pm"].unit), np.array(self.choices)[apart]
+            # Parts that agree differ from the whole.
+            apart[0] = not (len(rows) > 1 and largest_difference(rows) > DIFFERENT)
+            each = (
+                f"{cell(row, 'pm', '+-')} ({row['choice']})" for row in table[apart]
+            )
             lines.append(f"its speed differs between parts: {', '.join(each)} {unit}")
         # The first row is the whole.
         missing, n = np.sum(~found), len(table[1:])

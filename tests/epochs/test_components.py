@@ -140,6 +140,32 @@ def test_bad_tables(tmp_path):
         assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(("name", "dates"), [
+    ("epoch", [2006.5, 2006.25, 2006.1234, 2010.0]), ("JD", [2454000.5] * 4),
+    ("MJD", [53800, 53800, 54070, 54070]), ("epoch", [20060309] * 4),
+])  # fmt: skip
+def test_dates_that_are_numbers(tmp_path, name, dates):
+    table = mojave(**{"epoch": None, "feature": [0, 1, 2, 3], name: dates})
+    found = read_components(write(table, tmp_path / "t.ecsv"))
+    form = {"JD": "jd", "MJD": "mjd"}.get(name, "jyear")
+    days = dates if dates[0] < 2e7 else [2006.1841] * 4
+    times = np.unique(Time(days, format=form).jyear)
+    assert_allclose(found.times.jyear, times, atol=1e-3)
+    with pytest.raises(ValueError, match="row 1: '1' is no date"):
+        read_components(write(mojave(epoch=[1, 2, 3, 4]), tmp_path / "t.ecsv"))
+
+
+def test_names_of_offsets(tmp_path):
+    plain = mojave(separation=None, position_angle=None, x=[1, 2, 3, 4] * u.mas)
+    with pytest.raises(
+        ValueError, match="'separation' .or 'east', 'north'.; the table"
+    ):
+        read_components(write(plain, tmp_path / "t.ecsv"))
+    offsets = {"RA_offset": [0, 1, 0, 2] * u.mas, "Dec_offset": [0, 3, 0, 4] * u.mas}
+    found = read_components(write(mojave(**offsets), tmp_path / "t.ecsv"))
+    assert_allclose(found.east.value, [0, 1, 0, 2])
+
+
 #: As the journals print tables of jet features of many sources.
 JOURNAL = """\
 Title: Kinematics of made-up jets

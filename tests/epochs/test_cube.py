@@ -182,11 +182,12 @@ def test_given_dates_and_beams_replace_those_of_headers(make_epochs):
     with pytest.warns(EpochWarning, match="^2.fits: the beam .* given, 1 x 1 mas at"):
         cube = EpochCube.read([paths[0], other], **given_)
     assert cube.labels == ("2.fits", "0.fits")
-    wide = Beam(1 * u.arcsec, 1 * u.arcsec)
+    wide, narrow = (Beam(size, size) for size in (1 * u.arcsec, 1 * u.uas))
     for options, words in (
         ({}, r"0.fits: no date of observation .*times="),
         ({"times": "2001-01-01"}, "1 dates for 2 images; give one for each"),
         ({"times": times, "beams": wide}, "0.fits: the beam that is given, .* larger"),
+        ({"times": times, "beams": narrow}, "given, 0.001 .* is smaller than a pixel;"),
         ({"frame": "sky"}, "frame = 'sky' must be one of offset, abs"),
     ):
         with pytest.raises(ValueError, match=words):

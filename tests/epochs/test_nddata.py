@@ -140,7 +140,8 @@ def test_an_ndcube_with_a_time_axis(ndcube):
     assert_array_equal(cube.data, DATA)
     assert_array_equal(cube.mask, DATA > 1)
     assert cube.years.to_value(u.hour) == pytest.approx([0, 1, 2])
-    given = EpochCube.from_ndcube(source, times=DATES, beams=Beam(1 * u.mas, 1 * u.mas))
+    beam = Beam(0.5 * u.arcsec, 0.5 * u.arcsec)
+    given = EpochCube.from_ndcube(source, times=DATES, beams=beam)
     assert (given.times[0].isot[:10], len(given.beams)) == ("2000-01-01", 3)
 
 

@@ -78,6 +78,15 @@ def test_no_scale():
         np.testing.assert_allclose(small[name], value, 1e-6, 1e-9 * unit)
 
 
+@pytest.mark.parametrize("noise", [1e-30, 1e-9])
+def test_images_without_noise(noise):
+    """Simulations, and components that are restored without noise."""
+    found = fit_gaussians(sky(*THREE), BEAM, noise)
+    with_some = fit_gaussians(sky(*THREE), BEAM, 1e-3)
+    np.testing.assert_allclose(found.y[:3], with_some.y, atol=0.01)
+    assert np.all(found.peak[3:] < 1e-3)
+
+
 @pytest.mark.parametrize("bad", [np.nan, -1e6])
 def test_missing_pixels_do_not_spread(bad):
     image = sky(*TWO)

@@ -10,6 +10,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
+from astropy.table import Table
 
 from astro_scc.cli import main
 from astro_scc.epochs import EpochCube, inspect_epochs
@@ -252,7 +253,7 @@ def test_brightness_that_does_not_add_up(tmp_path):
         EpochCube.read(path)
 
 
-@pytest.mark.parametrize("name", ["spots.csv", "spots.dat"])
+@pytest.mark.parametrize("name", ["spots.csv", "spots.vot", "spots.dat"])
 def test_lists_of_spots_are_told_how_to_become_tables(tmp_path, name, capsys):
     (tmp_path / name).write_text("x,y,flux\n1,2,3\n")
     assert main(["measure", str(tmp_path / name), "-o", str(tmp_path / "out")]) == 2
@@ -299,6 +300,7 @@ SIP = {"CTYPE1": "RA---TAN-SIP", "CTYPE2": "DEC--TAN-SIP", "A_ORDER": 2, "B_ORDE
         (broadcast(5, 16, 32), {"CTYPE3": None}, "has 5 planes on axis 3 of the file"),
         (PIXELS[0, 0], SIP, "has distortions .SIP.; resample"),
         (PIXELS * np.nan, {}, "no valid pixel, all are NaN"),
+        (PIXELS, {"CDELT1": -56.0, "CDELT2": 56.0}, "its sides are 1.79e.03 deg by CD"),
     ],
 )
 def test_images_that_cannot_be_used(make_fits, data, changes, words):
@@ -319,7 +321,9 @@ def test_truncated_files_and_headers_that_claim_too_much(make_fits):
     path.write_bytes(content.replace(old, new))
     refused(path, "is broken, it claims 99999999999 axes")
     fits.writeto(path, np.ones(8), overwrite=True)
-    refused(path, "holds no image")
+    refused(path, "holds no image$")
+    Table({"x": [1.0]}).write(path, overwrite=True)
+    refused(path, "holds no image but a table; make an image of events, and of a list")
     assert not looks_like_mask(np.full((2, 2), np.nan))
     # Missing padding is no loss, and files may be packed, whatever their suffix.
     path.write_bytes(content.rstrip(b"\0"))

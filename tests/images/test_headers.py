@@ -130,6 +130,13 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header):
         assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
 
 
+@pytest.mark.parametrize("name", ["solar_x", "SOLAR-X", "Solar-X"])
+def test_coordinates_of_older_images_of_the_sun(aips_header, name):
+    axes = {"CTYPE1": name, "CTYPE2": name.replace("x", "y").replace("X", "Y")}
+    wcs = celestial_wcs(aips_header(**axes, CUNIT1="arcsec", CUNIT2="arcsec"))
+    assert list(wcs.wcs.ctype) == ["HPLN-TAN", "HPLT-TAN"]
+
+
 def test_unusable_coordinates_are_refused_in_one_line(aips_header):
     for changes, message in [
         ({"CTYPE1": None, "CTYPE2": None}, "no celestial coordinates.*from_arrays"),

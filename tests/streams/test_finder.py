@@ -213,6 +213,39 @@ def test_one_direction_does_not_speak_for_several():
     assert "directions of secure features scatter" in found.streams["caution"][0]
 
 
+@pytest.mark.parametrize(("centre", "turn", "said"), [
+    ((0, 0), 0, "deg, try --position-angle radial"),
+    ((-3, 2), 0, r"deg, they move away from \((-3|-2.9.?), (2|2.0.?|1.9.?)\) mas"),
+    ((0, 0), np.pi / 2, "deg, give a region for each"),
+])  # fmt: skip
+def test_motion_to_all_sides_is_said(centre, turn, said):
+    """Twelve knots that move away from a place, or about it."""
+    n, years = 12, np.arange(8) * 0.4
+    angle = 2 * np.pi * np.arange(n) / n
+    way, side = (np.array([np.sin(a), np.cos(a)]) for a in (angle, angle + turn))
+    place = np.array(centre)[:, None, None] + 5 * way[:, None]
+    east, north = place + years[:, None] * side[:, None]
+    table = ComponentList(
+        Time(2004 + years, format="jyear"), np.repeat(np.arange(8), n),
+        flux=np.tile(0.3 + 0.02 * np.arange(n), 8) * u.Jy, east=east.ravel() * u.mas,
+        north=north.ravel() * u.mas,
+    )  # fmt: skip
+    noise = {"noise": 0.3 * u.mJy / u.beam, "rng": 1}
+    cube = restore(
+        table, beam=Beam(0.8 * u.mas, 0.8 * u.mas), pixel_scale=0.1 * u.mas, **noise
+    )
+    caution = measured(cube, position_angle="any").streams["caution"][0]
+    assert "no one direction holds for the emission: " in caution
+    assert re.search(said, caution)
+
+
+def test_speeds_of_a_jet_and_its_counter_jet_are_told_apart():
+    found = measured(knots((0, 180), (1.8, 0.7), 5), position_angle=0 * u.deg).streams
+    row = found[found["kind"] == "moving"][0]
+    words = r"the mean of the jet, 1\.\d+ mas/yr, and the counter-jet, 0\.7\d* mas/yr: "
+    assert re.search(words, row["caution"])
+
+
 def test_knots_that_leave_at_equal_intervals_have_their_speed():
     """Each looks like the next after 0.88 years."""
     years = np.append(YEARS, YEARS[-1] + np.cumsum([0.44, 0.32, 0.35, 0.25, 0.45]))
