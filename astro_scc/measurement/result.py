@@ -23,7 +23,7 @@ from astro_scc.features import Features
 from astro_scc.features.finder import feature_table
 from astro_scc.images.positions import name_by_frame
 from astro_scc.measurement import tables
-from astro_scc.measurement.parts import DIFFERENT, largest_difference
+from astro_scc.measurement.cautions import DIFFERENT, largest_difference
 from astro_scc.patterns import DecomposedEpochs
 from astro_scc.spectrum.maps import VelocityMap
 from astro_scc.streams import members
