@@ -445,18 +445,23 @@ def choose_direction(
     image = np.asarray(cube.mean_image().data, dtype=float)
     # A sky that is not zero would be an excess where the other side is not seen.
     image = np.nan_to_num(image - np.nanmedian(image))
-    east, north = cube.offsets()
-    offset = np.stack([east, north], axis=-1).to_value(u.mas)
-    r = np.hypot(*np.moveaxis(offset, -1, 0))
+    noise, columns = np.median(u.Quantity(cube.noise_rms()).value), image.shape[1]
+    found = []
+    # Few pixels are bright; row by row, large images need no more memory.
+    for row, values in enumerate(image):
+        east, north = cube.pixel_to_offset(np.arange(columns), row)
+        # Without what is as bright on the other side: the core's wings, a shell.
+        x, y = cube.offset_to_pixel(-east, -north)
+        excess = values - scipy.ndimage.map_coordinates(image, [y, x], order=1)
+        bright = excess > snr * noise
+        found.append(np.stack([east.value, north.value, excess])[:, bright])
+    *offset, excess = np.concatenate(found, axis=1)
+    r, offset = np.hypot(*offset), np.transpose(offset)
     beam = np.mean([b.covariance.to_value(u.mas**2) for b in cube.beams], axis=0)
     beams = np.einsum("...i,ij,...j", offset, np.linalg.inv(beam), offset)
     beams = np.sqrt(beams / (8 * np.log(2)))
-    # Without what is as bright on the other side: the core's wings, a shell.
-    x, y = cube.offset_to_pixel(-east, -north)
-    excess = image - scipy.ndimage.map_coordinates(image, [y, x], order=1, cval=0.0)
-    noise = np.median(u.Quantity(cube.noise_rms()).value)
     for core in cores:
-        use = (excess > snr * noise) & (beams > core)
+        use = beams > core
         if use.any():
             break
     else:

@@ -619,7 +619,7 @@ def fit_position_angle(
             f"no pixel of the mean image is above {threshold:g} times its noise, a "
             "beam or more from the core: give a position angle"
         )
-    each = np.where(cube.mask, 0.0, cube.data - sky)[:, use]
+    each = np.where(cube.mask[:, use], 0.0, cube.data[:, use] - sky)
     sums = np.stack([each @ x[use], each @ y[use]], axis=-1)
     total = sums.sum(axis=0)
     angle = np.arctan2(*total)
