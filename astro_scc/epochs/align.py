@@ -18,7 +18,7 @@ from astro_scc.columns import numbers
 from astro_scc.epochs.registration import core_positions, displacement
 from astro_scc.exceptions import MeasurementWarning, naming, naming_all, warn
 from astro_scc.images import grid, regions
-from astro_scc.images.dates import as_times
+from astro_scc.images.dates import as_times, times_of_column
 from astro_scc.images.series import Series
 
 #: Methods, and the option that each has.
@@ -325,15 +325,11 @@ def _dates(table):
             f"{len(columns)} columns of dates, one is needed, called one of "
             f"{', '.join(DATES)}; it has {', '.join(table.colnames)}"
         )
-    column, kind = table[columns[0]], columns[0].lower()
+    column = table[columns[0]]
     where = f"the dates in column {columns[0]!r} are not understood"
     # ERFA warns of years whose leap seconds are unknown.
     with naming(where), warnings.catch_warnings(action="ignore"):
-        dated = isinstance(column, Time)
-        if not dated and (kind in ("mjd", "jd") or column.dtype.kind in "fi"):
-            kind = kind if kind in ("mjd", "jd") else "jyear"
-            column = np.ma.masked_invalid(np.ma.asarray(column, dtype=float))
-            column = Time(column, format=kind, scale="utc")
+        column = times_of_column(column)
         for row in np.flatnonzero(getattr(column, "mask", False)):
             raise ValueError(f"that of row {row + 1} is missing")
         if not isinstance(column, Time):

@@ -20,7 +20,7 @@ from astro_scc.columns import numbers
 from astro_scc.exceptions import naming, naming_all
 from astro_scc.images import headers
 from astro_scc.images.beam import parse_beam
-from astro_scc.images.dates import times_of_numbers
+from astro_scc.images.dates import times_of_column
 from astro_scc.images.fits import AS_TABLE, opened, read_header
 from astro_scc.images.headers import some
 from astro_scc.quantities import parse_date
@@ -150,9 +150,7 @@ def _dates(table, columns, date):
     if date is not None:
         texts = [date] * len(table)
     elif "epoch" in columns:
-        column = table[columns["epoch"]]
-        if not isinstance(column, Time) and column.dtype.kind in "fi":
-            column = times_of_numbers(column) or column
+        column = times_of_column(table[columns["epoch"]])
         texts = column.utc.isot if isinstance(column, Time) else column
         texts = [str(text) for text in texts]
     else:

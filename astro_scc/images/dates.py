@@ -316,16 +316,17 @@ def as_times(times, n):
     return without_doubt(times)
 
 
-def times_of_numbers(numbers):
-    """Return the Time of decimal years or (modified) Julian dates, None of others."""
-    values = np.ma.masked_invalid(np.ma.asarray(numbers))
+def times_of_column(column):
+    """Return numbers that are years or (modified) Julian dates as Time, others not."""
+    if isinstance(column, Time) or column.dtype.kind not in "fi":
+        return column
+    values = np.ma.masked_invalid(np.ma.asarray(column, dtype=float))
     low, high = values.min(), values.max()
     kinds = {"jyear": (1800, 2200), "mjd": (1e4, 1e5), "jd": (FIRST_JD, 3e6)}
     for form, (least, most) in kinds.items():
         if least <= low and high < most:
-            with warnings.catch_warnings(action="ignore"):
-                return Time(values.astype(float), format=form, scale="utc")
-    return None
+            return Time(values, format=form, scale="utc")
+    return column
 
 
 def given_times(times, n):
