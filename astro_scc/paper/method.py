@@ -315,7 +315,7 @@ class PaperMeasurement(VelocityMaps):
 
     def __repr__(self):
         n = len(self.found)
-        return f"<PaperMeasurement: {len(self.cube)} epochs, {n} components>"
+        return f"<PaperMeasurement: {len(self.cube)} epochs, {n} streams>"
 
     @property
     def cube(self) -> EpochCube:

@@ -71,8 +71,9 @@ MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
 FEWEST, BY_CHANCE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.05, 6.0, 0.03, 0.2
 #: Features speak for a flow if they are this share of all detections.
 COVERAGE = 0.1
-#: Largest motion of a standing feature, in beams, and its fewest epochs.
-STANDING, STANDING_EPOCHS = 0.5, 5
+#: Largest motion of a standing feature, in beams, its fewest epochs, and the fewest
+#: errors by which its velocity is not that of a stream.
+STANDING, STANDING_EPOCHS, AS_WELL = 0.5, 5, 2.0
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
@@ -442,15 +443,20 @@ def _standing(features, flow, streams, inside, shift):
     moved, use = features.moved, np.ones(n, bool) if inside is None else inside
     members, rows = [], []
     taken = np.concatenate([[], *(s.members for s in streams)]).astype(int)
+    moving = [s.velocity for s in streams if s.kind == "moving"]
     for k in np.setdiff1d(np.flatnonzero(use), taken):
         motion, track = features.motions[k], features.tracks[k]
         still = motion.speed < SIGNIFICANT * motion.speed_err and moved[k] < STANDING
         if not still or len(track) < STANDING_EPOCHS or features.p_false[k] > 0.5:
             continue
         local = np.asarray(flow.frame.matrix(*motion.place))
-        if np.isfinite(local).all():
+        velocity = local @ motion.velocity
+        off = [np.hypot(*(velocity - one)) for one in moving]
+        # What may as well move with a stream does not show that it stands.
+        with_it = min(off, default=np.inf) < AS_WELL * motion.speed_err
+        if np.isfinite(local).all() and not with_it:
             members.append(k)
-            rows.append((*(local @ motion.velocity), motion.speed_err, len(track)))
+            rows.append((*velocity, motion.speed_err, len(track)))
     if not members:
         return []
     first, second, error, weight = np.array(rows, float).T

@@ -83,8 +83,8 @@ def test_images_without_noise(noise):
     """Simulations, and components that are restored without noise."""
     found = fit_gaussians(sky(*THREE), BEAM, noise)
     with_some = fit_gaussians(sky(*THREE), BEAM, 1e-3)
-    np.testing.assert_allclose(found.y[:3], with_some.y, atol=0.01)
-    assert np.all(found.peak[3:] < 1e-3)
+    np.testing.assert_allclose(found["y"][:3], with_some["y"], atol=0.01)
+    assert np.all(found["peak"][3:] < 1e-3)
 
 
 @pytest.mark.parametrize("bad", [np.nan, -1e6])
