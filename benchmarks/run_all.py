@@ -91,8 +91,8 @@ ENTRIES = {
     "features_trust": _script(
         "features", 480, "features_trust.csv", args="trust {data} {images}"),
     "features_simulated": _script(
-        "features", 60, "features_simulated.csv", "features_static.csv",
-        args="simulated"),
+        "features", 10, "features_simulated.csv", "features_static.csv",
+        args="simulated --jets 20"),
     "streams_survey": _script(
         "streams", 240, "streams_survey.csv", args="survey {data} {images}"),
     "comparison": _script(

@@ -15,7 +15,7 @@ COEFFICIENTS = np.array([1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62, -7.23])
 COSINE = 3
 #: A feature is secure if it is false with at most this probability, has the same
 #: speed in such a share of the disturbed assignments, and moves so: of static jets at
-#: most one in twenty then has one (``benchmarks/features.py``).
+#: most one in fifteen then has one (``benchmarks/features.py``).
 MOST_FALSE, SAME_SPEED = 0.3, 0.5
 #: Least motion in beams and in standard errors, and fewest epochs: far, or clearly.
 MOTIONS = (1.0, SIGNIFICANT, LEAST_EPOCHS), (0.5, 5.0, 5)
