@@ -17,7 +17,7 @@ import scipy
 from astro_scc import kinematics
 from astro_scc.decomposition import wavelet
 from astro_scc.kinematics.frames import axes_along
-from astro_scc.spectrum.planes import REACH, FlowPlanes, flow_planes
+from astro_scc.spectrum.diagram import REACH, SampledPlanes
 
 #: Part of the flow on the other side of the core that makes a counter-jet, and the gap
 #: between both halves of the grid, in beams.
@@ -83,6 +83,11 @@ class FlowGrid:
     def bends(self) -> bool:
         """Whether its lines bend, so that speeds along them are lengths."""
         return self.lines is not None and bool((self.lines[0] % 1).any())
+
+    @property
+    def distances(self) -> np.ndarray:
+        """Distance of each point from the origin of the flow, in beams."""
+        return np.broadcast_to(self.distance[:, None], self.x.shape)
 
     @property
     def axes(self) -> np.ndarray:
@@ -304,55 +309,48 @@ def has_core(cube, beam):
     return bool(np.hypot(*place) < beam)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SampledPlanes:
-    """Wavelet planes of all epochs on a grid along the flow, see ``flow_planes``."""
+def sample_lines(grid, sampled, lines):
+    """
+    Return a straight grid and the planes on it along lines through its points.
 
-    planes: np.ndarray
-    valid: np.ndarray
-    mask: np.ndarray
-    noise: np.ndarray
-    grid: FlowGrid
-    years: np.ndarray
-    scales: tuple[float, ...]
-    sizes: list[float]
-    reach: float
+    Parameters
+    ----------
+    grid : `FlowGrid`
+    sampled : ``SampledPlanes``
+    lines : `~numpy.ndarray`, shape (2, n_points, n_across)
+        Rows and columns, see `flow_lines`.
 
-    def changes(self, normalise: str = "local") -> FlowPlanes:
-        """Return what changes in the planes, normalised."""
-        grid = self.grid
-        return flow_planes(
-            self.planes, self.valid, self.mask, self.noise, along=grid.along,
-            across=grid.across, years=self.years, scales=self.scales, sizes=self.sizes,
-            weight=None if np.ptp(grid.weight) == 0 else grid.weight,
-            normalise=normalise, reach=self.reach,
-        )  # fmt: skip
-
-    def along_lines(self, lines: np.ndarray) -> SampledPlanes:
-        """Return the planes of a straight grid along lines through its points."""
-        grid = self.grid
-        row, column = (
-            np.clip(np.rint(at).astype(int), 0, n - 1)
-            for at, n in zip(lines, self.mask.shape, strict=True)
-        )
-        # No line leads from one half of the grid to the other.
-        known = np.abs(lines - [row, column]).max(axis=0) <= 0.5
-        known &= grid.counter[column] == grid.counter
-        sampled = scipy.ndimage.map_coordinates
-        planes = [[sampled(plane, lines, order=3) for plane in k] for k in self.planes]
-        pixels = grid.x, grid.y
-        x, y = (sampled(p, lines, order=1, mode="nearest") for p in pixels)
-        weight = lines[1, :, 1:2] - lines[1, :, :1]
-        step = grid.along[1] - grid.along[0]
-        along = grid.along[0] + step * np.arange(len(weight))
-        grid = replace(
-            grid, x=x, y=y, along=along, distance=np.abs(along),
-            weight=weight / weight.max(), lines=lines,
-        )  # fmt: skip
-        return replace(
-            self, planes=np.array(planes), valid=self.valid[:, row, column] & known,
-            mask=self.mask[row, column] & known, grid=grid,
-        )  # fmt: skip
+    Returns
+    -------
+    grid : `FlowGrid`
+    sampled : ``SampledPlanes``
+    """
+    row, column = (
+        np.clip(np.rint(at).astype(int), 0, n - 1)
+        for at, n in zip(lines, grid.x.shape, strict=True)
+    )
+    # No line leads from one half of the grid to the other.
+    known = np.abs(lines - [row, column]).max(axis=0) <= 0.5
+    known &= grid.counter[column] == grid.counter
+    at_lines = scipy.ndimage.map_coordinates
+    planes = [[at_lines(one, lines, order=3) for one in k] for k in sampled.planes]
+    pixels = grid.x, grid.y
+    x, y = (at_lines(p, lines, order=1, mode="nearest") for p in pixels)
+    weight = lines[1, :, 1:2] - lines[1, :, :1]
+    weight = weight / weight.max()
+    step = grid.along[1] - grid.along[0]
+    along = grid.along[0] + step * np.arange(len(weight))
+    return (
+        replace(
+            grid, x=x, y=y, along=along, distance=np.abs(along), weight=weight,
+            lines=lines,
+        ),
+        replace(
+            sampled, planes=np.array(planes), along=along, weight=weight,
+            valid=sampled.valid[:, row, column] & known,
+            mask=sampled.mask[row, column] & known,
+        ),
+    )  # fmt: skip
 
 
 def flow_lines(grid, values):
@@ -449,16 +447,19 @@ def sample_planes(cube, grid, scales, seen, *, kernel="b1", order=3, reach=REACH
     share = scipy.ndimage.uniform_filter(np.float32(valid), around, mode="nearest")
     valid &= share > KNOWN
     return SampledPlanes(
-        planes, valid, mask, np.sqrt((noise**2).mean(axis=0)), grid,
-        cube.years.to_value(u.yr), tuple(scales),
-        [side / grid.beam * wavelet.scale_size(scale) for scale in scales], reach,
+        planes, valid, mask, np.sqrt((noise**2).mean(axis=0)), grid.along, grid.across,
+        grid.weight, cube.years.to_value(u.yr), tuple(scales),
+        tuple(side / grid.beam * wavelet.scale_size(scale) for scale in scales), reach,
     )  # fmt: skip
 
 
-def sample_mask(mask, grid):
-    """Return the weight of the points of a grid inside a region."""
+def region_weight(region, grid):
+    """Return the weight of the points of a grid inside a region, None without one."""
+    if region is None:
+        return None
     where = np.array([grid.y, grid.x])
-    return scipy.ndimage.map_coordinates(np.asarray(mask, float), where, order=1)
+    weight = scipy.ndimage.map_coordinates(np.asarray(region, float), where, order=1)
+    return weight.astype(np.float32)
 
 
 def _noise(plane, scale, sky, mask):

@@ -17,8 +17,7 @@ from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
 from astro_scc.settings import refuse_other_method, require
 from astro_scc.spectrum.permutations import EVERY, within
-from astro_scc.streams.finder import FEWEST_EPOCHS
-from astro_scc.streams.search import SearchSettings
+from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
 from astro_scc.units import PM_UNIT
 
 

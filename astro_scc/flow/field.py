@@ -16,10 +16,8 @@ from astro_scc.kinematics import RidgeLine
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
-from astro_scc.streams.decomposed import distances
-from astro_scc.streams.finder import find_motion
-from astro_scc.streams.parts import fit_part, has_flow
-from astro_scc.streams.search import SearchSettings
+from astro_scc.streams.decomposed import find_motion, fit_part, has_flow
+from astro_scc.streams.finder import SearchSettings
 from astro_scc.units import PM_UNIT
 
 #: Length of a cell along the flow in beams, and number across it, if none are given.
@@ -201,7 +199,8 @@ def _measure_cell(cell, search, settings, rng):
     part = fit_part(cell, sign=sign, intervals=search.intervals)
     if part is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
-    speed, error = part.fit.mean[0], part.errors(part.fit.mean[0]).mean[0]
+    speed = part.fit.mean[0]
+    (error,), *_ = part.errors(speed)
     return abs(speed) * cell.beam, error * cell.beam, test.p_global
 
 
@@ -222,7 +221,7 @@ def cell_coordinates(flow):
     """
     grid, frame, beam = flow.grids[0], flow.frame, flow.beam
     shape, place = grid.x.shape, flow.cube.pixel_to_offset(grid.x, grid.y)
-    distance = distances(grid) * beam
+    distance = grid.distances * beam
     if isinstance(frame, RidgeLine):
         return distance, np.broadcast_to(grid.across * beam, shape), u.mas
     if np.isfinite(grid.angle):

@@ -38,9 +38,14 @@ from astro_scc.products.folder import write_files, write_tables
 from astro_scc.quantities import seeded
 from astro_scc.scc import StackedCrossCorrelation, meta_of
 from astro_scc.settings import require
-from astro_scc.streams.decomposed import DecomposedFlow
+from astro_scc.streams.decomposed import (
+    DecomposedFlow,
+    PartFit,
+    fit_along_lines,
+    fit_part,
+    has_flow,
+)
 from astro_scc.streams.finder import find_streams
-from astro_scc.streams.parts import PartFit, fit_along_lines, fit_part, has_flow
 from astro_scc.units import PM_UNIT
 from astro_scc.visualization import speeds, style
 
@@ -367,7 +372,7 @@ def _fit_again(search, sign, *, root):
     """Return the fit of one stream to a bin, None if its speed is not known."""
     if search is None:
         return None
-    fit, error = search.fit, search.errors and search.errors.mean[0]
+    fit = search.fit
     same = fit is not None and len(fit.mean) == 1 and fit.mean[0] * sign > 0
     part = fit_part(
         search.flow, sign=sign, root=root, intervals=search.intervals,
@@ -376,7 +381,7 @@ def _fit_again(search, sign, *, root):
     if part is None:
         return None
     speed = part.fit.mean[0]
-    error = error if same else part.errors().mean[0]
+    error = fit.mean_err[0] if same else part.errors()[0][0]
     # The table has another mean of the spectrum then, or does not confirm it.
     known = error < abs(speed) and search.tested(speed * search.beam)
     return part if known else None

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -15,10 +15,9 @@ from astropy.table import QTable
 
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import with_error
-from astro_scc.spectrum.errors import ONE_SIGMA
-from astro_scc.streams.members import moving_features
-from astro_scc.streams.parts import fit_part, weight_of
-from astro_scc.streams.spread import mean_speed
+from astro_scc.spectrum.gaussians import ONE_SIGMA
+from astro_scc.streams.decomposed import fit_part, weight_of
+from astro_scc.streams.members import mean_speed, moving_features
 from astro_scc.units import PM_UNIT, offset_unit
 
 #: Features of a bin: with fewer a dispersion has an error of half its size.
@@ -79,7 +78,7 @@ def feature_profile(result: SCCResult) -> QTable:
         for k in np.array_split(np.argsort(place), n_bins):
             part, r = moving[k], place[k]
             mean = mean_speed(np.abs(part.along), part.along_err, part.weight)
-            rows.append((number, len(k), r.min(), r.max(), r.mean(), *astuple(mean)))
+            rows.append((number, len(k), r.min(), r.max(), r.mean(), *mean))
     units = dict.fromkeys(BINS[2:5], u.mas) | dict.fromkeys(BINS[5:], PM_UNIT)
     return QTable(rows=rows, names=BINS, dtype=[int] * 2 + [float] * 7, units=units)
 
@@ -262,20 +261,20 @@ def difference(first, second, stream=0, both=None):
         return (np.nan, np.nan), (np.nan, np.nan), np.nan, np.nan
     means = [part.fit.mean[stream] for part in (first, second)]
     found = [part.errors(np.mean(means), stream) for part in (first, second)]
+    errors, numbers, clusters, epochs = zip(*found, strict=True)
     speeds = abs(means[0]), abs(means[1])
     factors = [
-        scipy.special.stdtrit(max(error.number[0] - 1, 1.0), ONE_SIGMA)
-        for error in found
+        scipy.special.stdtrit(max(number[0] - 1, 1.0), ONE_SIGMA) for number in numbers
     ]
-    variance = ((found[1].epochs[0] - found[0].epochs[0]) ** 2).sum()
+    variance = ((epochs[1][0] - epochs[0][0]) ** 2).sum()
     for half in (0, 1):
-        one, other = (found[k].clusters[0][half] / factors[k] for k in (0, 1))
+        one, other = (clusters[k][0][half] / factors[k] for k in (0, 1))
         apart = other - one
         used = apart[apart != 0]
         m = len(used)
         square = ((used - used.mean()) ** 2).sum() if m else 0.0
         variance += max(factors) ** 2 * square * m / max(m - 1, 1) / 2
-    errors = found[0].mean[0], found[1].mean[0]
+    errors = errors[0][0], errors[1][0]
     return speeds, errors, speeds[1] - speeds[0], DIFFERENCES * np.sqrt(variance)
 
 
@@ -335,10 +334,10 @@ def speeds_in_parts(fits, places, *, stream=0):
         return np.array(places), speed, covariance
     means = np.array([fits[k].fit.mean[stream] for k in known])
     errors = [fits[k].errors(np.median(means)) for k in known]
-    epochs = np.array([error.epochs[stream] for error in errors])
+    epochs = np.array([by_epoch[stream] for *_, by_epoch in errors])
     total = epochs @ epochs.T
     for half in (0, 1):
-        clusters = np.array([error.clusters[stream][half] for error in errors])
+        clusters = np.array([each[stream][half] for _, _, each, _ in errors])
         m = np.count_nonzero(clusters.any(axis=0))
         total += clusters @ clusters.T * m / max(m - 1, 1) / 2
     speed[known] = np.abs(means)

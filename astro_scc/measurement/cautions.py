@@ -15,8 +15,8 @@ from astro_scc.grid import has_core
 from astro_scc.images.dates import date_labels
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.spectrum.permutations import within
-from astro_scc.streams import decomposed, finder, parts
-from astro_scc.streams.members import frame_velocities, passing_features
+from astro_scc.streams import decomposed, finder
+from astro_scc.streams.members import FEWEST, frame_velocities, passing_features
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 
 #: Parts of the limits of the search that are near them, and errors by which two speeds
@@ -139,7 +139,7 @@ def _other_directions(result):
     error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
     use = features.secure & (np.hypot(*velocity.T) > SIGNIFICANT * error)
     # Speeds along lines that bend are lengths.
-    if use.sum() < finder.FEWEST or result.flow.grids[0].bends:
+    if use.sum() < FEWEST or result.flow.grids[0].bends:
         return []
     place = np.array([motion.place for motion in features.motions])[use]
     local = (np.asarray(frame.matrix(*place.T)) @ place[..., None])[..., 0]
@@ -295,14 +295,16 @@ def parts_of(search):
     def speed_of(part, intervals):
         """Return the speed with its error; what has no error is not known."""
         diagram = search.diagram if part is flow else None
-        found = parts.fit_part(part, start=start, intervals=intervals, diagram=diagram)
+        found = decomposed.fit_part(
+            part, start=start, intervals=intervals, diagram=diagram
+        )
         known = found is not None and found.knows(main)
-        error = found.errors(stream=main).mean[0] if known else np.nan
+        error = found.errors(stream=main)[0][0] if known else np.nan
         if not np.isfinite(error):
             return np.nan, np.nan
         return abs(found.fit.mean[main]) * flow.beam, error * flow.beam
 
-    whole = abs(fit.mean[main]) * flow.beam, search.errors.mean[main] * flow.beam
+    whole = abs(fit.mean[main]) * flow.beam, fit.mean_err[main] * flow.beam
     rows = [_row("the whole spectrum", whole)]
     for pair in _pairs_of_parts(search):
         both = []
@@ -358,8 +360,8 @@ def _pairs_of_parts(search):
             (f"epochs before {date}", flow.part(epochs=slice(middle)), every),
             (f"epochs from {date} on", flow.part(epochs=slice(middle, None)), every),
         )
-    r = decomposed.distances(flow.grids[0])
-    seen = flow.planes[0].mask & (parts.weight_of(flow) > 0.5)
+    r = flow.grids[0].distances
+    seen = flow.planes[0].mask & (decomposed.weight_of(flow) > 0.5)
     if seen.any():
         border = float(np.median(r[seen]))
         unit = offset_unit(border * flow.beam)

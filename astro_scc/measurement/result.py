@@ -25,10 +25,10 @@ from astro_scc.images.positions import name_by_frame
 from astro_scc.measurement import tables
 from astro_scc.measurement.cautions import DIFFERENT, largest_difference
 from astro_scc.patterns import DecomposedEpochs
-from astro_scc.spectrum.maps import VelocityMap
+from astro_scc.spectrum.rays import VelocityMap
 from astro_scc.streams import members
 from astro_scc.streams.decomposed import DecomposedFlow
-from astro_scc.streams.search import StreamSearch
+from astro_scc.streams.finder import StreamSearch
 from astro_scc.units import PM_UNIT, in_speed_unit, unit_name
 from astro_scc.writing import ascii_line
 

@@ -32,7 +32,7 @@ from astro_scc.plan import (
 )
 from astro_scc.quantities import Seed, seeded
 from astro_scc.settings import MeasurementSettings, refuse_other_method, require
-from astro_scc.spectrum.maps import VelocityMap
+from astro_scc.spectrum.rays import VelocityMap
 from astro_scc.units import PM_UNIT, in_speed_unit
 from astro_scc.writing import versions
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from astro_scc.images.zncc import find_peaks
-from astro_scc.spectrum.maps import VelocityMap
+from astro_scc.spectrum.rays import VelocityMap
 
 #: Gaussians are neglected beyond this many standard deviations.
 REACH_SIGMA = 5.0

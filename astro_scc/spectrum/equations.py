@@ -141,6 +141,11 @@ def interval_bins(years, ratio=1.04):
     return bins, number, np.bincount(index, tau[use]) / number
 
 
+def pairs_by_bin(bins):
+    """Return the pairs of epochs, as places in the flat array, bin by bin."""
+    return np.argsort(bins, axis=None, kind="stable")[np.sum(bins < 0) :]
+
+
 def set_up(diagram, *, fastest=None, intervals=EVERY):
     """
     Set up the equations of a diagram.
@@ -215,7 +220,7 @@ def _centre(bins, number, share):
 
 def binned(values, bins, number, share):
     """Return values of pairs summed over bins, less the mean of pairs that are used."""
-    pairs = np.argsort(bins, axis=None, kind="stable")[np.sum(bins < 0) :]
+    pairs = pairs_by_bin(bins)
     first, second = np.divmod(pairs, len(bins))
     both = np.concatenate([pairs, second * len(bins) + first])
     starts, m = np.append(0, np.cumsum(np.tile(number, 2))), len(number)

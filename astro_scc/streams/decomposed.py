@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The flow of a cube: its wavelet planes along its directions, and parts of it."""
+"""The flow of a cube, its direction, and streams that are fitted to parts of it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,41 @@ from astro_scc.epochs import EpochCube
 from astro_scc.exceptions import NoFlowError
 from astro_scc.grid import (
     FlowGrid,
-    SampledPlanes,
     default_scales,
     flow_grids,
     flow_lines,
     has_core,
-    sample_mask,
+    region_weight,
+    sample_lines,
     sample_planes,
     seen_flow,
 )
 from astro_scc.intervals import without_short
 from astro_scc.kinematics import PositionAngleFrame
-from astro_scc.spectrum.diagram import Diagram, correlate
-from astro_scc.spectrum.planes import REACH, FlowPlanes
+from astro_scc.spectrum.diagram import (
+    REACH,
+    Diagram,
+    FlowPlanes,
+    SampledPlanes,
+    correlate,
+    correlate_aside,
+    weight_of_pairs,
+)
+from astro_scc.spectrum.equations import Equations, set_up
+from astro_scc.spectrum.gaussians import StreamFit, fit_errors, fit_streams, one_stream
+from astro_scc.spectrum.permutations import EVERY, permutation_test
+from astro_scc.spectrum.rays import (
+    correlation_kept,
+    deletion_error,
+    transverse_speed,
+)
 from astro_scc.units import PM_UNIT
 
 #: Beams by which diagrams go beyond the largest speed in the shorter intervals.
 MARGIN = 1.5
+#: Other lines are those of a flow if patterns keep more of their correlation along
+#: them, by so many errors.
+ERRORS = 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,8 +138,8 @@ class DecomposedFlow:
         scales : sequence of float, optional
             By default those of the flow.
         normalise : {"local", "along"}
-            See ``flow_planes``; scales are compared on planes that are normalised along
-            the flow only.
+            See ``SampledPlanes.changes``; scales are compared on planes that are
+            normalised along the flow only.
 
         Returns
         -------
@@ -130,8 +148,7 @@ class DecomposedFlow:
         """
         scales = tuple(scales or self.planes[0].scales)
         if angle is None and self.sampled and scales == self.sampled.scales:
-            planes = self.sampled.changes(normalise)
-            return replace(self, planes=(planes,))
+            return replace(self, planes=(self.sampled.changes(normalise),))
         angle = self.grids[0].angle if angle is None else angle
         known = np.isfinite(angle)
         made = decompose_flow(
@@ -147,14 +164,12 @@ class DecomposedFlow:
     def along_lines(
         self, lines: np.ndarray, normalise: str = "local"
     ) -> DecomposedFlow:
-        """Return the flow of a straight grid along lines, see ``SampledPlanes``."""
-        sampled, regions = self.sampled.along_lines(lines), self.regions
-        if self.inside is not None:
-            regions = (sample_mask(self.inside, sampled.grid).astype(np.float32),)
-        planes = (sampled.changes(normalise),)
+        """Return the flow of a straight grid along lines, see ``sample_lines``."""
+        grid, sampled = sample_lines(self.grids[0], self.sampled, lines)
         return replace(
-            self, grids=(sampled.grid,), planes=planes, regions=regions, sampled=sampled
-        )
+            self, grids=(grid,), planes=(sampled.changes(normalise),), sampled=sampled,
+            regions=(region_weight(self.inside, grid),),
+        )  # fmt: skip
 
     def lines(self) -> list[np.ndarray]:
         """Return other lines than straight ones along which a jet may flow."""
@@ -196,11 +211,9 @@ class DecomposedFlow:
 
     def between(self, low, high):
         """Return the part between two distances along the flow, in mas."""
-        places = []
-        for grid in self.grids:
-            r = distances(grid)
-            places.append(((r >= low / self.beam) & (r < high / self.beam)) * 1.0)
-        return self.part(places=places)
+        low, high = low / self.beam, high / self.beam
+        far = [grid.distances for grid in self.grids]
+        return self.part(places=[((r >= low) & (r < high)) * 1.0 for r in far])
 
 
 def _reach(cube, max_speed, beam):
@@ -210,11 +223,6 @@ def _reach(cube, max_speed, beam):
     gaps = np.diff(cube.years.to_value(u.yr))
     way = max_speed.to_value(PM_UNIT) / beam * np.quantile(without_short(gaps), 0.25)
     return max(REACH, float(way) + MARGIN)
-
-
-def distances(grid):
-    """Return the distance of each point from the origin along the flow, in beams."""
-    return grid.distance[:, None] * np.ones(len(grid.across))
 
 
 def decompose_flow(
@@ -236,7 +244,7 @@ def decompose_flow(
     max_speed : `~astropy.units.Quantity`, optional
     kernel : {"b1", "b3"}
     normalise : {"local", "along"}
-        See ``flow_planes``.
+        See ``SampledPlanes.changes``.
     passes : bool, optional
         Whether the flow passes the reference position, which is no core then.
 
@@ -254,12 +262,11 @@ def decompose_flow(
     if scales is None:
         scales = default_scales(beam / cube.pixel_scale.to_value(u.mas))
     grids = tuple(flow_grids(cube, frame, seen, beam, core=core and not passes))
-    sampling = {
-        "kernel": kernel, "order": 3 if len(grids) == 1 else 1,
-        "reach": _reach(cube, max_speed, beam),
-    }  # fmt: skip
-    scales = tuple(scales)
-    sampled = [sample_planes(cube, g, scales, seen, **sampling) for g in grids]
+    reach, order = _reach(cube, max_speed, beam), 3 if len(grids) == 1 else 1
+    sampled = [
+        sample_planes(cube, g, scales, seen, kernel=kernel, order=order, reach=reach)
+        for g in grids
+    ]
     planes = tuple(one.changes(normalise) for one in sampled)
     if region is None and not any(one.mask.any() for one in planes):
         raise NoFlowError(
@@ -267,9 +274,7 @@ def decompose_flow(
             "pixels, that wavelets reach beyond: leave out the largest scales, or give "
             "larger images"
         )
-    regions = (None,) * len(grids)
-    if region is not None:
-        regions = tuple(sample_mask(region, g).astype(np.float32) for g in grids)
+    regions = tuple(region_weight(region, g) for g in grids)
     fastest = None if max_speed is None else max_speed.to_value(PM_UNIT) / beam
     return DecomposedFlow(
         cube, frame, grids, planes, regions, beam, fastest, inside=region,
@@ -292,3 +297,205 @@ def _seen(cube, beam, region, core):
             "there is no flow to be measured"
         )
     return seen
+
+
+# -- its direction ------------------------------------------------------------------
+
+#: Displacement across the flow at which diagrams are compared, in beams.
+ASIDE = 0.4
+#: Without a known direction, that of the flow is found in so many turns, of at most
+#: and at least so many radians.
+MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
+
+
+def find_motion(flow, settings, rng):
+    """
+    Return a flow along its direction, and the test for motion along all directions.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+    settings : `SearchSettings`
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    flow : ``DecomposedFlow``
+    test : ``MotionTest``
+    """
+    shared = {"fastest": flow.fastest, "intervals": settings.intervals}
+    shared |= {"n_trials": settings.n_trials, "rng": rng}
+    diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
+    test = permutation_test(diagrams, inward=settings.inward(flow), **shared)
+    if len(flow.planes) == 1:
+        return flow, test
+    # Along the direction of the largest z, outward.
+    direction, best = test.best
+    flow = _turned(flow, direction, test.speed[best])
+    along = permutation_test([flow.diagram(0)], inward=0.0, **shared)
+    return flow, replace(
+        along, p_global=test.p_global, p_smallest=test.p_smallest, level=test.level
+    )
+
+
+def _turned(flow, direction, speed):
+    """Return the flow along its own direction, from the best of those tested."""
+    angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
+    for _ in range(MOST_TURNS):
+        found = flow.along(angle)
+        sheet, aside = sheet_of(found.planes[0].square_root, found.regions[0], 1)
+        across, error = transverse_speed(sheet, aside, abs(speed))
+        if not np.isfinite(error):
+            break
+        # Positive to larger position angles.
+        turn = np.arctan2(across, abs(speed))
+        turn = float(np.clip(turn, -MOST_TURN, MOST_TURN))
+        angle += turn
+        if abs(turn) < LEAST_TURN:
+            break
+    return flow.along(angle)
+
+
+def sheet_of(planes, region, number):
+    """Return diagrams at displacements across the flow, and their distance in beams."""
+    lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
+    lags = [k * lag for k in range(1, number + 1) if 2 * k * lag < n_across]
+    return correlate_aside(planes, lags, region=region), lag * planes.step
+
+
+# -- parts of a flow -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PartFit:
+    """Streams that are fitted to a part of a flow."""
+
+    flow: DecomposedFlow
+    planes: FlowPlanes
+    diagram: Diagram
+    equations: Equations
+    fit: StreamFit
+
+    def errors(self, travel=None, stream=None):
+        """Return what `fit_errors` does, of clusters that move at one speed."""
+        return fit_errors(
+            self.planes, self.diagram, self.equations, self.fit,
+            region=self.flow.regions[0], travel=travel, stream=stream,
+        )  # fmt: skip
+
+    def knows(self, stream: int) -> bool:
+        """Return whether a stream is seen, and not at the limit of the search."""
+        inside = abs(self.fit.mean[stream]) < 0.99 * self.equations.speed[-1]
+        return bool(self.fit.amplitude[stream] > 0 and inside)
+
+
+def fit_part(
+    flow, *, sign=1.0, root=True, start=None, intervals=EVERY, diagram=None, fit=None
+):
+    """
+    Fit one stream, or those of the whole flow, to a part of it.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+        Along one direction.
+    sign : float, optional
+        Of the speed of one stream.
+    root : bool, optional
+        Of the square root of the planes, see `FlowPlanes.square_root`.
+    start : sequence of (mean, sd), optional
+        Streams of the whole.
+    intervals : (float, float), optional
+        Shortest and longest interval that is used, in years.
+    diagram : ``Diagram``, optional
+        That of these planes, if it is known.
+    fit : ``StreamFit``, optional
+        If it is known.
+
+    Returns
+    -------
+    `PartFit` or None
+    """
+    planes = flow.planes[0].square_root if root else flow.planes[0]
+    if not has_flow(flow):
+        return None
+    region = flow.regions[0]
+    diagram = correlate(planes, region=region) if diagram is None else diagram
+    equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
+    if fit is None and start is None:
+        fit = one_stream(equations, 1 / np.ptp(flow.years), sign)
+    elif fit is None:
+        fit = fit_streams(equations, start)
+    return None if fit is None else PartFit(flow, planes, diagram, equations, fit)
+
+
+def fit_along_lines(
+    flow, *, straight=False, sign=1.0, root=True, intervals=EVERY, diagram=None
+):
+    """
+    Fit one stream along the lines of its flow.
+
+    Images that are longer than wide mistake motion off the axis for faster motion along
+    it, so that lines should follow the flow.  They are straight if the position angle
+    is given, and else diverge from the core, unless patterns keep more of their
+    correlation along other lines, by two standard errors: straight, diverging or bent.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+        Along one direction.
+    straight : bool, optional
+        Whether lines must be straight.
+    sign, root, intervals, diagram
+        See `fit_part`.
+
+    Returns
+    -------
+    `PartFit` or None
+    """
+    shared = {"sign": sign, "root": root, "intervals": intervals}
+    part = fit_part(flow, diagram=diagram, **shared)
+    if part is None or straight:
+        return part
+    others = [fit_part(flow.along_lines(one), **shared) for one in flow.lines()]
+    parts = [part, *others] if flow.given else [*others, part]
+    parts = [one for one in parts if one is not None]
+    kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]
+    best = 0
+    for k in range(1, len(parts)):
+        more = kept[k] - kept[0]
+        if kept[k][0] > kept[best][0] and more[0] > ERRORS * deletion_error(more):
+            best = k
+    return parts[best]
+
+
+def is_behind(flow, planes, speed):
+    """Return whether most of what moves at a speed is on the side of a counter-jet."""
+    counter, moves = flow.grids[0].counter, []
+    if not counter.any():
+        return False
+    for side in (counter, ~counter):
+        weight = weight_of(flow) * side
+        diagram = correlate(planes, region=weight)
+        kept = correlation_kept(diagram, speed)[0]
+        moves.append(kept * diagram.power * weight.sum())
+    return bool(moves[0] > moves[1])
+
+
+def has_flow(flow, least=0.3):
+    """
+    Return whether a flow is seen in a part, and can be followed for half a beam.
+
+    Both ends must be seen around an area of ``least`` square beams: in a smaller one,
+    as beside an edge, slow patterns alone are known.
+    """
+    planes, weight = flow.planes[0], weight_of(flow)
+    lag = min(round(0.5 / planes.step), len(planes.mask) - 1)
+    followed = float(weight_of_pairs(planes.mask, weight, lag, 0).sum())
+    return followed * planes.step**2 >= least
+
+
+def weight_of(flow):
+    """Return the weight of each point of the first grid, shape (n_along, n_across)."""
+    mask, region = flow.planes[0].mask, flow.regions[0]
+    return mask * 1.0 if region is None else mask * region

@@ -1,42 +1,41 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """From the velocity spectrum and the features to streams on the sky."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from astro_scc.features.motion import SIGNIFICANT, is_walk, measure_diffusion
-from astro_scc.spectrum.diagram import correlate_aside
-from astro_scc.spectrum.equations import deconvolve, set_up
-from astro_scc.spectrum.errors import fit_errors
+from astro_scc.features.motion import SIGNIFICANT
+from astro_scc.intervals import median_interval
+from astro_scc.spectrum.diagram import Diagram
+from astro_scc.spectrum.equations import RATIO, deconvolve, set_up
 from astro_scc.spectrum.gaussians import (
     GAIN,
+    StreamFit,
+    fit_errors,
     two_are_better,
     two_streams,
 )
-from astro_scc.spectrum.maps import velocity_map
-from astro_scc.spectrum.permutations import (
-    permutation_test,
+from astro_scc.spectrum.permutations import EVERY, INWARD, MotionTest
+from astro_scc.spectrum.rays import VelocityMap, transverse_speed, velocity_map
+from astro_scc.streams.decomposed import (
+    DecomposedFlow,
+    find_motion,
+    fit_along_lines,
+    is_behind,
+    sheet_of,
 )
-from astro_scc.streams.decomposed import DecomposedFlow
 from astro_scc.streams.members import (
-    divided,
-    mean_across,
-    moving_features,
-    turn_to_flow,
-)
-from astro_scc.streams.parts import fit_along_lines, is_behind
-from astro_scc.streams.rays import transverse_speed
-from astro_scc.streams.search import (
-    UNKNOWN,
-    MeasuredStream,
-    SearchSettings,
-    StreamSearch,
-)
-from astro_scc.streams.spread import (
+    FEWEST,
+    LEAST_SIDE,
     chance_of_separation,
+    divided,
+    frame_velocities,
+    mean_across,
     mean_speed,
+    moving_with,
+    turn_to_flow,
     unknown_scatter,
 )
 
@@ -60,15 +59,10 @@ UNLIKE = (
     "the images of neighbouring dates have little in common, so that patterns may be "
     "mistaken for one another: shorter intervals are needed"
 )
-#: Displacement across the flow at which diagrams are compared, in beams.
-ASIDE = 0.4
-#: Without a known direction, that of the flow is found in so many turns, of at most
-#: and at least so many radians.
-MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
 #: Two streams are one broad one if as many features of one would be as separate more
 #: often than so, unless the speeds differ by such a factor; if not, two need explain
-#: less.  Features tell if such a share of them is on either side of the middle.
-FEWEST, BY_CHANCE, BROAD, LEAST_GAIN, LEAST_SIDE = 5, 0.05, 6.0, 0.03, 0.2
+#: less.
+BY_CHANCE, BROAD, LEAST_GAIN = 0.05, 6.0, 0.03
 #: Features speak for a flow if they are this share of all detections.
 COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, its fewest epochs, and the fewest
@@ -77,6 +71,175 @@ STANDING, STANDING_EPOCHS, AS_WELL = 0.5, 5, 2.0
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
+#: A pair of numbers that are not known.
+UNKNOWN = (np.nan, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredStream:
+    """
+    A stream: a velocity of the flow.
+
+    Attributes
+    ----------
+    kind : {"moving", "not confirmed", "stationary", "not significant"}
+    reason : str
+        Why it is not moving, or what it rests on, or ''.
+    velocity : `~numpy.ndarray`, shape (2,)
+        On the axes of the frame, in mas/yr.
+    covariance, alignment : `~numpy.ndarray`, shape (2, 2)
+        Of the velocity; the second is the part by errors of the alignment.
+    source : {"features", "spectrum", ""}
+        What the speed is measured from.
+    share : float
+        Share of the variance that moves.
+    dispersion, dispersion_err : float
+        In mas/yr.
+    p_local, p_global, p_distinct : float
+    spectrum, features : (float, float)
+        Speed with its error from the velocity spectrum, and from the features.
+    members : `~numpy.ndarray` of int
+        Its features.
+    slowest, fastest : float
+        Speeds of its slowest and fastest feature.
+    angle : float
+        Direction from the first axis of the frame, in radians.
+    counter : bool
+        Whether it is a stream of the counter-jet.
+    """
+
+    kind: str
+    reason: str
+    velocity: np.ndarray
+    covariance: np.ndarray
+    alignment: np.ndarray
+    source: str = ""
+    share: float = np.nan
+    dispersion: float = np.nan
+    dispersion_err: float = np.nan
+    p_local: float = np.nan
+    p_global: float = np.nan
+    p_distinct: float = np.nan
+    spectrum: tuple[float, float] = UNKNOWN
+    features: tuple[float, float] = UNKNOWN
+    members: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    slowest: float = np.nan
+    fastest: float = np.nan
+    angle: float = 0.0
+    counter: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """
+    What a search for streams needs to know beside the flow.
+
+    Attributes
+    ----------
+    n_trials : int
+    misaligned : `~numpy.ndarray`, shape (n_epochs, 2), optional
+        Standard error of the alignment of each epoch, in mas.
+    alpha : float
+        Largest ``p_global`` of a stream that moves.
+    outward : bool
+        Search only speeds away from the core.
+    intervals : (float, float)
+        Shortest and longest interval that is used, in years.
+    whole : bool
+        Whether a single stream has the error of few patterns, and the harmonic mean of
+        the spectrum where its Gaussian is not well known; parts of a flow have the
+        speeds of Gaussians, whose covariance is known, unless their errors are larger.
+    """
+
+    n_trials: int
+    misaligned: np.ndarray | None = None
+    alpha: float = 0.01
+    outward: bool = False
+    intervals: tuple[float, float] = EVERY
+    whole: bool = True
+
+    def inward(self, flow: DecomposedFlow) -> float:
+        """Return the weight of speeds towards the core in the test of a flow."""
+        if self.outward and flow.directed:
+            return 0.0
+        return INWARD if flow.directed and flow.outward else 1.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StreamSearch:
+    """
+    The streams of a flow, with the spectrum and the test that they follow from.
+
+    Attributes
+    ----------
+    flow : ``DecomposedFlow``
+        Along one direction.
+    test : ``MotionTest``
+        Along this direction; its ``p_global`` is that of all that were tested.
+    diagram : ``Diagram``
+        Along this direction.
+    speed, spectrum : `~numpy.ndarray`, shape (n_v,)
+        Velocity spectrum: speeds in mas/yr, and the share of the variance that moves
+        with each.
+    intervals : (float, float)
+        Shortest and longest interval that is used, in years.
+    fit : ``StreamFit`` or None
+    velocities : ``VelocityMap``
+        In mas/yr on the axes of the frame.
+    streams : tuple of `MeasuredStream`
+        The slowest that moves first; then what stands still.
+    """
+
+    flow: DecomposedFlow
+    test: MotionTest
+    diagram: Diagram
+    speed: np.ndarray
+    spectrum: np.ndarray
+    intervals: tuple[float, float]
+    fit: StreamFit | None = None
+    velocities: VelocityMap | None = None
+    streams: tuple[MeasuredStream, ...] = ()
+
+    @property
+    def beam(self) -> float:
+        """The unit of length, in mas."""
+        return self.flow.beam
+
+    @property
+    def angle(self) -> float:
+        """Direction of the spectrum from the first axis of the frame, in radians."""
+        return self.flow.angle
+
+    @property
+    def pair(self) -> list[tuple[float, float]] | None:
+        """Mean and dispersion of both of two streams, in beams/yr, or None."""
+        if self.fit is None or len(self.fit.mean) < 2:
+            return None
+        return list(zip(self.fit.mean, self.fit.sd, strict=True))
+
+    @property
+    def sign(self) -> float:
+        """Sign of the speed at which motion is clearest."""
+        return float(np.sign(self.test.speed[self.test.best[1]]))
+
+    @property
+    def slowest(self) -> float:
+        """The slowest speed that was searched, in mas/yr."""
+        return self.beam * np.abs(self.test.speed).min()
+
+    @property
+    def fastest(self) -> float:
+        """The fastest speed that was searched, in mas/yr."""
+        return self.beam * np.abs(self.test.speed).max()
+
+    def tested(self, speed: float) -> bool:
+        """Return whether the test searched a speed in mas/yr, or its neighbour."""
+        return bool(self.slowest / RATIO <= abs(speed) <= self.fastest * RATIO)
+
+    @property
+    def unambiguous(self) -> float:
+        """The largest speed that the dates do not alias, in mas/yr."""
+        return self.beam / median_interval(self.flow.years)
 
 
 def find_streams(
@@ -105,52 +268,39 @@ def find_streams(
     map_rng = rng.spawn(1)[0]
     flow, test = find_motion(flow, settings, rng)
     planes = flow.planes[0].square_root if root else flow.planes[0]
-    sheet, aside = _sheet(planes, flow.regions[0], 3)
-    sign = float(np.sign(test.speed[test.best[1]]))
-    diffusion = measure_diffusion(features)
-    walk = diffusion["variance"] if is_walk(diffusion) else None
-    folded = bool(flow.grids[0].counter.any())
-    moving = moving_features(
-        features, flow.frame, flow.angle, inside, walk, folded=folded
-    )
-    opposed = ""
-    if walk is None:
-        opposed = _opposed(features, inside, moving, sign)
-        moving = moving[moving.along * sign > 0]
+    sheet, aside = sheet_of(planes, flow.regions[0], 3)
+    diagram, sign = sheet[len(sheet) // 2], float(np.sign(test.speed[test.best[1]]))
+    moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
-    passes, diffusing = test.p_global <= enough, walk is not None
+    passes, fit, p = test.p_global <= enough, None, 1.0
     part = fit_along_lines(
         flow, straight=not passes, sign=sign, root=root, intervals=settings.intervals,
-        diagram=sheet[len(sheet) // 2],
+        diagram=diagram,
     )  # fmt: skip
-    one, diagram = None, sheet[len(sheet) // 2]
     if part is None:
         equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
     else:
-        flow, planes, one = part.flow, part.planes, part.fit
+        flow, planes, fit = part.flow, part.planes, part.fit
         diagram, equations = part.diagram, part.equations
     if flow.grids[0].bends:
         length = np.hypot(moving.along, moving.across)
         moving.along = np.copysign(length, moving.along)
-    search = StreamSearch(
-        flow, test, diagram, equations.speed * flow.beam, deconvolve(equations),
-        settings.intervals,
-    )  # fmt: skip
-    fit, p = one, 1.0
-    if one is not None and passes:
+    spectrum = equations.speed * flow.beam, deconvolve(equations)
+    search = StreamSearch(flow, test, diagram, *spectrum, settings.intervals)
+    if fit is not None and passes:
         fit, p = _streams_of(
-            search, equations, one, moving, settings, map_rng, diffusing=diffusing
+            search, equations, fit, moving, settings, map_rng, diffusing=diffusing
         )
     if fit is not None:
         errors = fit_errors(planes, diagram, equations, fit, region=flow.regions[0])
-        search = replace(search, fit=fit, errors=errors)
+        search = replace(search, fit=replace(fit, mean_err=errors[0], number=errors[1]))
     shift = _alignment(flow.years, settings.misaligned)
     rows = _of_spectrum(search, equations, settings.whole)
     streams = _streams(
         search, rows, moving, (sheet, aside), shift, covered=covered, p_distinct=p
     )
-    if passes and folded:
+    if passes and flow.grids[0].counter.any():
         streams = [_on_its_side(s, search, moving, planes) for s in streams]
     if passes:
         streams = [_judged(s, search, opposed, diffusing=diffusing) for s in streams]
@@ -162,18 +312,6 @@ def find_streams(
         beam=flow.beam, rng=map_rng,
     )  # fmt: skip
     return replace(search, streams=tuple(streams), velocities=velocities)
-
-
-def _opposed(features, inside, moving, sign):
-    """Return in words that most secure features move against a flow, or elsewhere."""
-    secure = features.secure if inside is None else features.secure & inside
-    number, with_it = secure.sum(), moving.along * sign > 0
-    against, others = moving[~with_it].weight.sum(), number - with_it.sum()
-    elsewhere = others >= FEWEST and with_it.sum() < LEAST_SIDE * number
-    if not elsewhere and not against > moving[with_it].weight.sum():
-        return ""
-    few = f"only {with_it.sum()}" if with_it.any() else "none"
-    return f"{few} of {number} secure features move in its direction"
 
 
 def _streams_of(search, equations, fit, moving, settings, rng, *, diffusing):
@@ -196,36 +334,6 @@ def _streams_of(search, equations, fit, moving, settings, rng, *, diffusing):
     return fit, p_distinct
 
 
-def find_motion(flow, settings, rng):
-    """
-    Return a flow along its direction, and the test for motion along all directions.
-
-    Parameters
-    ----------
-    flow : ``DecomposedFlow``
-    settings : `SearchSettings`
-    rng : `~numpy.random.Generator`
-
-    Returns
-    -------
-    flow : ``DecomposedFlow``
-    test : ``MotionTest``
-    """
-    shared = {"fastest": flow.fastest, "intervals": settings.intervals}
-    shared |= {"n_trials": settings.n_trials, "rng": rng}
-    diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
-    test = permutation_test(diagrams, inward=settings.inward(flow), **shared)
-    if len(flow.planes) == 1:
-        return flow, test
-    # Along the direction of the largest z, outward.
-    direction, best = test.best
-    flow = _turned(flow, direction, test.speed[best])
-    along = permutation_test([flow.diagram(0)], inward=0.0, **shared)
-    return flow, replace(
-        along, p_global=test.p_global, p_smallest=test.p_smallest, level=test.level
-    )
-
-
 def _are_two(equations, one, two, speed, chance):
     """Return whether spectrum and features show two streams rather than a broad one."""
     slow, fast = np.abs(two.mean)
@@ -237,77 +345,58 @@ def _are_two(equations, one, two, speed, chance):
     return two_are_better(equations, one, two, gain)
 
 
-def _sheet(planes, region, number):
-    """Return diagrams at displacements across the flow, and their distance in beams."""
-    lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
-    lags = [k * lag for k in range(1, number + 1) if 2 * k * lag < n_across]
-    return correlate_aside(planes, lags, region=region), lag * planes.step
-
-
-def _turned(flow, direction, speed):
-    """Return the flow along its own direction, from the best of those tested."""
-    angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
-    for _ in range(MOST_TURNS):
-        found = flow.along(angle)
-        sheet, aside = _sheet(found.planes[0].square_root, found.regions[0], 1)
-        across, error = transverse_speed(sheet, aside, abs(speed))
-        if not np.isfinite(error):
-            break
-        # Positive to larger position angles.
-        turn = np.arctan2(across, abs(speed))
-        turn = float(np.clip(turn, -MOST_TURN, MOST_TURN))
-        angle += turn
-        if abs(turn) < LEAST_TURN:
-            break
-    return flow.along(angle)
-
-
 def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
     """Return the streams that move, or the strongest speed, none of them judged yet."""
-    beam, turn, sign, test = (
-        search.beam,
-        turn_to_flow(search.angle),
-        search.sign,
-        search.test,
-    )
     groups = [moving] if len(rows) == 1 else divided(moving, [abs(r[0]) for r in rows])
-    found = []
-    for row, members in zip(rows, groups, strict=True):
-        speed, error, spread, spread_err, share = row
-        across, across_err = transverse_speed(*sheet, speed / beam)
-        if not np.isfinite(across_err):
-            # A flow that is not resolved across: the direction is that of the grid.
-            across_err = error / beam
-        velocity = np.array([speed, across * beam])
-        variance = np.array([error, across_err * beam]) ** 2
-        source, features, (slowest, fastest) = "spectrum", UNKNOWN, UNKNOWN
-        if len(members):
-            mean = mean_speed(sign * members.along, members.along_err, members.weight)
-            features = mean.mean, mean.error
-            lengths = np.hypot(members.along, members.across)
-            slowest, fastest = lengths.min(), lengths.max()
-            # Of two streams the spectrum knows which is which.
-            if (covered and len(rows) == 1) or not np.isfinite(error):
-                source, side = "features", mean_across(members, mean)
-                velocity = np.array([sign * mean.mean, side[0]])
-                variance = np.array([mean.error, side[1]]) ** 2
-                if len(members) > 2:
-                    spread, spread_err = mean.dispersion, mean.dispersion_err
-        if search.flow.grids[0].bends:
-            # The speed along the lines is the length of the velocity.
-            velocity *= abs(velocity[0]) / np.hypot(*velocity)
-        v = int(np.abs(test.speed - velocity[0] / beam).argmin())
-        found.append(MeasuredStream(
-            kind="not significant", reason="", velocity=turn.T @ velocity,
-            covariance=turn.T @ np.diag(variance) @ turn + shift, alignment=shift,
-            source=source, share=share, dispersion=spread, dispersion_err=spread_err,
-            p_local=float(test.p_local[test.best[0], v]), p_global=test.p_global,
-            p_distinct=p_distinct if found else test.p_global,
-            spectrum=(abs(speed), error), features=features, members=members.number,
-            slowest=slowest, fastest=fastest,
-            angle=search.angle + (0.0 if sign > 0 else np.pi),
-        ))  # fmt: skip
-    return found
+    # Of two streams the spectrum knows which is which.
+    covered = covered and len(rows) == 1
+    found = [
+        _stream(search, row, members, sheet, shift, covered=covered)
+        for row, members in zip(rows, groups, strict=True)
+    ]
+    first, *second = found
+    return [first, *(replace(one, p_distinct=p_distinct) for one in second)]
+
+
+def _stream(search, row, members, sheet, shift, *, covered):
+    """Return a stream of the spectrum, with the velocity of its features if covered."""
+    beam, turn, sign, test = (
+        search.beam, turn_to_flow(search.angle), search.sign, search.test
+    )  # fmt: skip
+    speed, error, spread, spread_err, share = row
+    across, across_err = transverse_speed(*sheet, speed / beam)
+    if not np.isfinite(across_err):
+        # A flow that is not resolved across: the direction is that of the grid.
+        across_err = error / beam
+    velocity = np.array([speed, across * beam])
+    variance = np.array([error, across_err * beam]) ** 2
+    source, features, (slowest, fastest) = "spectrum", UNKNOWN, UNKNOWN
+    if len(members):
+        mean, mean_err, *scatter = mean_speed(
+            sign * members.along, members.along_err, members.weight
+        )
+        features = mean, mean_err
+        lengths = np.hypot(members.along, members.across)
+        slowest, fastest = lengths.min(), lengths.max()
+        if covered or not np.isfinite(error):
+            source, side = "features", mean_across(members, mean)
+            velocity = np.array([sign * mean, side[0]])
+            variance = np.array([mean_err, side[1]]) ** 2
+            if len(members) > 2:
+                spread, spread_err = scatter
+    if search.flow.grids[0].bends:
+        # The speed along the lines is the length of the velocity.
+        velocity *= abs(velocity[0]) / np.hypot(*velocity)
+    v = int(np.abs(test.speed - velocity[0] / beam).argmin())
+    return MeasuredStream(
+        kind="not significant", reason="", velocity=turn.T @ velocity,
+        covariance=turn.T @ np.diag(variance) @ turn + shift, alignment=shift,
+        source=source, share=share, dispersion=spread, dispersion_err=spread_err,
+        p_local=float(test.p_local[test.best[0], v]), p_global=test.p_global,
+        p_distinct=test.p_global, spectrum=(abs(speed), error), features=features,
+        members=members.number, slowest=slowest, fastest=fastest,
+        angle=search.angle + (0.0 if sign > 0 else np.pi),
+    )  # fmt: skip
 
 
 def _on_its_side(stream, search, moving, planes):
@@ -326,32 +415,33 @@ def _on_its_side(stream, search, moving, planes):
 
 def _of_spectrum(search, equations, whole):
     """Return speed and dispersion with errors, in mas/yr, and share of each stream."""
-    fit, errors, beam, test = search.fit, search.errors, search.beam, search.test
+    fit, beam, test = search.fit, search.beam, search.test
     if fit is None:
         return [(test.speed[test.best[1]] * beam, *[np.nan] * 4)]
-    speed, error, spread = fit.mean * beam, errors.mean * beam, fit.sd * beam
+    speed, error, spread = fit.mean * beam, fit.mean_err * beam, fit.sd * beam
     largest = WELL_KNOWN if whole else 1.0
     if len(speed) == 1 and not error[0] < largest * abs(speed[0]):
         speed, error = np.reshape(_harmonic(search, equations), (2, 1))
     elif len(speed) == 1 and whole:
         # Few patterns are a small sample of the speeds of one stream.
-        error = np.hypot(error, unknown_scatter(speed, errors.number))
-    spread_err = spread / np.sqrt(2 * np.maximum(errors.number, 1))
+        error = np.hypot(error, unknown_scatter(speed, fit.number))
+    spread_err = spread / np.sqrt(2 * np.maximum(fit.number, 1))
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 
 
 def _judged(stream, search, opposed="", *, diffusing):
     """Return a stream that the test finds with its kind, and the reason."""
-    turn = turn_to_flow(search.angle)
+    turn, test = turn_to_flow(search.angle), search.test
     speed = abs((turn @ stream.velocity)[0])
     fast = not len(stream.members) and speed > search.unambiguous
+    by_spectrum, white = stream.source == "spectrum", test.white if test.memory else 1.0
+    unlike = white >= WHITE and test.amplitude[test.best] < LEAST_MOVING
     kind, reason = verdict(
         speed, np.sqrt((turn @ stream.covariance @ turn.T)[0, 0]),
-        doubtful=diffusing or fast,
-        unlike=stream.source == "spectrum" and _unlike(search.test),
+        doubtful=diffusing or fast, unlike=by_spectrum and unlike,
     )  # fmt: skip
     # The spectrum reaches beyond what the test searches, features have their own test.
-    if stream.source == "spectrum" and not search.tested(speed):
+    if by_spectrum and not search.tested(speed):
         than = "faster" if speed > search.fastest else "slower"
         kind, reason = "not confirmed", f"it is {than} than what was searched"
     if opposed:
@@ -391,12 +481,6 @@ def verdict(speed, error, *, doubtful, unlike):
     return ("not confirmed", UNLIKE) if unlike else ("moving", "")
 
 
-def _unlike(test):
-    """Return whether epochs have so little in common that patterns may be mistaken."""
-    white = 1.0 if test.memory == 0 else test.white
-    return white >= WHITE and test.amplitude[test.best] < LEAST_MOVING
-
-
 def _harmonic(search, equations):
     """
     Return the mean speed of the spectrum of one stream and its error, in mas/yr.
@@ -418,7 +502,7 @@ def _harmonic(search, equations):
     share = share / share.sum()
     mean = 1 / (share @ (1 / forward))
     width = mean**2 * np.sqrt(share @ (1 / forward - 1 / mean) ** 2)
-    number = max(search.errors.number[0], 1)
+    number = max(search.fit.number[0], 1)
     error = np.hypot(width / np.sqrt(number), MODEL_ERROR * mean)
     return sign * mean * search.beam, error * search.beam
 
@@ -437,30 +521,27 @@ def _standing(features, flow, streams, inside, shift):
     Each of them may, but if their mean moves by more than its error, all features or
     the core, the reference, do: images do not tell which.
     """
-    n = len(features.tracks)
-    if n == 0:
+    velocities, _ = frame_velocities(flow.frame, features)
+    weight = np.array([len(track) for track in features.tracks], float)
+    speed, error = np.reshape(
+        [(m.speed, m.speed_err) for m in features.motions], (-1, 2)
+    ).T
+    still = (speed < SIGNIFICANT * error) & (features.moved < STANDING)
+    still &= (weight >= STANDING_EPOCHS) & (features.p_false <= 0.5)
+    still &= np.isfinite(velocities).all(axis=1)
+    if inside is not None:
+        still &= inside
+    for stream in streams:
+        still[stream.members] = False
+        if stream.kind == "moving":
+            # What may as well move with a stream does not show that it stands.
+            off = np.hypot(*(velocities - stream.velocity).T)
+            still &= ~(off < AS_WELL * error)
+    members = np.flatnonzero(still)
+    if len(members) == 0:
         return []
-    moved, use = features.moved, np.ones(n, bool) if inside is None else inside
-    members, rows = [], []
-    taken = np.concatenate([[], *(s.members for s in streams)]).astype(int)
-    moving = [s.velocity for s in streams if s.kind == "moving"]
-    for k in np.setdiff1d(np.flatnonzero(use), taken):
-        motion, track = features.motions[k], features.tracks[k]
-        still = motion.speed < SIGNIFICANT * motion.speed_err and moved[k] < STANDING
-        if not still or len(track) < STANDING_EPOCHS or features.p_false[k] > 0.5:
-            continue
-        local = np.asarray(flow.frame.matrix(*motion.place))
-        velocity = local @ motion.velocity
-        off = [np.hypot(*(velocity - one)) for one in moving]
-        # What may as well move with a stream does not show that it stands.
-        with_it = min(off, default=np.inf) < AS_WELL * motion.speed_err
-        if np.isfinite(local).all() and not with_it:
-            members.append(k)
-            rows.append((*velocity, motion.speed_err, len(track)))
-    if not members:
-        return []
-    first, second, error, weight = np.array(rows, float).T
-    share = weight / weight.sum()
+    (first, second), error = velocities[still].T, error[still]
+    share = weight[still] / weight[still].sum()
     velocity = np.array([share @ first, share @ second])
     scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
     variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
@@ -475,10 +556,8 @@ def _standing(features, flow, streams, inside, shift):
         )
     return [
         MeasuredStream(
-            kind=kind, reason=reason, velocity=velocity,
-            covariance=covariance, alignment=shift,
-            source="features", members=np.array(members),
+            kind, reason, velocity, covariance, shift, source="features",
             features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
-            slowest=speeds.min(), fastest=speeds.max(),
+            members=members, slowest=speeds.min(), fastest=speeds.max(),
         )
     ]  # fmt: skip

@@ -1,9 +1,14 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The features of a stream: those that move along the flow, and their speeds."""
+"""The features of streams: those that move along the flow, and their mean speeds."""
 
 import numpy as np
 
-from astro_scc.features.motion import LEAST_EPOCHS, SIGNIFICANT
+from astro_scc.features.motion import (
+    LEAST_EPOCHS,
+    SIGNIFICANT,
+    is_walk,
+    measure_diffusion,
+)
 
 #: A secure feature that moves, along a direction: speeds, errors, epochs, number, and
 #: 1 on the side of the jet, -1 on that of a counter-jet.
@@ -11,6 +16,13 @@ MOVING = {
     "names": "along along_err across across_err weight number side".split(),
     "formats": [float] * 5 + [int] * 2,
 }
+
+#: Features tell of a flow if there are so many, and of two streams if such a share of
+#: them is on either side of the middle.
+FEWEST, LEAST_SIDE = 5, 0.2
+#: Scatter of the speeds of features to which theirs is drawn, relative to their mean,
+#: and the number of features that it counts as.
+SCATTER, PRIOR = 0.3, 2.0
 
 
 def moving_features(features, frame, angle, use=None, walk=None, *, folded=False):
@@ -44,6 +56,36 @@ def moving_features(features, frame, angle, use=None, walk=None, *, folded=False
             continue
         rows.append((along, errors[0], across, errors[1], n, k, side))
     return np.array(rows, dtype=MOVING).view(np.recarray)
+
+
+def moving_with(flow, features, inside, sign):
+    """
+    Return the features that move with a flow, and what most of them contradict.
+
+    The latter is in words, or empty; whether features diffuse is returned beside it.
+    """
+    diffusion = measure_diffusion(features)
+    walk = diffusion["variance"] if is_walk(diffusion) else None
+    moving = moving_features(
+        features, flow.frame, flow.angle, inside, walk,
+        folded=flow.grids[0].counter.any(),
+    )  # fmt: skip
+    if walk is not None:
+        return moving, "", True
+    opposed = _opposed(features, inside, moving, sign)
+    return moving[moving.along * sign > 0], opposed, False
+
+
+def _opposed(features, inside, moving, sign):
+    """Return in words that most secure features move against a flow, or elsewhere."""
+    secure = features.secure if inside is None else features.secure & inside
+    number, with_it = secure.sum(), moving.along * sign > 0
+    against, others = moving[~with_it].weight.sum(), number - with_it.sum()
+    elsewhere = others >= FEWEST and with_it.sum() < LEAST_SIDE * number
+    if not elsewhere and not against > moving[with_it].weight.sum():
+        return ""
+    few = f"only {with_it.sum()}" if with_it.any() else "none"
+    return f"{few} of {number} secure features move in its direction"
 
 
 def passing_features(features, beam, *, aligned=0.7):
@@ -114,19 +156,146 @@ def turn_to_flow(angle):
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def mean_across(moving, mean):
-    """Return the mean speed of features across the flow, and its error."""
+def divided(moving, speeds):
+    """Return the features of each of two streams: the nearer one by ratio."""
+    slow = np.abs(moving.along) < np.sqrt(np.prod(speeds))
+    return [moving[slow], moving[~slow]]
+
+
+# -- mean and scatter of speeds ------------------------------------------------------
+
+
+def separation(speed):
+    """
+    Return how well speeds divide into two groups.
+
+    It is the largest share of the variance of their logarithms that lies between two
+    groups (Otsu 1979, IEEE Trans. SMC 9, 62): 0.64 for a normal distribution, 0.75 for
+    a uniform one, and 1 for two speeds.
+
+    Parameters
+    ----------
+    speed : array_like, shape (n,)
+        Positive.
+
+    Returns
+    -------
+    float
+    """
+    return float(_separation(np.log(np.asarray(speed, float))[None])[0])
+
+
+def chance_of_separation(speed, n_trials, rng):
+    """
+    Return the probability that the speeds of one stream are as separate.
+
+    They are drawn from a uniform distribution: of all distributions without a gap, it
+    looks most like two.
+
+    Parameters
+    ----------
+    speed : array_like, shape (n,)
+        Positive.
+    n_trials : int
+    rng : `~numpy.random.Generator`
+
+    Returns
+    -------
+    float
+    """
+    found = separation(speed)
+    trials = _separation(rng.uniform(size=(n_trials, len(speed))))
+    return float((1 + np.sum(trials >= found)) / (1 + n_trials))
+
+
+def _separation(y):
+    """Return the separation of each row of values."""
+    y = np.sort(y, axis=1)
+    n, low = y.shape[1], np.cumsum(y, axis=1)[:, :-1]
+    number = np.arange(1, n)
+    apart = (low[:, -1:] + y[:, -1:] - low) / (n - number) - low / number
+    between = (number * (n - number) / n**2 * apart**2).max(axis=1, initial=0.0)
+    total = y.var(axis=1)
+    return np.divide(between, total, out=np.zeros(len(y)), where=total > 0)
+
+
+def unknown_scatter(mean, number):
+    """
+    Return the part of the error of a mean speed that few features cannot show.
+
+    Their scatter is drawn to three tenths of the mean as in `mean_speed`, of which this
+    is the part beyond what is seen,
+
+    .. math:: \\sigma^2 = \\frac{1}{n} \\frac{2}{n + 2} (0.3 \\bar v)^2.
+
+    Parameters
+    ----------
+    mean, number : array_like
+        Mean speed, and number of features.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+
+    Examples
+    --------
+    >>> from astro_scc.streams.members import unknown_scatter
+    >>> unknown_scatter(1.0, [1, 4, 20]).round(3)
+    array([0.245, 0.087, 0.02 ])
+    """
+    number = np.maximum(number, 1.0)
+    return SCATTER * np.abs(mean) * np.sqrt(PRIOR / (number + PRIOR) / number)
+
+
+def mean_speed(speed, error, weight):
+    """
+    Return the mean speed of features, weighted by the number of their epochs.
+
+    Its error holds the features' own errors and their scatter, which for few features
+    is drawn to three tenths of the mean,
+
+    .. math:: s^2 = \\frac{\\sum w (v - \\bar v)^2 n / \\sum w + 2 (0.3 \\bar v)^2}
+                          {n - 1 + 2}.
+
+    Parameters
+    ----------
+    speed, error, weight : array_like, shape (n,)
+
+    Returns
+    -------
+    mean, error : float
+    dispersion, dispersion_err : float
+        Scatter beyond the errors; NaN with fewer than two features.
+
+    Examples
+    --------
+    >>> from astro_scc.streams.members import mean_speed
+    >>> mean, error, *_ = mean_speed([0.9, 1.0, 1.1], [0.02] * 3, [5, 10, 5])
+    >>> float(mean.round(2)), float(error.round(2))
+    (1.0, 0.14)
+    """
+    speed, error, weight = (np.asarray(v, float) for v in (speed, error, weight))
+    share, n = weight / weight.sum(), len(speed)
+    mean = share @ speed
+    square = n * share @ (speed - mean) ** 2
+    variance = (square + PRIOR * (SCATTER * mean) ** 2) / (n - 1 + PRIOR)
+    total = (share**2).sum() * variance + (share**2) @ error**2
+    dispersion = dispersion_err = np.nan
+    if n > 1:
+        noise = share @ error**2
+        dispersion = np.sqrt(max(square / (n - 1) - noise, 0.0))
+        width = np.sqrt(max(square / (n - 1), noise))
+        dispersion_err = width / np.sqrt(2 * (n - 1))
+    return mean, np.sqrt(total), dispersion, dispersion_err
+
+
+def mean_across(moving, speed):
+    """Return the mean speed of features across a flow of a speed, and its error."""
     share = moving.weight / moving.weight.sum()
     across = share @ moving.across
     variance = share @ (moving.across - across) ** 2 * (share**2).sum()
     error = np.sqrt(variance + (share**2) @ moving.across_err**2)
     n = len(share)
     # A few features may agree by chance: directions scatter by ten degrees or more.
-    prior = (0.15 * mean.mean) ** 2 * 2 / (n + 1) / n
+    prior = (0.15 * speed) ** 2 * 2 / (n + 1) / n
     return across, np.sqrt(error**2 + prior)
-
-
-def divided(moving, speeds):
-    """Return the features of each of two streams: the nearer one by ratio."""
-    slow = np.abs(moving.along) < np.sqrt(np.prod(speeds))
-    return [moving[slow], moving[~slow]]

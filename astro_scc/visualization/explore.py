@@ -11,7 +11,7 @@ from astropy.table import QTable
 from astropy.wcs import WCS
 
 from astro_scc.images.positions import sky_columns
-from astro_scc.streams.spread import PRIOR, SCATTER
+from astro_scc.streams.members import PRIOR, SCATTER
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style, velocity
 from astro_scc.writing import replace_when_complete

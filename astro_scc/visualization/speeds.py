@@ -17,7 +17,6 @@ import numpy as np
 
 from astro_scc.columns import cell
 from astro_scc.spectrum.equations import deconvolve, set_up
-from astro_scc.streams.decomposed import distances
 from astro_scc.streams.members import frame_velocities
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
 from astro_scc.visualization import images, style
@@ -220,7 +219,7 @@ def spectra_of_bins(search):
     inside = flow.planes[0].mask
     if flow.regions[0] is not None:
         inside = inside & (flow.regions[0] > 0)
-    r = distances(flow.grids[0])[inside]
+    r = flow.grids[0].distances[inside]
     low, high = (r.min(), r.max()) if r.size else (0.0, 1.0)
     # Two beams wide or more, and not more than twelve.
     n = int(np.clip((high - low) // 2, 1, 12))

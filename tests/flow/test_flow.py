@@ -25,8 +25,7 @@ from astro_scc.flow.profile import bins_of
 from astro_scc.flow.speeds import distances_along, slope_of, speeds_in_parts
 from astro_scc.kinematics import ExpansionFrame, PositionAngleFrame, RidgeLine
 from astro_scc.simulation import simulate_jet
-from astro_scc.streams.decomposed import decompose_flow
-from astro_scc.streams.parts import fit_part
+from astro_scc.streams.decomposed import decompose_flow, fit_part
 
 PM = u.mas / u.yr
 SCC = StackedCrossCorrelation(position_angle=270 * u.deg)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from astro_scc import EpochCube
-from astro_scc.grid import default_scales, flow_grids, has_core, sample_mask, seen_flow
+from astro_scc.grid import (
+    default_scales,
+    flow_grids,
+    has_core,
+    region_weight,
+    seen_flow,
+)
 from astro_scc.kinematics import (
     ExpansionFrame,
     PositionAngleFrame,
@@ -92,7 +98,7 @@ def test_regions_and_scales(cube):
     region = np.zeros(cube.shape[1:], bool)
     region[:, :40] = True
     (grid,) = grid_of(cube, PositionAngleFrame(270 * u.deg))
-    weight = sample_mask(region, grid)
+    weight = region_weight(region, grid)
     inside = grid.x < 38
     assert weight[inside & (grid.x > 0) & (grid.y > 0) & (grid.y < 63)].min() > 0.99
     assert weight[grid.x > 42].max() == 0

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.spectrum.planes import flow_planes
+from astro_scc.spectrum.diagram import SampledPlanes
 
 STEP = 0.125
 
@@ -35,9 +35,9 @@ def fixture_moving_flow():
                 x = along[:, None] - start - speed * years[:, None, None]
                 images += flux * np.exp(-2.77 * (x**2 + (across - place) ** 2))
         valid = np.ones(images.shape, dtype=bool)
-        return flow_planes(
+        return SampledPlanes(
             images[None], valid, np.ones(images.shape[1:], bool), np.array([noise]),
-            along=along, across=across, years=years, scales=(1,), sizes=[2.0],
-        )  # fmt: skip
+            along, across, np.ones((len(along), 1)), years, scales=(1,), sizes=(2.0,),
+        ).changes()  # fmt: skip
 
     return make

@@ -4,8 +4,12 @@
 import numpy as np
 import pytest
 
-from astro_scc.spectrum.diagram import correlate, correlate_aside, influences
-from astro_scc.spectrum.planes import FlowPlanes
+from astro_scc.spectrum.diagram import (
+    FlowPlanes,
+    correlate,
+    correlate_aside,
+    influences,
+)
 
 
 @pytest.fixture(name="flow", scope="module")

@@ -4,20 +4,25 @@
 import numpy as np
 import pytest
 
-from astro_scc.spectrum.diagram import Diagram, correlate, correlate_aside
+from astro_scc.spectrum.diagram import (
+    CLIP,
+    Diagram,
+    SampledPlanes,
+    correlate,
+    correlate_aside,
+)
 from astro_scc.spectrum.equations import deconvolve, set_up
-from astro_scc.spectrum.errors import fit_errors
 from astro_scc.spectrum.gaussians import (
     amplitudes_of,
+    fit_errors,
     one_stream,
     peaks_of,
     shares_of,
     two_are_better,
     two_streams,
 )
-from astro_scc.spectrum.maps import velocity_map
 from astro_scc.spectrum.permutations import LENGTH
-from astro_scc.spectrum.planes import CLIP, flow_planes
+from astro_scc.spectrum.rays import velocity_map
 
 X = np.arange(-40, 41) / 8
 OWN = np.where(np.abs(X) <= 2.2, np.exp(-4 * np.log(2) * X**2 / 2), 0)
@@ -114,11 +119,11 @@ def test_speeds_and_errors_of_random_flows(moving_flow):
         diagram = correlate(flow)
         equations = set_up(diagram)
         fit = one_stream(equations, 0.1)
-        found = fit_errors(flow, diagram, equations, fit)
+        error, number, _, epochs = fit_errors(flow, diagram, equations, fit)
         speeds.append(fit.mean[0])
-        errors.append(found.mean[0])
-        assert found.number[0] > 2
-        assert found.epochs.shape == (1, len(flow.years))
+        errors.append(error[0])
+        assert number[0] > 2
+        assert epochs.shape == (1, len(flow.years))
     assert np.mean(speeds) == pytest.approx(1.0, abs=0.05)
     assert 0.4 < np.std(speeds) / np.mean(errors) < 2.5
 
@@ -136,14 +141,15 @@ def test_the_map_has_its_peak_at_the_velocity(moving_flow):
     assert found.step[0] == pytest.approx(found.v1[1] - found.v1[0])
 
 
-def planes_of(images, noise=0.0, valid=None, mask=None, **how):
+def planes_of(images, noise=0.0, valid=None, mask=None, normalise="local"):
     valid = np.ones(images.shape, bool) if valid is None else valid
     mask = np.ones(images.shape[1:], bool) if mask is None else mask
     x, y = (np.arange(float(n)) for n in images.shape[1:])
-    return flow_planes(
-        images[None], valid, mask, np.array([noise]), along=x, across=y,
-        years=np.arange(float(len(images))), scales=(1,), sizes=[1.0], **how,
-    )  # fmt: skip
+    years, weight = np.arange(float(len(images))), np.ones((len(x), 1))
+    return SampledPlanes(
+        images[None], valid, mask, np.array([noise]), x, y, weight, years, scales=(1,),
+        sizes=(1.0,),
+    ).changes(normalise)  # fmt: skip
 
 
 def test_what_stands_still_is_gone_and_no_unit_matters():

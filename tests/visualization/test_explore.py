@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from astro_scc.measurement.result import velocity_hdus
-from astro_scc.streams.spread import mean_speed
+from astro_scc.streams.members import mean_speed
 from astro_scc.visualization import explore, images
 
 pytest.importorskip("bokeh", reason="bokeh is in the extra explore")
