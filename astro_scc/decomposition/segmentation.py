@@ -253,62 +253,52 @@ def find_ssps(
     significant = whole > segmentation * noise
     if mask is not None:
         significant &= ~np.asarray(mask)
-    box = _box_around(significant, margin=round(scale_size(scale)) + 1)
-    if box is None:
+    around = scipy.ndimage.find_objects(significant.astype(np.uint8))
+    if not around:
         return SSPs.empty()
-    outside = _outside(whole.shape, mask)
+    margin = round(scale_size(scale)) + 1
+    box = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in around[0])
     plane, noise, significant = whole[box], noise[box], significant[box]
+    outside = _outside(whole.shape, mask)
     peaks = _maxima(np.where(significant, plane, 0.0), scale, outside, box)
     at = tuple(peaks.T)
-    peaks = peaks[plane[at] >= detection * noise[at]]
-    if len(peaks) == 0:
+    at = tuple(peaks[plane[at] >= detection * noise[at]].T)
+    n = len(at[0])
+    if n == 0:
         return SSPs.empty()
-    n, at = len(peaks), tuple(peaks.T)
     markers = np.zeros(plane.shape, dtype=np.int32)
     markers[at] = np.arange(1, n + 1)
     labels = skimage.segmentation.watershed(
         -plane, markers, connectivity=1, mask=significant
     )
-    pixels = np.flatnonzero(labels)
-    pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")]
-    owner, weight = labels.flat[pixels] - 1, plane.flat[pixels]
-    flux = np.bincount(owner, weight, n)
-    corner = [side.start for side in box]
-    rows, columns = (
-        place + first
-        for place, first in zip(
-            np.unravel_index(pixels, plane.shape), corner, strict=True
-        )
-    )
-    y_centroid, x_centroid = (
-        np.bincount(owner, weight * place, n) / flux for place in (rows, columns)
-    )
     # Beside a missing pixel the curvature is unknown, and the whole pixel is kept.
     known = plane if mask is None else np.where(np.asarray(mask)[box], np.nan, plane)
     around = sliding_window_view(known, (3, 3))[at[0] - 1, at[1] - 1]
     dy, dx, _ = quadratic_peak(around)
-    boxes = scipy.ndimage.find_objects(labels)
+    y0, x0 = (side.start for side in box)
     return SSPs(
-        scale=np.full(n, float(scale)), y=at[0] + corner[0] + dy,
-        x=at[1] + corner[1] + dx, y_centroid=y_centroid, x_centroid=x_centroid,
-        peak=plane[at], flux=flux, snr=plane[at] / noise[at],
-        pixels=(rows * whole.shape[1] + columns).astype(np.int32),
-        values=weight.astype(np.float32),
-        bbox=np.array([(y.start, x.start, y.stop, x.stop) for y, x in boxes])
-        + np.tile(corner, 2),
-        starts=_starts(np.bincount(owner, minlength=n)), epoch=np.zeros(n, dtype=int),
+        scale=np.full(n, float(scale)), y=at[0] + y0 + dy, x=at[1] + x0 + dx,
+        peak=plane[at], snr=plane[at] / noise[at], epoch=np.zeros(n, dtype=int),
+        **_segments(plane, labels, n, (y0, x0), whole.shape[1]),
     )  # fmt: skip
 
 
-def _box_around(significant, margin):
-    """Return the slices around pixels with a margin, or None without any."""
-    box = []
-    for axis in (1, 0):
-        seen = np.flatnonzero(significant.any(axis=axis))
-        if len(seen) == 0:
-            return None
-        box.append(slice(max(seen[0] - margin, 0), seen[-1] + 1 + margin))
-    return tuple(box)
+def _segments(plane, labels, n, corner, width):
+    """Return the fields of SSPs that follow from their labels in part of an image."""
+    pixels = np.flatnonzero(labels)
+    pixels = pixels[np.argsort(labels.flat[pixels], kind="stable")]
+    owner, weight = labels.flat[pixels] - 1, plane.flat[pixels]
+    places = np.transpose(np.unravel_index(pixels, plane.shape)) + corner
+    flux = np.bincount(owner, weight, n)
+    y, x = (np.bincount(owner, weight * place, n) / flux for place in places.T)
+    boxes = scipy.ndimage.find_objects(labels)
+    boxes = [(y.start, x.start, y.stop, x.stop) for y, x in boxes]
+    return {
+        "flux": flux, "y_centroid": y, "x_centroid": x,
+        "pixels": (places @ (width, 1)).astype(np.int32),
+        "values": weight.astype(np.float32), "bbox": boxes + np.tile(corner, 2),
+        "starts": _starts(np.bincount(owner, minlength=n)),
+    }  # fmt: skip
 
 
 def _outside(shape, mask):

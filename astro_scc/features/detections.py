@@ -248,11 +248,9 @@ class Detections:
 CLEANED = 2.0
 
 
-def rank_in_group(*keys):
-    """Return the rank of each entry of sorted keys among the equal ones, from 0."""
-    new = np.ones(len(keys[0]), bool)
-    new[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
-    return np.arange(len(new)) - np.flatnonzero(new)[np.cumsum(new) - 1]
+def rank_in_group(key):
+    """Return the rank of each entry of a sorted key among the equal ones, from 0."""
+    return np.arange(len(key)) - np.searchsorted(key, key)
 
 
 def gaussians_of(cube, *, n_workers=1, progress_bar=False):

@@ -144,6 +144,11 @@ class Features:
         """Places of the motions at their dates, shape (n, 2) in mas."""
         return np.reshape([motion.place for motion in self.motions], (-1, 2))
 
+    @property
+    def velocities(self) -> np.ndarray:
+        """Velocities of the motions, shape (n, 2) in mas/yr."""
+        return np.reshape([motion.velocity for motion in self.motions], (-1, 2))
+
     @cached_property
     def positions(self) -> QTable:
         """One row for each feature and epoch, a `~astropy.table.QTable`."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import chain
 
 import numpy as np
 import scipy
@@ -385,7 +385,7 @@ class _Filter:
 
 
 def _one_way(d, o, way):
-    """Yield the best tracks of each first and each last detection, and scores."""
+    """Return the best tracks of each first and each last detection, and scores."""
     kalman, lost_score = _Filter(d, o), np.log(1 - o.detected)
     epochs = np.arange(d.epoch[0], d.epoch[-1] + 1)[::way]
     # A track that ends with a detection is a node, after the node of the one before.
@@ -395,80 +395,70 @@ def _one_way(d, o, way):
     state, score, ended = np.empty((9, 0)), np.empty(0), []
     for epoch in epochs.tolist():
         here = np.arange(*np.searchsorted(d.epoch, (epoch, epoch + 1)))
-        one = detection = here[:0]
-        gain = np.empty(0)
-        if len(here):
-            then = kalman.predicted(state, kalman.time[here[0]])
-            one, detection, gain = kalman.branches(then, here)
+        then = kalman.predicted(state, kalman.time[here[0]]) if len(here) else state
+        one, detection, gain = kalman.branches(then, here)
         lost = missed >= o.most_missed
         ended.append(live[lost])
         left = np.flatnonzero(~lost)
         score = np.concatenate([score[one] + gain, score[left] + lost_score])
-        roots = root[np.concatenate([one, left])]
-        kept = np.sort(lowest(-score, roots, n=o.hypotheses))
+        root = root[np.concatenate([one, left])]
+        kept = np.sort(lowest(-score, root, n=o.hypotheses))
         n_new = np.searchsorted(kept, len(one))
         one, detection = one[kept[:n_new]], detection[kept[:n_new]]
         left = left[kept[n_new:] - len(gain)]
+        states = kalman.continued(then[:, one], detection), state[:, left]
+        state = np.concatenate([*states, kalman.start(here)], axis=1)
         score = np.concatenate([score[kept], np.full(len(here), kalman.entry)])
-        roots = np.concatenate([roots[kept], here])
-        lengths = np.concatenate([length[one] + 1, length[left], 1 + 0 * here])
-        new = np.arange(n_nodes, n_nodes + len(one) + len(here))
-        n_nodes += len(new)
-        added = np.r_[: len(one), len(kept) : len(kept) + len(here)]
-        parent = np.concatenate([live[one], np.full(len(here), -1)])
-        detection = np.concatenate([detection, here])
-        nodes.append(np.stack([detection, parent, roots[added], lengths[added]]))
-        scores.append(score[added])
-        states = [state[:, left], kalman.start(here)]
-        if len(one):
-            states = [kalman.continued(then[:, one], detection[: len(one)]), *states]
-        state = np.concatenate(states, axis=1)
-        live = np.concatenate([new[: len(one)], live[left], new[len(one) :]])
+        root = np.concatenate([root[kept], here])
+        length = np.concatenate([length[one] + 1, length[left], 1 + 0 * here])
         missed = np.concatenate([0 * one, missed[left] + 1, 0 * here])
-        root, length = roots, lengths
+        detection = np.concatenate([detection, here])
+        parent = np.concatenate([live[one], np.full(len(here), -1)])
+        added = np.r_[: len(one), len(kept) : len(kept) + len(here)]
+        nodes.append(np.stack([detection, parent, root[added], length[added]]))
+        scores.append(score[added])
+        new = n_nodes + np.arange(len(detection))
+        live = np.concatenate([new[: len(one)], live[left], new[len(one) :]])
+        n_nodes += len(new)
     # A track that then only misses epochs ends with its last detection.
-    node = np.unique(np.concatenate([*ended, live]))
-    (detection, parent, root, length), best = (
-        np.concatenate(nodes, axis=1), np.concatenate(scores)
-    )  # fmt: skip
+    ends = np.unique(np.concatenate([*ended, live]))
+    nodes, scores = np.concatenate(nodes, axis=1), np.concatenate(scores)
+    return _paths_to(ends, nodes, scores, o, way)
+
+
+def _paths_to(node, nodes, best, o, way):
+    """Return the detections of the tracks to the best of some nodes, and scores."""
+    detection, parent, root, length = nodes
     node = node[length[node] >= o.least_epochs]
     kept = [lowest(-best[node], end[node], n=o.kept) for end in (root, detection)]
     node = node[np.union1d(*kept)]
     node = node[best[node] > 0]
-    totals, lengths, steps = best[node].tolist(), length[node], []
+    totals, limits = best[node].tolist(), np.cumsum(length[node])[:-1]
+    steps = []
     while (node >= 0).any():
         steps.append(np.where(node >= 0, detection[node], -1))
         node = np.where(node >= 0, parent[node], -1)
-    if steps:
-        steps = np.stack(steps, axis=1)[:, ::-way]
-        steps = steps[steps >= 0].tolist()
-        limits = pairwise([0, *np.cumsum(lengths).tolist()])
-        for (low, high), total in zip(limits, totals, strict=True):
-            yield tuple(steps[low:high]), total
+    if not steps:
+        return []
+    steps = np.stack(steps, axis=1)[:, ::-way]
+    paths = np.split(steps[steps >= 0], limits)
+    return zip((tuple(path.tolist()) for path in paths), totals, strict=True)
 
 
-# -- groups and chains -------------------------------------------------------------
-
-
-def lowest(value, *keys, n=1):
-    """Return the indices of the n lowest values for equal keys, sorted by the keys."""
-    order = np.argsort(value, kind="stable")
-    for key in keys[::-1]:
-        # Short integers are sorted in a time that is linear in their number.
-        short = key if key.max(initial=0) >= 2**15 else key.astype(np.int16)
-        order = order[np.argsort(short[order], kind="stable")]
-    return order[rank_in_group(*(key[order] for key in keys)) < n]
-
-
-def connected(one, other, n):
-    """Return the number of each node's group, for n nodes connected in pairs."""
-    graph = scipy.sparse.coo_array((np.ones(len(one)), (one, other)), shape=(n, n))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+def lowest(value, key, *, n):
+    """Return the indices of the n lowest values for equal keys, sorted by the key."""
+    # Short integers are sorted in a time that is linear in their number.
+    short = key if key.max(initial=0) >= 2**15 else key.astype(np.int16)
+    order = np.lexsort((value, short))
+    return order[rank_in_group(key[order]) < n]
 
 
 def chains(before, after, n):
     """Return the chains of n nodes, of which some come before others, each in order."""
-    group = connected(before, after, n)
+    links = scipy.sparse.coo_array(
+        (np.ones(len(before)), (before, after)), shape=(n, n)
+    )
+    _, group = scipy.sparse.csgraph.connected_components(links, directed=False)
     order = np.argsort(group, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
 
@@ -498,8 +488,8 @@ class Assignment:
     """
 
     def __init__(self, paths, n_detections):
-        self._paths = paths
-        start = np.cumsum([0, *map(len, paths)], dtype=np.int32)
+        self._paths, self.length = paths, np.array([len(path) for path in paths])
+        start = np.append(0, np.cumsum(self.length)).astype(np.int32)
         detection = np.fromiter(chain.from_iterable(paths), np.int32, start[-1])
         entries = np.ones(len(detection)), detection, start
         self.uses = scipy.sparse.csr_array(entries, shape=(len(paths), n_detections))
@@ -520,8 +510,8 @@ class Assignment:
             Whether no other is better by more than the tolerance; False if the
             integer program ran out of time.
         """
-        first, length = np.zeros_like(self.price), np.diff(self.uses.indptr)
-        np.maximum.at(first, self.uses.indices, np.repeat(score / length, length))
+        first, each = np.zeros_like(self.price), score / self.length
+        np.maximum.at(first, self.uses.indices, np.repeat(each, self.length))
         price, (chosen,), (bound,) = self._priced(score[:, None], first[None] / 2, 150)
         self.price, total = price[0], score[chosen].sum()
         if bound - total <= TOLERANCE * total:
@@ -566,9 +556,8 @@ class Assignment:
         There is one of each for each column of the scores.  Assignments are made
         whenever so many iterations are ``between``.
         """
-        n, n_detections = price.shape
+        (n, n_detections), best_price = price.shape, price.copy()
         lowest, total, chosen = np.full(n, np.inf), np.full(n, -1.0), [[]] * n
-        length, best_price = np.diff(self.uses.indptr), price.copy()
         step, in_vain, active = np.ones(n), np.zeros(n, dtype=int), np.arange(n)
         for k in range(iterations + 1):
             value = scores[:, active] - self.uses @ price[active].T
@@ -594,12 +583,10 @@ class Assignment:
                     if (reached := scores[other, one].sum()) > total[one]:
                         chosen[one], total[one] = other, reached
             # Few tracks are taken: a product with the whole matrix takes longer.
-            first, number = self.uses.indptr[taken], length[taken]
-            places = np.repeat(first - np.cumsum(number) + number, number)
-            places += np.arange(len(places))
-            used = self.uses.indices[places] + np.repeat(column * n_detections, number)
-            slope = 1.0 - np.bincount(used, minlength=len(active) * n_detections)
-            slope = slope.reshape(len(active), n_detections)
+            used = np.repeat(column * n_detections, self.length[taken])
+            used += self.uses[taken].indices
+            number = np.bincount(used, minlength=len(active) * n_detections)
+            slope = 1.0 - number.reshape(len(active), n_detections)
             slope[(price[active] <= 0) & (slope > 0)] = 0
             square, gap = (slope**2).sum(axis=1), (lowest - total)[active]
             go_on = (square > 0) & (gap > 1e-6 * total[active])
@@ -607,8 +594,7 @@ class Assignment:
                 break
             active = active[go_on]
             size = step[active] * gap[go_on] / square[go_on]
-            change = size[:, None] * slope[go_on]
-            price[active] = np.maximum(price[active] - change, 0)
+            price[active] = np.maximum(price[active] - size[:, None] * slope[go_on], 0)
         return best_price, [np.array(tracks, dtype=int) for tracks in chosen], lowest
 
     def _greedy(self, value, score):

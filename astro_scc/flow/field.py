@@ -197,7 +197,7 @@ def _measure_cell(cell, search, settings, rng):
     _, test = find_motion(cell, settings, rng)
     sign = 1.0 if search.fit is None else np.sign(search.fit.mean[0])
     part = fit_part(cell, sign=sign, intervals=search.intervals)
-    if part is None or not part.fit.amplitude[0] > 0:
+    if part.fit is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
     speed = part.fit.mean[0]
     (error,), *_ = part.errors(speed)

@@ -153,13 +153,7 @@ def fit_profile(
     if model not in MODELS:
         raise ValueError(f"unknown model {model!r}: use one of {', '.join(MODELS)}")
     r, v, e = (np.atleast_1d(u.Quantity(q)) for q in (distance, speed, error))
-    if covariance is None:
-        square = np.diag(e.to_value(v.unit) ** 2)
-    else:
-        square = u.Quantity(covariance).to_value(v.unit**2)
-    variance = np.diag(square)
-    good = np.isfinite(v.value) & np.isfinite(variance) & (variance > 0)
-    x, y, square = r.value[good], v.value[good], square[np.ix_(good, good)]
+    x, y, square = _known(r, v, e, covariance)
     function, names = MODELS[model]
     n, k = len(x), len(names)
     if (places := len(np.unique(x))) < k:
@@ -195,6 +189,17 @@ def fit_profile(
         errors=errors, chi2=least, n_free=n - k, aicc=least + 2 * k + corrected,
         p_constant=_p_constant(k, n - k, chi2(mean), least),
     )  # fmt: skip
+
+
+def _known(r, v, e, covariance):
+    """Return distances, speeds that are known, and their covariance, as numbers."""
+    if covariance is None:
+        square = np.diag(e.to_value(v.unit) ** 2)
+    else:
+        square = u.Quantity(covariance).to_value(v.unit**2)
+    variance = np.diag(square)
+    good = np.isfinite(v.value) & np.isfinite(variance) & (variance > 0)
+    return r.value[good], v.value[good], square[np.ix_(good, good)]
 
 
 def _p_constant(k, n_free, constant, least):

@@ -85,13 +85,10 @@ class Profile(Components):
     fits, speeds : dict
         By the same names: one stream fitted to each bin, None if its speed is not
         known, and its distances, speeds and their covariance, in beams and years.
-    pairs : tuple of (sequence of (float, float) or None)
-        For each bin, with groups: mean and dispersion of two streams of the whole flow
-        or, if it has one, of a group in this bin.
     flow : ``DecomposedFlow``
         The flow that is divided.
-    along : {"radius", "ridge"}
-        Whether distances are measured from the core or along the ridge line.
+    pair : sequence of (float, float) or None
+        With groups, mean and dispersion of both of two streams of the whole flow.
 
     Examples
     --------
@@ -111,8 +108,7 @@ class Profile(Components):
     fits: dict[str, tuple[PartFit | None, ...]]
     speeds: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
     flow: DecomposedFlow
-    along: str = "radius"
-    pairs: tuple[list[tuple[float, float]] | None, ...] = ()
+    pair: list[tuple[float, float]] | None = None
 
     def __len__(self) -> int:
         return len(self.bins)
@@ -124,9 +120,20 @@ class Profile(Components):
         )
 
     @property
+    def along(self) -> str:
+        """Along what distances are measured, the "radius" or the "ridge" line."""
+        return "ridge" if isinstance(self.flow.frame, RidgeLine) else "radius"
+
+    @property
     def groups(self) -> tuple[str, ...]:
         """Names of the groups of scales, ("all",) if there are none."""
         return tuple(self.results)
+
+    def pair_in(self, k: int) -> list[tuple[float, float]] | None:
+        """Return the ``pair`` or, without one, that of any group in bin k, or None."""
+        found = (results[k] for results in self.results.values())
+        pairs = (result.search.pair for result in found if result is not None)
+        return self.pair or next(filter(None, pairs), None)
 
     @property
     def covariance(self) -> u.Quantity:
@@ -290,25 +297,15 @@ def measure_profile(
     if not hasattr(decomposed, "decomposer"):
         decomposed = scc.decompose(decomposed, progress_bar=progress_bar)
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
-    cube, features = decomposed.cube, decomposed.follow(progress_bar=progress_bar)
-    (generator, seed), root = seeded(rng), groups is None
+    features, root = decomposed.follow(progress_bar=progress_bar), groups is None
+    generator, seed = seeded(rng)
     # Bins have the speeds of Gaussians, whose covariance is known.
-    settings = replace(search_settings(scc, cube, n_trials), whole=False)
-    limits = bins.to_value(u.mas)
+    settings = replace(search_settings(scc, decomposed.cube, n_trials), whole=False)
+    limits, meta = bins.to_value(u.mas), meta_of(scc, n_trials, seed)
+    results, fits, speeds, both = {}, {}, {}, None
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
-        flow, numbers = scc.flow(decomposed), {}
-        if groups is not None:
-            numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}
-        if len(flow.grids) > 1:
-            # Bins need one direction, that of the whole flow.
-            flow = find_streams(flow, features, settings, rng=generator).flow
-        else:
-            every = sorted(set().union(*numbers.values()))
-            flow = flow.along(scales=every) if every else flow
-            lines = fit_along_lines(flow, intervals=settings.intervals)
-            flow = flow if lines is None else lines.flow
-        flows = flows_by_scale(flow, numbers) if numbers else {ALL: flow}
+        flow, flows = _flows(scc, decomposed, groups, settings, generator)
         with progress(len(flows) * len(bins), "Searching", show=progress_bar) as done:
             searches = {
                 name: _search_bins(
@@ -316,30 +313,34 @@ def measure_profile(
                 )
                 for name, part in flows.items()
             }
-        sign, both = _sign_of(searches, bins), None
         if groups is not None:
             # Bins and groups have fewer patterns to tell two streams from one.
             whole = find_streams(flow, features, settings, rng=generator.spawn(1)[0])
             both = whole.pair
-        fits = {
-            name: tuple(_fit_again(search, sign, root=root) for search in found)
-            for name, found in searches.items()
-        }
+        sign, angle = _sign_of(searches, bins), flow_direction(decomposed, flow.frame)
         places = [place_of(flow.between(low, high)) for low, high in limits]
-        speeds = {name: speeds_in_parts(found, places) for name, found in fits.items()}
-    meta, angle = meta_of(scc, n_trials, seed), flow_direction(decomposed, flow.frame)
-    results = {
-        name: tuple(
-            one and SCCResult(decomposed, one, angle, [], meta) for one in found
-        )
-        for name, found in searches.items()
-    }
-    along = "ridge" if isinstance(flow.frame, RidgeLine) else "radius"
-    pairs = tuple(
-        both or next((one.pair for one in found if one and one.pair), None)
-        for found in zip(*searches.values(), strict=True)
-    )
-    return Profile(bins, results, fits, speeds, flow, along, pairs)
+        for name, found in searches.items():
+            fits[name] = tuple(_fit_again(one, sign, root=root) for one in found)
+            speeds[name] = speeds_in_parts(fits[name], places)
+            results[name] = tuple(
+                one and SCCResult(decomposed, one, angle, [], meta) for one in found
+            )
+    return Profile(bins, results, fits, speeds, flow, both)
+
+
+def _flows(scc, decomposed, groups, settings, rng):
+    """Return the flow along its direction and lines, and those of groups of scales."""
+    cube, flow, numbers = decomposed.cube, scc.flow(decomposed), {}
+    if groups is not None:
+        numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}
+    if len(flow.grids) > 1:
+        # Bins need one direction, that of the whole flow.
+        flow = find_streams(flow, decomposed.features, settings, rng=rng).flow
+    else:
+        every = sorted(set().union(*numbers.values()))
+        flow = flow.along(scales=every) if every else flow
+        flow = fit_along_lines(flow, intervals=settings.intervals).flow
+    return flow, flows_by_scale(flow, numbers) if numbers else {ALL: flow}
 
 
 def _sign_of(searches, bins):
@@ -378,7 +379,7 @@ def _fit_again(search, sign, *, root):
         search.flow, sign=sign, root=root, intervals=search.intervals,
         diagram=search.diagram, fit=fit if same else None,
     )  # fmt: skip
-    if part is None:
+    if part.fit is None:
         return None
     speed = part.fit.mean[0]
     error = fit.mean_err[0] if same else part.errors()[0][0]

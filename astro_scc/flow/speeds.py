@@ -163,15 +163,15 @@ def compare_scales(
     rows = []
     if hasattr(measured, "results"):
         for k, limits in enumerate(measured.bins.to_value(u.mas)):
-            fits, both = {}, measured.pairs[k]
-            for name, results in measured.results.items():
-                fit, one = measured.fits[name][k], results[k]
-                if both and one is not None:
-                    fit = fit_part(
-                        one.flow, root=False, start=both, diagram=one.search.diagram,
-                        intervals=one.search.intervals,
+            both = measured.pair_in(k)
+            fits = {name: found[k] for name, found in measured.fits.items()}
+            for name, found in measured.results.items():
+                if both and found[k] is not None:
+                    one = found[k].search
+                    fits[name] = fit_part(
+                        one.flow, root=False, start=both, intervals=one.intervals,
+                        diagram=one.diagram,
                     )  # fmt: skip
-                fits[name] = fit
             compared = _compared(fits, measured.flow.beam, both)
             rows += [(*limits, *row) for row in compared]
     else:

@@ -103,7 +103,7 @@ def _upstream(result, stream, row, *, least=1.2):
     if not flow.passes and (not cored or stream.kind == "not significant"):
         return []
     place = features.places
-    velocity = np.reshape([motion.velocity for motion in features.motions], (-1, 2))
+    velocity = features.velocities
     coming = passing_features(features, flow.beam) if flow.passes else []
     way = velocity[coming or stream.members].sum(axis=0)
     angle = np.radians(row["pm_pa"])
@@ -141,7 +141,7 @@ def _other_directions(result):
     # Speeds along lines that bend are lengths.
     if use.sum() < FEWEST or result.flow.grids[0].bends:
         return []
-    place = np.array([motion.place for motion in features.motions])[use]
+    place = features.places[use]
     local = (np.asarray(frame.matrix(*place.T)) @ place[..., None])[..., 0]
     # Opposite directions are those of a jet and its counter-jet.
     turns = 2 if result.flow.grids[0].counter.any() else 1
@@ -178,9 +178,9 @@ def _for_all_sides(result, away, *, explained=0.75, near=0.1):
     distances.
     """
     features = result.tracked_features
-    secure = np.flatnonzero(features.secure)
-    place = features.places[secure]
-    velocity = np.array([features.motions[k].velocity for k in secure])
+    place, velocity = (
+        each[features.secure] for each in (features.places, features.velocities)
+    )
     x, v = place - place.mean(axis=0), velocity - velocity.mean(axis=0)
     rate = np.vdot(x, v) / np.vdot(x, x)
     if rate > 0 and rate * np.vdot(x, v) > explained * np.vdot(v, v):
@@ -298,8 +298,7 @@ def parts_of(search):
         found = decomposed.fit_part(
             part, start=start, intervals=intervals, diagram=diagram
         )
-        known = found is not None and found.knows(main)
-        error = found.errors(stream=main)[0][0] if known else np.nan
+        error = found.errors(stream=main)[0][0] if found.knows(main) else np.nan
         if not np.isfinite(error):
             return np.nan, np.nan
         return abs(found.fit.mean[main]) * flow.beam, error * flow.beam

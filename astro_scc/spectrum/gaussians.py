@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from astro_scc.spectrum.diagram import influences
+from astro_scc.spectrum.diagram import TINY, influences
 from astro_scc.spectrum.equations import deconvolve, mean_of_pairs
 
 #: Smallest dispersion, relative to the mean: patterns change on their way.
@@ -230,7 +230,7 @@ def two_are_better(
     ``distance``, in dispersions.
     """
     none = amplitudes_of(equations, np.empty(0), np.empty(0)).misfit
-    better = (one.misfit - two.misfit) / max(none - two.misfit, np.finfo(float).tiny)
+    better = (one.misfit - two.misfit) / max(none - two.misfit, TINY)
     slow, fast = np.abs(two.mean)
     apart = (fast - slow) / np.hypot(*two.sd)
     clear = two.share.min() > share and fast > factor * slow

@@ -8,7 +8,7 @@ from math import factorial, prod
 import numpy as np
 
 from astro_scc.intervals import median_interval, without_short
-from astro_scc.spectrum.diagram import LEAST_NORM, LEAST_OVERLAP
+from astro_scc.spectrum.diagram import LEAST_NORM, LEAST_OVERLAP, TINY
 
 #: Length in beams over which features keep their shape.
 LENGTH = 3.0
@@ -24,7 +24,6 @@ INWARD = 0.1
 BEYOND = 2.0
 #: The test compares displacements up to this share of the largest.
 TESTED = 0.8
-TINY = np.finfo(float).tiny
 #: Variance by which two epochs of one date differ at least.
 SAME = 1e-9
 #: White shares of the variance that are tried.
@@ -83,6 +82,11 @@ class MotionTest:
         moves: structures that are elongated look alike in several.
         """
         return _best(self.z, self.amplitude)
+
+    @property
+    def clearest(self) -> float:
+        """The speed at which motion is clearest, in the best direction."""
+        return float(self.speed[self.best[1]])
 
     def beside(self, speed, least):
         """
@@ -293,15 +297,9 @@ def permutation_test(
     """
     years = diagrams[0].years
     speed = speeds_tested(years, fastest, intervals)
-    tau = years - years[:, None]
     orders = orders_of(np.diff(years), n_trials, rng)
-    found, memories, grams, shares = [], [], [], []
-    for diagram in diagrams:
-        scores, gram, share, *memory = _scores(diagram, speed, tau, orders, intervals)
-        found.append(scores)
-        memories.append(memory)
-        grams.append(gram)
-        shares.append(share)
+    parts = (_scores(one, speed, orders, intervals) for one in diagrams)
+    found, grams, shares, memories, whites = zip(*parts, strict=True)
     z = np.array([standardised(scores) for scores in found])
     both = np.concatenate([z, -z], axis=2)
     weight = np.repeat([1.0, inward], len(speed))
@@ -322,8 +320,8 @@ def permutation_test(
         p_global=share_of_larger(evidence),
         p_smallest=1 / len(orders),
         level=float(np.quantile(largest[1:], 0.99)),
-        memory=memories[k][0],
-        white=memories[k][1],
+        memory=memories[k],
+        white=whites[k],
         amplitude=amplitude,
         gram=gram,
         scores=scores,
@@ -350,60 +348,84 @@ def share_of_larger(values):
     return float((values >= values[0]).mean())
 
 
-def _scores(diagram, speed, tau, orders, intervals, numbers=4e6):
+def _scores(diagram, speed, orders, intervals):
     """
     Return the sums over the filter of each speed for all orders, and their gram.
 
-    So many ``numbers`` are permuted at a time as the cache of a processor holds.
+    The share of the variance that moves with each speed, and the memory of the images,
+    see `_innovations`, are returned, too.
     """
-    n, zero = len(diagram.years), diagram.zero
-    x = diagram.displacement[zero:]
-    overlap = np.maximum(diagram.overlap[zero:], LEAST_NORM)
-    use = (x > 0) & (x <= TESTED * x[-1]) & (diagram.overlap[zero:] > LEAST_OVERLAP)
-    sums = np.asarray(diagram.sums, dtype=float)
-    time, white, factor = memory_of(diagram.years, sums[:, :, zero])
-    to_innovations = np.linalg.solve(factor, difference_matrix(n))
+    years, zero = diagram.years, diagram.zero
+    x, overlap = diagram.displacement[zero:], diagram.overlap[zero:]
+    use = (x > 0) & (x <= TESTED * x[-1]) & (overlap > LEAST_OVERLAP)
+    overlap = np.maximum(overlap[use], LEAST_NORM)
     correlation = autocorrelation(diagram)[zero:]
-    odd = sums[:, :, zero:][:, :, use]
-    odd = _sandwich(to_innovations, odd - odd.transpose(1, 0, 2))
-    power = np.einsum("ia,ab,ib->i", to_innovations, sums[:, :, zero], to_innovations)
-    size = np.sqrt(np.maximum(power, np.finfo(float).tiny))
-    size /= np.sqrt(max((size**2).mean(), np.finfo(float).tiny))
-    odd = odd / (size[:, None] * size)[..., None]
+    to_innovations, odd, time, white = _innovations(diagram, use)
+    n, y = len(years), x[use]
     first, second = np.triu_indices(n - 1, 1)
-    y = x[use]
     scatter = odd[first, second].T @ odd[first, second] / len(first)
     ridge = np.trace(scatter) / max(len(y), 1)
     if not ridge > 0:
         ridge = 1.0
     whiten = np.linalg.inv(np.linalg.cholesky(scatter + ridge * np.eye(len(y))))
     filters = np.empty((len(speed), len(first), len(y)), np.float32)
-    norm = np.empty(len(speed))
-    pairs = np.triu_indices(n, 1)
-    asked = within(np.abs(tau[pairs]), intervals)[:, None]
+    norm, pairs = np.empty(len(speed)), np.triu_indices(n, 1)
+    tau = (years - years[:, None])[pairs][:, None]
+    asked = within(np.abs(tau), intervals)
     expected = np.zeros((n, n, len(y)), np.float32)
     for k, v in enumerate(speed):
-        moved = (v * tau[pairs])[:, None]
+        moved = v * tau
         forward = np.interp(np.abs(y - moved), x, correlation, right=0)
         forward -= np.interp(np.abs(y + moved), x, correlation, right=0)
-        forward *= np.exp(-np.abs(moved) / LENGTH) * overlap[use] * asked
+        forward *= np.exp(-np.abs(moved) / LENGTH) * overlap * asked
         expected[pairs], expected[pairs[::-1]] = forward, -forward
         filters[k] = _sandwich(to_innovations, expected)[first, second] @ whiten.T
         norm[k] = np.sqrt(np.square(filters[k], dtype=float).sum())
         filters[k] /= norm[k] if norm[k] > 0 else 1
-    odd = np.asarray(odd @ whiten.T, np.float32).reshape((n - 1) ** 2, -1)
-    scores = np.zeros((len(orders), len(speed)))
-    # In pieces, as all permutations of a long series are large.
-    piece = max(1, int(numbers / len(orders) / max(len(y), 1)))
-    for low in range(0, len(first), piece):
-        some = slice(low, low + piece)
-        rows = orders[:, first[some]] * (n - 1) + orders[:, second[some]]
-        permuted = np.take(odd, rows, axis=0).reshape(len(orders), -1)
-        scores += permuted @ filters[:, some].reshape(len(speed), -1).T
-    power = max(float(sums[np.arange(n), np.arange(n), zero].mean()), TINY)
-    share = scores[0] / np.where(norm > 0, norm, np.inf) / power
+    scores = _permuted(np.asarray(odd @ whiten.T, np.float32), filters, orders)
+    epochs = np.arange(n)
+    power = np.mean(diagram.sums[epochs, epochs, zero], dtype=float)
+    share = scores[0] / np.where(norm > 0, norm, np.inf) / max(power, TINY)
     filters = filters.reshape(len(speed), -1)
     return scores, (filters @ filters.T).astype(float), share, time, white
+
+
+def _permuted(odd, filters, orders, numbers=4e6):
+    """
+    Return the sums of the odd part over each filter, for all orders.
+
+    So many ``numbers`` are permuted at a time as the cache of a processor holds: all
+    permutations of a long series are large.
+    """
+    n, n_pairs = len(odd), filters.shape[1]
+    first, second = np.triu_indices(n, 1)
+    odd, scores = odd.reshape(n**2, -1), np.zeros((len(orders), len(filters)))
+    piece = max(1, int(numbers / len(orders) / max(odd.shape[1], 1)))
+    for low in range(0, n_pairs, piece):
+        some = slice(low, low + piece)
+        rows = orders[:, first[some]] * n + orders[:, second[some]]
+        permuted = np.take(odd, rows, axis=0).reshape(len(orders), -1)
+        scores += permuted @ filters[:, some].reshape(len(filters), -1).T
+    return scores
+
+
+def _innovations(diagram, use):
+    """
+    Return the matrix of innovations, and the odd part of the diagram between them.
+
+    Each is divided by its norm.  ``use`` are the displacements, from zero, that are
+    compared.  The memory of the images, in years, and the share of their variance
+    without memory are returned, too.
+    """
+    sums = np.asarray(diagram.sums[:, :, diagram.zero :], dtype=float)
+    time, white, factor = memory_of(diagram.years, sums[:, :, 0])
+    matrix = np.linalg.solve(factor, difference_matrix(len(sums)))
+    odd = sums[:, :, use]
+    odd = _sandwich(matrix, odd - odd.transpose(1, 0, 2))
+    power = np.einsum("ia,ab,ib->i", matrix, sums[:, :, 0], matrix)
+    size = np.sqrt(np.maximum(power, TINY))
+    size /= np.sqrt(max((size**2).mean(), TINY))
+    return matrix, odd / (size[:, None] * size)[..., None], time, white
 
 
 def _sandwich(matrix, values):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from astro_scc.spectrum.diagram import TINY
 from astro_scc.spectrum.equations import interval_bins, pairs_by_bin
 from astro_scc.spectrum.permutations import LENGTH, autocorrelation
 
@@ -77,7 +78,7 @@ def velocity_map(sheet, aside, fastest, *, angle=0.0, beam=1.0, n_trials=60, rng
     n = len(years)
     bins, number, interval = interval_bins(years)
     values = np.stack([d.sums for d in sheet], axis=2)
-    values /= max(diagram.power, np.finfo(float).tiny)
+    values /= max(diagram.power, TINY)
     flat = values.reshape(n * n, -1)
     # The map has 61 points on either axis.
     v = fastest * np.arange(-30, 31) / 30
@@ -110,7 +111,7 @@ def _rays(along, across, interval, number, aside, x, shape):
     inside = (h >= 0) & (h <= shape[1] - 1) & (d >= 0) & (d <= shape[2] - 1)
     way = np.hypot(along, across)[None] * interval[:, None, None]
     weight = inside * number[:, None, None] * np.exp(-way / LENGTH)
-    weight /= np.maximum(weight.sum(axis=0), np.finfo(float).tiny)
+    weight /= np.maximum(weight.sum(axis=0), TINY)
     k, row = np.nonzero(inside.reshape(len(interval), -1))
     h, d, weight = (a.reshape(len(interval), -1)[k, row] for a in (h, d, weight))
     low_h = np.minimum(h.astype(int), shape[1] - 2)
@@ -206,7 +207,7 @@ def correlation_kept(diagram, speed):
     power = np.diagonal(diagram.sums[:, :, diagram.zero])
     rest = without_each(np.diag(power)) / np.append(n, np.full(n, n - 1))
     total = without_each(weight) * rest
-    return without_each(weight * found) / np.maximum(total, np.finfo(float).tiny)
+    return without_each(weight * found) / np.maximum(total, TINY)
 
 
 def without_each(pairs):

@@ -330,8 +330,7 @@ def find_motion(flow, settings, rng):
     if len(flow.planes) == 1:
         return flow, test
     # Along the direction of the largest z, outward.
-    direction, best = test.best
-    flow = _turned(flow, direction, test.speed[best])
+    flow = _turned(flow, test.best[0], test.clearest)
     along = permutation_test([flow.diagram(0)], inward=0.0, **shared)
     return flow, replace(
         along, p_global=test.p_global, p_smallest=test.p_smallest, level=test.level
@@ -343,7 +342,7 @@ def _turned(flow, direction, speed):
     angle = flow.grids[direction].angle + (0.0 if speed > 0 else np.pi)
     for _ in range(MOST_TURNS):
         found = flow.along(angle)
-        sheet, aside = sheet_of(found.planes[0].square_root, found.regions[0], 1)
+        sheet, aside = sheet_of(found, 1)
         across, error = transverse_speed(sheet, aside, abs(speed))
         if not np.isfinite(error):
             break
@@ -356,11 +355,12 @@ def _turned(flow, direction, speed):
     return flow.along(angle)
 
 
-def sheet_of(planes, region, number):
+def sheet_of(flow, number, *, root=True):
     """Return diagrams at displacements across the flow, and their distance in beams."""
+    planes = flow.planes[0].square_root if root else flow.planes[0]
     lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
     lags = [k * lag for k in range(1, number + 1) if 2 * k * lag < n_across]
-    return correlate_aside(planes, lags, region=region), lag * planes.step
+    return correlate_aside(planes, lags, region=flow.regions[0]), lag * planes.step
 
 
 # -- parts of a flow -----------------------------------------------------------------
@@ -368,13 +368,13 @@ def sheet_of(planes, region, number):
 
 @dataclass(frozen=True, eq=False)
 class PartFit:
-    """Streams that are fitted to a part of a flow."""
+    """Streams that are fitted to a part of a flow; their fit is None if none are."""
 
     flow: DecomposedFlow
     planes: FlowPlanes
     diagram: Diagram
     equations: Equations
-    fit: StreamFit
+    fit: StreamFit | None
 
     def errors(self, travel=None, stream=None):
         """Return what `fit_errors` does, of clusters that move at one speed."""
@@ -385,8 +385,9 @@ class PartFit:
 
     def knows(self, stream: int) -> bool:
         """Return whether a stream is seen, and not at the limit of the search."""
-        inside = abs(self.fit.mean[stream]) < 0.99 * self.equations.speed[-1]
-        return bool(self.fit.amplitude[stream] > 0 and inside)
+        if self.fit is None or not self.fit.amplitude[stream] > 0:
+            return False
+        return bool(abs(self.fit.mean[stream]) < 0.99 * self.equations.speed[-1])
 
 
 def fit_part(
@@ -414,19 +415,19 @@ def fit_part(
 
     Returns
     -------
-    `PartFit` or None
+    `PartFit`
     """
     planes = flow.planes[0].square_root if root else flow.planes[0]
-    if not has_flow(flow):
-        return None
-    region = flow.regions[0]
-    diagram = correlate(planes, region=region) if diagram is None else diagram
+    if diagram is None:
+        diagram = correlate(planes, region=flow.regions[0])
     equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
-    if fit is None and start is None:
+    if not has_flow(flow):
+        fit = None
+    elif fit is None and start is None:
         fit = one_stream(equations, 1 / np.ptp(flow.years), sign)
     elif fit is None:
         fit = fit_streams(equations, start)
-    return None if fit is None else PartFit(flow, planes, diagram, equations, fit)
+    return PartFit(flow, planes, diagram, equations, fit)
 
 
 def fit_along_lines(
@@ -451,15 +452,15 @@ def fit_along_lines(
 
     Returns
     -------
-    `PartFit` or None
+    `PartFit`
     """
     shared = {"sign": sign, "root": root, "intervals": intervals}
     part = fit_part(flow, diagram=diagram, **shared)
-    if part is None or straight:
+    if part.fit is None or straight:
         return part
     others = [fit_part(flow.along_lines(one), **shared) for one in flow.lines()]
     parts = [part, *others] if flow.given else [*others, part]
-    parts = [one for one in parts if one is not None]
+    parts = [one for one in parts if one.fit is not None]
     kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]
     best = 0
     for k in range(1, len(parts)):

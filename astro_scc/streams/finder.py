@@ -9,11 +9,10 @@ import numpy as np
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.intervals import median_interval
 from astro_scc.spectrum.diagram import Diagram
-from astro_scc.spectrum.equations import RATIO, deconvolve, set_up
+from astro_scc.spectrum.equations import RATIO, deconvolve
 from astro_scc.spectrum.gaussians import (
     GAIN,
     StreamFit,
-    fit_errors,
     two_are_better,
     two_streams,
 )
@@ -220,7 +219,7 @@ class StreamSearch:
     @property
     def sign(self) -> float:
         """Sign of the speed at which motion is clearest."""
-        return float(np.sign(self.test.speed[self.test.best[1]]))
+        return float(np.sign(self.test.clearest))
 
     @property
     def slowest(self) -> float:
@@ -267,71 +266,66 @@ def find_streams(
     """
     map_rng = rng.spawn(1)[0]
     flow, test = find_motion(flow, settings, rng)
-    planes = flow.planes[0].square_root if root else flow.planes[0]
-    sheet, aside = sheet_of(planes, flow.regions[0], 3)
-    diagram, sign = sheet[len(sheet) // 2], float(np.sign(test.speed[test.best[1]]))
+    (sheet, aside), sign = sheet_of(flow, 3, root=root), np.sign(test.clearest)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
-    passes, fit, p = test.p_global <= enough, None, 1.0
+    passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
         flow, straight=not passes, sign=sign, root=root, intervals=settings.intervals,
-        diagram=diagram,
+        diagram=sheet[len(sheet) // 2],
     )  # fmt: skip
-    if part is None:
-        equations = set_up(diagram, fastest=flow.fastest, intervals=settings.intervals)
-    else:
-        flow, planes, fit = part.flow, part.planes, part.fit
-        diagram, equations = part.diagram, part.equations
+    flow, equations = part.flow, part.equations
     if flow.grids[0].bends:
         length = np.hypot(moving.along, moving.across)
         moving.along = np.copysign(length, moving.along)
-    spectrum = equations.speed * flow.beam, deconvolve(equations)
-    search = StreamSearch(flow, test, diagram, *spectrum, settings.intervals)
-    if fit is not None and passes:
-        fit, p = _streams_of(
-            search, equations, fit, moving, settings, map_rng, diffusing=diffusing
-        )
-    if fit is not None:
-        errors = fit_errors(planes, diagram, equations, fit, region=flow.regions[0])
-        search = replace(search, fit=replace(fit, mean_err=errors[0], number=errors[1]))
+    if part.fit is not None and passes and not diffusing:
+        part, p = _one_or_two(part, test, moving, settings, map_rng)
+    if part.fit is not None:
+        mean_err, number, *_ = part.errors()
+        part = replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
+    search = StreamSearch(
+        flow, test, part.diagram, equations.speed * flow.beam, deconvolve(equations),
+        settings.intervals, part.fit,
+    )  # fmt: skip
     shift = _alignment(flow.years, settings.misaligned)
     rows = _of_spectrum(search, equations, settings.whole)
     streams = _streams(
         search, rows, moving, (sheet, aside), shift, covered=covered, p_distinct=p
     )
-    if passes and flow.grids[0].counter.any():
-        streams = [_on_its_side(s, search, moving, planes) for s in streams]
     if passes:
+        streams = [_on_its_side(s, search, moving, part.planes) for s in streams]
         streams = [_judged(s, search, opposed, diffusing=diffusing) for s in streams]
     streams += _standing(features, flow, streams, inside, shift)
-    fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
-    velocities = velocity_map(
-        sheet, aside * (np.arange(len(sheet)) - len(sheet) // 2),
-        min(3 * fastest or np.inf, search.fastest) / flow.beam, angle=flow.angle,
-        beam=flow.beam, rng=map_rng,
-    )  # fmt: skip
+    velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
 
 
-def _streams_of(search, equations, fit, moving, settings, rng, *, diffusing):
-    """Return one stream or two that are fitted, and the p-value of one."""
-    test, least = search.test, 1 / np.ptp(search.flow.years)
-    first = test.speed[test.best[1]]
+def _map_of(search, streams, sheet, aside, rng):
+    """Return the velocity map, to three times the fastest stream that moves."""
+    moving = [np.hypot(*s.velocity) for s in streams if s.kind == "moving"]
+    fastest = min(3 * max(moving, default=np.inf), search.fastest) / search.beam
+    aside = aside * (np.arange(len(sheet)) - len(sheet) // 2)
+    return velocity_map(
+        sheet, aside, fastest, angle=search.angle, beam=search.beam, rng=rng
+    )
+
+
+def _one_or_two(part, test, moving, settings, rng):
+    """Return a fit of one stream, or of two if they are, and the p-value of one."""
+    least, first = 1 / np.ptp(part.flow.years), test.clearest
     second, p_distinct = test.beside(first, least / 2)
-    if diffusing:
-        return fit, p_distinct
-    speed, chance = np.abs(moving.along) / search.beam, 1.0
+    speed, chance = np.abs(moving.along) / part.flow.beam, 1.0
     if len(speed) >= FEWEST:
         chance = chance_of_separation(speed, settings.n_trials, rng)
     if p_distinct > settings.alpha:
         # A second test where the first does not reject.
         p_distinct = min(p_distinct, 2 * chance)
     if p_distinct <= settings.alpha:
-        two = two_streams(equations, fit, least, (first, second))
-        if two is not None and _are_two(equations, fit, two, speed, chance):
-            fit = two
-    return fit, p_distinct
+        two = two_streams(part.equations, part.fit, least, (first, second))
+        if _are_two(part.equations, part.fit, two, speed, chance):
+            part = replace(part, fit=two)
+    return part, p_distinct
 
 
 def _are_two(equations, one, two, speed, chance):
@@ -400,7 +394,7 @@ def _stream(search, row, members, sheet, shift, *, covered):
 
 
 def _on_its_side(stream, search, moving, planes):
-    """Return a stream of both sides of a core with the direction of its own side."""
+    """Return a stream with the direction of its own side of a core."""
     members = moving[np.isin(moving.number, stream.members)]
     # Where both sides move so, the direction is that of the jet.
     behind = members.weight @ members.side < -members.weight.sum() / 2
@@ -415,9 +409,9 @@ def _on_its_side(stream, search, moving, planes):
 
 def _of_spectrum(search, equations, whole):
     """Return speed and dispersion with errors, in mas/yr, and share of each stream."""
-    fit, beam, test = search.fit, search.beam, search.test
+    fit, beam = search.fit, search.beam
     if fit is None:
-        return [(test.speed[test.best[1]] * beam, *[np.nan] * 4)]
+        return [(search.test.clearest * beam, *[np.nan] * 4)]
     speed, error, spread = fit.mean * beam, fit.mean_err * beam, fit.sd * beam
     largest = WELL_KNOWN if whole else 1.0
     if len(speed) == 1 and not error[0] < largest * abs(speed[0]):
@@ -490,7 +484,7 @@ def _harmonic(search, equations):
     in a time.
     """
     sign, spectrum = search.sign, search.spectrum
-    clearest = abs(search.test.speed[search.test.best[1]])
+    clearest = abs(search.test.clearest)
     half = len(spectrum) // 2
     forward = equations.speed[half + 1 :]
     share = sign * (spectrum[half + 1 :] - spectrum[:half][::-1])

@@ -112,7 +112,7 @@ def passing_features(features, beam, *, aligned=0.7):
     """
     secure = np.flatnonzero(features.secure_without_core)
     weight = np.array([len(features.tracks[k]) for k in secure])
-    velocity = np.reshape([features.motions[k].velocity for k in secure], (-1, 2))
+    velocity = features.velocities[secure]
     ways = velocity / np.hypot(*velocity.T)[:, None]
     mean = weight @ ways
     mean /= max(np.hypot(*mean), 1e-9)
@@ -141,14 +141,11 @@ def frame_velocities(frame, features):
     velocity, covariance : `~numpy.ndarray`, shapes (n, 2) and (n, 2, 2)
         In mas/yr and its square; NaN where the frame has no axes.
     """
-    motions = features.motions
-    place, velocity, error = (
-        np.reshape([getattr(motion, name) for motion in motions], (-1, 2))
-        for name in ("place", "velocity", "velocity_err")
-    )
-    axes = np.asarray(frame.matrix(*place.T))
+    error = np.reshape([motion.velocity_err for motion in features.motions], (-1, 2))
+    axes = np.asarray(frame.matrix(*features.places.T))
+    velocity = (axes @ features.velocities[..., None])[..., 0]
     turned = axes * error[:, None, :]
-    return (axes @ velocity[..., None])[..., 0], turned @ turned.swapaxes(-1, -2)
+    return velocity, turned @ turned.swapaxes(-1, -2)
 
 
 def turn_to_flow(angle):
