@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -137,22 +136,14 @@ def fit_shell(
     )  # fmt: skip
 
 
-class Samples(NamedTuple):
-    """
-    Velocity samples of groups of patterns as columns.
-
-    ``x`` is the position at the mean date and ``v`` the velocity, shape (n, 2);
-    ``error`` is the standard error of the displacement over the ``interval``, an upper
-    limit for the scatter.  Samples with the same number of ``group`` share a rate,
-    those with the same number of ``kind`` a scatter, from 0.
-    """
-
-    x: np.ndarray
-    v: np.ndarray
-    interval: np.ndarray
-    error: np.ndarray
-    group: np.ndarray
-    kind: np.ndarray
+#: A velocity sample: ``x`` is the position at the mean date and ``v`` the velocity;
+#: ``error`` is the standard error of the displacement over the ``interval``, an upper
+#: limit for the scatter.  Samples with the same number of ``group`` share a rate, those
+#: with the same number of ``kind`` a scatter, from 0.
+SAMPLE = np.dtype([
+    ("x", float, 2), ("v", float, 2), ("interval", float), ("error", float),
+    ("group", int), ("kind", int),
+])  # fmt: skip
 
 
 def _samples_of(parts, pairs, limit, least):
@@ -183,7 +174,8 @@ def _samples_of(parts, pairs, limit, least):
                 f"{name} has {n}: choose more SSPs or other scales"
             )
     joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
-    return Samples(*joined[:5], _kinds(*joined[4:7])), *joined[7:]
+    columns = [*joined[:5], _kinds(*joined[4:7])]
+    return np.rec.fromarrays(columns, dtype=SAMPLE), *joined[7:]
 
 
 def _kinds(group, scale, snr):
@@ -263,8 +255,8 @@ def fit_mixture(samples, start, area, *, fixed=False, n_sectors=24):
     for k in np.unique(part_of):
         keep = part_of != k
         if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
-            begin = Samples(*(c[keep] for c in samples)), place, scatter, share
-            others.append(_climb(*begin, area[keep], widest, fixed)[0])
+            begin = samples[keep], place, scatter, share, area[keep]
+            others.append(_climb(*begin, widest, fixed)[0])
     covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
     response = weight[:, None, None] * _design(samples, place, fixed) @ inverse

@@ -129,11 +129,14 @@ class Profile(Components):
         """Names of the groups of scales, ("all",) if there are none."""
         return tuple(self.results)
 
-    def pair_in(self, k: int) -> list[tuple[float, float]] | None:
-        """Return the ``pair`` or, without one, that of any group in bin k, or None."""
-        found = (results[k] for results in self.results.values())
-        pairs = (result.search.pair for result in found if result is not None)
-        return self.pair or next(filter(None, pairs), None)
+    @property
+    def pairs(self) -> tuple[list[tuple[float, float]] | None, ...]:
+        """For each bin, the ``pair`` or, without one, that of any group in this bin."""
+        return tuple(
+            self.pair
+            or next((r.search.pair for r in found if r and r.search.pair), None)
+            for found in zip(*self.results.values(), strict=True)
+        )
 
     @property
     def covariance(self) -> u.Quantity:

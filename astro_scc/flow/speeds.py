@@ -163,7 +163,7 @@ def compare_scales(
     rows = []
     if hasattr(measured, "results"):
         for k, limits in enumerate(measured.bins.to_value(u.mas)):
-            both = measured.pair_in(k)
+            both = measured.pairs[k]
             fits = {name: found[k] for name, found in measured.fits.items()}
             for name, found in measured.results.items():
                 if both and found[k] is not None:

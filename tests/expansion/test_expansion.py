@@ -28,7 +28,8 @@ def made_up(seed, n=240, chance=0.6, scatter=(0.1, 0.3)):
     half = 5 * interval[:, None]
     d[lost] = rng.uniform(-half, half, d.shape)[lost]
     v = d / interval[:, None]
-    return expansion.Samples(x, v, interval, np.full(len(x), 0.6), group, group)
+    columns = [x, v, interval, np.full(len(x), 0.6), group, group]
+    return np.rec.fromarrays(columns, dtype=expansion.SAMPLE)
 
 
 def fitted(samples, area=None, centre=None):
@@ -49,8 +50,8 @@ def test_equals_weighted_least_squares_without_chance():
     """One rate about a known centre: the slope of displacements in closed form."""
     two = made_up(2, chance=0.0, scatter=(0.1, 0.1))
     away = two.x - ORIGIN
-    v, one = two.v + (0.02 - RATES[two.group, None]) * away, np.zeros_like(two.group)
-    samples = two._replace(v=v, group=one, kind=one)
+    v, samples = two.v + (0.02 - RATES[two.group, None]) * away, two.copy()
+    samples.v, samples.group, samples.kind = v, 0, 0
     place, covariance, *_ = fitted(samples, np.full(len(v), 1e12), ORIGIN)
     weight = two.interval[:, None] ** 2
     slope = (weight * away * v).sum() / (weight * away**2).sum()
@@ -58,8 +59,7 @@ def test_equals_weighted_least_squares_without_chance():
     assert np.all(np.diag(covariance)[1:] == 0)
     # A side alone has no error.
     side = np.arctan2(*away.T) % (2 * np.pi) < 0.2
-    part = expansion.Samples(*(column[side] for column in samples))
-    assert np.isinf(fitted(part, centre=ORIGIN)[1]).all()
+    assert np.isinf(fitted(samples[side], centre=ORIGIN)[1]).all()
 
 
 @pytest.fixture(scope="module")
