@@ -186,7 +186,7 @@ def straight_grid(cube, angle, east, north, step, beam, *, core=False):
 
 def ridge_grid(cube, line, east, north, step, beam):
     """Return the grid along a ridge line; see `straight_grid`."""
-    s, n = (v.to_value(u.mas) / beam for v in line.coordinates(*(_mas(east, north))))
+    s, n = (v.value / beam for v in line.coordinates(east * u.mas, north * u.mas))
     use = s >= 0
     if not use.any():
         use = np.ones(len(s), dtype=bool)
@@ -236,14 +236,10 @@ def radial_grid(cube, frame, east, north, step, beam):
         weight = radius / radius.max()
     east = origin[0] + radius[:, None] * np.sin(theta)
     north = origin[1] + radius[:, None] * np.cos(theta)
-    x, y = cube.offset_to_pixel(*_mas(east, north))
+    x, y = cube.offset_to_pixel(east * u.mas, north * u.mas)
     counter = np.zeros(len(across), dtype=bool)
     distance, weight = radius / beam, weight[:, None]
     return FlowGrid(x, y, along, across, counter, distance, weight, beam, outward=True)
-
-
-def _mas(*values):
-    return tuple(value * u.mas for value in values)
 
 
 def _least(values):

@@ -19,6 +19,8 @@ from astro_scc.parallel import in_order, progress
 #: Distance from the origin within which the core lies if the epochs are not aligned,
 #: and its scatter if they are, in beams.
 FARTHEST_CORE, ALIGNED = 0.7, 0.08
+#: SSPs that are nearer to each other, in sizes of the larger one, are one pattern.
+APART = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,48 +305,15 @@ def _fit(image_mask_beam_rms):
     return fit_gaussians(image, covariance, rms, mask=mask)
 
 
-def finest_patterns(ssps):
+def ssps_of(cube, ssps):
     """
-    Return which SSPs are patterns of their own, each on the finest of its scales.
-
-    Parameters
-    ----------
-    ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-
-    Returns
-    -------
-    `~numpy.ndarray` of int, shape (n,)
-        In the order of the epochs.
-    """
-    keep = np.zeros(len(ssps), dtype=bool)
-    for k in np.lexsort((-ssps.snr, ssps.scale)).tolist():
-        keep[k] = is_new(ssps, keep, k)
-    return np.flatnonzero(keep)
-
-
-def is_new(ssps, keep, k, apart=0.7):
-    """
-    Return whether an SSP lies on none of those that are kept.
-
-    Those that are nearer to each other, in sizes of the larger one, are one pattern.
-    """
-    same = np.flatnonzero(keep & (ssps.epoch == ssps.epoch[k]))
-    off = np.hypot(ssps.y[same] - ssps.y[k], ssps.x[same] - ssps.x[k])
-    return not (off <= apart * scale_size(ssps.scale[k])).any()
-
-
-def ssps_of(cube, ssps, which):
-    """
-    Return SSPs as detections.
+    Return SSPs that are patterns of their own as detections.
 
     Parameters
     ----------
     cube : `~astro_scc.epochs.EpochCube`
     ssps : `~astro_scc.decomposition.SSPs`
-        Of all epochs.
-    which : `~numpy.ndarray` of int, shape (n,)
-        Those that are detections, in the order of the epochs.
+        Of all epochs; each pattern is that of the finest of its scales.
 
     Returns
     -------
@@ -352,17 +321,21 @@ def ssps_of(cube, ssps, which):
         With errors of the positions from the signal-to-noise ratio.  Without beams
         the resolution is that of the finest scale.
     """
+    keep = np.zeros(len(ssps), dtype=bool)
+    for k in np.lexsort((-ssps.snr, ssps.scale)).tolist():
+        same = np.flatnonzero(keep & (ssps.epoch == ssps.epoch[k]))
+        off = np.hypot(ssps.y[same] - ssps.y[k], ssps.x[same] - ssps.x[k])
+        keep[k] = not (off <= APART * scale_size(ssps.scale[k])).any()
     finest = np.full(len(cube), ssps.scale.min() if len(ssps) else 0)
     beams = beam_covariance(cube, np.arange(len(cube)), finest)
-    place = np.stack(ssp_offsets(ssps, cube), axis=1)
-    widths = beam_fwhm(cube, ssps.epoch, ssps.scale, np.eye(2))
-    errors = position_errors(ssps.snr, widths, 0.0)
+    kept = ssps.select(keep)
+    widths = beam_fwhm(cube, kept.epoch, kept.scale, np.eye(2))
     return Detections(
-        epoch=ssps.epoch[which], place=place[which], place_error=errors[which],
-        flux=ssps.flux[which] * pixel_flux(cube).value[ssps.epoch[which]],
-        size=np.zeros(len(which)), years=_years(cube),
-        beam=beams.mean(axis=0), number=rank_in_group(ssps.epoch[which]),
-        group=np.zeros(len(which), dtype=int),
+        epoch=kept.epoch, place=np.stack(ssp_offsets(kept, cube), axis=1),
+        place_error=position_errors(kept.snr, widths, 0.0),
+        flux=kept.flux * pixel_flux(cube).value[kept.epoch], size=np.zeros(len(kept)),
+        years=_years(cube), beam=beams.mean(axis=0), number=rank_in_group(kept.epoch),
+        group=np.zeros(len(kept), dtype=int),
     )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from astro_scc.decomposition import SSPs
 from astro_scc.epochs import EpochCube
 from astro_scc.features.detections import (
     Detections,
-    finest_patterns,
     gaussians_of,
     pixel_flux,
     ssps_of,
@@ -227,7 +226,7 @@ def find_features(
                 "features of SSPs need ssps, the SSPs of all epochs"
                 + ("" if cube.beams else "; without beams no Gaussians can be fitted")
             )
-        found = ssps_of(cube, ssps, finest_patterns(ssps))
+        found = ssps_of(cube, ssps)
     else:
         found = gaussians_of(cube, n_workers=n_workers, progress_bar=progress_bar)
     found = found.aligned()
@@ -248,13 +247,13 @@ def find_features(
 ELONGATED_EPOCHS, STEADY = 3, 0.2
 
 
-def without_alternatives(detections, settings, seed=0):
+def without_alternatives(found, settings, seed=0):
     """
     Return detections of which those with parts are features that are elongated.
 
     Parameters
     ----------
-    detections : ``Detections``
+    found : ``Detections``
     settings : `TrackSettings`
     seed : int, optional
 
@@ -264,12 +263,10 @@ def without_alternatives(detections, settings, seed=0):
     tracks : list of ``Track`` or None
         Those of the detections without the core, where no parts replace any.
     """
-    found = detections
-    whole, every = np.zeros(len(found), dtype=bool), np.arange(len(found))
     if not np.any(found.group < 0):
         return found, None
-    one = found.group <= 0
-    joined, every = found.select(one), every[one]
+    whole, every = np.zeros(len(found), dtype=bool), np.flatnonzero(found.group <= 0)
+    joined = found.select(every)
     is_core = joined.core(settings.core)
     jet = np.flatnonzero(~is_core)
     tracks = find_tracks(joined.select(jet), settings, seed=seed)

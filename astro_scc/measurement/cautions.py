@@ -75,11 +75,10 @@ def _doubts(result, stream, alpha):
     search, unit = result.search, result.cube.speed_unit
     never = search.test.p_smallest > alpha
     low, high = (_shown(speed, unit) for speed in (search.slowest, search.fastest))
-    one_way, grid = [], result.flow.grids[0]
+    one_way, angle = [], np.degrees(result.flow.grids[0].angle) % 360
     if result.meta["settings"]["outward"] and result.flow.directed:
-        way = "away from the core"
-        if not result.flow.outward:
-            way = f"towards PA {np.degrees(grid.angle) % 360:.0f} deg"
+        outward = result.flow.outward
+        way = "away from the core" if outward else f"towards PA {angle:.0f} deg"
         one_way = [f"'outward' searches only motion {way}: try without it"]
     return [
         f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
@@ -285,20 +284,21 @@ def parts_of(search):
         Rows of the table, as plain numbers in mas/yr; the first is the whole.  Empty if
         nothing moves.
     """
-    flow, streams, fit = search.flow, search.streams, search.fit
-    moving = [k for k, s in enumerate(streams) if s.kind == "moving"]
-    if not moving or fit is None:
+    flow, fit = search.flow, search.fit
+    if fit is None or all(stream.kind != "moving" for stream in search.streams):
         return []
-    main = max(moving, key=lambda k: streams[k].share)
-    start = list(zip(fit.mean, fit.sd, strict=True))
+    main, start = _main(search), list(zip(fit.mean, fit.sd, strict=True))
 
     def speed_of(part, intervals):
         """Return the speed with its error; what has no error is not known."""
         diagram = search.diagram if part is flow else None
-        found = decomposed.fit_part(
-            part, start=start, intervals=intervals, diagram=diagram
-        )
-        error = found.errors(stream=main)[0][0] if found.knows(main) else np.nan
+        try:
+            found = decomposed.fit_part(
+                part, start=start, intervals=intervals, diagram=diagram
+            )
+            error = found.errors(stream=main)[0][0] if found.knows(main) else np.nan
+        except (np.linalg.LinAlgError, ValueError):
+            error = np.nan
         if not np.isfinite(error):
             return np.nan, np.nan
         return abs(found.fit.mean[main]) * flow.beam, error * flow.beam
@@ -306,13 +306,10 @@ def parts_of(search):
     whole = abs(fit.mean[main]) * flow.beam, fit.mean_err[main] * flow.beam
     rows = [_row("the whole spectrum", whole)]
     for pair in _pairs_of_parts(search):
-        both = []
-        for name, part, intervals in pair:
-            try:
-                found = speed_of(part, intervals)
-            except (np.linalg.LinAlgError, ValueError):
-                found = np.nan, np.nan
-            both.append(_row(name, found, whole))
+        both = [
+            _row(name, speed_of(part, intervals), whole)
+            for name, part, intervals in pair
+        ]
         # Both parts may differ from the whole, if they have other features.
         sigma = largest_difference([*both, rows[0]])
         for row in both:

@@ -432,28 +432,24 @@ def false_discovery_rate(tables: Sequence[QTable] | Mapping[Any, QTable]) -> Any
         raise TypeError("tables must be a sequence of tables, got one: give [table]")
     is_mapping = hasattr(tables, "items")
     tables = dict(tables.items() if is_mapping else enumerate(tables))
-    tested = {}
+    tested, p = {}, []
     for name, table in tables.items():
         if "p_global" not in table.colnames:
             raise ValueError(f"table {name!r} has no column p_global: give streams")
-        # What stands still, alone or on average, is not tested.
-        p = np.asarray(table["p_global"], dtype=float)
+        values = np.array(table["p_global"], dtype=float)
         kinds = table["kind"] if "kind" in table.colnames else [""] * len(table)
         kinds = np.array(kinds, dtype=str)
-        together = (kinds == "not confirmed") & np.isnan(p)
-        tested[name] = (kinds != "stationary") & ~together
-    # A region where nothing could be tested was searched all the same.
-    p = [
-        np.asarray(tables[name]["p_global"], dtype=float)[use] if use.any() else [1.0]
-        for name, use in tested.items()
-    ]
+        # What stands still, alone or on average, is not tested.
+        together = (kinds == "not confirmed") & np.isnan(values)
+        tested[name] = values, (kinds != "stationary") & ~together
+        # A region where nothing could be tested was searched all the same.
+        p.append(values[tested[name][1]] if tested[name][1].any() else [1.0])
     adjusted = false_discovery_control(np.concatenate(p)) if p else []
     meta = {"false_discovery": {"method": "bh", "n_tests": len(adjusted)}}
     parts = np.split(adjusted, np.cumsum([len(part) for part in p])[:-1])
     done = {}
-    for (name, use), part in zip(tested.items(), parts, strict=False):
+    for (name, (values, use)), part in zip(tested.items(), parts, strict=False):
         done[name] = table = tables[name].copy()
-        values = np.array(table["p_global"], dtype=float)
         values[use] = part[: use.sum()]
         if "p_fdr" in table.colnames:
             table.remove_column("p_fdr")

@@ -498,11 +498,11 @@ def stack_patterns(
     # But for the first, those that more than half of the trials exceed are left out.
     strong = [k for k in order[1:] if heights[k] > np.median(trial_z)]
     matches = match_velocities(displacements, pairs)
-    components = []
-    for k in [*order[:1], *strong]:
-        both = coefficient[tuple(points[k])], heights[k]
-        found = _component(matches, velocities[k], box, both, trial_z, rng)
-        components.append(found)
+    components = [
+        {"coefficient": coefficient[tuple(points[k])]}
+        | _component(matches, velocities[k], box, heights[k], trial_z, rng)
+        for k in [*order[:1], *strong]
+    ]
     return VelocityMap(*axes, coefficient, z_score), trial_z, components
 
 
@@ -540,12 +540,11 @@ def _significance(stacks, least_std=0.3):
     return z_score, highest[1:]
 
 
-def _component(matches, velocity, box, heights, trial_z, rng):
+def _component(matches, velocity, box, z_score, trial_z, rng):
     """Return a maximum with its significance, errors, and matches."""
-    (coefficient, z_score), n_trials = heights, len(trial_z)
+    n_trials = len(trial_z)
     # Equal orders give equal z-scores within rounding.
     larger = np.count_nonzero(trial_z >= z_score * (1 - 1e-6))
-    p_global = (1 + larger) / (n_trials + 1)
     ends, pair, columns = matches
     away = jitter_positions(ends, columns, velocity, box, n_trials, rng)
     covariance, offset = np.full((2, 2), np.nan), np.full(2, np.nan)
@@ -553,8 +552,8 @@ def _component(matches, velocity, box, heights, trial_z, rng):
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     member = np.hypot(*((columns[:2].T - velocity).T / columns[2:4])) <= 2
     return {
-        "velocity": velocity, "covariance": covariance, "coefficient": coefficient,
-        "z_score": z_score, "p_global": p_global, "offset1": offset[0],
+        "velocity": velocity, "covariance": covariance, "z_score": z_score,
+        "p_global": (1 + larger) / (n_trials + 1), "offset1": offset[0],
         "offset2": offset[1], "p_normal": normal_probability(away),
         "found": len(away) / n_trials, "n_ssp": len(np.unique(ends[0, member])),
         "n_pairs": len(np.unique(pair[member])),
