@@ -202,9 +202,9 @@ def test_numbers_of_the_simulated_jets():
     assert f"11.4 and 6.7 in the paper, {slow[5]} and {fast[5]} here" in WORDS
     peaks = [row for row in rows(printed("random")) if row[1:2] == ["not significant"]]
     first = max(peaks, key=lambda row: float(row[5]))
-    assert f"row 1 has {first[5]}, and" in WORDS
+    reached = f"row 1 has {first[5]}, which {first[6]} of the shuffled series reach"
+    assert reached in WORDS
     assert f"- nothing significant, p_global {first[6]} " in WORDS
-    assert f"p is {first[6]}." in WORDS
 
 
 def test_numbers_of_3c_273():
@@ -219,7 +219,14 @@ def test_numbers_of_3c_273():
     assert "is {} and {} degrees".format(*widths) in WORDS
     # The rows of the profile have the same p-values in their last lines.
     lines = re.findall(r"p of equal speeds ([\d.]+)$", printed("3c273-speeds"), re.M)
-    assert [float(p) for p in lines] == pytest.approx(table[-1], abs=0.01)
+    assert [float(p) for p in lines] == pytest.approx(table[-1][-7::3], abs=0.01)
+    # By how far the paper's difference of 1.5 c is missed, as the page says.
+    apart = [
+        abs(1.5 - value) / error
+        for value, error in zip(table[-1][-9::3], table[-1][-8::3], strict=True)
+    ]
+    assert apart[0] < 1
+    assert min(apart[1:]) > 2
 
 
 def test_numbers_of_3c_120():
@@ -236,8 +243,9 @@ def test_numbers_of_3c_120():
     p = re.search(r"acceleration: .*, p ([^ ,]+),", text)[1]
     assert float(p) < 0.005
     assert f"(p < 0.005), by {slope} ± {slope_err} c/mas" in WORDS
-    k, k_err = re.search(r"k (\S+) \+- (\S+),", text).groups()
-    assert f"about 0.3 - {k} ± {k_err} " in WORDS
+    k, k_err, p = re.search(r"k (\S+) \+- (\S+), p (\S+)", text).groups()
+    assert f"about 0.3 - k {k} ± {k_err} " in WORDS
+    assert f"k is {k} ± {k_err} (p {p})," in WORDS
     value = r"acceleration: (\S+) \+- (\S+) "
     script = re.search(value, text).groups()
     command = re.search(value, printed("3c120-speeds")).groups()

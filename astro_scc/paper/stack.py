@@ -431,13 +431,13 @@ def stack_patterns(
         a Gaussian fitted in a box of a beam; ``covariance`` over trials with shifted
         SSPs, NaN if fewer than three have it; ``coefficient``; ``z_score``, the height
         above the mean of the trials in their standard deviations; ``p_global``, the
-        probability that permuted epochs have as large a z-score at any velocity;
-        ``offset1`` and ``offset2``, the mean over the trials with shifted SSPs from the
-        velocity, a small part of the error where that is valid; ``p_normal``, the
-        probability that a normal distribution of these trials looks less normal;
-        ``found``, the share of them in which the maximum is found again; ``n_ssp`` and
-        ``n_pairs``, SSPs with a match within two standard errors, and their pairs of
-        dates.
+        probability that permuted epochs have as large a z-score at any velocity, and
+        ``p_global_err``, its Monte Carlo error; ``offset1`` and ``offset2``, the mean
+        over the trials with shifted SSPs from the velocity, a small part of the error
+        where that is valid; ``p_normal``, the probability that a normal distribution of
+        these trials looks less normal; ``found``, the share of them in which the
+        maximum is found again; ``n_ssp`` and ``n_pairs``, SSPs with a match within two
+        standard errors, and their pairs of dates.
 
     Raises
     ------
@@ -554,9 +554,11 @@ def _component(matches, velocity, box, heights, trial_z, rng):
     member = np.hypot(*((columns[:2].T - velocity).T / columns[2:4])) <= 2
     return {
         "velocity": velocity, "covariance": covariance, "coefficient": coefficient,
-        "z_score": z_score, "p_global": p_global, "offset1": offset[0],
-        "offset2": offset[1], "p_normal": normal_probability(away),
-        "found": len(away) / n_trials, "n_ssp": len(np.unique(ends[0, member])),
+        "z_score": z_score, "p_global": p_global,
+        "p_global_err": np.sqrt(p_global * (1 - p_global) / n_trials),
+        "offset1": offset[0], "offset2": offset[1],
+        "p_normal": normal_probability(away), "found": len(away) / n_trials,
+        "n_ssp": len(np.unique(ends[0, member])),
         "n_pairs": len(np.unique(pair[member])),
     }  # fmt: skip
 
