@@ -51,8 +51,10 @@ AROUND = 5.0
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
 #: Smallest speed of a stream in errors, and of what the test may take for motion:
-#: features that diffuse, and other patterns where they move a beam in an interval.
-REST_ERRORS, DOUBTFUL_ERRORS = 1.0, 2.0
+#: features that diffuse and, where no secure feature moves, other patterns at a beam in
+#: an interval, and static sources at p_global above such a fraction of alpha.  Static
+#: jets with errors of alignment or fluxes with memory are below alpha in 2%.
+REST_ERRORS, DOUBTFUL_ERRORS, ALONE = 1.0, 3.0, 0.2
 #: A speed of the spectrum needs images that resemble one another: at least such a part
 #: of their variance has no memory, and less than such a share moves.
 WHITE, LEAST_MOVING = 0.7, 0.15
@@ -153,7 +155,10 @@ def find_streams(
     if passes and folded:
         streams = [_on_its_side(s, search, moving, planes) for s in streams]
     if passes:
-        streams = [_judged(s, search, opposed, diffusing=diffusing) for s in streams]
+        sure = ALONE * settings.alpha if settings.whole else 1.0
+        streams = [
+            _judged(s, search, opposed, diffusing=diffusing, sure=sure) for s in streams
+        ]
     streams += _standing(features, flow, streams, inside, shift)
     fastest = max([np.hypot(*s.velocity) for s in streams if s.kind == "moving"] or [0])
     velocities = velocity_map(
@@ -340,16 +345,22 @@ def _of_spectrum(search, equations, whole):
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 
 
-def _judged(stream, search, opposed="", *, diffusing):
-    """Return a stream that the test finds with its kind, and the reason."""
+def _judged(stream, search, opposed="", *, diffusing, sure=1.0):
+    """
+    Return a stream that the test finds with its kind, and the reason.
+
+    Without secure features, a speed is doubtful if ``p_global`` is above ``sure``.
+    """
     turn = turn_to_flow(search.angle)
-    speed = abs((turn @ stream.velocity)[0])
-    fast = not len(stream.members) and speed > search.unambiguous
+    speed, alone = abs((turn @ stream.velocity)[0]), not len(stream.members)
+    weak, fast = search.test.p_global > sure, speed > search.unambiguous
     kind, reason = verdict(
         speed, np.sqrt((turn @ stream.covariance @ turn.T)[0, 0]),
-        doubtful=diffusing or fast,
+        doubtful=diffusing or (alone and (weak or fast)),
         unlike=stream.source == "spectrum" and _unlike(search.test),
     )  # fmt: skip
+    if alone and weak and kind != "moving" and reason != UNLIKE:
+        reason += f"; without secure features this needs p_global of at most {sure:g}"
     # The spectrum reaches beyond what the test searches, features have their own test.
     if stream.source == "spectrum" and not search.tested(speed):
         than = "faster" if speed > search.fastest else "slower"
@@ -382,7 +393,7 @@ def verdict(speed, error, *, doubtful, unlike):
     >>> verdict(1.5, 1.0, doubtful=False, unlike=False)
     ('moving', '')
     >>> verdict(1.5, 1.0, doubtful=True, unlike=False)
-    ('not confirmed', 'its speed is within 2 standard errors of rest')
+    ('not confirmed', 'its speed is within 3 standard errors of rest')
     """
     least = DOUBTFUL_ERRORS if doubtful else REST_ERRORS
     if not speed > least * error:

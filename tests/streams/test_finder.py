@@ -282,10 +282,10 @@ def test_few_epochs_cannot_show_motion():
 
 @pytest.mark.parametrize("doubtful", [False, True])
 @pytest.mark.parametrize("unlike", [False, True])
-@pytest.mark.parametrize("ratio", [0.5, 1.5, 3.0, np.nan])
+@pytest.mark.parametrize("ratio", [0.5, 2.5, 3.5, np.nan])
 def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     kind, reason = verdict(ratio, 1.0, doubtful=doubtful, unlike=unlike)
-    known = ratio > (2 if doubtful else 1)
+    known = ratio > (3 if doubtful else 1)
     assert kind == ("moving" if known and not unlike else "not confirmed")
     assert ("of rest" in reason) == (not known)
     assert ("little in common" in reason) == (known and unlike)
@@ -303,6 +303,21 @@ def test_what_most_secure_features_contradict(along, others, said):
     found = _opposed(SimpleNamespace(secure=secure), None, moving, 1.0)
     assert found.startswith(said)
     assert bool(found) == bool(said)
+
+
+@pytest.mark.parametrize(("alone", "sure", "kind"), [
+    (True, 0.0, "not confirmed"), (True, 1.0, "moving"), (False, 0.0, "moving"),
+])  # fmt: skip
+def test_a_speed_of_no_feature_needs_three_errors_or_a_smaller_p(
+    two, alone, sure, kind
+):
+    slow = two.search.streams[0]
+    error = np.hypot(*slow.velocity) / 2.5
+    members = np.zeros(0, int) if alone else slow.members
+    slow = replace(slow, covariance=np.eye(2) * error**2, members=members)
+    found = _judged(slow, two.search, diffusing=False, sure=sure)
+    assert found.kind == kind
+    assert ("needs p_global of at most 0" in found.reason) == (kind != "moving")
 
 
 @pytest.mark.parametrize(("factor", "than"), [(3.0, "faster"), (0.01, "slower")])
