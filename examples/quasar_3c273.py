@@ -82,7 +82,7 @@ def plot(found, ssps):
         # The regions are the same; their points stand side by side.
         middle = (low + high) / 2 + 0.3 * (k - 0.5)
         above.errorbar(middle, speed, error, fmt="o", label=f"scales {name}")
-        label = None if k else "Mertens & Lobanov"
+        label = f"scales {name}, Mertens & Lobanov"
         above.plot((1, 16), [PAPER[k]] * 2, "--", color=f"C{k}", lw=1, label=label)
         angles = position_angles(ssps, scales, *([1, 6] * u.mas))
         below.hist(
@@ -96,8 +96,9 @@ def plot(found, ssps):
     above.set(xlabel="Core separation (mas)", ylabel="Apparent speed (c)", ylim=(0, 13))
     below.set(xlabel="Position angle (deg)", ylabel="Fraction of SSPs\nat 1 to 6 mas")
     for edge in (1, 6, 11, 16):
-        above.axvline(edge, color="0.8", lw=0.8, zorder=0)
-    above.legend(loc="lower right")
+        label = "limits of the regions" if edge == 1 else None
+        above.axvline(edge, color="0.8", lw=0.8, zorder=0, label=label)
+    above.legend(loc="lower right", ncols=2)
     below.legend()
     return figure
 

@@ -474,7 +474,7 @@ def _standing(features, flow, streams, inside, shift):
     share = weight / weight.sum()
     velocity = np.array([share @ first, share @ second])
     scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
-    variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
+    variance = (share**2).sum() * max(scatter, share @ error**2)
     speeds, covariance = np.hypot(first, second), np.eye(2) * variance + shift
     errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
     kind, reason = "stationary", ""

@@ -81,15 +81,21 @@ def test_a_static_jet_does_not_move(seed):
     assert not len(found.sensitivity)
     # What is too slow in each feature is seen in their mean.
     features, search = found.tracked_features, found.search
-    error = 1.5 * np.median([m.speed_err for m in features.motions])
-    moved = [replace(m, velocity=[error, 0] + m.velocity) for m in features.motions]
+    errors = [m.speed_err for m in features.motions]
+    moved = [
+        replace(m, velocity=np.array([2.4 * m.speed_err, 0.0]))
+        for m in features.motions
+    ]
     drift = copy(features)
     vars(drift)["motions"] = moved
     for known, kind in ((False, "stationary"), (True, "not confirmed")):
-        shift = np.eye(2) * (0 if known else error**2)
+        shift = np.eye(2) * (0 if known else max(errors) ** 2)
         (row,) = _standing(drift, search.flow, [], None, shift)
         assert row.kind == kind
         assert ("move together by" in row.reason) == known
+    only = np.arange(len(errors)) == 0
+    (row,) = _standing(features, search.flow, [], only, np.zeros((2, 2)))
+    assert np.sqrt(np.diag(row.covariance)) == pytest.approx(errors[0], rel=0.01)
     found = replace(found, search=replace(search, streams=(search.streams[0], row)))
     assert found.streams["pm_limit"][1] > found.streams["pm"][1]
     assert np.any(found.features["stream"] == 2)
