@@ -187,6 +187,7 @@ def test_the_page_is_short_and_shows_what_is_kept():
     commands = runpy.run_path(str(TOOL))["commands"]()
     assert tuple(commands)[:4] == SIMULATED
     kept = {"demo", "two-fluid", "random", "3c273-speeds", "3c120-speeds"}
+    kept |= {"3c120-diverging"}
     assert {path.stem for path in PAPER_IMAGES.glob("*.txt")} == kept
     assert kept <= set(commands)
     for path in PAPER_IMAGES.glob("*.png"):
@@ -241,8 +242,8 @@ def test_numbers_of_3c_120():
     assert "accelerate by {} ± {} c/mas".format(*alone) in WORDS
     slope, slope_err = re.search(r"slope: (\S+) \+- (\S+) c/mas", text).groups()
     p = re.search(r"acceleration: .*, p ([^ ,]+),", text)[1]
-    assert float(p) < 0.005
-    assert f"(p < 0.005), by {slope} ± {slope_err} c/mas" in WORDS
+    assert f"less,** by {slope} ± {slope_err} c/mas instead of 0.33" in WORDS
+    assert f"(p of a constant speed {p}, Student's distribution)" in WORDS
     k, k_err, p = re.search(r"k (\S+) \+- (\S+), p (\S+)", text).groups()
     assert f"about 0.3 - k {k} ± {k_err} " in WORDS
     assert f"k is {k} ± {k_err} (p {p})," in WORDS
@@ -250,7 +251,14 @@ def test_numbers_of_3c_120():
     script = re.search(value, text).groups()
     command = re.search(value, printed("3c120-speeds")).groups()
     assert command == script
-    assert "the acceleration in time, {} ± {} mas/yr²".format(*command) in WORDS
+    assert "the acceleration in time, {} ± {} mas/yr² at".format(*command) in WORDS
+    diverging = printed("3c120-diverging")
+    found = re.search(value + r".* at (\S+) mas, p ([\d.]+)", diverging)
+    said = "the acceleration, {} ± {} at {:.1f} mas, is not significant (p {})"
+    assert said.format(*found.group(1, 2), float(found[3]), found[4]) in WORDS
+    first = re.search(r"^0.5 to 1.5 .*  (\S+) \+- (\S+)  +<", diverging, re.M)
+    speed = "{:.1f} ± {:.1f} c".format(*map(float, first.groups()))
+    assert f"the first bin has {speed}" in WORDS
 
 
 @pytest.mark.slow
