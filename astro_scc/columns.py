@@ -174,7 +174,8 @@ def cell(row, name, sign="±", form=None):
     counted = "p_global" if name == "p_fdr" else name
     if counted.startswith("p_") and f"{counted}_err" in names:
         p, error = _plain(row[counted]), _plain(row[f"{counted}_err"])
-        if error >= p:
+        # One of all trials and the data has an error of just its value.
+        if error >= p * (1 - 1e-9):
             return f"<{value * (1 + error / p) if p > 0 else error:.1g}"
     if form is None and f"{name}_err" in names:
         return with_error(value, _plain(row[f"{name}_err"]), sign)

@@ -90,6 +90,13 @@ class FlowGrid:
         return np.broadcast_to(self.distance[:, None], self.x.shape)
 
     @property
+    def kind_of_lines(self) -> str:
+        """Whether its lines are straight, diverging or bent."""
+        if self.lines is None:
+            return "straight"
+        return "bent" if self.bends else "diverging"
+
+    @property
     def axes(self) -> np.ndarray:
         """Unit vectors (east, north) along and across a straight grid."""
         return axes_along(np.sin(self.angle), np.cos(self.angle))

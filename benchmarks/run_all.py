@@ -68,7 +68,8 @@ ENTRIES = {
     "paper": Entry(
         f"python tools/paper_jets.py {MRT}", 4,
         tuple(f"docs/images/paper/{k}.txt" for k in (
-            "demo", "two-fluid", "random", "3c273-speeds", "3c120-speeds")),
+            "demo", "two-fluid", "random", "3c273-speeds", "3c120-speeds",
+            "3c120-diverging")),
     ),
     "quasar_0003": _example("quasar_0003", 0.5, MRT),
     "quasar_3c273": _example("quasar_3c273", 1, MRT),

@@ -35,6 +35,9 @@ def run(measure, doc, *, data=False):
         help="folder for table and figure, "
         "by default the one in which the example is started",
     )
+    parser.add_argument(
+        "--pdf", action="store_true", help="write the figure as a PDF, too"
+    )
     args = parser.parse_args()
     table, figure = measure(args.table) if data else measure()
     name = measure.__module__ if measure.__module__ != "__main__" else _script()
@@ -42,6 +45,8 @@ def run(measure, doc, *, data=False):
     text = as_text(table)
     (args.output / f"{name}.txt").write_text(text, encoding="utf-8")
     figure.savefig(args.output / f"{name}.png", dpi=80)
+    if args.pdf:
+        figure.savefig(args.output / f"{name}.pdf")
     print(text, end="")
     print(f"Figure: {args.output / name}.png", file=sys.stderr)
 

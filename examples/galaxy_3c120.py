@@ -136,7 +136,7 @@ def measure(table, before="2011-01-01", n_trials=200):
     above.set_ylabel("Apparent speed (c)")
     above.legend(loc="lower right")
     below.errorbar(r.value, gamma, gamma_err, fmt="o")
-    below.plot(z, power(z), color="C0", lw=1, label="power law")
+    below.plot(z, power(z), color="C0", lw=1, label="power law through the bins")
     index = np.log(gamma_of(PAPER[1][1]) / gamma_of(PAPER[1][0])) / np.log(7)
     # The paper's acceleration ends at the second of its distances.
     inner = np.linspace(*PAPER[0])
@@ -144,8 +144,9 @@ def measure(table, before="2011-01-01", n_trials=200):
     below.plot(inner, of_paper, ":", color="C1", label="Mertens & Lobanov")
     below.legend(loc="upper left")
     below.set(xlabel="Core separation (mas)", ylabel=f"Lorentz factor at {VIEW:g}")
-    for ax, values, errors in ((above, beta_app, error), (below, gamma, gamma_err)):
-        ax.set_ylim(0, 1.1 * np.max(values + np.array(errors)))
+    # The error of one Lorentz factor near the largest speed would fill the panel.
+    above.set_ylim(0, 1.1 * np.max(beta_app + np.array(error)))
+    below.set_ylim(0, 1.6 * np.max(gamma))
     return found, figure
 
 

@@ -47,10 +47,15 @@ def measure(table, before="2011-01-01", n_trials=200):
     )
     # The table that ``astro-scc measure`` writes as ssps.ecsv.
     ssps = profile.results["1, 2"][0].ssps
-    rows, p_values = [], []
+    rows, differences = [], []
     for region in compare_scales(profile):
         limits = region["r_min"], region["r_max"]
-        p_values.append(f"{region['p_value']:.2f}")
+        apart, error = (
+            PER_C * region[key].to_value(u.mas / u.yr)
+            for key in ("difference", "difference_err")
+        )
+        p_value = f"p {region['p_value']:.2f}"
+        differences.append(f"{apart:.1f} +- {error:.1f} c ({p_value})")
         for which, (name, scales) in zip(
             ("first_speed", "second_speed"), GROUPS.items(), strict=True
         ):
@@ -63,7 +68,7 @@ def measure(table, before="2011-01-01", n_trials=200):
     names = "r_min", "r_max", "scales", "beta_app", "beta_app_err", "ssps", "pa"
     found = brief(QTable(rows=rows, names=[*names, "pa_half"]), *names, "pa_half",
                   digits=1, r_min=0, r_max=0)  # fmt: skip
-    found.meta["notes"] = [f"equal speeds: p {', '.join(p_values)}"]
+    found.meta["notes"] = [f"scales 3, 4 less 1, 2: {', '.join(differences)}"]
     return found, plot(found, ssps)
 
 
@@ -77,7 +82,7 @@ def plot(found, ssps):
         # The regions are the same; their points stand side by side.
         middle = (low + high) / 2 + 0.3 * (k - 0.5)
         above.errorbar(middle, speed, error, fmt="o", label=f"scales {name}")
-        label = None if k else "Mertens & Lobanov"
+        label = f"scales {name}, Mertens & Lobanov"
         above.plot((1, 16), [PAPER[k]] * 2, "--", color=f"C{k}", lw=1, label=label)
         angles = position_angles(ssps, scales, *([1, 6] * u.mas))
         below.hist(
@@ -91,8 +96,9 @@ def plot(found, ssps):
     above.set(xlabel="Core separation (mas)", ylabel="Apparent speed (c)", ylim=(0, 13))
     below.set(xlabel="Position angle (deg)", ylabel="Fraction of SSPs\nat 1 to 6 mas")
     for edge in (1, 6, 11, 16):
-        above.axvline(edge, color="0.8", lw=0.8, zorder=0)
-    above.legend(loc="lower right")
+        label = "limits of the regions" if edge == 1 else None
+        above.axvline(edge, color="0.8", lw=0.8, zorder=0, label=label)
+    above.legend(loc="lower right", ncols=2)
     below.legend()
     return figure
 

@@ -93,8 +93,9 @@ def test_the_answer_comes_first(page, streams):
     assert said.startswith("Motion: ")
     order = [
         said, "1: acceleration: ", "beware of", f"3 (not significant): {CHANCE}.",
-        "here it cannot be below 0.005.", "Velocity spectrum.", "Speed against dist",
-        "More figures", "Velocity map.", "epochs are aligned", "astro-scc measure",
+        "its smallest value here, 0.005, stands as an upper limit.",
+        "Velocity spectrum.", "Speed against dist", "More figures", "Velocity map.",
+        "epochs are aligned", "astro-scc measure",
         "Speed of the main stream from parts of the data: ", "2 epochs left out",
         "late.fits: no date", "max speed", "tested with", "numpy",
     ]  # fmt: skip
@@ -127,7 +128,7 @@ def test_features_are_counted_once(result):
     table["stream"] = 1
     table["stream"][alone] = 0
     number = table["feature"][alone]
-    said = f"1 secure feature belongs to no stream ({number}): moving across the flow"
+    said = f"1 secure feature belongs to no stream ({number}): moving by 45 degrees"
     assert any(line.startswith(said) for line in answer.notes(streams, table))
     table["secure"] = np.arange(len(table)) == alone
     n, said = len(table) - 1, answer.feature_count(table)

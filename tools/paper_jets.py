@@ -27,6 +27,8 @@ DOCS = Path(__file__).parents[1] / "docs"
 IMAGES = DOCS / "images" / "paper"
 #: The table as a reader of the page has it.
 TABLE = "apjac230ft4_mrt.txt"
+#: What the profile of 3C 120 along diverging lines is called.
+DIVERGING = "3c120-diverging"
 #: Colours and width in pixels of a figure.
 COLORS, WIDTH = 256, 900
 
@@ -47,7 +49,18 @@ def commands(table=TABLE):
     text = re.sub(r" *\\\n +", " ", (DOCS / "paper.rst").read_text(encoding="utf-8"))
     lines = re.findall(r"^    astro-scc (.+)$", text, re.MULTILINE)
     words = [shlex.split(line.replace(TABLE, str(table))) for line in lines]
-    return {_name(line): line for line in words}
+    found = {_name(line): line for line in words}
+    # The page says in words what differs without the direction.
+    found[DIVERGING] = _without_direction(found["3c120-speeds"])
+    return found
+
+
+def _without_direction(words):
+    """Return a profile without ``--position-angle``, written elsewhere."""
+    k = words.index("--position-angle")
+    words = [*words[:k], *words[k + 2 :]]
+    words[words.index("-o") + 1] = DIVERGING
+    return words
 
 
 def _name(words):

@@ -255,7 +255,8 @@ def _cautions(search, stream, row, alpha, unit):
         f"faster than {_shown(search.unambiguous, unit)}, a beam in the median "
         "interval, patterns could be mistaken for one another":
             speed > search.unambiguous,
-        f"near the fastest speed that is searched, {_shown(search.fastest, unit)}":
+        f"near the fastest speed that is searched, {_shown(search.fastest, unit)}: "
+        "give a larger max_speed":
             speed > NEAR * search.fastest,
         f"near the slowest speed that is searched, {_shown(search.slowest, unit)}":
             speed < search.slowest / NEAR,
@@ -313,9 +314,10 @@ def parts_of(search):
         # Both parts may differ from the whole, if they have other features.
         sigma = largest_difference([*both, rows[0]])
         for row in both:
-            p = 2 * scipy.special.ndtr(-sigma) if np.isfinite(row["pm"]) else np.nan
-            row |= {"change_sigma": sigma, "p_value": p}
-            row["significant"] = bool(sigma > DIFFERENT)
+            own = sigma if np.isfinite(row["pm"]) else np.nan
+            p_value = 2 * scipy.special.ndtr(-own)
+            row |= {"change_sigma": own, "p_value": p_value}
+            row["significant"] = bool(own > DIFFERENT)
         rows += both
     return rows
 

@@ -236,12 +236,14 @@ class SCCResult(tables.VelocityMaps):
         speed that was tested, "not significant", and its ``caution`` says why.  The
         meta holds the settings, the seed, the versions, and the ``slowest`` and
         ``fastest`` speed that were searched along the flow, and the largest one that
-        the dates do not alias, ``unambiguous``.
+        the dates do not alias, ``unambiguous``; ``lines`` are those along which speeds
+        are measured, "straight", "diverging" or "bent".
         """
         rows = [tables.stream_row(self, k) for k in range(len(self.search.streams))]
         meta, unit = self.meta | self.cube.facts, self.cube.speed_unit
         for name in ("slowest", "fastest", "unambiguous"):
             meta[name] = (getattr(self.search, name) * PM_UNIT).to(unit)
+        meta["lines"] = self.search.flow.grids[0].kind_of_lines
         table = tables.stream_table(rows, meta=meta, unit=unit)
         return name_by_frame(table, self.cube)
 

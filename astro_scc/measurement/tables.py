@@ -255,7 +255,7 @@ def stream_row(result, k):
     row |= {name: getattr(stream, name) for name in same}
     row |= with_errors(pm_features=stream.features, pm_spectrum=stream.spectrum) | {
         "stream": k + 1, "pm_limit": limit if limited else np.nan,
-        "pm_err_alignment": by_alignment["pm_err"], "pm_from": stream.source,
+        "pm_err_alignment": by_alignment["pm_err"] or np.nan, "pm_from": stream.source,
         "p_global_err": p_err, "p_smallest": test.p_smallest,
         "n_features": len(stream.members), "pm_min": stream.slowest,
         "pm_max": stream.fastest,

@@ -431,13 +431,13 @@ def stack_patterns(
         a Gaussian fitted in a box of a beam; ``covariance`` over trials with shifted
         SSPs, NaN if fewer than three have it; ``coefficient``; ``z_score``, the height
         above the mean of the trials in their standard deviations; ``p_global``, the
-        probability that permuted epochs have as large a z-score at any velocity;
-        ``offset1`` and ``offset2``, the mean over the trials with shifted SSPs from the
-        velocity, a small part of the error where that is valid; ``p_normal``, the
-        probability that a normal distribution of these trials looks less normal;
-        ``found``, the share of them in which the maximum is found again; ``n_ssp`` and
-        ``n_pairs``, SSPs with a match within two standard errors, and their pairs of
-        dates.
+        probability that permuted epochs have as large a z-score at any velocity, and
+        ``p_global_err``, its Monte Carlo error; ``offset1`` and ``offset2``, the mean
+        over the trials with shifted SSPs from the velocity, a small part of the error
+        where that is valid; ``p_normal``, the probability that a normal distribution of
+        these trials looks less normal; ``found``, the share of them in which the
+        maximum is found again; ``n_ssp`` and ``n_pairs``, SSPs with a match within two
+        standard errors, and their pairs of dates.
 
     Raises
     ------
@@ -542,20 +542,21 @@ def _significance(stacks, least_std=0.3):
 
 def _component(matches, velocity, box, z_score, trial_z, rng):
     """Return a maximum with its significance, errors, and matches."""
-    n_trials = len(trial_z)
+    n, (ends, pair, columns) = len(trial_z), matches
     # Equal orders give equal z-scores within rounding.
     larger = np.count_nonzero(trial_z >= z_score * (1 - 1e-6))
-    ends, pair, columns = matches
-    away = jitter_positions(ends, columns, velocity, box, n_trials, rng)
+    p_global = (1 + larger) / (n + 1)
+    away = jitter_positions(ends, columns, velocity, box, n, rng)
     covariance, offset = np.full((2, 2), np.nan), np.full(2, np.nan)
     if len(away) >= 3:
         covariance, offset = np.cov(away.T), away.mean(axis=0)
     member = np.hypot(*((columns[:2].T - velocity).T / columns[2:4])) <= 2
     return {
         "velocity": velocity, "covariance": covariance, "z_score": z_score,
-        "p_global": (1 + larger) / (n_trials + 1), "offset1": offset[0],
-        "offset2": offset[1], "p_normal": normal_probability(away),
-        "found": len(away) / n_trials, "n_ssp": len(np.unique(ends[0, member])),
+        "p_global": p_global, "p_global_err": np.sqrt(p_global * (1 - p_global) / n),
+        "offset1": offset[0], "offset2": offset[1],
+        "p_normal": normal_probability(away), "found": len(away) / n,
+        "n_ssp": len(np.unique(ends[0, member])),
         "n_pairs": len(np.unique(pair[member])),
     }  # fmt: skip
 

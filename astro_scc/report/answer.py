@@ -17,6 +17,11 @@ EXPLANATION = (
     "p_global: probability that images in which nothing moves show as much motion at "
     "any of the speeds that were searched",
 )
+#: Along what speeds are measured, unless straight along the direction of the flow.
+LINES = {
+    "diverging": "Speeds are along lines that diverge from a beam behind the core",
+    "bent": "Speeds are along lines that bend as the jet does",
+}
 #: What makes a feature secure, and what its p_false is.
 SECURE = (
     "p_false: probability that it is no feature, or parts of several; secure: p_false "
@@ -186,8 +191,8 @@ def notes(streams, features):
         numbers = ", ".join(map(str, alone["feature"][:MOST]))
         lines.append(
             f"{_secure(n)} {'belongs' if n == 1 else 'belong'} to no "
-            f"stream ({numbers}{', ...' if n > MOST else ''}): moving across the flow, "
-            "against it, or too slowly for their errors"
+            f"stream ({numbers}{', ...' if n > MOST else ''}): moving by 45 degrees or "
+            "more off the flow there, or along it by less than three standard errors"
         )
     return lines
 
@@ -260,8 +265,15 @@ def stream_lines(streams, features):
     lines = [headline(streams, features)]
     if len(streams):
         lines += ["", *column_lines(streams, STREAMS), *EXPLANATION]
+        lines += speeds_along(streams.meta)
     lines += notes(streams, features)
     return [*lines, *followed, *speed_lines(streams.meta)]
+
+
+def speeds_along(meta):
+    """Return along what speeds are measured as a line of text, if not straight."""
+    text = LINES.get(meta.get("lines"))
+    return [text] if text else []
 
 
 def paper_lines(streams, level):
@@ -430,7 +442,8 @@ def profile_lines(streams):
             why = "no speed exceeds its error" if name in tested else "nothing is seen"
             lines.append(f"{name} {unit_name(unit)}: {why}")
     lines += _remarks(rows[rows["kind"] != "not significant"])
-    return [*lines, *EXPLANATION, PROFILE_EXPLANATION, *speed_lines(streams.meta)]
+    lines += [*EXPLANATION, PROFILE_EXPLANATION, *speeds_along(streams.meta)]
+    return [*lines, *speed_lines(streams.meta)]
 
 
 def _remarks(rows):

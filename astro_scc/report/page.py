@@ -23,6 +23,7 @@ from astro_scc.products.folder import write_files
 from astro_scc.products.publication import with_published
 from astro_scc.quantities import with_error
 from astro_scc.report import answer
+from astro_scc.settings import METHODS
 from astro_scc.units import in_speed_unit, offset_unit, unit_name
 from astro_scc.visualization import style
 from astro_scc.visualization.tracks import LARGE_ERROR, plot_population, population
@@ -357,9 +358,12 @@ def write_report(
         result, streams, every=all_figures, pdf=pdf, published=published
     )
     notes = answer.notes(streams, features) + answer.published_lines(features)
+    notes += answer.speeds_along(streams.meta)
     in_c = table_in_c_as(features, streams)
     name = both_names(result.cube.meta.get("object") or "Velocities")
     settings = meta.pop("settings", {}) | meta
+    for unused in METHODS["paper"].split():
+        settings.pop(unused, None)
     page = _template("report.html").render(
         result=result, title=title or name, streams=streams,
         headline=answer.headline(streams, features), tables=stream_tables(streams),

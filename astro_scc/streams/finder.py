@@ -49,8 +49,10 @@ AROUND = 5.0
 #: Fewest epochs: the innovations of fewer have too few orders.
 FEWEST_EPOCHS = 6
 #: Smallest speed of a stream in errors, and of what the test may take for motion:
-#: features that diffuse, and other patterns where they move a beam in an interval.
-REST_ERRORS, DOUBTFUL_ERRORS = 1.0, 2.0
+#: features that diffuse and, where no secure feature moves, other patterns at a beam in
+#: an interval, and static sources at p_global above such a fraction of alpha.  Static
+#: jets with errors of alignment or fluxes with memory are below alpha in 2%.
+REST_ERRORS, DOUBTFUL_ERRORS, ALONE = 1.0, 3.0, 0.2
 #: A speed of the spectrum needs images that resemble one another: at least such a part
 #: of their variance has no memory, and less than such a share moves.
 WHITE, LEAST_MOVING = 0.7, 0.15
@@ -294,8 +296,10 @@ def find_streams(
         search, rows, moving, (sheet, aside), shift, covered=covered, p_distinct=p
     )
     if passes:
+        sure = ALONE * settings.alpha if settings.whole else 1.0
         streams = [_on_its_side(s, search, moving, part.planes) for s in streams]
-        streams = [_judged(s, search, opposed, diffusing=diffusing) for s in streams]
+        doubts = {"opposed": opposed, "diffusing": diffusing, "sure": sure}
+        streams = [_judged(s, search, **doubts) for s in streams]
     streams += _standing(features, flow, streams, inside, shift)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
@@ -423,17 +427,23 @@ def _of_spectrum(search, equations, whole):
     return list(zip(speed, error, spread, spread_err, fit.share, strict=True))
 
 
-def _judged(stream, search, opposed="", *, diffusing):
-    """Return a stream that the test finds with its kind, and the reason."""
+def _judged(stream, search, opposed="", *, diffusing, sure=1.0):
+    """
+    Return a stream that the test finds with its kind, and the reason.
+
+    Without secure features, a speed is doubtful if ``p_global`` is above ``sure``.
+    """
     turn, test = turn_to_flow(search.angle), search.test
-    speed = abs((turn @ stream.velocity)[0])
-    fast = not len(stream.members) and speed > search.unambiguous
+    speed, alone = abs((turn @ stream.velocity)[0]), not len(stream.members)
+    weak, fast = test.p_global > sure, speed > search.unambiguous
     by_spectrum, white = stream.source == "spectrum", test.white if test.memory else 1.0
     unlike = white >= WHITE and test.amplitude[test.best] < LEAST_MOVING
     kind, reason = verdict(
         speed, np.sqrt((turn @ stream.covariance @ turn.T)[0, 0]),
-        doubtful=diffusing or fast, unlike=by_spectrum and unlike,
+        doubtful=diffusing or (alone and (weak or fast)), unlike=by_spectrum and unlike,
     )  # fmt: skip
+    if alone and weak and kind != "moving" and reason != UNLIKE:
+        reason += f"; without secure features this needs p_global of at most {sure:g}"
     # The spectrum reaches beyond what the test searches, features have their own test.
     if by_spectrum and not search.tested(speed):
         than = "faster" if speed > search.fastest else "slower"
@@ -466,7 +476,7 @@ def verdict(speed, error, *, doubtful, unlike):
     >>> verdict(1.5, 1.0, doubtful=False, unlike=False)
     ('moving', '')
     >>> verdict(1.5, 1.0, doubtful=True, unlike=False)
-    ('not confirmed', 'its speed is within 2 standard errors of rest')
+    ('not confirmed', 'its speed is within 3 standard errors of rest')
     """
     least = DOUBTFUL_ERRORS if doubtful else REST_ERRORS
     if not speed > least * error:
@@ -538,7 +548,7 @@ def _standing(features, flow, streams, inside, shift):
     share = weight[still] / weight[still].sum()
     velocity = np.array([share @ first, share @ second])
     scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
-    variance = (share**2).sum() * max(scatter, share @ error**2 / 2)
+    variance = (share**2).sum() * max(scatter, share @ error**2)
     speeds, covariance = np.hypot(first, second), np.eye(2) * variance + shift
     errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
     kind, reason = "stationary", ""

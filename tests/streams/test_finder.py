@@ -79,15 +79,21 @@ def test_a_static_jet_does_not_move(seed):
     assert not len(found.sensitivity)
     # What is too slow in each feature is seen in their mean.
     features, search = found.tracked_features, found.search
-    error = 1.5 * np.median([m.speed_err for m in features.motions])
-    moved = [replace(m, velocity=[error, 0] + m.velocity) for m in features.motions]
+    errors = [m.speed_err for m in features.motions]
+    moved = [
+        replace(m, velocity=np.array([2.4 * m.speed_err, 0.0]))
+        for m in features.motions
+    ]
     drift = copy(features)
     vars(drift)["motions"] = moved
     for known, kind in ((False, "stationary"), (True, "not confirmed")):
-        shift = np.eye(2) * (0 if known else error**2)
+        shift = np.eye(2) * (0 if known else max(errors) ** 2)
         (row,) = _standing(drift, search.flow, [], None, shift)
         assert row.kind == kind
         assert ("move together by" in row.reason) == known
+    only = np.arange(len(errors)) == 0
+    (row,) = _standing(features, search.flow, [], only, np.zeros((2, 2)))
+    assert np.sqrt(np.diag(row.covariance)) == pytest.approx(errors[0], rel=0.01)
     found = replace(found, search=replace(search, streams=(search.streams[0], row)))
     assert found.streams["pm_limit"][1] > found.streams["pm"][1]
     assert np.any(found.features["stream"] == 2)
@@ -280,10 +286,10 @@ def test_few_epochs_cannot_show_motion():
 
 @pytest.mark.parametrize("doubtful", [False, True])
 @pytest.mark.parametrize("unlike", [False, True])
-@pytest.mark.parametrize("ratio", [0.5, 1.5, 3.0, np.nan])
+@pytest.mark.parametrize("ratio", [0.5, 2.5, 3.5, np.nan])
 def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
     kind, reason = verdict(ratio, 1.0, doubtful=doubtful, unlike=unlike)
-    known = ratio > (2 if doubtful else 1)
+    known = ratio > (3 if doubtful else 1)
     assert kind == ("moving" if known and not unlike else "not confirmed")
     assert ("of rest" in reason) == (not known)
     assert ("little in common" in reason) == (known and unlike)
@@ -301,6 +307,21 @@ def test_what_most_secure_features_contradict(along, others, said):
     found = _opposed(SimpleNamespace(secure=secure), None, moving, 1.0)
     assert found.startswith(said)
     assert bool(found) == bool(said)
+
+
+@pytest.mark.parametrize(("alone", "sure", "kind"), [
+    (True, 0.0, "not confirmed"), (True, 1.0, "moving"), (False, 0.0, "moving"),
+])  # fmt: skip
+def test_a_speed_of_no_feature_needs_three_errors_or_a_smaller_p(
+    two, alone, sure, kind
+):
+    slow = two.search.streams[0]
+    error = np.hypot(*slow.velocity) / 2.5
+    members = np.zeros(0, int) if alone else slow.members
+    slow = replace(slow, covariance=np.eye(2) * error**2, members=members)
+    found = _judged(slow, two.search, diffusing=False, sure=sure)
+    assert found.kind == kind
+    assert ("needs p_global of at most 0" in found.reason) == (kind != "moving")
 
 
 @pytest.mark.parametrize(("factor", "than"), [(3.0, "faster"), (0.01, "slower")])
