@@ -224,7 +224,6 @@ def search_settings(scc, cube, n_trials):
     return SearchSettings(
         misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
         n_trials=n_trials, outward=scc.outward,
-        intervals=used_intervals(cube, scc.baseline),
     )  # fmt: skip
 
 

@@ -220,8 +220,15 @@ class StackedCrossCorrelation(MeasurementSettings):
         -------
         ``DecomposedFlow``
             On the scales of the settings, or the three up to 0.55 beams.
+
+        Raises
+        ------
+        ValueError
+            If no flow is seen, there are two epochs or fewer, or none are as far apart
+            as ``baseline``.
         """
         cube = decomposed.cube
+        intervals = plan.used_intervals(cube, self.baseline)
         scales = None if self.scales is None else plan.scale_numbers(cube, self.scales)
         plan.require_speed(cube, self.max_speed)
         frame = plan.velocity_frame(cube, self.position_angle)
@@ -236,7 +243,7 @@ class StackedCrossCorrelation(MeasurementSettings):
             kernel=self.wavelet, passes=bool(passes),
         )  # fmt: skip
         found = self.position_angle is None or isinstance(self.position_angle, str)
-        return replace(flow, frame=frame, given=not found)
+        return replace(flow, frame=frame, given=not found, intervals=intervals)
 
     def measure(
         self, decomposed: patterns.DecomposedEpochs, *, n_trials: int = 1000,

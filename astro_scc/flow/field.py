@@ -146,10 +146,8 @@ def measure_field(
     flow, (r, offset, unit) = result.flow, cell_coordinates(result.flow)
     seen = flow.planes[0].mask & ~flow.grids[0].counter
     along, across = _edges(along, across, r[seen], offset[seen], unit, flow.beam)
-    settings = SearchSettings(
-        n_trials=n_trials, outward=result.meta["settings"]["outward"],
-        intervals=result.search.intervals,
-    )  # fmt: skip
+    outward = result.meta["settings"]["outward"]
+    settings = SearchSettings(n_trials=n_trials, outward=outward)
     rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
     for low, high in pairwise(across.value):
         for r_min, r_max in pairwise(along.value):
@@ -196,7 +194,7 @@ def _measure_cell(cell, search, settings, rng):
         return np.nan, np.nan, np.nan
     _, test = find_motion(cell, settings, rng)
     sign = 1.0 if search.fit is None else np.sign(search.fit.mean[0])
-    part = fit_part(cell, sign=sign, intervals=search.intervals)
+    part = fit_part(cell, sign=sign)
     if part.fit is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
     speed = part.fit.mean[0]

@@ -342,7 +342,7 @@ def _flows(scc, decomposed, groups, settings, rng):
     else:
         every = sorted(set().union(*numbers.values()))
         flow = flow.along(scales=every) if every else flow
-        flow = fit_along_lines(flow, intervals=settings.intervals).flow
+        flow = fit_along_lines(flow).flow
     return flow, flows_by_scale(flow, numbers) if numbers else {ALL: flow}
 
 
@@ -379,8 +379,8 @@ def _fit_again(search, sign, *, root):
     fit = search.fit
     same = fit is not None and len(fit.mean) == 1 and fit.mean[0] * sign > 0
     part = fit_part(
-        search.flow, sign=sign, root=root, intervals=search.intervals,
-        diagram=search.diagram, fit=fit if same else None,
+        search.flow, sign=sign, root=root, diagram=search.diagram,
+        fit=fit if same else None,
     )  # fmt: skip
     if part.fit is None:
         return None

@@ -169,23 +169,21 @@ def compare_scales(
                 if both and found[k] is not None:
                     one = found[k].search
                     fits[name] = fit_part(
-                        one.flow, root=False, start=both, intervals=one.intervals,
-                        diagram=one.diagram,
-                    )  # fmt: skip
+                        one.flow, root=False, start=both, diagram=one.diagram
+                    )
             compared = _compared(fits, measured.flow.beam, both)
             rows += [(*limits, *row) for row in compared]
     else:
-        flow, fit = measured.flow, measured.search.fit
+        flow, fit, both = measured.flow, measured.search.fit, measured.search.pair
         if scale_groups is None and len(flow.planes[0].scales) < 2:
             return None
         groups = scale_groups or halves(flow.planes[0].scales)
-        sign, used = 1.0 if fit is None else np.sign(fit.mean[0]), measured.search
-        settings = {"root": False, "intervals": used.intervals, "start": used.pair}
+        sign = 1.0 if fit is None else np.sign(fit.mean[0])
         fits = {
-            name: fit_part(part, sign=sign, **settings)
+            name: fit_part(part, sign=sign, root=False, start=both)
             for name, part in flows_by_scale(flow, groups).items()
         }
-        rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam, used.pair)]
+        rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam, both)]
     speeds = [name for name in COMPARED if "speed" in name or "difference" in name]
     units = dict.fromkeys(COMPARED[:2], u.mas) | dict.fromkeys(speeds, PM_UNIT)
     kinds = dict.fromkeys(COMPARED, float) | {"stream": int}
@@ -517,10 +515,7 @@ def accelerations(result, rows):
     if any(moving) and fit is not None:
         known = [flow.between(low, high) for low, high in parts_along(flow)]
     sign = 1 if fit is None else np.sign(fit.mean[0])
-    fits = [
-        fit_part(part, sign=sign, start=search.pair, intervals=search.intervals)
-        for part in known
-    ]
+    fits = [fit_part(part, sign=sign, start=search.pair) for part in known]
     places = [place_of(part) for part in known]
     found = []
     for row, moves in zip(rows, moving, strict=True):

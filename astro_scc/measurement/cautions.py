@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What a stream depends on: in words, and as its speed in parts of the data."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import astropy.units as u
@@ -290,13 +291,10 @@ def parts_of(search):
         return []
     main, start = _main(search), list(zip(fit.mean, fit.sd, strict=True))
 
-    def speed_of(part, intervals):
+    def speed_of(part, diagram=None):
         """Return the speed with its error; what has no error is not known."""
-        diagram = search.diagram if part is flow else None
         try:
-            found = decomposed.fit_part(
-                part, start=start, intervals=intervals, diagram=diagram
-            )
+            found = decomposed.fit_part(part, start=start, diagram=diagram)
             error = found.errors(stream=main)[0][0] if found.knows(main) else np.nan
         except (np.linalg.LinAlgError, ValueError):
             error = np.nan
@@ -307,17 +305,14 @@ def parts_of(search):
     whole = abs(fit.mean[main]) * flow.beam, fit.mean_err[main] * flow.beam
     rows = [_row("the whole spectrum", whole)]
     for pair in _pairs_of_parts(search):
-        both = [
-            _row(name, speed_of(part, intervals), whole)
-            for name, part, intervals in pair
-        ]
+        both = [_row(name, speed_of(*part), whole) for name, *part in pair]
         # Both parts may differ from the whole, if they have other features.
         sigma = largest_difference([*both, rows[0]])
         for row in both:
-            own = sigma if np.isfinite(row["pm"]) else np.nan
-            p_value = 2 * scipy.special.ndtr(-own)
-            row |= {"change_sigma": own, "p_value": p_value}
-            row["significant"] = bool(own > DIFFERENT)
+            change = sigma if np.isfinite(row["pm"]) else np.nan
+            p_value = 2 * scipy.special.ndtr(-change)
+            row |= {"change_sigma": change, "p_value": p_value}
+            row["significant"] = bool(change > DIFFERENT)
         rows += both
     return rows
 
@@ -341,22 +336,24 @@ def _row(choice, measured, main=None):
 
 
 def _pairs_of_parts(search):
-    """Yield pairs of parts: the name, the flow and the intervals of each."""
-    flow, every = search.flow, search.intervals
+    """Yield pairs of parts: the name, the flow and, if it is known, the diagram."""
+    flow, every = search.flow, search.flow.intervals
     apart = np.abs(flow.years - flow.years[:, None])
     apart = apart[np.triu_indices(len(apart), 1)]
     limit, unit = float(np.median(apart[within(apart, every)])), flow.cube.speed_unit
     shown = f"{(limit * u.yr).to_value(unit.bases[1]):.2g} {unit.bases[1]}"
+    ends = (every[0], limit), (limit, every[1])
+    short, long = (replace(flow, intervals=limits) for limits in ends)
     yield (
-        (f"intervals up to {shown}", flow, (every[0], limit)),
-        (f"intervals from {shown}", flow, (limit, every[1])),
+        (f"intervals up to {shown}", short, search.diagram),
+        (f"intervals from {shown}", long, search.diagram),
     )
     middle = len(flow.years) // 2
     if middle >= finder.FEWEST_EPOCHS:
         date = date_labels(flow.cube.times)[middle]
         yield (
-            (f"epochs before {date}", flow.part(epochs=slice(middle)), every),
-            (f"epochs from {date} on", flow.part(epochs=slice(middle, None)), every),
+            (f"epochs before {date}", flow.part(epochs=slice(middle))),
+            (f"epochs from {date} on", flow.part(epochs=slice(middle, None))),
         )
     r = flow.grids[0].distances
     seen = flow.planes[0].mask & (decomposed.weight_of(flow) > 0.5)
@@ -365,7 +362,4 @@ def _pairs_of_parts(search):
         unit = offset_unit(border * flow.beam)
         text = f"{(border * flow.beam * u.mas).to_value(unit):.3g} {unit}"
         inner, outer = (flow.part(places=[k * 1.0]) for k in (r < border, r >= border))
-        yield (
-            (f"inner half, up to {text}", inner, every),
-            (f"outer half, from {text}", outer, every),
-        )
+        yield (f"inner half, up to {text}", inner), (f"outer half, from {text}", outer)

@@ -81,6 +81,8 @@ class DecomposedFlow:
         which both sides flow.
     given : bool
         Whether the position angle was given, not found in the images.
+    intervals : (float, float)
+        Shortest and longest interval between epochs that are compared, in years.
     """
 
     cube: EpochCube
@@ -95,6 +97,7 @@ class DecomposedFlow:
     sampled: SampledPlanes | None = None
     passes: bool = False
     given: bool = False
+    intervals: tuple[float, float] = EVERY
 
     @property
     def years(self) -> np.ndarray:
@@ -159,7 +162,8 @@ class DecomposedFlow:
         )  # fmt: skip
         if self.grids[0].lines is not None:
             made = made.along_lines(self.grids[0].lines, normalise)
-        return replace(made, frame=self.frame, given=self.given)
+        kept = {"given": self.given, "intervals": self.intervals}
+        return replace(made, frame=self.frame, **kept)
 
     def along_lines(
         self, lines: np.ndarray, normalise: str = "local"
@@ -323,7 +327,7 @@ def find_motion(flow, settings, rng):
     flow : ``DecomposedFlow``
     test : ``MotionTest``
     """
-    shared = {"fastest": flow.fastest, "intervals": settings.intervals}
+    shared = {"fastest": flow.fastest, "intervals": flow.intervals}
     shared |= {"n_trials": settings.n_trials, "rng": rng}
     diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
     test = permutation_test(diagrams, inward=settings.inward(flow), **shared)
@@ -390,9 +394,7 @@ class PartFit:
         return bool(abs(self.fit.mean[stream]) < 0.99 * self.equations.speed[-1])
 
 
-def fit_part(
-    flow, *, sign=1.0, root=True, start=None, intervals=EVERY, diagram=None, fit=None
-):
+def fit_part(flow, *, sign=1.0, root=True, start=None, diagram=None, fit=None):
     """
     Fit one stream, or those of the whole flow, to a part of it.
 
@@ -406,8 +408,6 @@ def fit_part(
         Of the square root of the planes, see `FlowPlanes.square_root`.
     start : sequence of (mean, sd), optional
         Streams of the whole.
-    intervals : (float, float), optional
-        Shortest and longest interval that is used, in years.
     diagram : ``Diagram``, optional
         That of these planes, if it is known.
     fit : ``StreamFit``, optional
@@ -420,7 +420,7 @@ def fit_part(
     planes = flow.planes[0].square_root if root else flow.planes[0]
     if diagram is None:
         diagram = correlate(planes, region=flow.regions[0])
-    equations = set_up(diagram, fastest=flow.fastest, intervals=intervals)
+    equations = set_up(diagram, fastest=flow.fastest, intervals=flow.intervals)
     if not has_flow(flow):
         fit = None
     elif fit is None and start is None:
@@ -430,9 +430,7 @@ def fit_part(
     return PartFit(flow, planes, diagram, equations, fit)
 
 
-def fit_along_lines(
-    flow, *, straight=False, sign=1.0, root=True, intervals=EVERY, diagram=None
-):
+def fit_along_lines(flow, *, straight=False, sign=1.0, root=True, diagram=None):
     """
     Fit one stream along the lines of its flow.
 
@@ -447,18 +445,18 @@ def fit_along_lines(
         Along one direction.
     straight : bool, optional
         Whether lines must be straight.
-    sign, root, intervals, diagram
+    sign, root, diagram
         See `fit_part`.
 
     Returns
     -------
     `PartFit`
     """
-    shared = {"sign": sign, "root": root, "intervals": intervals}
-    part = fit_part(flow, diagram=diagram, **shared)
+    part = fit_part(flow, sign=sign, root=root, diagram=diagram)
     if part.fit is None or straight:
         return part
-    others = [fit_part(flow.along_lines(one), **shared) for one in flow.lines()]
+    flows = [flow.along_lines(one) for one in flow.lines()]
+    others = [fit_part(other, sign=sign, root=root) for other in flows]
     parts = [part, *others] if flow.given else [*others, part]
     parts = [one for one in parts if one.fit is not None]
     kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]

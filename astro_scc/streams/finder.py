@@ -16,7 +16,7 @@ from astro_scc.spectrum.gaussians import (
     two_are_better,
     two_streams,
 )
-from astro_scc.spectrum.permutations import EVERY, INWARD, MotionTest
+from astro_scc.spectrum.permutations import INWARD, MotionTest
 from astro_scc.spectrum.rays import VelocityMap, transverse_speed, velocity_map
 from astro_scc.streams.decomposed import (
     DecomposedFlow,
@@ -144,8 +144,6 @@ class SearchSettings:
         Largest ``p_global`` of a stream that moves.
     outward : bool
         Search only speeds away from the core.
-    intervals : (float, float)
-        Shortest and longest interval that is used, in years.
     whole : bool
         Whether a single stream has the error of few patterns, and the harmonic mean of
         the spectrum where its Gaussian is not well known; parts of a flow have the
@@ -156,7 +154,6 @@ class SearchSettings:
     misaligned: np.ndarray | None = None
     alpha: float = 0.01
     outward: bool = False
-    intervals: tuple[float, float] = EVERY
     whole: bool = True
 
     def inward(self, flow: DecomposedFlow) -> float:
@@ -182,8 +179,6 @@ class StreamSearch:
     speed, spectrum : `~numpy.ndarray`, shape (n_v,)
         Velocity spectrum: speeds in mas/yr, and the share of the variance that moves
         with each.
-    intervals : (float, float)
-        Shortest and longest interval that is used, in years.
     fit : ``StreamFit`` or None
     velocities : ``VelocityMap``
         In mas/yr on the axes of the frame.
@@ -196,7 +191,6 @@ class StreamSearch:
     diagram: Diagram
     speed: np.ndarray
     spectrum: np.ndarray
-    intervals: tuple[float, float]
     fit: StreamFit | None = None
     velocities: VelocityMap | None = None
     streams: tuple[MeasuredStream, ...] = ()
@@ -274,9 +268,8 @@ def find_streams(
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
     passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
-        flow, straight=not passes, sign=sign, root=root, intervals=settings.intervals,
-        diagram=sheet[len(sheet) // 2],
-    )  # fmt: skip
+        flow, straight=not passes, sign=sign, root=root, diagram=sheet[len(sheet) // 2]
+    )
     flow, equations = part.flow, part.equations
     if flow.grids[0].bends:
         length = np.hypot(moving.along, moving.across)
@@ -288,7 +281,7 @@ def find_streams(
         part = replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
     search = StreamSearch(
         flow, test, part.diagram, equations.speed * flow.beam, deconvolve(equations),
-        settings.intervals, part.fit,
+        part.fit,
     )  # fmt: skip
     shift = _alignment(flow.years, settings.misaligned)
     rows = _of_spectrum(search, equations, settings.whole)

@@ -227,7 +227,7 @@ def spectra_of_bins(search):
     found = []
     for ends in zip(edges[:-1], edges[1:], strict=True):
         part = flow.between(*ends)
-        limits = {"fastest": flow.fastest, "intervals": search.intervals}
+        limits = {"fastest": flow.fastest, "intervals": flow.intervals}
         equations = set_up(part.diagram(0), **limits)
         share, size = deconvolve(equations), np.abs(equations.speed) * flow.beam
         share[(size < search.slowest) | (size > search.fastest)] = 0.0
