@@ -300,7 +300,7 @@ def measure_profile(
     if not hasattr(decomposed, "decomposer"):
         decomposed = scc.decompose(decomposed, progress_bar=progress_bar)
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
-    features, root = decomposed.follow(progress_bar=progress_bar), groups is None
+    features = decomposed.follow(progress_bar=progress_bar)
     generator, seed = seeded(rng)
     # Bins have the speeds of Gaussians, whose covariance is known.
     settings = replace(search_settings(scc, decomposed.cube, n_trials), whole=False)
@@ -312,7 +312,7 @@ def measure_profile(
         with progress(len(flows) * len(bins), "Searching", show=progress_bar) as done:
             searches = {
                 name: _search_bins(
-                    part, limits, features, settings, generator, root=root, done=done
+                    part, limits, features, settings, generator, done, name == ALL
                 )
                 for name, part in flows.items()
             }
@@ -323,7 +323,7 @@ def measure_profile(
         sign, angle = _sign_of(searches, bins), flow_direction(decomposed, flow.frame)
         places = [place_of(flow.between(low, high)) for low, high in limits]
         for name, found in searches.items():
-            fits[name] = tuple(_fit_again(one, sign, root=root) for one in found)
+            fits[name] = tuple(_fit_again(one, sign) for one in found)
             speeds[name] = speeds_in_parts(fits[name], places)
             results[name] = tuple(
                 one and SCCResult(decomposed, one, angle, [], meta) for one in found
@@ -357,31 +357,28 @@ def _sign_of(searches, bins):
     return max(seen, key=lambda search: search.test.z.max()).sign
 
 
-def _search_bins(flow, limits, features, settings, generator, *, root, done):
+def _search_bins(flow, limits, features, settings, generator, done, tracked):
     """Return the search of each bin, or None; groups of scales have no features."""
     distance, found = distances_along(flow, features.places), []
     for (low, high), rng in zip(limits, generator.spawn(len(limits)), strict=True):
         part, search = flow.between(low, high), None
         if has_flow(part):
-            inside = root & (distance >= low) & (distance < high)
-            search = find_streams(
-                part, features, settings, inside=inside, root=root, rng=rng
-            )
+            inside = tracked & (distance >= low) & (distance < high)
+            search = find_streams(part, features, settings, inside=inside, rng=rng)
         found.append(search)
         done(1)
     return found
 
 
-def _fit_again(search, sign, *, root):
+def _fit_again(search, sign):
     """Return the fit of one stream to a bin, None if its speed is not known."""
     if search is None:
         return None
     fit = search.fit
     same = fit is not None and len(fit.mean) == 1 and fit.mean[0] * sign > 0
     part = fit_part(
-        search.flow, sign=sign, root=root, diagram=search.diagram,
-        fit=fit if same else None,
-    )  # fmt: skip
+        search.flow, sign=sign, diagram=search.diagram, fit=fit if same else None
+    )
     if part.fit is None:
         return None
     speed = part.fit.mean[0]

@@ -168,9 +168,7 @@ def compare_scales(
             for name, found in measured.results.items():
                 if both and found[k] is not None:
                     one = found[k].search
-                    fits[name] = fit_part(
-                        one.flow, root=False, start=both, diagram=one.diagram
-                    )
+                    fits[name] = fit_part(one.flow, start=both, diagram=one.diagram)
             compared = _compared(fits, measured.flow.beam, both)
             rows += [(*limits, *row) for row in compared]
     else:
@@ -180,7 +178,7 @@ def compare_scales(
         groups = scale_groups or halves(flow.planes[0].scales)
         sign = 1.0 if fit is None else np.sign(fit.mean[0])
         fits = {
-            name: fit_part(part, sign=sign, root=False, start=both)
+            name: fit_part(part, sign=sign, start=both)
             for name, part in flows_by_scale(flow, groups).items()
         }
         rows = [(0.0, np.inf, *row) for row in _compared(fits, flow.beam, both)]

@@ -46,6 +46,8 @@ class FlowPlanes:
         Numbers of the scales.
     reach : float
         Largest displacement at which epochs are compared, in beams.
+    normalised : {"local", "along"}
+        Whether the standard deviation is that at each place, or along the flow.
     """
 
     values: np.ndarray
@@ -55,6 +57,7 @@ class FlowPlanes:
     years: np.ndarray
     scales: tuple[float, ...]
     reach: float = REACH
+    normalised: str = "local"
 
     @property
     def step(self) -> float:
@@ -74,12 +77,15 @@ class FlowPlanes:
         return replace(self, values=values, years=self.years[epochs])
 
     @cached_property
-    def square_root(self) -> FlowPlanes:
+    def fitted(self) -> FlowPlanes:
         """
-        Planes with the signed square root of all values, less its mean in time.
+        Planes to which streams are fitted: signed roots, less their mean in time.
 
-        Bright features weigh less in a speed than by their brightness.
+        Bright features weigh less in a speed than by their brightness.  Planes that are
+        normalised along the flow, on which scales are compared, are fitted themselves.
         """
+        if self.normalised == "along":
+            return self
         values = np.sign(self.values) * np.sqrt(np.abs(self.values))
         values -= values.mean(axis=1, keepdims=True)
         return replace(self, values=values * self.mask)
@@ -161,8 +167,9 @@ class SampledPlanes:
             q = np.clip(rest / np.sqrt(variance), -CLIP, CLIP) * share * inside
             values[k] = q * np.sqrt(self.weight)
         return FlowPlanes(
-            values, mask, self.along, self.across, self.years, self.scales, self.reach
-        )
+            values, mask, self.along, self.across, self.years, self.scales, self.reach,
+            normalise,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)

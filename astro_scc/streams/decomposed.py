@@ -157,21 +157,20 @@ class DecomposedFlow:
         made = decompose_flow(
             self.cube, PositionAngleFrame(angle * u.rad) if known else self.frame,
             scales=scales, beam=self.beam, region=self.inside,
-            max_speed=self.max_speed, kernel=self.kernel, normalise=normalise,
-            passes=self.passes,
+            max_speed=self.max_speed, kernel=self.kernel, passes=self.passes,
         )  # fmt: skip
         if self.grids[0].lines is not None:
-            made = made.along_lines(self.grids[0].lines, normalise)
-        kept = {"given": self.given, "intervals": self.intervals}
-        return replace(made, frame=self.frame, **kept)
+            made = made.along_lines(self.grids[0].lines)
+        return replace(
+            made, planes=(made.sampled.changes(normalise),), frame=self.frame,
+            given=self.given, intervals=self.intervals,
+        )  # fmt: skip
 
-    def along_lines(
-        self, lines: np.ndarray, normalise: str = "local"
-    ) -> DecomposedFlow:
+    def along_lines(self, lines: np.ndarray) -> DecomposedFlow:
         """Return the flow of a straight grid along lines, see ``sample_lines``."""
         grid, sampled = sample_lines(self.grids[0], self.sampled, lines)
         return replace(
-            self, grids=(grid,), planes=(sampled.changes(normalise),), sampled=sampled,
+            self, grids=(grid,), planes=(sampled.changes(),), sampled=sampled,
             regions=(region_weight(self.inside, grid),),
         )  # fmt: skip
 
@@ -231,7 +230,7 @@ def _reach(cube, max_speed, beam):
 
 def decompose_flow(
     cube, frame, *, scales=None, beam, region=None, max_speed=None, kernel="b1",
-    normalise="local", passes=False,
+    passes=False,
 ):  # fmt: skip
     """
     Return the flow of a cube: wavelet planes along its direction.
@@ -247,8 +246,6 @@ def decompose_flow(
     region : `~numpy.ndarray` of bool, shape (ny, nx), optional
     max_speed : `~astropy.units.Quantity`, optional
     kernel : {"b1", "b3"}
-    normalise : {"local", "along"}
-        See ``SampledPlanes.changes``.
     passes : bool, optional
         Whether the flow passes the reference position, which is no core then.
 
@@ -271,7 +268,7 @@ def decompose_flow(
         sample_planes(cube, g, scales, seen, kernel=kernel, order=order, reach=reach)
         for g in grids
     ]
-    planes = tuple(one.changes(normalise) for one in sampled)
+    planes = tuple(one.changes() for one in sampled)
     if region is None and not any(one.mask.any() for one in planes):
         raise NoFlowError(
             "all that is seen is so near to the edge of the images, or to missing "
@@ -359,9 +356,9 @@ def _turned(flow, direction, speed):
     return flow.along(angle)
 
 
-def sheet_of(flow, number, *, root=True):
+def sheet_of(flow, number):
     """Return diagrams at displacements across the flow, and their distance in beams."""
-    planes = flow.planes[0].square_root if root else flow.planes[0]
+    planes = flow.planes[0].fitted
     lag, n_across = max(1, round(ASIDE / planes.step)), len(planes.across)
     lags = [k * lag for k in range(1, number + 1) if 2 * k * lag < n_across]
     return correlate_aside(planes, lags, region=flow.regions[0]), lag * planes.step
@@ -394,7 +391,7 @@ class PartFit:
         return bool(abs(self.fit.mean[stream]) < 0.99 * self.equations.speed[-1])
 
 
-def fit_part(flow, *, sign=1.0, root=True, start=None, diagram=None, fit=None):
+def fit_part(flow, *, sign=1.0, start=None, diagram=None, fit=None):
     """
     Fit one stream, or those of the whole flow, to a part of it.
 
@@ -404,8 +401,6 @@ def fit_part(flow, *, sign=1.0, root=True, start=None, diagram=None, fit=None):
         Along one direction.
     sign : float, optional
         Of the speed of one stream.
-    root : bool, optional
-        Of the square root of the planes, see `FlowPlanes.square_root`.
     start : sequence of (mean, sd), optional
         Streams of the whole.
     diagram : ``Diagram``, optional
@@ -417,7 +412,7 @@ def fit_part(flow, *, sign=1.0, root=True, start=None, diagram=None, fit=None):
     -------
     `PartFit`
     """
-    planes = flow.planes[0].square_root if root else flow.planes[0]
+    planes = flow.planes[0].fitted
     if diagram is None:
         diagram = correlate(planes, region=flow.regions[0])
     equations = set_up(diagram, fastest=flow.fastest, intervals=flow.intervals)
@@ -430,7 +425,7 @@ def fit_part(flow, *, sign=1.0, root=True, start=None, diagram=None, fit=None):
     return PartFit(flow, planes, diagram, equations, fit)
 
 
-def fit_along_lines(flow, *, straight=False, sign=1.0, root=True, diagram=None):
+def fit_along_lines(flow, *, straight=False, sign=1.0, diagram=None):
     """
     Fit one stream along the lines of its flow.
 
@@ -445,18 +440,18 @@ def fit_along_lines(flow, *, straight=False, sign=1.0, root=True, diagram=None):
         Along one direction.
     straight : bool, optional
         Whether lines must be straight.
-    sign, root, diagram
+    sign, diagram
         See `fit_part`.
 
     Returns
     -------
     `PartFit`
     """
-    part = fit_part(flow, sign=sign, root=root, diagram=diagram)
+    part = fit_part(flow, sign=sign, diagram=diagram)
     if part.fit is None or straight:
         return part
     flows = [flow.along_lines(one) for one in flow.lines()]
-    others = [fit_part(other, sign=sign, root=root) for other in flows]
+    others = [fit_part(other, sign=sign) for other in flows]
     parts = [part, *others] if flow.given else [*others, part]
     parts = [one for one in parts if one.fit is not None]
     kept = [correlation_kept(one.diagram, one.fit.mean[0]) for one in parts]

@@ -239,7 +239,7 @@ class StreamSearch:
 
 def find_streams(
     flow: DecomposedFlow, features: Any, settings: SearchSettings, *,
-    inside: np.ndarray | None = None, root: bool = True, rng: np.random.Generator,
+    inside: np.ndarray | None = None, rng: np.random.Generator,
 ) -> StreamSearch:  # fmt: skip
     """
     Find the streams of a flow.
@@ -251,9 +251,6 @@ def find_streams(
     settings : `SearchSettings`
     inside : `~numpy.ndarray` of bool, shape (n_features,), optional
         The features of a part of the flow.
-    root : bool, optional
-        Fit the streams to the square root of the planes, see
-        `FlowPlanes.square_root`; not where scales are compared.
     rng : `~numpy.random.Generator`
 
     Returns
@@ -262,13 +259,13 @@ def find_streams(
     """
     map_rng = rng.spawn(1)[0]
     flow, test = find_motion(flow, settings, rng)
-    (sheet, aside), sign = sheet_of(flow, 3, root=root), np.sign(test.clearest)
+    (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
     enough = WITH_FEATURES if len(moving) and covered else settings.alpha
     passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
-        flow, straight=not passes, sign=sign, root=root, diagram=sheet[len(sheet) // 2]
+        flow, straight=not passes, sign=sign, diagram=sheet[len(sheet) // 2]
     )
     flow, equations = part.flow, part.equations
     if flow.grids[0].bends:

@@ -115,7 +115,7 @@ def test_speeds_and_errors_of_random_flows(moving_flow):
     """Errors are those of the scatter, within what twelve flows show."""
     speeds, errors = [], []
     for seed in range(12):
-        flow = moving_flow([1.0], seed=seed).square_root
+        flow = moving_flow([1.0], seed=seed).fitted
         diagram = correlate(flow)
         equations = set_up(diagram)
         fit = one_stream(equations, 0.1)
@@ -129,7 +129,7 @@ def test_speeds_and_errors_of_random_flows(moving_flow):
 
 
 def test_the_map_has_its_peak_at_the_velocity(moving_flow):
-    flow = moving_flow([1.0]).square_root
+    flow = moving_flow([1.0]).fitted
     sheet = correlate_aside(flow, [3, 6])
     aside = 3 * flow.step * np.arange(-2, 3)
     rng = np.random.default_rng(0)
@@ -188,7 +188,7 @@ def test_parts_have_no_mean():
     part = found.of_epochs(slice(4))
     assert np.abs(part.values.mean(axis=1)).max() < 1e-6
     assert len(part.years) == 4
-    assert np.abs(found.square_root.values.mean(axis=1)).max() < 1e-6
+    assert np.abs(found.fitted.values.mean(axis=1)).max() < 1e-6
     assert found.of_scales([1]).values.shape == found.values.shape
     along = planes_of(rng.normal(size=(9, 20, 10)), normalise="along")
     assert along.values.std() > 0.5
