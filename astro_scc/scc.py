@@ -9,7 +9,7 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
     features   = decomposed.follow()               # detections, tracks, motions, trust
     flow       = scc.flow(decomposed)              # planes along the flow, on its grid
     search     = find_streams(flow, features, settings, rng=rng)
-      flow, test = find_motion(flow, settings, rng)  # does anything move along it?
+      flow, test = find_motion(flow, n_trials, rng)  # does anything move along it?
       diagrams   = correlate_aside(planes, aside)    # all pairs of dates, displacements
       spectrum   = deconvolve(set_up(diagram))       # variance that moves at each speed
     result     = SCCResult(decomposed, search, ...)  # streams as tables, figures, files

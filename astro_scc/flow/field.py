@@ -17,7 +17,6 @@ from astro_scc.measurement import SCCResult
 from astro_scc.quantities import check_range, named, random_generator
 from astro_scc.settings import require
 from astro_scc.streams.decomposed import find_motion, fit_part, has_flow
-from astro_scc.streams.finder import SearchSettings
 from astro_scc.units import PM_UNIT
 
 #: Length of a cell along the flow in beams, and number across it, if none are given.
@@ -146,8 +145,6 @@ def measure_field(
     flow, (r, offset, unit) = result.flow, cell_coordinates(result.flow)
     seen = flow.planes[0].mask & ~flow.grids[0].counter
     along, across = _edges(along, across, r[seen], offset[seen], unit, flow.beam)
-    outward = result.meta["settings"]["outward"]
-    settings = SearchSettings(n_trials=n_trials, outward=outward)
     rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
     for low, high in pairwise(across.value):
         for r_min, r_max in pairwise(along.value):
@@ -157,7 +154,7 @@ def measure_field(
                 ahead = ahead % 360
             inside = (r >= r_min) & (r < r_max) & (ahead >= 0) & (ahead < high - low)
             cell = flow.part(places=[(inside & ~flow.grids[0].counter) * 1.0])
-            found = _measure_cell(cell, result.search, settings, next(rngs))
+            found = _measure_cell(cell, result, n_trials, next(rngs))
             rows.append((r_min, r_max, low, high, *found))
     names = ("r_min", "r_max", "offset_min", "offset_max", "pm_parallel",
              "pm_parallel_err", "p_global")  # fmt: skip
@@ -188,12 +185,13 @@ def _edges(along, across, r, offset, unit, beam):
     return along, across
 
 
-def _measure_cell(cell, search, settings, rng):
+def _measure_cell(cell, result, n_trials, rng):
     """Return speed, error and p-value of a cell, or NaN."""
     if not has_flow(cell):
         return np.nan, np.nan, np.nan
-    _, test = find_motion(cell, settings, rng)
-    sign = 1.0 if search.fit is None else np.sign(search.fit.mean[0])
+    outward, fit = result.meta["settings"]["outward"], result.search.fit
+    _, test = find_motion(cell, n_trials, rng, outward=outward)
+    sign = 1.0 if fit is None else np.sign(fit.mean[0])
     part = fit_part(cell, sign=sign)
     if part.fit is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global

@@ -35,7 +35,7 @@ from astro_scc.spectrum.diagram import (
 )
 from astro_scc.spectrum.equations import Equations, set_up
 from astro_scc.spectrum.gaussians import StreamFit, fit_errors, fit_streams, one_stream
-from astro_scc.spectrum.permutations import EVERY, permutation_test
+from astro_scc.spectrum.permutations import EVERY, INWARD, permutation_test
 from astro_scc.spectrum.rays import (
     correlation_kept,
     deletion_error,
@@ -309,15 +309,18 @@ ASIDE = 0.4
 MOST_TURNS, MOST_TURN, LEAST_TURN = 3, 0.3, 0.03
 
 
-def find_motion(flow, settings, rng):
+def find_motion(flow, n_trials, rng, *, outward=False):
     """
     Return a flow along its direction, and the test for motion along all directions.
 
     Parameters
     ----------
     flow : ``DecomposedFlow``
-    settings : `SearchSettings`
+    n_trials : int
+        Permutations of the innovations of the epochs.
     rng : `~numpy.random.Generator`
+    outward : bool, optional
+        Test only speeds along a known direction, away from the core.
 
     Returns
     -------
@@ -325,10 +328,12 @@ def find_motion(flow, settings, rng):
     test : ``MotionTest``
     """
     shared = {"fastest": flow.fastest, "intervals": flow.intervals}
-    shared |= {"n_trials": settings.n_trials, "rng": rng}
+    shared |= {"n_trials": n_trials, "rng": rng}
+    inward = INWARD if flow.directed and flow.outward else 1.0
+    inward = 0.0 if flow.directed and outward else inward
     diagrams = [flow.diagram(k) for k in range(len(flow.planes))]
-    test = permutation_test(diagrams, inward=settings.inward(flow), **shared)
-    if len(flow.planes) == 1:
+    test = permutation_test(diagrams, inward=inward, **shared)
+    if flow.directed:
         return flow, test
     # Along the direction of the largest z, outward.
     flow = _turned(flow, test.best[0], test.clearest)

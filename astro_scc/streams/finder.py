@@ -16,7 +16,7 @@ from astro_scc.spectrum.gaussians import (
     two_are_better,
     two_streams,
 )
-from astro_scc.spectrum.permutations import INWARD, MotionTest
+from astro_scc.spectrum.permutations import MotionTest
 from astro_scc.spectrum.rays import VelocityMap, transverse_speed, velocity_map
 from astro_scc.streams.decomposed import (
     DecomposedFlow,
@@ -156,12 +156,6 @@ class SearchSettings:
     outward: bool = False
     whole: bool = True
 
-    def inward(self, flow: DecomposedFlow) -> float:
-        """Return the weight of speeds towards the core in the test of a flow."""
-        if self.outward and flow.directed:
-            return 0.0
-        return INWARD if flow.directed and flow.outward else 1.0
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StreamSearch:
@@ -258,7 +252,7 @@ def find_streams(
     `StreamSearch`
     """
     map_rng = rng.spawn(1)[0]
-    flow, test = find_motion(flow, settings, rng)
+    flow, test = find_motion(flow, settings.n_trials, rng, outward=settings.outward)
     (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
