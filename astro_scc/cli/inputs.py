@@ -300,11 +300,10 @@ def output_of(args, settings):
     """Return the folder for the products, by default named after the object."""
     if args.output is not None:
         return Path(args.output)
-
     first, name = fits.find_files(settings.epochs)[0], ""
     # What cannot be read is refused where the epochs are.
     with suppress(Exception):
-        name = fits.read_plane(first, pixels=False).facts.get("object", "").strip()
+        name = fits.read_plane(first, load=False).facts.get("object", "").strip()
     name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
     return Path(f"{name}-{args.command}")
 

@@ -5,7 +5,9 @@ import re
 import shutil
 import sys
 import tomllib
+from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -15,9 +17,11 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
+from astro_scc.cli.inputs import output_of
 from astro_scc.cli.measure import TRACKED
 from astro_scc.columns import cell
 from astro_scc.report.page import PRODUCTS
+from astro_scc.settings import Settings
 from astro_scc.simulation import simulate_jet, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "99"]
@@ -70,6 +74,11 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
     assert not {"redshift", "cosmology"} & set(meta["configuration"])
     assert meta["distance"] == 16.7 * u.Mpc
     assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {*range(6)}
+
+
+def test_the_folder_is_named_after_the_object(series):
+    args, files = Namespace(output=None, command="track"), series([1], OBJECT="3C 1")
+    assert output_of(args, Settings(epochs=[*map(str, files)])) == Path("3C_1-track")
 
 
 def test_other_versions_are_noted(measured, astro_scc, here):
