@@ -18,7 +18,7 @@ import numpy as np
 from astropy.io import ascii
 
 from astro_scc.cli import images, inputs
-from astro_scc.exceptions import first_line, naming_all
+from astro_scc.exceptions import first_line, naming_all, refusing
 from astro_scc.parallel import in_order
 from astro_scc.quantities import finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -144,13 +144,10 @@ def alone(folder):
         yield
         return
     handle = os.open(folder, os.O_RDONLY)
+    what = "another run writes into it; wait for its end, or choose another folder"
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        what = "another run writes into it; wait for its end, or choose another folder"
-        raise OSError(f"{folder}: {what}") from None
-    try:
+        with refusing(f"{folder}: {what}", BlockingIOError, error=OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         os.close(handle)

@@ -11,7 +11,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time, TimeDelta
 
-from astro_scc.exceptions import warn
+from astro_scc.exceptions import refusing, warn
 from astro_scc.images.headers import KEYWORDS, axis_numbers, get
 from astro_scc.quantities import parse_date, without_doubt
 
@@ -407,11 +407,9 @@ def axis_times(header, axis, hdus=()):
     usual = "d" if name.startswith(("MJD", "JD")) else "s"
     unit = (unit or given).strip() or usual
     unit = WORDS["units"].get(unit.lower(), unit)
-    try:
+    wrong = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
+    with refusing(wrong, TypeError, ValueError, u.UnitsError):
         seconds = np.asarray(values, dtype=float) * u.Unit(unit).to(u.s)
-    except (TypeError, ValueError, u.UnitsError):
-        what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
-        raise ValueError(what) from None
     scale = _scale_of(header)
     scale = next((part for part in (name, name[:3]) if part in SCALES), scale)
     return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
