@@ -104,7 +104,7 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
         np.testing.assert_array_equal(table[name], own.streams[name], err_msg=name)
 
 
-def test_what_cannot_be_measured(jet, series, refused, here):
+def test_what_cannot_be_measured(jet, refused, here):
     (here / "p.toml").write_text("method = 'paper'\nbins = '1 2 mas'\n")
     line = refused("profile", *jet, "--config", here / "p.toml", "-o", "out")
     assert "method is 'paper', which astro-scc measure has: leave it out" in line
@@ -114,9 +114,6 @@ def test_what_cannot_be_measured(jet, series, refused, here):
     for words in (["measure"], ["profile", "--bins", "1 2 mas"]):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
         assert "too few epochs: 5 images, 6 are needed" in line
-    words = ["measure", *series([None] * 6), "-o", "out"]
-    assert "the epochs have no beams" in refused(*words, "--common-beam")
-    assert "epochs have none" in refused(*words, "--align", "core")
 
 
 def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):
