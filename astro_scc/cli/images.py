@@ -31,8 +31,6 @@ from astro_scc.settings import Settings, check_setting
 #: Options of the jet "jet", and their other names in `simulate_jet`.
 (FLOW,) = COMMANDS["simulate"]["groups"].values()
 PARAMETERS = {"motion": "speed", "features": "n_features", "epochs": "n_epochs"}
-#: Number of speeds that inspect explains when none is given.
-N_SPEEDS = 4
 
 
 def simulate(args, reporter):
@@ -316,8 +314,8 @@ def _offset(east, north):
     return f"{east:+.2f} {north:+.2f}"
 
 
-def _plan(cube, speed):
-    """Return lines on the speeds that can be measured with the dates."""
+def _plan(cube, speed, number=4):
+    """Return lines on a speed, or a ``number`` of them, that the dates can measure."""
     try:
         plan = inspection.plan_intervals(cube)
     except ValueError as error:
@@ -325,7 +323,7 @@ def _plan(cube, speed):
     rows, unit = [], plan.slowest.unit
     if speed is None:
         slow, high = plan.slowest.value, plan.consecutive[1].value
-        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS) * unit
+        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), number) * unit
     else:
         speeds = [speed.to(unit)]
     for value in speeds:

@@ -149,10 +149,8 @@ def epochs_of(ndcube, times=None):
             "epochs of the NDCube were averaged, of which ndcube keeps the first date "
             "only; rebin its celestial axes alone"
         )
-    shapes = [np.shape(ndcube.mask)] if ndcube.mask is not None else []
-    if ndcube.uncertainty is not None:
-        shapes.append(np.shape(ndcube.uncertainty.array))
-    if any(shape != ndcube.data.shape for shape in shapes):
+    beside = ndcube.mask, getattr(ndcube.uncertainty, "array", None)
+    if any(k is not None and np.shape(k) != ndcube.data.shape for k in beside):
         raise ValueError("mask and uncertainty of an NDCube must have its data's shape")
     # Array axes are in the reverse order of WCS axes.
     before = (slice(None),) * (int(np.sum(kept[others[0] :])) - 1)

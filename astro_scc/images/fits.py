@@ -169,8 +169,7 @@ def find_files(paths, *, missing_ok=False):
         raise FileNotFoundError("no files were given")
     once = {}
     for name in found:
-        once.setdefault(os.path.abspath(name), Path(name))
-    for path in once.values():
+        path = once.setdefault(os.path.abspath(name), Path(name))
         if path.exists() and not (path.is_file() or path.is_dir()):
             # Pipes, sockets and devices may have no end.
             raise OSError(f"{path}: is no ordinary file; give the name of one")

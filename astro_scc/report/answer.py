@@ -23,10 +23,7 @@ SECURE = (
     f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, and at this "
     f"speed in {SAME_SPEED:.0%} or more of the perturbed assignments to features"
 )
-#: Speeds agree within so many errors of both.
-AGREE = 2
-#: Features that would have to be seen so many times as long are out of reach.
-MOST_SPANS = 10
+
 #: Columns of streams, features and profiles.
 STREAMS = (
     "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features "
@@ -334,7 +331,7 @@ def longest(features, most):
     return np.sort(secure[order[:most]])
 
 
-def published_lines(features):
+def published_lines(features, *, agree=2):
     """
     Return how the speeds of secure features agree with published ones, as lines.
 
@@ -342,6 +339,8 @@ def published_lines(features):
     ----------
     features : `~astropy.table.QTable`
         See ``astro_scc.products.publication.with_published``.
+    agree : float, optional
+        Speeds agree within so many errors of both.
 
     Returns
     -------
@@ -356,7 +355,7 @@ def published_lines(features):
         return [f"0 of {secure.sum()} secure features are published ones."]
     pm, unit = same["published_pm"].unmasked, unit_name(same["pm"].unit)
     error = np.hypot(same["pm_err"], same["published_pm_err"].unmasked)
-    differs = np.abs(same["pm"] - pm) > AGREE * error
+    differs = np.abs(same["pm"] - pm) > agree * error
     others = ", ".join(
         f"{row['feature']} ({cell(row, 'pm', '+-')}, published "
         f"{cell(row, 'published_pm', '+-')} {unit})"
@@ -364,7 +363,7 @@ def published_lines(features):
     )
     return [
         f"{len(same)} of {secure.sum()} secure features are published ones, of which "
-        f"{np.sum(~differs)} have the published speed within {AGREE} errors"
+        f"{np.sum(~differs)} have the published speed within {agree:g} errors"
         f"{'; not ' if others else ''}{others}."
     ]
 
@@ -380,8 +379,12 @@ def _followed(features):
     return shown
 
 
-def _lacking(features):
-    """Return what makes a feature secure, and what the nearest to it lacks."""
+def _lacking(features, *, most_spans=10):
+    """
+    Return what makes a feature secure, and what the nearest to it lacks.
+
+    One that would have to be seen ``most_spans`` times as long is out of reach.
+    """
     if len(features) == 0:
         return ["No detections of four epochs or more are in steady motion."]
     motion, false = features["motion"].value, features["p_false"]
@@ -395,7 +398,7 @@ def _lacking(features):
         f"p_false {false[best]:.2g}, motion {motion[best]:.2g} beams, "
         f"{errors[best]:.2g} standard errors"
     )
-    if 1 / MOST_SPANS < share < 1 and share == np.min(shares, axis=0)[best]:
+    if 1 / most_spans < share < 1 and share == np.min(shares, axis=0)[best]:
         time = row["pm"].unit.bases[1]
         needed = (row["last"] - row["first"]).to_value(time) / share
         text += f"; at its speed it would have to be seen for {needed:.2g} {time}"
