@@ -38,8 +38,7 @@ LAYOUT = 3
 OTHER_VERSION = "read it with the version that wrote it"
 #: Images, and arrays of more elements, are extensions, other arrays are in the text.
 SHORT = 100
-#: Types of arrays that FITS images hold as they are; of others they hold the bytes.
-FITS_TYPES = "u1", "i2", "i4", "i8", "f4", "f8"
+
 #: Key of the name of its class in a packed object.
 CLASS = "!class"
 #: Start of the modules whose dataclasses may be written and read.
@@ -137,7 +136,8 @@ def write_object(value, path, *, creator, overwrite=False, images=None):
     hdus = [primary, fits.ImageHDU(np.frombuffer(text.encode(), np.uint8), name="META")]
     for name, array in arrays:
         pixels = np.ascontiguousarray(array)
-        if pixels.dtype.str[1:] not in FITS_TYPES:
+        # Of other types, FITS images hold the bytes.
+        if pixels.dtype.str[1:] not in ("u1", "i2", "i4", "i8", "f4", "f8"):
             pixels = pixels.view(np.uint8)
         hdus.append(fits.ImageHDU(pixels, (images or {}).get(name), name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:

@@ -32,7 +32,6 @@ _CLOCK = re.compile(
     r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
     r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
 )
-_SUFFIX = re.compile(r"[ _](UTC|UT|TAI|TT|TDB)$")
 
 
 @dataclass(frozen=True, order=True)
@@ -213,7 +212,7 @@ def _last_digit(text):
 def _of_text(text, scale):
     """Return the precision of a date that is text, in seconds, and its Time."""
     plain = text.strip()
-    if suffix := _SUFFIX.search(plain.upper()):
+    if suffix := re.search(r"[ _](UTC|UT|TAI|TT|TDB)$", plain.upper()):
         plain, scale = plain[: suffix.start()], suffix[1]
     elif re.search(r"(Z|\+00:?00)$", plain.upper()):
         scale = "UTC"

@@ -25,8 +25,7 @@ from astro_scc.quantities import named, one_quantity
 #: Where longitude and latitude increase, and if longitude does so leftwards, by the
 #: start of its CTYPE.
 AXES = KEYWORDS["directions"]
-#: New names of columns, by patterns, if longitude is not right ascension.
-LONGITUDE = KEYWORDS["longitude"]
+
 #: Name of coordinates that are offsets in a plane, however large a pixel is.
 PLANE = "OFFSETS"
 #: Longitude and latitude of a source whose position is not known.
@@ -147,7 +146,7 @@ def name_by_frame(table, cube):
     words["through east"] = f"through {first}"
     for name in table.colnames:
         new, about = name, table[name].info.description or ""
-        for pattern, replacement in LONGITUDE.items():
+        for pattern, replacement in KEYWORDS["longitude"].items():
             new = re.sub(pattern, replacement, new)
         renamed = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
         for old, word in {**renamed, **words}.items():
