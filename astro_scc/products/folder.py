@@ -268,10 +268,7 @@ def write_tables(
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
         copy.meta = plain_meta(meta | note)
         paths.append(Path(folder, f"{name}.ecsv"))
-        if name == "components" and table is tables["streams"]:
-            shutil.copyfile(Path(folder, "streams.ecsv"), paths[-1])
-        else:
-            copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
+        copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
     texts = {"citations.bib": citations_of(history, meta)}
     if text is not None:
         texts["config.toml"] = text

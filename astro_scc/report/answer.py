@@ -204,7 +204,7 @@ def scale_lines(of_scales):
         Without pairs of which a speed is not known.
     """
     unit, far = unit_name(of_scales["first_speed"].unit), unit_name(u.mas)
-    lines, several = [], np.any(of_scales["stream"] > 1)
+    lines, several = [], bool(np.any(of_scales["stream"] > 1))
     for row in of_scales[np.isfinite(of_scales["p_value"])]:
         where = ""
         if np.isfinite(row["r_max"]):
@@ -213,13 +213,9 @@ def scale_lines(of_scales):
             where += f"stream {row['stream']}: "
         first, second = (
             f"{row[f'{k}_speed'].value:.3g} on {_on(row[k])}"
+            + f" (share {row[f'{k}_share']:.2g})" * several
             for k in ("first", "second")
         )
-        if several:
-            first, second = (
-                f"{text} (share {row[f'{k}_share']:.2g})"
-                for k, text in (("first", first), ("second", second))
-            )
         apart, p = cell(row, "difference", "+-"), row["p_value"]
         lines.append(
             f"{where}{first}, {second}: {apart} {unit} apart; p of equal speeds {p:.2g}"
