@@ -220,7 +220,7 @@ def celestial_wcs(header, fobj=None):
             raise ContentError("its celestial axes have no pixel scale (CDELT or CD)")
     # What is wrong with axes of frequencies, dates or others does not matter.
     other = f"[^{axes[0]}{axes[1]}]"
-    without(clean, rf"C(TYPE|UNIT|RVAL|DELT){other}$|P[SV]{other}_\d+$")
+    without(clean, rf"(CTYPE|CUNIT|CRVAL|CDELT){other}$|P[SV]{other}_\d+$")
     with warnings.catch_warnings(action="ignore"):
         try:
             _complete_polynomials(clean, axes)
