@@ -411,7 +411,7 @@ def axis_times(header, axis, hdus=()):
         seconds = np.asarray(values, dtype=float) * u.Unit(unit).to(u.s)
     scale = _scale_of(header)
     scale = next((part for part in (name, name[:3]) if part in SCALES), scale)
-    return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
+    return _in_utc(_from_reference(header, name, seconds, scale))
 
 
 def _from_reference(header, name, seconds, scale):
@@ -423,13 +423,13 @@ def _from_reference(header, name, seconds, scale):
     if keyword is not None:
         more = get(header, "MJDREFF", kind=float) if keyword == "MJDREFI" else None
         day, form = get(header, keyword, kind=float), forms[keyword]
-        reference = Time(day, more or 0.0, format=form, scale=known)
+        reference = _in_scale(Time(day, more or 0.0, format=form, scale=known), scale)
     elif text := get(header, "DATEREF", kind=str):
         reference = Time(_of_text(text, scale)[1], scale=known)
     else:
         days = seconds / DAY
         form = "jd" if days[0] > FIRST_JD else "mjd"
-        found = Time(days, format=form, scale=known)
+        found = _in_scale(Time(days, format=form, scale=known), scale)
         # wcslib writes a reference of 0 to every header.
         zero = get(header, "MJDREF", kind=float) == 0
         near = zero if reference is None else abs(found[0].mjd - reference.mjd) < 2
