@@ -491,11 +491,10 @@ def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
         # Each measurement limits the threads of matrix products by itself; limits
         # that overlap in time would be restored in the wrong order.
         threadpool_limits(1),
-        warnings.catch_warnings(),
+        warnings.catch_warnings(action="ignore", category=MeasurementWarning),
         progress(len(jobs), "Recovering", show=progress_bar) as done,
         ThreadPoolExecutor(n_workers) as pool,
     ):
-        warnings.simplefilter("ignore", MeasurementWarning)
 
         def work(job):
             result = function(*job)
