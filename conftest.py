@@ -11,18 +11,11 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 import pytest
-from hypothesis import settings
 from pytest_astropy_header.display import PYTEST_HEADER_MODULES, TESTED_VERSIONS
 
 import astro_scc
 
 HERE = Path(__file__).parent
-
-# Machines of CI are shared and slow, so examples have no deadline; there they are
-# also the same in every run.
-settings.register_profile("dev", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True)
-settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
 def pytest_configure(config):

@@ -18,6 +18,7 @@ import numpy as np
 from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 
+from astro_scc.exceptions import refusing
 from astro_scc.quantities import decimals, with_error
 from astro_scc.units import unit_name
 
@@ -267,10 +268,8 @@ def numbers(column, unit, own_unit=None):
     `astropy.units.one`, the numbers are returned as they are.
     """
     name = column.info.name
-    try:
+    with refusing(f"column {name!r} is not numeric", TypeError, ValueError):
         values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
-    except (TypeError, ValueError):
-        raise ValueError(f"column {name!r} is not numeric") from None
     for i in np.flatnonzero(np.isinf(values)):
         raise ValueError(f"row {i + 1}: {name} is infinite")
     if unit == u.one:
@@ -278,8 +277,6 @@ def numbers(column, unit, own_unit=None):
     own_unit = own_unit or column.unit
     if own_unit is None:
         raise ValueError(f"column {name!r} has no unit, such as {unit}")
-    try:
+    wrong = f"column {name!r} has the unit {own_unit}, expected one like {unit}"
+    with refusing(wrong, u.UnitConversionError, TypeError, ValueError):
         return values * u.Unit(own_unit).to(unit)
-    except (u.UnitConversionError, TypeError, ValueError):
-        what = f"column {name!r} has the unit {own_unit}, expected one like {unit}"
-        raise ValueError(what) from None

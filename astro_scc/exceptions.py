@@ -85,6 +85,15 @@ def naming(name):
 
 
 @contextmanager
+def refusing(message, *kinds, error=ValueError):
+    """Raise an error with a message instead of those of some kinds inside."""
+    try:
+        yield
+    except kinds:
+        raise error(message) from None
+
+
+@contextmanager
 def naming_all(name, kind=ValueError):
     """Make every error inside, of whatever parser, one line that begins with a name."""
     try:

@@ -18,13 +18,7 @@ from astro_scc.intervals import median_interval
 
 __all__ = ["explain_feature"]
 
-#: A detection is of the emission if it is within so many beams, and a rival of another
-#: detection within so many.
-SAME, RIVAL = 0.5, 1.0
-#: Signal-to-noise ratio of an image in which there is emission.
-BRIGHT = 5.0
-#: Most epochs that are named one by one.
-MOST = 6
+
 #: What the properties of `astro_scc.features.trust.properties` are, the first three as
 #: logarithms.
 PROPERTIES = (
@@ -142,8 +136,14 @@ def _epoch_line(cube, epoch, date):
 # -- is it detected? -----------------------------------------------------------------
 
 
-def _detected(features, epoch, place):
-    """Return the detections at places, whether all are bright, and lines on them."""
+def _detected(features, epoch, place, *, same=0.5, rival=1.0, bright=5.0, most=6):
+    """
+    Return the detections at places, whether all are bright, and lines on them.
+
+    A detection is of the emission within ``same`` beams, and a rival of another one
+    within ``rival`` beams; in images above ``bright`` times the noise there is
+    emission.  At ``most`` so many epochs are named one by one.
+    """
     cube, d = features.cube, features.detections
     labels = date_labels(cube.times)
     signal = _signal(cube, epoch, place)
@@ -155,8 +155,8 @@ def _detected(features, epoch, place):
             nearest[i], away[i] = here[off.argmin()], off.min()
             apart = np.hypot(*(d.in_beams[here] - d.in_beams[here[off.argmin()]]).T)
             beside[i] = np.partition(np.append(apart, np.inf), 1)[1]
-    found = away <= SAME
-    said = f"Detected within {SAME:g} beams in {found.sum()} of {_count(len(epoch))}"
+    found = away <= same
+    said = f"Detected within {same:g} beams in {found.sum()} of {_count(len(epoch))}"
     if found.any():
         low, middle, high = map(_number, np.quantile(signal[found], [0, 0.5, 1]))
         said += f", at an S/N of {low} to {high}, {middle} in the median"
@@ -164,19 +164,19 @@ def _detected(features, epoch, place):
     missed = np.flatnonzero(~found).tolist()
     each = [
         f"{labels[epoch[i]]}, S/N {_number(signal[i])}, "
-        f"at {away[i]:.2g} beams" for i in missed[:MOST]
+        f"at {away[i]:.2g} beams" for i in missed[:most]
     ]  # fmt: skip
-    each += [f"and {len(missed) - MOST} more"] * (len(missed) > MOST)
+    each += [f"and {len(missed) - most} more"] * (len(missed) > most)
     if missed:
         head = "Not detected (date, S/N of the image there, nearest detection): "
         lines.append(f"{head}{'; '.join(each)}.".replace("at inf beams", "none"))
-    if rivals := np.sum(beside[found] < RIVAL):
+    if rivals := np.sum(beside[found] < rival):
         lines.append(
             f"Another detection is within a beam in {rivals} of these epochs, the "
             f"nearest at {beside[found].min():.2g} beams."
         )
     seen = np.unique(nearest[found].astype(int))
-    return seen, bool(np.all(signal >= BRIGHT)), lines
+    return seen, bool(np.all(signal >= bright)), lines
 
 
 def _number(value):

@@ -20,8 +20,7 @@ _ISO = re.compile(
     r"(\d{4})(?:([-/. ])(\d{1,2}|[A-Z]{3})\2(\d{1,2})|(\d\d|[A-Z]{3})(\d\d))"
     r"(?:[T ]+([\d:.]+))?$"
 )
-_OLD = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$")
-_DECIMAL_YEAR = re.compile(r"\d{4}\.(\d{2,3}|\d{5,})$")
+
 #: Regular expression of a number.
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
@@ -201,10 +200,10 @@ def parse_date(text, scale="utc"):
     # ERFA warns of years whose leap seconds are unknown.
     with warnings.catch_warnings(action="ignore"):
         try:
-            if _DECIMAL_YEAR.match(plain):
+            if re.match(r"\d{4}\.(\d{2,3}|\d{5,})$", plain):
                 time = Time(float(plain), format="decimalyear", scale=scale)
                 return Time(time, format="isot")
-            if match := _OLD.match(plain):
+            if match := re.match(r"(\d{1,2})/(\d{1,2})/(\d{2}|\d{4})$", plain):
                 day, month, year = match.groups()
                 if len(year) == 2:
                     # Digital images are of 1950 to 2049.

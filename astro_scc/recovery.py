@@ -22,7 +22,7 @@ from astro_scc.epochs.restoring import add_gaussians
 from astro_scc.exceptions import MeasurementWarning, NoFlowError
 from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.intervals import median_interval
-from astro_scc.kinematics import PositionAngleFrame, RadialFrame
+from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.parallel import progress
 from astro_scc.plan import flow_beam, out_of_reach, used_intervals, velocity_frame
 from astro_scc.quantities import Seed, random_generator, seeded
@@ -315,13 +315,11 @@ def completeness(
     """
     n_trials = require("n_trials", n_trials)
     _require_sense(cube, scc, n_trials, n_injections, n_features, scatter)
-    position_angle = _direction(position_angle, scc.position_angle)
-    axis = velocity_along(velocity_frame(cube, scc.position_angle), position_angle)
+    position_angle, axis = _direction(position_angle, scc.position_angle, cube)
     width, tolerance = _lengths(cube, fwhm, tolerance)
     region = None if region is None else cube.region_mask(region)
     speeds = _searched(speeds, axis, cube, scc)
-    noise = float(np.median(cube.noise_rms().value))
-    peaks = _peaks(fluxes, cube.unit, noise).tolist()
+    peaks, noise = _peaks(fluxes, cube)
     generator, seed = seeded(rng)
     bare_rng, root = generator.spawn(2)
     area, bare = _bare(cube, scc, region, n_trials, bare_rng)
@@ -336,15 +334,12 @@ def completeness(
         found = _streams(scc, scc.decompose(fuller, region=region), n_trials, trial_rng)
         return recovered(found, bare, speed, axis, tolerance=tolerance)
 
-    cells = list(product(speeds.tolist(), peaks))
+    cells = list(product(speeds.tolist(), peaks.tolist()))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
-    rows = [*map(_counted, outcomes)]
-    for row, (speed, peak) in zip(rows, cells, strict=True):
-        near = np.hypot(*(bare - speed * axis).T) <= tolerance
-        snr = peak / noise if noise > 0 else None
-        row |= {"speed": speed, "own": any(near), "snr": snr}
+    rows = [_row(*pair, noise) for pair in zip(cells, outcomes, strict=True)]
+    own = [any(np.hypot(*(bare - v * axis).T) <= tolerance) for v, _ in cells]
     peaks = [peak for _, peak in cells] * cube.unit
-    table = build_table("completeness", rows, flux=peaks)
+    table = build_table("completeness", rows, flux=peaks, own=own)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,
         "tolerance": tolerance * PM_UNIT, "alpha": scc.alpha, "n_features": n_features,
@@ -419,13 +414,13 @@ def _streams(scc, decomposed, n_trials, rng):
     return [stream for stream in found if stream.kind == "moving"]
 
 
-def _direction(position_angle, axis):
-    """Return the direction of motion."""
+def _direction(position_angle, axis, cube):
+    """Return the direction of motion, and its unit vector on the axes of velocities."""
     axis = axis.pa if isinstance(axis, PositionAngleFrame) else axis
     given = axis if position_angle is None else position_angle
     radial = [isinstance(k, str) and k == "radial" for k in (axis, given)]
     if all(radial):
-        return given
+        return given, np.array([1.0, 0.0])
     straight = axis is None or isinstance(axis, u.Quantity)
     if given is None or any(radial) or not straight:
         raise ValueError(
@@ -433,11 +428,15 @@ def _direction(position_angle, axis):
             "features move on straight lines, so give both an angle, or both 'radial'"
         )
     wanted = "an angle", "65 deg", False
-    return q.named("position_angle", q.one_quantity, given, *wanted).to(u.deg)
+    given = q.named("position_angle", q.one_quantity, given, *wanted).to(u.deg)
+    angle = given.to_value(u.rad)
+    matrix = velocity_frame(cube, axis).matrix(0.0, 0.0)
+    return given, matrix @ [np.sin(angle), np.cos(angle)]
 
 
-def _peaks(fluxes, unit, noise):
-    """Return peaks of features in the unit of a cube."""
+def _peaks(fluxes, cube):
+    """Return peaks of features in the unit of a cube, and the median noise."""
+    unit, noise = cube.unit, float(np.median(cube.noise_rms().value))
     if not isinstance(fluxes, u.Quantity):
         if noise == 0:
             what = "fluxes in multiples of the noise need epochs with noise"
@@ -446,7 +445,7 @@ def _peaks(fluxes, unit, noise):
     elif (fluxes / u.beam).unit.is_equivalent(unit):
         # The flux density of a feature of the size of the beam equals its peak.
         fluxes = fluxes / u.beam
-    return _positive("fluxes", fluxes, unit)
+    return _positive("fluxes", fluxes, unit), noise
 
 
 def _positive(name, value, unit):
@@ -458,14 +457,16 @@ def _positive(name, value, unit):
     return np.atleast_1d(found)
 
 
-def _counted(outcomes):
+def _row(cell, outcomes, noise):
     """Return how many injections were found, and how well (None if unknown)."""
+    speed, peak = cell
     found = [outcome for outcome in outcomes if outcome is not None]
     n, of = len(found), len(outcomes)
     low, high = binom_conf_interval(n, of, 0.95, interval="jeffreys").tolist()
     off, error = np.array(found).reshape(-1, 2).T
     spread = float(off.std(ddof=1)) if n > 1 else None
     return {
+        "speed": speed, "snr": peak / noise if noise > 0 else None,
         "n_injected": of, "n_found": n, "fraction": n / of, "fraction_low": low,
         "fraction_high": high, "bias": float(off.mean()) if n else None,
         "bias_err": spread / np.sqrt(n) if n > 1 else None, "scatter": spread,
@@ -490,11 +491,10 @@ def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
         # Each measurement limits the threads of matrix products by itself; limits
         # that overlap in time would be restored in the wrong order.
         threadpool_limits(1),
-        warnings.catch_warnings(),
+        warnings.catch_warnings(action="ignore", category=MeasurementWarning),
         progress(len(jobs), "Recovering", show=progress_bar) as done,
         ThreadPoolExecutor(n_workers) as pool,
     ):
-        warnings.simplefilter("ignore", MeasurementWarning)
 
         def work(job):
             result = function(*job)
@@ -521,14 +521,6 @@ def area_for_features(decomposed, region=None):
     if not area.any():
         raise ValueError("region holds masked pixels only: no feature can be injected")
     return area
-
-
-def velocity_along(frame, position_angle):
-    """Return the unit vector of a direction of motion on the axes of a frame."""
-    if isinstance(frame, RadialFrame):
-        return np.array([1.0, 0.0])
-    angle = position_angle.to_value(u.rad)
-    return frame.matrix(0.0, 0.0) @ [np.sin(angle), np.cos(angle)]
 
 
 def recovered(streams, claims, speed, axis, *, tolerance):

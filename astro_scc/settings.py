@@ -65,22 +65,6 @@ SHARE = (q.check_number, 0, 1, "must be between 0 and 1")
 BEAMS = (q.check_number, 0, 5, "must be a part of the beam between 0 and 5")
 
 
-def _comparable(value):
-    """Return a value with tuples, which can be hashed, for what holds several."""
-    if is_dataclass(value):
-        parts = (_comparable(getattr(value, one.name)) for one in fields(value))
-        return type(value).__name__, *parts
-    if hasattr(value, "unit"):
-        return str(value.unit), _comparable(value.value)
-    if hasattr(value, "tolist"):
-        return _comparable(value.tolist())
-    if isinstance(value, dict):
-        value = [*value.items()]
-    if isinstance(value, list | tuple):
-        return tuple(map(_comparable, value))
-    return value
-
-
 def _setting(check, *more, default=None):
     """Declare a setting by its check and the arguments of that after the value."""
     return field(default=default, metadata={"check": (check, *more)})
@@ -128,10 +112,10 @@ class MeasurementSettings:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return _comparable(self) == _comparable(other)
+        return _plain(self) == _plain(other)
 
     def __hash__(self) -> int:
-        return hash(_comparable(self))
+        return hash(repr(_plain(self)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,6 +252,10 @@ class Settings(MeasurementSettings):
 
 
 def _plain(value):
+    """Return a value as text, numbers, and lists and dictionaries of them."""
+    if is_dataclass(value):
+        parts = (_plain(getattr(value, one.name)) for one in fields(value))
+        return [type(value).__name__, *parts]
     if hasattr(value, "items"):
         return {name: _plain(item) for name, item in value.items()}
     if getattr(value, "shape", ()) or isinstance(value, tuple | list):
@@ -329,7 +317,7 @@ def refuse_other_method(method, given):
     other = "spectrum" if method == "paper" else "paper"
     for name in METHODS[other].split():
         known = OPTIONS.get(name, {"default": None})
-        if _comparable(given.get(name)) not in (None, False, known["default"]):
+        if _plain(given.get(name)) not in (None, False, known["default"]):
             # What is no setting is an option.
             shown = name if name in OPTIONS else f"--{name.replace('_', '-')}"
             raise _error(f"{shown} is for method {other}: leave it out", name)

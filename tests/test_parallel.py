@@ -219,11 +219,3 @@ def test_lines_where_there_is_no_terminal(monkeypatch, capsys, total, steps):
     assert len(lines) >= 2
     assert re.fullmatch(rf"Searching: {steps}, 0\.0 min", lines[-1])
     assert threading.active_count() == threads
-
-
-@pytest.mark.parametrize(("total", "show"), [(4, False), (0, True)])
-def test_nothing_is_shown_and_nothing_imported(capsys, monkeypatch, total, show):
-    monkeypatch.setitem(sys.modules, "tqdm", None)
-    with progress(total, "Correlating", show=show) as done:
-        assert done(1) is None
-    assert capsys.readouterr() == ("", "")

@@ -15,16 +15,9 @@ from astro_scc import EpochCube, simulation
 from astro_scc.cli.inputs import draw_seed, prepare, table_name
 from astro_scc.cli.program import COMMANDS, option_name
 from astro_scc.columns import table_lines
-from astro_scc.epochs import (
-    inspect_epochs,
-    plan_intervals,
-    read_components,
-    write_epochs,
-)
-from astro_scc.epochs.inspection import kind_of
-from astro_scc.epochs.lists import read_sources
+from astro_scc.epochs import inspection, lists, restoring
 from astro_scc.epochs.registration import MISALIGNED, core_positions
-from astro_scc.epochs.restoring import NO_BEAM, suited, typical_beam
+from astro_scc.epochs.serialize import write_epochs
 from astro_scc.epochs.tables import source_list
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.images import fits, positions
@@ -38,8 +31,6 @@ from astro_scc.settings import Settings, check_setting
 #: Options of the jet "jet", and their other names in `simulate_jet`.
 (FLOW,) = COMMANDS["simulate"]["groups"].values()
 PARAMETERS = {"motion": "speed", "features": "n_features", "epochs": "n_epochs"}
-#: Number of speeds that inspect explains when none is given.
-N_SPEEDS = 4
 
 
 def simulate(args, reporter):
@@ -97,11 +88,11 @@ def restore(args, reporter):
         options = " and ".join(missing)
         raise ValueError(f"{options} must be given to make images (--list makes none)")
     how = images_of(args, args.tables)
-    found = read_components(
+    found = lists.read_components(
         args.tables, source=args.source, origin=args.origin, beams=how["beam"]
     )
     if not found.beams:
-        raise ValueError(f"{args.tables[0]}: {NO_BEAM}")
+        raise ValueError(f"{args.tables[0]}: {restoring.NO_BEAM}")
     cube = write_images(found, args.output, how, overwrite=args.overwrite)
     first, last = cube.times.isot[[0, -1]]
     ny, nx = cube.shape[1:]
@@ -173,7 +164,7 @@ def restored(task):
     try:
         if how["pixel_scale"] is None or how["noise"] is None:
             given = {k: v for k, v in how.items() if v is not None}
-            how = how | suited(components) | given
+            how = how | restoring.suited(components) | given
         write_images(components, target, how)
     except ValueError as error:
         return str(error)
@@ -185,11 +176,11 @@ def components_of(args, reporter):
     how = images_of(args, [args.survey])
     options, found = {"origin": args.origin, "beams": how["beam"]}, {}
     for name in args.source.split(",") if args.source else (None,):
-        found |= read_sources(args.survey, source=name, **options)
+        found |= lists.read_sources(args.survey, source=name, **options)
     if not all(components.beams for components in found.values()):
         # That of the whole table, so that no source depends on which others are chosen.
-        every = read_sources(args.survey, **options) if args.source else found
-        how["beam"] = beam = typical_beam(every.values())
+        every = lists.read_sources(args.survey, **options) if args.source else found
+        how["beam"] = beam = restoring.typical_beam(every.values())
         found = {k: replace(v, beams=[beam] * len(v.times)) for k, v in found.items()}
         reporter.note(
             f"{args.survey} has no beam: images are restored with one of "
@@ -213,14 +204,14 @@ def inspect(args, reporter):
         raise ValueError("no epochs were given; name the FITS files")
     speed = _quantity(args, "speed", "an angle per time", "2 mas/yr")
     files = fits.find_files(args.epochs, missing_ok=True)
-    kinds = {kind_of(file) for file in files}
+    kinds = {inspection.kind_of(file) for file in files}
     cube, refusal, remarks = _read(files, _beam(args))
     if kinds in ({"cube"}, {"components"}):
         if cube is None:
             raise ValueError(refusal)
         names, facts, problems = cube.labels, _facts_of_cube(cube), []
     else:
-        facts = inspect_epochs(files)
+        facts = inspection.inspect_epochs(files)
         names = [Path(file).name for file in facts["file"]]
         problems = _problems(facts, refusal)
     if kinds != {"components"}:
@@ -323,16 +314,16 @@ def _offset(east, north):
     return f"{east:+.2f} {north:+.2f}"
 
 
-def _plan(cube, speed):
-    """Return lines on the speeds that can be measured with the dates."""
+def _plan(cube, speed, number=4):
+    """Return lines on a speed, or a ``number`` of them, that the dates can measure."""
     try:
-        plan = plan_intervals(cube)
+        plan = inspection.plan_intervals(cube)
     except ValueError as error:
         return [f"{error}."]
     rows, unit = [], plan.slowest.unit
     if speed is None:
         slow, high = plan.slowest.value, plan.consecutive[1].value
-        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), N_SPEEDS) * unit
+        speeds = np.geomspace(1.5 * slow, max(high, 2 * slow), number) * unit
     else:
         speeds = [speed.to(unit)]
     for value in speeds:

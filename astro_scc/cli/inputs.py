@@ -26,9 +26,6 @@ from astro_scc.settings import OPTIONS, Settings, read_config
 from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.writing import versions
 
-#: Pixels of all epochs from which on more processes save more time than they take to
-#: start: some ten seconds of one.
-WORTH_PROCESSES = 3e6
 #: The survey whose tables are cited, and in how many bytes of a table its name stands.
 SURVEY, HEAD = b"MOJAVE", 4000
 #: Notes on ``common_beam``, as given, and whether beams differ, None without any.
@@ -66,13 +63,18 @@ def draw_seed(seed=None):
     return secrets.randbelow(2**31) if seed is None else seed
 
 
-def workers_of(args, cube=None):
-    """Return the workers that were named, or one process per core for a large cube."""
+def workers_of(args, cube=None, *, large=3e6):
+    """
+    Return the workers that were named, or one process per core for a large cube.
+
+    From so many pixels on, more processes save more time than they take to start: some
+    ten seconds of one.
+    """
     if args.workers is not None and args.workers < 1:
         raise ValueError(f"--workers must be at least 1, got {args.workers}")
     if args.scheduler is not None:
         return args.scheduler
-    if args.workers is None and cube is not None and cube.data.size >= WORTH_PROCESSES:
+    if args.workers is None and cube is not None and cube.data.size >= large:
         # The cores that this process may use, where the system tells.
         with suppress(AttributeError):
             return len(os.sched_getaffinity(0))
@@ -300,11 +302,10 @@ def output_of(args, settings):
     """Return the folder for the products, by default named after the object."""
     if args.output is not None:
         return Path(args.output)
-
     first, name = fits.find_files(settings.epochs)[0], ""
     # What cannot be read is refused where the epochs are.
     with suppress(Exception):
-        name = fits.read_plane(first, pixels=False).facts.get("object", "").strip()
+        name = fits.read_plane(first, load=False).facts.get("object", "").strip()
     name = re.sub(r"[^\w.+-]+", "_", name) or first.resolve().parent.name
     return Path(f"{name}-{args.command}")
 

@@ -28,8 +28,7 @@ from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config, refuse_other_method
 from astro_scc.units import in_speed_unit
-from astro_scc.visualization import FIGURES, style
-from astro_scc.visualization.tracks import plot_separation, plot_tracks
+from astro_scc.visualization import FIGURES, style, tracks
 from astro_scc.writing import versions
 
 #: Products of an earlier measurement that must not remain beside new ones.
@@ -297,14 +296,13 @@ def track(args, reporter):
         features = _find(epochs, reporter, epochs.settings.seed)
         table = _write(features, epochs, folder)
         if not args.no_figures:
-            more = {"published": epochs.published}
+            more = {"separation": {"beta_per_pm": beta_per_pm(table)}, "tracks": {}}
 
             def draw(name):
-                if name == "tracks":
-                    return plot_tracks(features, **more)
-                return plot_separation(features, beta_per_pm=beta_per_pm(table), **more)
+                plot = getattr(tracks, f"plot_{name}")
+                return plot(features, published=epochs.published, **more[name])
 
-            files = style.figure_files(("separation", "tracks"), draw, pdf=args.pdf)
+            files = style.figure_files(more, draw, pdf=args.pdf)
             write_files(files, folder)
     lines = answer.feature_lines(table, most=len(table)) + answer.published_lines(table)
     lines += answer.speed_lines(epochs.settings.in_c) + epochs.found
@@ -316,16 +314,14 @@ def _find(epochs, reporter, seed):
     """Return the features of a cube."""
     cube, settings, ssps = epochs.cube, epochs.settings, None
     warn_of_misalignment(cube)
-    n_workers, progress_bar = epochs.n_workers, reporter.progress
+    options = {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
     if settings.detections == "ssp" or cube.beams is None:
         decomposer = StackedCrossCorrelation.from_settings(settings).decomposer(cube)
-        decomposed, _ = decompose_epochs(
-            cube, decomposer, n_workers=n_workers, progress_bar=progress_bar
-        )
+        decomposed, _ = decompose_epochs(cube, decomposer, **options)
         ssps = decomposed.ssps
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
-        seed=seed, n_workers=n_workers, progress_bar=progress_bar,
+        seed=seed, **options,
     )  # fmt: skip
     if len(features.detections) == 0:
         where = "" if settings.region is None else f" in {settings.region}"

@@ -32,9 +32,6 @@ USER_ERRORS = (ValueError, TypeError, OSError, MemoryError, ImportError)
 # Signals handled like an interrupt: from `kill` and batch systems, and from a terminal
 # that is closed.
 SIGNALS = ("SIGTERM", "SIGHUP")
-#: Objects that are made before Python looks for unreachable ones; by default it does so
-#: 350 times while it imports and measures, for a twentieth of the time.
-UNCOLLECTED = 50_000
 
 
 def option_name(name):
@@ -208,10 +205,15 @@ class Completion(argparse.Action):
 
 
 @contextmanager
-def _seldom_collected():
-    """Let Python look less often for objects that nothing refers to."""
+def _seldom_collected(made=50_000):
+    """
+    Let Python look for unreachable objects when so many are made.
+
+    By default it does so 350 times while it imports and measures, for a twentieth of
+    the time.
+    """
     before = gc.get_threshold()
-    gc.set_threshold(UNCOLLECTED, *before[1:])
+    gc.set_threshold(made, *before[1:])
     try:
         yield
     finally:

@@ -245,9 +245,8 @@ def measure_part(part, output, report=False, partial=None):
     output, key = Path(output), part.key()
     with (
         writing.partial_folder(partial or output, PARTIAL) as folder,
-        warnings.catch_warnings(record=True) as said,
+        warnings.catch_warnings(record=True, action="always") as said,
     ):
-        warnings.simplefilter("always")
         try:
             found = _measured(part, folder, output, report, said)
         except Exception as error:

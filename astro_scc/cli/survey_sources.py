@@ -18,7 +18,7 @@ import numpy as np
 from astropy.io import ascii
 
 from astro_scc.cli import images, inputs
-from astro_scc.exceptions import first_line, naming_all
+from astro_scc.exceptions import first_line, naming_all, refusing
 from astro_scc.parallel import in_order
 from astro_scc.quantities import finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -46,8 +46,7 @@ KEYS = KEYS - {"region"} | {*TABLES, "compare"}
 SEED, N_TRIALS = 1, 1000
 #: Options on images that are restored from components.
 RESTORING = "beam", "pixel", "noise", "seed", "after", "before", "source", "origin"
-#: Longest name of a folder, without its check sum.
-LONGEST = 60
+
 #: Pattern of a check sum.
 SUM = re.compile(r"-[0-9a-f]{6}$", re.IGNORECASE)
 #: Names that Windows reserves for devices.
@@ -57,8 +56,7 @@ RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 IMAGES, PLAN, HEAD = "images", "survey.toml", "# Images from"
 #: Names of images in a folder of one source.
 PATTERNS = ("*.fits", "*.fit", "*.fits.gz", "*.fits.fz")
-#: Table in the folder of every measurement.
-COMPONENTS = "streams.ecsv"
+
 #: Names of the columns of redshifts, in small letters.
 NAMES, REDSHIFTS = ("source", "name", "id", "object"), ("redshift", "z")
 
@@ -144,13 +142,10 @@ def alone(folder):
         yield
         return
     handle = os.open(folder, os.O_RDONLY)
+    what = "another run writes into it; wait for its end, or choose another folder"
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        what = "another run writes into it; wait for its end, or choose another folder"
-        raise OSError(f"{folder}: {what}") from None
-    try:
+        with refusing(f"{folder}: {what}", BlockingIOError, error=OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         os.close(handle)
@@ -312,7 +307,7 @@ def folder_names(names):
     """
     found, count = {}, Counter(name.casefold() for name in names)
     for name in names:
-        text = re.sub(r"[^A-Za-z0-9+._-]+", "_", name)[:LONGEST]
+        text = re.sub(r"[^A-Za-z0-9+._-]+", "_", name)[:60]
         found[name] = text = text.lstrip("._-+").rstrip("._") or "unnamed"
         taken = SUM.search(name) or RESERVED.fullmatch(name)
         if text != name or taken or count[name.casefold()] > 1:
@@ -410,7 +405,7 @@ def _images_in(folder):
     found = {}
     for path in sorted(path for path in folder.iterdir() if path.is_dir()):
         # A measurement beside its images is no source.
-        if path.name.startswith(".") or (path / COMPONENTS).is_file():
+        if path.name.startswith(".") or (path / "streams.ecsv").is_file():
             continue
         here = Path(glob.escape(str(path.absolute())))
         if kinds := [kind for kind in PATTERNS if next(path.glob(kind), None)]:

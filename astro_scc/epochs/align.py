@@ -21,10 +21,6 @@ from astro_scc.images import grid, regions
 from astro_scc.images.dates import as_times, times_of_column
 from astro_scc.images.series import Series
 
-#: Methods, and the option that each has.
-METHODS = {
-    "core": "jet_pa", "correlate": "region", "table": "table", "wcs": None, "none": None
-}  # fmt: skip
 AXES = "east", "north"
 DATES = ("epoch", "date", "date_obs", "date-obs", "time", "mjd", "jd", "year")
 # Units by the words in the names of columns.
@@ -131,17 +127,12 @@ def align(
         raise ValueError(f"align {method!r} is none of {', '.join(METHODS)} or a file")
     options = {"jet_pa": jet_pa, "region": region, "table": table}
     given = {name for name, value in options.items() if value is not None}
-    if strange := sorted(given - {METHODS[method]}):
+    measure, option = METHODS[method]
+    if strange := sorted(given - {option}):
         raise ValueError(f"align method {method!r} has no option {', '.join(strange)}")
-    if method == "none":
+    if measure is None:
         return cube.with_step("aligned by reference pixels (no shifts)")
-    if method == "core":
-        found = _by_core(cube, jet_pa)
-    elif method == "correlate":
-        found = _by_correlation(cube, region)
-    else:
-        found = _by_table(cube, table) if method == "table" else _by_wcs(cube)
-    return _move(cube, method, *found)
+    return _move(cube, method, *measure(cube, options.get(option)))
 
 
 def _move(cube, method, pixels, covariance, what):
@@ -222,7 +213,7 @@ def _by_table(cube, table):
     return _from_sky(cube, offsets.value, errors.value, "positions of a table")
 
 
-def _by_wcs(cube):
+def _by_wcs(cube, _):
     if not cube.epoch_wcs:
         raise ValueError(
             "the epochs have no absolute coordinates (epoch_wcs); "
@@ -264,6 +255,13 @@ def _by_correlation(cube, region):
         areas = u.Quantity([beam.area for beam in cube.beams]) / cube.pixel_scale**2
         covariance *= np.maximum(areas.to_value(u.one) / 2, 1)[:, None, None]
     return pixels, covariance, "their mean"
+
+
+#: Methods, how each measures the offsets, and its option.
+METHODS = {
+    "core": (_by_core, "jet_pa"), "correlate": (_by_correlation, "region"),
+    "table": (_by_table, "table"), "wcs": (_by_wcs, None), "none": (None, None),
+}  # fmt: skip
 
 
 def offsets_from_table(table, times, labels, within=1 * u.day):

@@ -35,7 +35,7 @@ NO_BEAM = (
     f"{fits.CORRECT_BEAM}, give one of all (--beam, in Python beams=), or leave it out "
     "(check=False reads all without beams)"
 )
-UNNAMED = {"", "UNKNOWN", "NONE", "N/A"}
+
 #: Columns of numbers of `inspect_epochs`, with their units; None is that of the images.
 UNITS = "pixel major minor pa peak noise peak_east peak_north frequency".split()
 UNITS = dict.fromkeys(UNITS, u.mas)
@@ -433,7 +433,8 @@ def _strangers(planes):
         for fact in ("object", "stokes", "frequency")
     )
     names = [str(name or "").strip() for name in names]
-    names = [None if name.upper() in UNNAMED else name for name in names]
+    unnamed = "", "UNKNOWN", "NONE", "N/A"
+    names = [None if name.upper() in unnamed else name for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
         apart = positions.apart_by_reference(one.wcs, other.wcs)

@@ -14,7 +14,7 @@ from astropy.wcs.utils import pixel_to_pixel
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
 from astro_scc.epochs.tables import LISTS, NO_IMAGE
-from astro_scc.exceptions import naming, warn
+from astro_scc.exceptions import naming, refusing, warn
 from astro_scc.images import dates, fits, grid, positions, regions, series
 from astro_scc.images.beam import Beam, different_beam
 from astro_scc.images.headers import as_celestial, fits_wcs, get, logarithm, some
@@ -80,17 +80,14 @@ def read_images(images, times, beams, frame, *, check):
 
 def _plane_of(i, image):
     """Return an image in memory as `Plane`."""
-    name = f"image {i}"
+    name, kind, hdu = f"image {i}", type(image).__name__, getattr(image, "hdu", None)
+    if not (isinstance(image, NDData) or getattr(hdu, "is_image", False)):
+        raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
     with naming(name):
         if isinstance(image, NDData):
             plane = _plane_of_nddata(image, name)
-        elif getattr(getattr(image, "hdu", None), "is_image", False):
-            plane = fits.plane_of(HDUList([image.hdu]), Path(name))
         else:
-            plane = None
-    if plane is None:
-        kind = type(image).__name__
-        raise TypeError(f"{name}: is a {kind}; give NDData, such as CCDData")
+            plane = fits.plane_of(HDUList([hdu]), Path(name))
     plane.label = plane.label or get(image.meta, "LABEL", kind=str)
     return plane
 
@@ -111,7 +108,7 @@ def _plane_of_nddata(image, name):
     if image.wcs is None:
         raise ValueError("it has no WCS; use EpochCube.from_arrays")
     record = fits.read_header(image.meta)
-    record["remarks"] += [remark] if remark else []
+    record["remarks"].append(remark)
     if hasattr(image, "global_coords"):
         record |= _of_ndcube(image)
     if record["beam"] is None and getattr(image, "psf", None) is not None:
@@ -152,10 +149,8 @@ def epochs_of(ndcube, times=None):
             "epochs of the NDCube were averaged, of which ndcube keeps the first date "
             "only; rebin its celestial axes alone"
         )
-    shapes = [np.shape(ndcube.mask)] if ndcube.mask is not None else []
-    if ndcube.uncertainty is not None:
-        shapes.append(np.shape(ndcube.uncertainty.array))
-    if any(shape != ndcube.data.shape for shape in shapes):
+    beside = ndcube.mask, getattr(ndcube.uncertainty, "array", None)
+    if any(k is not None and np.shape(k) != ndcube.data.shape for k in beside):
         raise ValueError("mask and uncertainty of an NDCube must have its data's shape")
     # Array axes are in the reverse order of WCS axes.
     before = (slice(None),) * (int(np.sum(kept[others[0] :])) - 1)
@@ -409,10 +404,9 @@ def _refuse_misfits(planes, grids, ratio=10):
                 f"{plane.name}: its pixels are {readable_angle(size * u.deg)} where "
                 f"others are {readable_angle(usual * u.deg)}; leave it out"
             )
-        try:
+        too_far = (
+            f"{plane.name}: lies too far from {planes[0].name} to share a grid with "
+            "it, by its coordinates; leave one of them out"
+        )
+        with refusing(too_far, ValueError):
             grid.shared_grid([grids[0], one])
-        except ValueError:
-            raise ValueError(
-                f"{plane.name}: lies too far from {planes[0].name} to share a grid "
-                "with it, by its coordinates; leave one of them out"
-            ) from None

@@ -219,9 +219,8 @@ def typical_beam(lists):
             here = places[components.epoch == epoch]
             if len(here) > 1:
                 # The nearest of all is the component itself.
-                nearest += (
-                    scipy.spatial.cKDTree(here).query(here, k=2)[0][:, 1].tolist()
-                )
+                distance, _ = scipy.spatial.cKDTree(here).query(here, k=2)
+                nearest += distance[:, 1].tolist()
     size = np.median(nearest) if nearest else 0.0
     if not size > 0:
         raise ValueError("no epoch of the table has two components apart; give --beam")

@@ -20,6 +20,7 @@ from astropy.wcs import WCS, WCSHDO_P17, WCSHDO_all
 
 from astro_scc.exceptions import naming_all
 from astro_scc.images.fits import CUBE_CREATOR, open_fits
+from astro_scc.images.headers import without
 from astro_scc.images.series import ImageSeries, epoch_header
 from astro_scc.writing import replace_when_complete
 
@@ -30,13 +31,14 @@ __doctest_requires__ = {("to_ndcube",): ["ndcube"]}
 
 #: Headers of a WCS with all digits of its numbers.
 EXACT = WCSHDO_all | WCSHDO_P17
+#: Pattern of the dates that wcslib adds to the header of a WCS.
+DATES = "DATE|MJD|TIMESYS"
 #: Layout of the files.
 LAYOUT = 3
 OTHER_VERSION = "read it with the version that wrote it"
 #: Images, and arrays of more elements, are extensions, other arrays are in the text.
 SHORT = 100
-#: Types of arrays that FITS images hold as they are; of others they hold the bytes.
-FITS_TYPES = "u1", "i2", "i4", "i8", "f4", "f8"
+
 #: Key of the name of its class in a packed object.
 CLASS = "!class"
 #: Start of the modules whose dataclasses may be written and read.
@@ -98,13 +100,6 @@ def _fits_unit(unit):
         return unit.to_string()
 
 
-def without_dates(header):
-    """Return a header without the dates that wcslib adds to the header of a WCS."""
-    for keyword in [k for k in header if k.startswith(("DATE", "MJD", "TIMESYS"))]:
-        header.remove(keyword)
-    return header
-
-
 def write_object(value, path, *, creator, overwrite=False, images=None):
     """
     Write a dataclass, or a dictionary, and all that it holds to one FITS file.
@@ -141,7 +136,8 @@ def write_object(value, path, *, creator, overwrite=False, images=None):
     hdus = [primary, fits.ImageHDU(np.frombuffer(text.encode(), np.uint8), name="META")]
     for name, array in arrays:
         pixels = np.ascontiguousarray(array)
-        if pixels.dtype.str[1:] not in FITS_TYPES:
+        # Of other types, FITS images hold the bytes.
+        if pixels.dtype.str[1:] not in ("u1", "i2", "i4", "i8", "f4", "f8"):
             pixels = pixels.view(np.uint8)
         hdus.append(fits.ImageHDU(pixels, (images or {}).get(name), name=name))
     with replace_when_complete(path, overwrite=overwrite) as part:
@@ -243,7 +239,8 @@ class _Loader(yaml.AstropyLoader):
         packed = self.construct_mapping(node, deep=True)
         name = packed.pop(CLASS, None)
         if name == "WCS":
-            made = WCS(without_dates(fits.Header.fromstring(packed["header"])))
+            header = fits.Header.fromstring(packed["header"])
+            made = WCS(without(header, DATES))
             if packed["shape"]:
                 made.array_shape = packed["shape"]
         elif name == "array":
@@ -327,7 +324,7 @@ def write_epochs(
         raise OSError(f"{existing[0]}: exists; choose another folder, or overwrite")
     directory.mkdir(parents=True, exist_ok=True)
     # The dates of wcslib would be those of the first epoch.
-    shared = without_dates(cube.wcs.to_header())
+    shared = without(cube.wcs.to_header(), DATES)
     shared["BUNIT"] = _fits_unit(cube.unit)
     for line in cube.meta.get("history", ()):
         shared.add_history(str(line).encode("ascii", "replace").decode())
@@ -375,7 +372,7 @@ def to_ndcube(cube: ImageSeries) -> NDCube:
     if noise is not None:
         every = np.broadcast_to(noise.value[:, None, None], cube.shape)
         noise = StdDevUncertainty(every, unit=cube.unit, copy=False)
-    header = without_dates(cube.wcs.to_header(relax=EXACT))
+    header = without(cube.wcs.to_header(relax=EXACT), DATES)
     # The third axis is the index of the epoch, from 0.
     header.update({"WCSAXES": 3, "CTYPE3": AXIS, "CRPIX3": 1.0})
     meta = {**cube.meta, **{name: getattr(cube, name) for name in KEPT}}

@@ -17,7 +17,7 @@ from astropy.time import Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.columns import numbers
-from astro_scc.exceptions import naming, naming_all
+from astro_scc.exceptions import naming, naming_all, refusing
 from astro_scc.images import headers
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.dates import times_of_column
@@ -294,10 +294,9 @@ def _open_difmap(path):
     Each line has flux, radius, theta, major axis, axial ratio, phi and type; a
     'v' marks a value that was free in the fit.  Three values describe a point.
     """
-    try:
+    wrong = f"{path}: not a difmap model, it is not text"
+    with refusing(wrong, UnicodeDecodeError, error=OSError):
         lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise OSError(f"{path}: not a difmap model, it is not text") from None
     unit, meta, rows = u.mas, {}, []
     for number, line in enumerate(lines, start=1):
         text, _, comment = line.partition("!")
@@ -317,10 +316,8 @@ def _open_difmap(path):
 
 
 def _difmap_row(text, where):
-    try:
+    with refusing(f"{where}: not numbers: {text!r}", ValueError):
         row = [float(word.rstrip("vV")) for word in text.split()[:7]]
-    except ValueError:
-        raise ValueError(f"{where}: not numbers: {text!r}") from None
     if len(row) not in (3, 6, 7) or not np.all(np.isfinite(row)):
         wanted = "(flux, radius, theta, major, ratio, phi, type)"
         what = f"expected 3, 6 or 7 finite values {wanted}, got {len(row)}"

@@ -11,7 +11,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time, TimeDelta
 
-from astro_scc.exceptions import warn
+from astro_scc.exceptions import refusing, warn
 from astro_scc.images.headers import KEYWORDS, axis_numbers, get
 from astro_scc.quantities import parse_date, without_doubt
 
@@ -32,7 +32,6 @@ _CLOCK = re.compile(
     r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
     r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
 )
-_SUFFIX = re.compile(r"[ _](UTC|UT|TAI|TT|TDB)$")
 
 
 @dataclass(frozen=True, order=True)
@@ -213,7 +212,7 @@ def _last_digit(text):
 def _of_text(text, scale):
     """Return the precision of a date that is text, in seconds, and its Time."""
     plain = text.strip()
-    if suffix := _SUFFIX.search(plain.upper()):
+    if suffix := re.search(r"[ _](UTC|UT|TAI|TT|TDB)$", plain.upper()):
         plain, scale = plain[: suffix.start()], suffix[1]
     elif re.search(r"(Z|\+00:?00)$", plain.upper()):
         scale = "UTC"
@@ -407,14 +406,12 @@ def axis_times(header, axis, hdus=()):
     usual = "d" if name.startswith(("MJD", "JD")) else "s"
     unit = (unit or given).strip() or usual
     unit = WORDS["units"].get(unit.lower(), unit)
-    try:
+    wrong = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
+    with refusing(wrong, TypeError, ValueError, u.UnitsError):
         seconds = np.asarray(values, dtype=float) * u.Unit(unit).to(u.s)
-    except (TypeError, ValueError, u.UnitsError):
-        what = f"has the unit {unit!r} on axis {name}, which is no time; correct it"
-        raise ValueError(what) from None
     scale = _scale_of(header)
     scale = next((part for part in (name, name[:3]) if part in SCALES), scale)
-    return _in_utc(_in_scale(_from_reference(header, name, seconds, scale), scale))
+    return _in_utc(_from_reference(header, name, seconds, scale))
 
 
 def _from_reference(header, name, seconds, scale):
@@ -426,13 +423,13 @@ def _from_reference(header, name, seconds, scale):
     if keyword is not None:
         more = get(header, "MJDREFF", kind=float) if keyword == "MJDREFI" else None
         day, form = get(header, keyword, kind=float), forms[keyword]
-        reference = Time(day, more or 0.0, format=form, scale=known)
+        reference = _in_scale(Time(day, more or 0.0, format=form, scale=known), scale)
     elif text := get(header, "DATEREF", kind=str):
         reference = Time(_of_text(text, scale)[1], scale=known)
     else:
         days = seconds / DAY
         form = "jd" if days[0] > FIRST_JD else "mjd"
-        found = Time(days, format=form, scale=known)
+        found = _in_scale(Time(days, format=form, scale=known), scale)
         # wcslib writes a reference of 0 to every header.
         zero = get(header, "MJDREF", kind=float) == 0
         near = zero if reference is None else abs(found[0].mjd - reference.mjd) < 2

@@ -104,7 +104,7 @@ class Plane:
             self.noise, bad, remark = found
             self.mask |= bad
             self.uncertainty = None
-            self.remarks += [remark] if remark else []
+            self.remarks.append(remark)
 
 
 def read_header(header, hdus=()):
@@ -124,7 +124,7 @@ def read_header(header, hdus=()):
     found["facts"] = headers.header_facts(header)
     try:
         found["time"], remark = observing_time(header)
-        found["remarks"] += [remark] if remark else []
+        found["remarks"].append(remark)
     except ValueError as error:
         found["date_problem"] = str(error)
     try:
@@ -169,8 +169,7 @@ def find_files(paths, *, missing_ok=False):
         raise FileNotFoundError("no files were given")
     once = {}
     for name in found:
-        once.setdefault(os.path.abspath(name), Path(name))
-    for path in once.values():
+        path = once.setdefault(os.path.abspath(name), Path(name))
         if path.exists() and not (path.is_file() or path.is_dir()):
             # Pipes, sockets and devices may have no end.
             raise OSError(f"{path}: is no ordinary file; give the name of one")
@@ -266,15 +265,13 @@ def plane_of(hdus, path, *, window=None, load=True, frame=None):
     if hdu is not hdus[0]:
         header.extend(_inherited(hdus[0], hdu), unique=True, bottom=True)
     _check_complete(hdu, file)
-    text = headers.get(header, "BUNIT", kind=str)
-    stretched = STRETCHED if {"BOFFSET", "BSOFTEN"} & {*header} else ""
-    if problem := headers.logarithm(text) or stretched:
-        raise headers.ContentError(problem)
+    unit, remark = _unit_of(header)
     wcs = headers.celestial_wcs(header, fobj=hdus)
     index = pixels.plane_index(header, frame)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     record = read_header(header, hdus)
-    plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, **record)
+    record["remarks"].append(remark)
+    plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, unit=unit, **record)
     if plane.extent > WHOLE_SKY:
         raise headers.ContentError(
             f"its sides are {plane.extent:.3g} deg by CDELT or CD; correct these, or "
@@ -287,13 +284,7 @@ def plane_of(hdus, path, *, window=None, load=True, frame=None):
         except ValueError as error:
             if frame is not None:
                 raise headers.ContentError(str(error)) from None
-    plane.unit = headers.parse_unit(text)
-    if plane.unit is None:
-        plane.unit = u.dimensionless_unscaled
-        plane.remarks.append(
-            f"its unit {text!r} is not known and taken as dimensionless; write one "
-            "that FITS knows, such as JY/BEAM, to BUNIT"
-        )
+
     if plane.beam is not None and plane.beam.major.to_value(u.deg) > plane.extent:
         plane.beam_problem = f"{plane.beam} is larger than the image"
         plane.beam = None
@@ -302,6 +293,20 @@ def plane_of(hdus, path, *, window=None, load=True, frame=None):
         shape = plane.data.shape
     plane.wcs = positions.unwrapped(plane.wcs, shape)
     return plane
+
+
+def _unit_of(header):
+    """Return the unit of brightness, and a remark if it is not known; no logarithm."""
+    text = headers.get(header, "BUNIT", kind=str)
+    stretched = STRETCHED if {"BOFFSET", "BSOFTEN"} & {*header} else ""
+    if problem := headers.logarithm(text) or stretched:
+        raise headers.ContentError(problem)
+    if (unit := headers.parse_unit(text)) is not None:
+        return unit, ""
+    return u.dimensionless_unscaled, (
+        f"its unit {text!r} is not known and taken as dimensionless; write one that "
+        "FITS knows, such as JY/BEAM, to BUNIT"
+    )
 
 
 def _refuse_whole(header):
@@ -354,7 +359,7 @@ def _load(plane, hdus, hdu, index, window):
         why = f" by its extension {other.name}"
     # What extensions mark needs no remark.
     plane.mask, remark = pixels.missing(plane.data, plane.mask)
-    plane.remarks += filter(None, (*remarks, remark))
+    plane.remarks += [*remarks, remark]
     if plane.mask.all():
         raise headers.ContentError(f"no valid pixel{where}{why}; leave this file out")
     for other in pixels.beside(hdus, hdu, "uncertain", shape)[:1]:
@@ -384,10 +389,5 @@ def _check_complete(hdu, path):
 
 def looks_like_mask(image):
     """Return whether an image has no more than two values that are finite."""
-    values = np.asarray(image, dtype=float)
-    # A few pixels usually show that there are more values.
-    few = values.flat[:1000]
-    if len(np.unique(few[np.isfinite(few)])) > 2:
-        return False
-    values = values[np.isfinite(values)]
+    values = image[np.isfinite(image)]
     return values.size > 0 and np.isin(values, (values.min(), values.max())).all()

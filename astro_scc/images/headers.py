@@ -57,6 +57,13 @@ def get(header, *keywords, kind=None):
     return None
 
 
+def without(header, pattern):
+    """Remove the cards whose keywords match a pattern from a header; return it."""
+    for keyword in [key for key in header if re.match(pattern, key)]:
+        del header[keyword]
+    return header
+
+
 def axis_numbers(header, axis):
     """Return CRVAL (or None), CRPIX and CDELT (or their defaults) of an axis."""
     pixel = get(header, f"CRPIX{axis}", kind=float)
@@ -211,12 +218,9 @@ def celestial_wcs(header, fobj=None):
         rows = [key for key in clean if re.match(rf"CD{axis}_\d+$|CDELT{axis}$", key)]
         if not any(clean[key] for key in rows):
             raise ContentError("its celestial axes have no pixel scale (CDELT or CD)")
-    for axis in set(range(1, 8)) - {*axes}:
-        # What is wrong with axes of frequencies, dates or others does not matter.
-        for name in ("CTYPE", "CUNIT", "CRVAL", "CDELT"):
-            clean.remove(f"{name}{axis}", ignore_missing=True)
-        for key in [key for key in clean if re.match(rf"P[SV]{axis}_\d+$", key)]:
-            del clean[key]
+    # What is wrong with axes of frequencies, dates or others does not matter.
+    other = f"[^{axes[0]}{axes[1]}]"
+    without(clean, rf"(CTYPE|CUNIT|CRVAL|CDELT){other}$|P[SV]{other}_\d+$")
     with warnings.catch_warnings(action="ignore"):
         try:
             _complete_polynomials(clean, axes)
@@ -277,8 +281,7 @@ def _repaired(header):
     clean = fits.Header(cards.values())
     if not any("-SIP" in str(value) for value in clean["CTYPE*"].values()):
         # Images that were resampled keep the coefficients of the distorted ones.
-        for keyword in [key for key in clean if _SIP.match(key)]:
-            del clean[keyword]
+        without(clean, _SIP)
     if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
         clean["EQUINOX"] = epoch
     return clean

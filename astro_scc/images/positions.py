@@ -18,14 +18,14 @@ from astropy.wcs import WCS
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.decomposition.wavelet import measure_noise
+from astro_scc.exceptions import refusing
 from astro_scc.images.headers import KEYWORDS
 from astro_scc.quantities import named, one_quantity
 
 #: Where longitude and latitude increase, and if longitude does so leftwards, by the
 #: start of its CTYPE.
 AXES = KEYWORDS["directions"]
-#: New names of columns, by patterns, if longitude is not right ascension.
-LONGITUDE = KEYWORDS["longitude"]
+
 #: Name of coordinates that are offsets in a plane, however large a pixel is.
 PLANE = "OFFSETS"
 #: Longitude and latitude of a source whose position is not known.
@@ -72,12 +72,9 @@ def offset_wcs(pixel_scale, reference_pixel, position=None):
     if not isinstance(position, SkyCoord | None):
         raise TypeError(f"position must be a SkyCoord, got {position!r}")
     position = SkyCoord(*UNKNOWN, unit=u.deg) if position is None else position.icrs
-    try:
+    wrong = f"reference_pixel must be two numbers (x, y), got {reference_pixel!r}"
+    with refusing(wrong, AttributeError, TypeError, ValueError):
         x, y = (u.Quantity(v, u.pix).value.item() for v in reference_pixel)
-    except (AttributeError, TypeError, ValueError):
-        raise ValueError(
-            f"reference_pixel must be two numbers (x, y), got {reference_pixel!r}"
-        ) from None
     wcs = WCS(naxis=2)
     wcs.wcs.ctype = "RA---SIN", "DEC--SIN"
     wcs.wcs.cunit = "deg", "deg"
@@ -149,7 +146,7 @@ def name_by_frame(table, cube):
     words["through east"] = f"through {first}"
     for name in table.colnames:
         new, about = name, table[name].info.description or ""
-        for pattern, replacement in LONGITUDE.items():
+        for pattern, replacement in KEYWORDS["longitude"].items():
             new = re.sub(pattern, replacement, new)
         renamed = {f"of {name.removesuffix('_err')}": f"of {new.removesuffix('_err')}"}
         for old, word in {**renamed, **words}.items():
@@ -410,13 +407,11 @@ def tangent_grid(wcs, image):
     ValueError
         If the structure covers more of the sky than a plane holds.
     """
-    (x0, x1, y0, y1), _ = structure(image)
+    ends = np.reshape(structure(image)[0], (2, 2))
     # What is around the structure belongs to it, as far as the image reaches.
-    pad_x, pad_y = ((b - a) / 4 + 5 for a, b in ((x0, x1), (y0, y1)))
-    ny, nx = image.shape
-    x0, x1 = max(x0 - pad_x, 0), min(x1 + pad_x, nx - 1)
-    y0, y1 = max(y0 - pad_y, 0), min(y1 + pad_y, ny - 1)
-    place = (x0 + x1) / 2, (y0 + y1) / 2
+    ends = ends + (np.diff(ends) / 4 + 5) * [-1, 1]
+    ends = np.clip(ends, 0, np.array(image.shape)[::-1, None] - 1)
+    place = ends.mean(axis=1)
     matrix = local_matrix(wcs, *place)
     if not np.all(np.isfinite(matrix)):
         raise ValueError(too_wide(wcs))
@@ -424,7 +419,7 @@ def tangent_grid(wcs, image):
     # Mirrored as the image is.
     square = side * np.diag([np.sign(np.linalg.det(matrix)), 1.0])
     grid = tangent_wcs(wcs, place, square)
-    sky = wcs.pixel_to_world_values(*outline((x0, x1, y0, y1)))
+    sky = wcs.pixel_to_world_values(*outline(ends.ravel()))
     x, y = grid.world_to_pixel_values(*sky)
     low, high = (how([x, y], axis=1) for how in (np.min, np.max))
     size = np.ceil(high - low) + 1

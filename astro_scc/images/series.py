@@ -23,7 +23,7 @@ from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import ArrayLike
 
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.exceptions import warn
+from astro_scc.exceptions import refusing, warn
 from astro_scc.images import dates, headers, pixels, positions
 from astro_scc.images.beam import BEAM, Beam, as_beam, different_beam
 from astro_scc.intervals import median_interval
@@ -418,10 +418,9 @@ def as_stack(data, mask, unit):
             "data are images with unit, mask and coordinates of their own; use "
             "EpochCube.from_ccddata or from_ndcube, which keep them"
         )
-    try:
+    unknown = f"unit {unit!r} is not one that astropy knows"
+    with refusing(unknown, TypeError, ValueError):
         unit = u.Unit("" if unit is None else unit)
-    except (TypeError, ValueError):
-        raise ValueError(f"unit {unit!r} is not one that astropy knows") from None
     if problem := headers.logarithm(unit):
         raise ValueError(f"data: {problem}")
     try:
@@ -484,10 +483,9 @@ def as_noise(noise, n, unit):
     """Return noise of shape (n,) in the unit of the data, or None."""
     if noise is None:
         return None
-    try:
+    wrong = f"noise must be a Quantity in {unit}, got {noise!r}"
+    with refusing(wrong, TypeError, u.UnitConversionError, error=TypeError):
         noise = u.Quantity(noise).to(unit)
-    except (TypeError, u.UnitConversionError):
-        raise TypeError(f"noise must be a Quantity in {unit}, got {noise!r}") from None
     if noise.shape not in ((), (n,)):
         raise ValueError(f"{n} epochs need {n} noises, got shape {noise.shape}")
     if not np.all(np.isfinite(noise) & (noise.value >= 0)):

@@ -35,10 +35,8 @@ if TYPE_CHECKING:
 
 # Errors of the disk, which do not always name a file.
 DISK_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS, errno.EDQUOT}
-#: Tables in forms of journals and archives.
-PRINTED = ("streams", "features", "positions")
-#: Folder of the regions of all epochs.
-REGIONS = "ssp_regions"
+
+
 #: One colour per scale, by its name in DS9.
 COLORS = ("cyan", "orange", "green", "magenta", "yellow", "red")
 #: Decimal places of degrees and arcsec, for errors below a nanoarcsecond.
@@ -208,8 +206,7 @@ def write_products(
     ['streams.ecsv', 'components.ecsv', 'spectrum.ecsv']
     """
     tables = {"streams": streams, "components": streams}
-    meta, cube, journals = {**result.meta, **streams.meta}, result.cube, ["streams"]
-    hdus = map_hdus(result, text=text)
+    meta, cube = {**result.meta, **streams.meta}, result.cube
     if isinstance(result, SCCResult):
         features = table_in_c_as(result.features, streams)
         features = with_published(features, result.tracked_features, published)
@@ -220,10 +217,10 @@ def write_products(
             "positions": result.feature_positions, "sensitivity": result.sensitivity,
             "epochs": describe(epochs, "epochs"),
         }  # fmt: skip
-        hdus, journals = velocity_hdus(result, text=text), PRINTED
+        hdus = velocity_hdus(result, text=text)
     else:
         # Nothing of it is compared.
-        published = None
+        hdus, published = map_hdus(result, text=text), None
     written, paths = write_tables(
         tables | {"ssps": result.ssps}, directory, meta, cube,
         configuration=configuration, text=text, published=published,
@@ -231,7 +228,8 @@ def write_products(
     paths.append(Path(directory, "scc.fits"))
     hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
     if archives:
-        printed = {name: written[name] for name in journals}
+        names = "streams", "features", "positions"
+        printed = {name: written[name] for name in names if name in written}
         paths += write_publication(printed, directory, {"ssps": result.ssps})
     return paths
 
@@ -270,10 +268,7 @@ def write_tables(
         note = {key: table.meta[key] for key in ("note",) if key in table.meta}
         copy.meta = plain_meta(meta | note)
         paths.append(Path(folder, f"{name}.ecsv"))
-        if name == "components" and table is tables["streams"]:
-            shutil.copyfile(Path(folder, "streams.ecsv"), paths[-1])
-        else:
-            copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
+        copy.write(paths[-1], format="ascii.ecsv", overwrite=True)
     texts = {"citations.bib": citations_of(history, meta)}
     if text is not None:
         texts["config.toml"] = text
@@ -538,7 +533,7 @@ def write_epoch_regions(
     >>> [path.as_posix() for path in paths]
     ['ssp_regions/00_2000-01-01.reg', 'ssp_regions/01_2000-01-31.reg']
     """
-    folder = Path(directory, REGIONS)
+    folder = Path(directory, "ssp_regions")
     folder.mkdir(exist_ok=True)
     frame = "cube" if cube.epoch_wcs is None else "epoch"
     digits = max(2, len(str(len(cube) - 1)))

@@ -324,9 +324,8 @@ def write_votable(table: Table, path: Path | str, *, overwrite: bool = False) ->
         # An empty array of dates does not have the type of text.
         texts = np.asarray(values.isot, dtype=str if len(values) else "U23")
         plain[name] = Column(texts, description=values.info.description)
-    with warnings.catch_warnings():
-        # Units that the Virtual Observatory lacks, such as DN, are written as they are.
-        warnings.simplefilter("ignore", W50)
+    # Units that the Virtual Observatory lacks, such as DN, are written as they are.
+    with warnings.catch_warnings(action="ignore", category=W50):
         votable = from_table(plain)
         _describe_columns(votable, dates)
         _describe_source(votable, table.meta)

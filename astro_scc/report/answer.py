@@ -28,10 +28,7 @@ SECURE = (
     f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, and at this "
     f"speed in {SAME_SPEED:.0%} or more of the perturbed assignments to features"
 )
-#: Speeds agree within so many errors of both.
-AGREE = 2
-#: Features that would have to be seen so many times as long are out of reach.
-MOST_SPANS = 10
+
 #: Columns of streams, features and profiles.
 STREAMS = (
     "stream kind share pm pm_pa beta_app v_app dispersion p_global n_features "
@@ -212,7 +209,7 @@ def scale_lines(of_scales):
         Without pairs of which a speed is not known.
     """
     unit, far = unit_name(of_scales["first_speed"].unit), unit_name(u.mas)
-    lines, several = [], np.any(of_scales["stream"] > 1)
+    lines, several = [], bool(np.any(of_scales["stream"] > 1))
     for row in of_scales[np.isfinite(of_scales["p_value"])]:
         where = ""
         if np.isfinite(row["r_max"]):
@@ -221,13 +218,9 @@ def scale_lines(of_scales):
             where += f"stream {row['stream']}: "
         first, second = (
             f"{row[f'{k}_speed'].value:.3g} on {_on(row[k])}"
+            + f" (share {row[f'{k}_share']:.2g})" * several
             for k in ("first", "second")
         )
-        if several:
-            first, second = (
-                f"{text} (share {row[f'{k}_share']:.2g})"
-                for k, text in (("first", first), ("second", second))
-            )
         apart, p = cell(row, "difference", "+-"), row["p_value"]
         lines.append(
             f"{where}{first}, {second}: {apart} {unit} apart; p of equal speeds {p:.2g}"
@@ -346,7 +339,7 @@ def longest(features, most):
     return np.sort(secure[order[:most]])
 
 
-def published_lines(features):
+def published_lines(features, *, agree=2):
     """
     Return how the speeds of secure features agree with published ones, as lines.
 
@@ -354,6 +347,8 @@ def published_lines(features):
     ----------
     features : `~astropy.table.QTable`
         See ``astro_scc.products.publication.with_published``.
+    agree : float, optional
+        Speeds agree within so many errors of both.
 
     Returns
     -------
@@ -368,7 +363,7 @@ def published_lines(features):
         return [f"0 of {secure.sum()} secure features are published ones."]
     pm, unit = same["published_pm"].unmasked, unit_name(same["pm"].unit)
     error = np.hypot(same["pm_err"], same["published_pm_err"].unmasked)
-    differs = np.abs(same["pm"] - pm) > AGREE * error
+    differs = np.abs(same["pm"] - pm) > agree * error
     others = ", ".join(
         f"{row['feature']} ({cell(row, 'pm', '+-')}, published "
         f"{cell(row, 'published_pm', '+-')} {unit})"
@@ -376,7 +371,7 @@ def published_lines(features):
     )
     return [
         f"{len(same)} of {secure.sum()} secure features are published ones, of which "
-        f"{np.sum(~differs)} have the published speed within {AGREE} errors"
+        f"{np.sum(~differs)} have the published speed within {agree:g} errors"
         f"{'; not ' if others else ''}{others}."
     ]
 
@@ -392,8 +387,12 @@ def _followed(features):
     return shown
 
 
-def _lacking(features):
-    """Return what makes a feature secure, and what the nearest to it lacks."""
+def _lacking(features, *, most_spans=10):
+    """
+    Return what makes a feature secure, and what the nearest to it lacks.
+
+    One that would have to be seen ``most_spans`` times as long is out of reach.
+    """
     if len(features) == 0:
         return ["No detections of four epochs or more are in steady motion."]
     motion, false = features["motion"].value, features["p_false"]
@@ -407,7 +406,7 @@ def _lacking(features):
         f"p_false {false[best]:.2g}, motion {motion[best]:.2g} beams, "
         f"{errors[best]:.2g} standard errors"
     )
-    if 1 / MOST_SPANS < share < 1 and share == np.min(shares, axis=0)[best]:
+    if 1 / most_spans < share < 1 and share == np.min(shares, axis=0)[best]:
         time = row["pm"].unit.bases[1]
         needed = (row["last"] - row["first"]).to_value(time) / share
         text += f"; at its speed it would have to be seen for {needed:.2g} {time}"

@@ -349,8 +349,7 @@ def write_report(
     'report.html'
     """
     directory = Path(directory)
-    features = result.features, result.tracked_features
-    features = with_published(*features, published)
+    features = with_published(result.features, result.tracked_features, published)
     streams = result.streams if streams is None else streams
     make_folder(directory, directory)
     meta = {**result.meta, **streams.meta}

@@ -94,8 +94,7 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     share = search.spectrum / (search.spectrum.sum() or 1.0)
     half = len(share) // 2
     speed, there = search.speed[half + 1 :] * speeds.factor, share[half + 1 :]
-    main = {"color": style.BLUE, "label": words[0], "lw": 1.2}
-    main = style.look_of("line", look, **main)
+    main = style.look_of("line", look, color=style.BLUE, label=words[0], lw=1.2)
     upper.step(speed, there, where="mid", **main)
     color = main["color"]
     upper.fill_between(speed, there, step="mid", color=color, alpha=0.2, lw=0)
@@ -475,8 +474,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
     ax.axvline(speed[0], color=style.GREY, lw=0.8)
     row, large = np.arange(len(table)), np.asarray(table["significant"])
     for use, color, sign in ((~large, style.BLUE, "o"), (large, style.VERMILION, "s")):
-        usual = {"marker": sign, "color": color, "ms": 4, "lw": 1, "linestyle": ""}
-        usual = style.look_of("line", look, **usual)
+        usual = style.look_of("line", look, marker=sign, color=color, ms=4, lw=1, ls="")
         ax.errorbar(speed[use], row[use], xerr=error[use], **usual)
     for k in row[~np.isfinite(speed)]:
         where = {"transform": ax.get_yaxis_transform(), "va": "center"}

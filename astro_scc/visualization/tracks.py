@@ -23,9 +23,6 @@ BESIDE = (
     ("left", 4, 0), ("right", -4, 0), ("left", 4, 7), ("left", 4, -7),
     ("center", 0, 9), ("center", 0, -9), ("right", -4, 7), ("right", -4, -7),
 )  # fmt: skip
-#: Paths within this share of the image from the core have a panel of their own if two
-#: are as close; the gap between both panels, of the width.
-INNER, CLOSE, GAP = 0.3, 0.02, 0.1
 
 
 def plot_separation(
@@ -279,30 +276,35 @@ def plot_tracks(
     return drawn
 
 
-def _inner_paths(features, view):
-    """Return the features near the core if paths hide one another there, their box."""
+def _inner_paths(features, view, *, inner=0.3, close=0.02):
+    """
+    Return the features near the core if paths hide one another there, their box.
+
+    They are near within a share ``inner`` of the image, and hide one another within
+    ``close``.
+    """
     from scipy.spatial.distance import cdist
 
     d, size = features.detections, np.ptp(view.limits, axis=1).max()
     paths = [view.factor * d.place[track.detection] for track in features.tracks]
     far = np.array([np.hypot(*path.T).max() for path in paths])
-    inner = np.flatnonzero(far < INNER * size)
-    apart = [cdist(paths[a], paths[b]).min() for a, b in combinations(inner, 2)]
-    if min(apart, default=np.inf) > CLOSE * size or len(inner) == len(paths):
+    near = np.flatnonzero(far < inner * size)
+    apart = [cdist(paths[a], paths[b]).min() for a, b in combinations(near, 2)]
+    if min(apart, default=np.inf) > close * size or len(near) == len(paths):
         return [], None
-    every = np.concatenate([*(paths[k] for k in inner), np.zeros((1, 2))])
+    every = np.concatenate([*(paths[k] for k in near), np.zeros((1, 2))])
     low, high = every.min(axis=0), every.max(axis=0)
     # A narrow strip shows nothing.
     half = np.maximum(0.6 * (high - low), 0.2 * (high - low).max())
-    return inner, np.stack([(low + high) / 2 - half, (low + high) / 2 + half], axis=1)
+    return near, np.stack([(low + high) / 2 - half, (low + high) / 2 + half], axis=1)
 
 
-def _add_panel(figure, ax, view, box):
-    """Add axes below others that show a part of the image larger; return them."""
+def _add_panel(figure, ax, view, box, *, gap=0.1):
+    """Add axes below others, with a gap, that show a part larger; return them."""
     from matplotlib.patches import Rectangle
 
     (wide, high), aspect = np.ptp(box, axis=1), np.divide(*np.ptp(view.limits, axis=1))
-    height, gap = high / wide * aspect, GAP * aspect
+    height, gap = high / wide * aspect, gap * aspect
     panel = ax.inset_axes((0.0, -gap - height, 1.0, height))
     added = (figure.get_figwidth() - 0.6) / aspect * (gap + height)
     figure.set_figheight(figure.get_figheight() + added)

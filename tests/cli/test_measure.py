@@ -5,7 +5,9 @@ import re
 import shutil
 import sys
 import tomllib
+from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -15,9 +17,11 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc import Beam, EpochCube, StackedCrossCorrelation
+from astro_scc.cli.inputs import output_of
 from astro_scc.cli.measure import TRACKED
 from astro_scc.columns import cell
 from astro_scc.report.page import PRODUCTS
+from astro_scc.settings import Settings
 from astro_scc.simulation import simulate_jet, write_simulation
 
 QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "99"]
@@ -72,6 +76,11 @@ def test_the_same_from_python_and_from_the_configuration(measured, jet, done, he
     assert set(QTable.read(here / "new" / "ssps.ecsv")["epoch"]) == {*range(6)}
 
 
+def test_the_folder_is_named_after_the_object(series):
+    args, files = Namespace(output=None, command="track"), series([1], OBJECT="3C 1")
+    assert output_of(args, Settings(epochs=[*map(str, files)])) == Path("3C_1-track")
+
+
 def test_other_versions_are_noted(measured, astro_scc, here):
     text = (measured / "config.toml").read_text()
     (here / "old.toml").write_text(re.sub('numpy = ".*"', 'numpy = "1.0"', text))
@@ -95,7 +104,7 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
         np.testing.assert_array_equal(table[name], own.streams[name], err_msg=name)
 
 
-def test_what_cannot_be_measured(jet, series, refused, here):
+def test_what_cannot_be_measured(jet, refused, here):
     (here / "p.toml").write_text("method = 'paper'\nbins = '1 2 mas'\n")
     line = refused("profile", *jet, "--config", here / "p.toml", "-o", "out")
     assert "method is 'paper', which astro-scc measure has: leave it out" in line
@@ -105,9 +114,6 @@ def test_what_cannot_be_measured(jet, series, refused, here):
     for words in (["measure"], ["profile", "--bins", "1 2 mas"]):
         line = refused(*words, *jet[:5], *QUICK, "-o", "out")
         assert "too few epochs: 5 images, 6 are needed" in line
-    words = ["measure", *series([None] * 6), "-o", "out"]
-    assert "the epochs have no beams" in refused(*words, "--common-beam")
-    assert "epochs have none" in refused(*words, "--align", "core")
 
 
 def test_demo_of_a_small_jet(done, here, monkeypatch, no_figures, make_jet):

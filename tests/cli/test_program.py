@@ -162,7 +162,6 @@ note.fits more.fits | (and 1 more like it)
     "simulate": """
 static x --dense | --dense is for two-fluid, not for static
 jet x --distribution flat | error: --distribution = 'flat' must
-static . | .: exists and is not empty
 """,
     'restore MODELS -o out --beam "1 mas" --pixel "0.1 mas"': """
 --beam "1 mas 2 mas 0 deg" | 2 mas 0 deg' is no beam: a beam is finite with major

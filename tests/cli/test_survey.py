@@ -218,7 +218,6 @@ def test_a_part_that_fails_costs_itself_only(folder, tmp_path, monkeypatch):
 #: The beginning of a survey of one source, and what is wrong in it.
 A = "[sources.A]\nepochs = 'a'\n"
 WRONG = [
-    ("a = [", "is not a TOML file"),
     ("a = " + "[" * 5000, "is not a TOML file: nested too deep"),
     ("", "names no source"),
     ("[other]", "unknown key 'other'"),
@@ -248,6 +247,17 @@ def test_files_and_folders_that_make_no_sense(folder, refused, here):
     assert "z.csv: cannot be" in refused(*words, "x", "--redshifts", "z.csv")
     line = refused(*words, "x", "--source", "two")
     assert "--source is for a table of components, not for" in line
+    (here / "images").mkdir()
+    for text, reason in {
+        "": "is no table: ",
+        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
+        "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
+    }.items():
+        (here / "z.txt").write_text(text)
+        words = ["survey", "images", "-o", "out", "--redshifts", "z.txt"]
+        assert f"z.txt: {reason}" in refused(*words)
+    line = refused("survey", "images", "-o", "out")
+    assert "images: has no folder of FITS images" in line
 
 
 def test_defaults_and_what_replaces_them(tmp_path):
@@ -316,21 +326,14 @@ def test_without_options(table, done, here, astro_scc, monkeypatch):
     assert f"restored with one of {beam}, the median" in said
 
 
-def test_without_neighbours_there_is_no_beam(refused, here):
-    table = QTable({"source": ["a"] * 5, "component": [0] * 5, "flux": [1] * 5 * u.Jy})
-    table["epoch"] = [f"200{k}-01-01" for k in range(5)]
-    table["separation"] = [0] * 5 * u.mas
-    table["position_angle"] = [0] * 5 * u.deg
-    table.write(here / "one.ecsv")
-    line = refused("survey", "one.ecsv", "-o", "out")
-    assert "no epoch of the table has two components apart; give --beam" in line
-
-
 def test_sources_and_folders_that_are_refused(table, refused, here):
     words = ["survey", table, "-o", "out", *BEAM]
     assert "no source '0003+38'; it has 0003" in refused(*words, "--source", "0003+38")
     other = ["--source", "9999+999", "--origin", "map"]
     assert "no core component" in refused(*words, *other)
+    (here / "one_2001-01-01.mod").write_text("1 0 0\n")
+    line = refused("survey", "one_2001-01-01.mod", "-o", "out")
+    assert "no epoch of the table has two components apart; give --beam" in line
     # Another folder, and a survey of other images, are left alone.
     out = here / "out"
     out.mkdir()
@@ -338,17 +341,3 @@ def test_sources_and_folders_that_are_refused(table, refused, here):
         (out / name).write_text("[sources.a]\nepochs = 'images/*.fits'\n")
         line = refused(*words)
         assert "out: exists and is not of a survey of a table; choose another" in line
-
-
-def test_redshifts_and_folders_that_make_no_sense(refused, here):
-    (here / "images").mkdir()
-    for text, reason in {
-        "": "is no table: ",
-        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
-        "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
-    }.items():
-        (here / "z.txt").write_text(text)
-        words = ["survey", "images", "-o", "out", "--redshifts", "z.txt"]
-        assert f"z.txt: {reason}" in refused(*words)
-    line = refused("survey", "images", "-o", "out")
-    assert "images: has no folder of FITS images" in line

@@ -108,6 +108,8 @@ CARTESIAN = {
         ({"feature": None}, None, {"east": [-0.5, 4, 0, 0]}),
         ({"axial_ratio": None}, None, {"minor": [0.2, 0, 0.4, 0.3]}),
         (CARTESIAN, "core", {"east": [0, 1, 0, 1], "north": [0, 1, 0, 1]}),
+        ({"RA_offset": [0, 1, 0, 2] * u.mas, "Dec_offset": [0, 3, 0, 4] * u.mas}, None,
+         {"east": [0, 1, 0, 2], "north": [0, 3, 0, 4]}),
     ],
 )  # fmt: skip
 def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, expected):
@@ -124,6 +126,7 @@ def test_bad_tables(tmp_path):
     for changes, options, message in [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
         ({"epoch": None, "flux": None}, {}, "no column for 'epoch', 'flux'; the"),
+        ({"separation": None}, {}, "'separation' .or 'east', 'north'.; the table"),
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
         ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
@@ -153,17 +156,6 @@ def test_dates_that_are_numbers(tmp_path, name, dates):
     assert_allclose(found.times.jyear, times, atol=1e-3)
     with pytest.raises(ValueError, match="row 1: '1' is no date"):
         read_components(write(mojave(epoch=[1, 2, 3, 4]), tmp_path / "t.ecsv"))
-
-
-def test_names_of_offsets(tmp_path):
-    plain = mojave(separation=None, position_angle=None, x=[1, 2, 3, 4] * u.mas)
-    with pytest.raises(
-        ValueError, match="'separation' .or 'east', 'north'.; the table"
-    ):
-        read_components(write(plain, tmp_path / "t.ecsv"))
-    offsets = {"RA_offset": [0, 1, 0, 2] * u.mas, "Dec_offset": [0, 3, 0, 4] * u.mas}
-    found = read_components(write(mojave(**offsets), tmp_path / "t.ecsv"))
-    assert_allclose(found.east.value, [0, 1, 0, 2])
 
 
 #: As the journals print tables of jet features of many sources.
@@ -340,18 +332,6 @@ def test_aips_table(tmp_path):
     assert kind_of(tmp_path / "list.fits") == "components"
 
 
-def test_a_table_of_sources_without_rows(tmp_path):
-    names = ("source", "date", "flux", "east", "north", "size")
-    empty = QTable(names=names, dtype=["U8", "U10", *[float] * 4])
-    empty.write(tmp_path / "t.ecsv")
-    words = "t.ecsv: no components in the file"
-    with (
-        pytest.warns(EpochWarning, match=f"{words}; the source t is left out"),
-        pytest.raises(ValueError, match=words),
-    ):
-        read_sources(tmp_path / "t.ecsv")
-
-
 def test_lists_that_cannot_be_images(tmp_path, make_fits):
     models = [model(tmp_path, name=f"s_2006-0{month}-09.mod") for month in (3, 9)]
     image = make_fits()
@@ -478,6 +458,13 @@ def test_the_sources_of_a_table(tmp_path):
     bad.write_text("1.0v 0.0v 0v 0.1v 1 0 1\n")
     with pytest.raises(ValueError, match="bad.mod: no DATE-OBS in the header, or no"):
         source_list(bad)
+    QTable.read(path)[:0].write(tmp_path / "t.ecsv")
+    words = "t.ecsv: no components in the file"
+    with (
+        pytest.warns(EpochWarning, match=f"{words}; the source t is left out"),
+        pytest.raises(ValueError, match=words),
+    ):
+        read_sources(tmp_path / "t.ecsv")
 
 
 PIXEL = 0.1 * u.mas

@@ -260,7 +260,6 @@ def test_what_is_refused_in_one_line():
         (lambda: EpochCube(DATA, DATES, LINE), "lost a celestial axis by slicing"),
         (of_arrays(position="0h 1d"), "position must be a SkyCoord, got '0h 1d'"),
         (of_arrays(DATA * u.dex), "data: its unit is dex, a logarithm"),
-        (of_arrays(beams=0.5 * u.mas), "a beam has major, minor and pa, got"),
         (of_arrays(reference_pixel=("a", "b")), r"must be two numbers \(x, y\)"),
         (of(image(0, unit=u.mag)), "image 0: its unit is mag, a logarithm"),
         (lambda: EpochCube.from_ndcube(DATA), "a ndarray is no NDCube"),

@@ -414,6 +414,10 @@ CUBES = [
     (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
     ({"CRVAL3": 57191 * 86400.0 + 36000}, SECONDS),
     ({"CTYPE3": "TAI", "CUNIT3": "s", "MJDREF": 57191.0, "CRVAL3": 36035.0}, SECONDS),
+    # GPS time was ahead of UTC by 16 s, wherever the times count from.
+    *(({"TIMESYS": "GPS", "DATE-OBS": "2015-06-18T10:00:16", **own}, SECONDS) for own in
+      ({}, {"DATEREF": "2015-06-18T09:00:16", "CRVAL3": 3600.0},
+       {"MJDREF": 57191.0, "CRVAL3": 36016.0})),
     ({"CTYPE4": "STOKES", "CRVAL4": 1.0, "CDELT4": 1.0, "shape": (1, 4, 16, 32)},
      SECONDS),
     ({"CTYPE3": "FREQ", "CRVAL3": 1e9, "CUNIT3": "Hz", "CTYPE4": "TIME",

@@ -63,7 +63,6 @@ REFUSED = [
     ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
     ("tracks", {"cmap": "magma"}, "unknown option 'cmap' .* matplotlib's Line2D"),
-    (8, {}, "epoch 8 of a cube with 8 epochs"),
     (0.5, {}, "cannot be interpreted as an integer"),
     ("diagram", {"ax": "of a WCS"}, "ax is a WCSAxes, .* without projection="),
 ]
