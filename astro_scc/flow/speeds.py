@@ -525,9 +525,8 @@ def accelerations(result, rows):
 
 def parts_along(flow):
     """Return limits of parts with equal amounts of emission, in mas, shape (n, 2)."""
-    planes = flow.planes[0]
     along = flow.grids[0].distance
-    power = (planes.values**2).sum(axis=(0, 1)) * weight_of(flow)
+    power = (flow.planes[0].values ** 2).sum(axis=(0, 1)) * weight_of(flow)
     power = power.sum(axis=1) * (along > (CORE if flow.outward else 0))
     order = np.argsort(along, kind="stable")
     total = np.cumsum(power[order])

@@ -87,10 +87,8 @@ def simulate_two_fluid(
     >>> jet.cube.shape
     (10, 128, 256)
     """
-    half_width, peak, usual = (15.0, (0.3, 1.5), (1.0, 0.8))
-    if dense:
-        half_width, peak, usual = (25.0, (0.8, 1.5), (1.0, 1.2))
-    of_slow, of_fast = densities or usual
+    half_width, peak = (25.0, (0.8, 1.5)) if dense else (15.0, (0.3, 1.5))
+    of_slow, of_fast = densities or (1.0, 1.2 if dense else 0.8)
     slow = Stream("slow", slow, density=of_slow, half_width=half_width, jitter=jitter)
     fast = Stream("fast", fast, density=of_fast, sigma=4.0, peak=peak, jitter=jitter)
     return _run("two-fluid", rng, options, slow, fast)

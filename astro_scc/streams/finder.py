@@ -420,7 +420,9 @@ def _judged(stream, search, opposed="", *, diffusing, sure=1.0):
     turn, test = turn_to_flow(search.angle), search.test
     speed, alone = abs((turn @ stream.velocity)[0]), not len(stream.members)
     weak, fast = test.p_global > sure, speed > search.unambiguous
-    by_spectrum, white = stream.source == "spectrum", test.white if test.memory else 1.0
+    by_spectrum = stream.source == "spectrum"
+    # Of images without a memory all variance is white.
+    white = test.white if test.memory else 1.0
     unlike = white >= WHITE and test.amplitude[test.best] < LEAST_MOVING
     kind, reason = verdict(
         speed, np.sqrt((turn @ stream.covariance @ turn.T)[0, 0]),
