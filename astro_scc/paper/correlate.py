@@ -320,8 +320,7 @@ class TargetStack:
         size = len(targets), *(self.shape + 2 * self.margin)
         self.values, self.noise = np.zeros(size, dtype=np.float32), []
         self.valid = np.zeros(size, dtype=bool)
-        ends = zip(self.margin, self.margin + self.shape, strict=True)
-        inside = tuple(slice(*end) for end in ends)
+        inside = tuple(map(slice, self.margin, self.margin + self.shape))
         for values, valid, d in zip(self.values, self.valid, targets, strict=True):
             level = d.scales.index(scale)
             self.noise.append(d.noise[level])

@@ -25,7 +25,7 @@ FEWEST, LEAST_SIDE = 5, 0.2
 SCATTER, PRIOR = 0.3, 2.0
 
 
-def moving_features(features, frame, angle, use=None, walk=None, *, folded=False):
+def moving_features(features, frame, angle, inside=None, walk=None, *, folded=False):
     """
     Return the secure features that move, with speeds in mas/yr, as a record array.
 
@@ -34,28 +34,26 @@ def moving_features(features, frame, angle, use=None, walk=None, *, folded=False
     both sides of a core are ``folded``, the directions of those of the counter-jet are
     turned by 180 degrees.
     """
-    chosen = features.secure if walk is None else np.ones(len(features.tracks), bool)
-    chosen = np.flatnonzero(chosen if use is None else chosen & use)
-    turn, rows = turn_to_flow(angle), []
-    for k in chosen:
-        motion = features.motions[k]
-        n = len(features.tracks[k].detection)
-        slow = motion.speed < SIGNIFICANT * motion.speed_err
-        if n < LEAST_EPOCHS or (slow and walk is None):
-            continue
-        local = turn @ np.asarray(frame.matrix(*motion.place))
-        if not np.isfinite(local).all():
-            continue
-        behind = folded and (local @ motion.place)[0] < 0
-        side = -1 if behind else 1
-        along, across = side * (local @ motion.velocity)
-        errors = np.hypot(*(local * motion.velocity_err).T)
-        if walk is not None:
-            errors = np.hypot(errors, np.sqrt(walk / motion.span))
-        elif abs(along) < max(SIGNIFICANT * errors[0], abs(across)):
-            continue
-        rows.append((along, errors[0], across, errors[1], n, k, side))
-    return np.array(rows, dtype=MOVING).view(np.recarray)
+    motions, places, n = features.motions, features.places, len(features)
+    epochs = np.array([len(track) for track in features.tracks], dtype=int)
+    error = np.reshape([motion.velocity_err for motion in motions], (-1, 2))
+    local = turn_to_flow(angle) @ np.asarray(frame.matrix(*places.T))
+    behind = folded & ((local @ places[..., None])[:, 0, 0] < 0)
+    side = np.where(behind, -1, 1)
+    along, across = side * (local @ features.velocities[..., None])[..., 0].T
+    errors = np.hypot(*np.moveaxis(local * error[:, None], -1, 0)).T
+    use = (epochs >= LEAST_EPOCHS) & np.isfinite(local).all(axis=(1, 2))
+    if inside is not None:
+        use &= inside
+    if walk is not None:
+        spans = np.array([motion.span for motion in motions])
+        errors = np.hypot(errors, np.sqrt(walk / spans))
+    else:
+        slow = [motion.speed < SIGNIFICANT * motion.speed_err for motion in motions]
+        use &= features.secure & ~np.array(slow, dtype=bool)
+        use &= np.abs(along) >= np.maximum(SIGNIFICANT * errors[0], np.abs(across))
+    columns = along, errors[0], across, errors[1], epochs, np.arange(n), side
+    return np.rec.fromarrays([column[use] for column in columns], dtype=MOVING)
 
 
 def moving_with(flow, features, inside, sign):
