@@ -4,16 +4,19 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 
 ::
 
-    cube       = EpochCube.read(files)             # images, dates, beams, one WCS
-    decomposed = scc.decompose(cube)               # wavelet planes, noise, SSPs
-    features   = decomposed.follow()               # detections, tracks, motions, trust
-    flow       = scc.flow(decomposed)              # planes along the flow, on its grid
-    search     = find_streams(flow, features, settings, rng=rng)
-      flow, test = find_motion(flow, n_trials, rng)  # does anything move along it?
-      diagrams   = correlate_aside(planes, aside)    # all pairs of dates, displacements
-      spectrum   = deconvolve(set_up(diagram))       # variance that moves at each speed
-    result     = SCCResult(decomposed, search, ...)  # streams as tables, figures, files
-    paper      = measure_as_in_paper(cube, scc)    # the paper's own method, instead
+    cube       = EpochCube.read(files)       # epochs/cube.py: images, dates, beams, WCS
+    decomposed = scc.decompose(cube)         # patterns.py: DecomposedEpochs, SSPs
+    features   = decomposed.follow()         # features/finder.py: Features, motions
+    flow       = scc.flow(decomposed)        # streams/decomposed.py: DecomposedFlow
+    settings   = plan.search_settings(...)   # streams/finder.py: SearchSettings
+    search     = find_streams(flow, features, settings, rng=rng)    # and StreamSearch
+      flow, test = find_motion(flow, ...)        # spectrum/permutations.py: MotionTest
+      diagrams   = correlate_aside(planes, ...)  # spectrum/diagram.py: Diagram, all pairs
+      equations  = set_up(diagram)               # spectrum/equations.py: Equations
+      spectrum   = deconvolve(equations)         #   the share of each speed
+      fit        = one_stream(equations, ...)    # spectrum/gaussians.py: StreamFit
+    result     = SCCResult(decomposed, search, ...)   # measurement/result.py: tables
+    paper      = measure_as_in_paper(cube, scc)  # paper/method.py, instead
 """
 
 from __future__ import annotations
