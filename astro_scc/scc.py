@@ -8,15 +8,12 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
     decomposed = scc.decompose(cube)         # patterns.py: DecomposedEpochs, SSPs
     features   = decomposed.follow()         # features/finder.py: Features, motions
     flow       = scc.flow(decomposed)        # streams/decomposed.py: DecomposedFlow
-    settings   = plan.search_settings(...)   # streams/finder.py: SearchSettings
-    search     = find_streams(flow, features, settings, rng=rng)    # and StreamSearch
+    search     = find_streams(flow, ...)     # streams/finder.py: StreamSearch
       flow, test = find_motion(flow, ...)        # spectrum/permutations.py: MotionTest
-      diagrams   = correlate_aside(planes, ...)  # spectrum/diagram.py: Diagram, all pairs
-      equations  = set_up(diagram)               # spectrum/equations.py: Equations
-      spectrum   = deconvolve(equations)         #   the share of each speed
-      fit        = one_stream(equations, ...)    # spectrum/gaussians.py: StreamFit
-    result     = SCCResult(decomposed, search, ...)   # measurement/result.py: tables
-    paper      = measure_as_in_paper(cube, scc)  # paper/method.py, instead
+      diagrams   = correlate_aside(planes, ...)  # spectrum/diagram.py: Diagram
+      spectrum   = deconvolve(set_up(diagram))   # spectrum/equations.py: Equations
+    result     = SCCResult(decomposed, ...)  # measurement/result.py: tables, figures
+    paper      = measure_as_in_paper(...)    # paper/method.py, instead
 """
 
 from __future__ import annotations
