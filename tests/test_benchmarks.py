@@ -116,6 +116,14 @@ def test_movies_in_true_and_in_scrambled_order(script):
     assert resolved.true_speeds(resolved.simulate("static", "11x21d", 1)) == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [31001, 33001])
+def test_features_of_scrambled_movies_are_no_motion(script, seed):
+    # Five and eight features move by chance, and p_global is below 0.1.
+    resolved = script("resolved")
+    assert len(resolved.measure(("11x21d", "two", "scrambled", seed))[1]) == 0
+
+
 def test_static_series_of_each_kind(script):
     level = script("level")
     for kind in level.KINDS:

@@ -38,8 +38,10 @@ from astro_scc.streams.members import (
     unknown_scatter,
 )
 
-#: With a secure feature that moves, this p_global is enough.
-WITH_FEATURES = 0.1
+#: With secure features that move, this p_global is enough, where images of
+#: neighbouring dates share such a part of their variance: in scrambled movies of
+#: resolved jets features are found, too, but by chance.
+WITH_FEATURES, ALIKE = 0.1, 0.2
 #: Error of the speed of a spectrum beyond that of its patterns, relative to it, where
 #: its Gaussian has at least the other one.
 MODEL_ERROR, WELL_KNOWN = 0.25, 0.1
@@ -256,7 +258,8 @@ def find_streams(
     (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
-    enough = WITH_FEATURES if len(moving) and covered else settings.alpha
+    known = len(moving) and covered and shared_variance(test, flow.years) >= ALIKE
+    enough = WITH_FEATURES if known else settings.alpha
     passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
         flow, straight=not passes, sign=sign, diagram=sheet[len(sheet) // 2]
@@ -287,6 +290,13 @@ def find_streams(
     streams += _standing(features, flow, streams, inside, shift)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
+
+
+def shared_variance(test, years):
+    """Return the share of the variance that images of neighbouring dates share."""
+    if not test.memory > 0:
+        return 0.0
+    return (1 - test.white) * np.exp(-median_interval(years) / test.memory)
 
 
 def _map_of(search, streams, sheet, aside, rng):

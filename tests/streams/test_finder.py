@@ -20,7 +20,7 @@ from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import FlowPlanes, correlate_aside
 from astro_scc.spectrum.rays import transverse_speed
-from astro_scc.streams.finder import _judged, _standing, verdict
+from astro_scc.streams.finder import _judged, _standing, shared_variance, verdict
 from astro_scc.streams.members import MOVING, _opposed, mean_speed, separation
 
 
@@ -307,6 +307,15 @@ def test_what_most_secure_features_contradict(along, others, said):
     found = _opposed(SimpleNamespace(secure=secure), None, moving, 1.0)
     assert found.startswith(said)
     assert bool(found) == bool(said)
+
+
+@pytest.mark.parametrize(("memory", "white", "share"), [
+    (0.0, 0.0, 0.0), (1.0, 0.0, np.exp(-0.5)), (1e9, 0.4, 0.6), (np.nan, 0.0, 0.0),
+])  # fmt: skip
+def test_what_images_of_neighbouring_dates_share(memory, white, share):
+    test = SimpleNamespace(memory=memory, white=white)
+    found = shared_variance(test, np.array([2000.0, 2000.5, 2001.0, 2004.0]))
+    assert found == pytest.approx(share)
 
 
 @pytest.mark.parametrize(("alone", "sure", "kind"), [
