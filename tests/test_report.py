@@ -93,7 +93,7 @@ def test_the_answer_comes_first(page, streams):
     assert said.startswith("Motion: ")
     order = [
         said, "1: acceleration: ", "beware of", f"3 (not significant): {CHANCE}.",
-        "its smallest value here, 0.005, stands as an upper limit.",
+        "where no permutation reaches as much, an upper limit stands.",
         "Velocity spectrum.", "Speed against dist", "More figures", "Velocity map.",
         "epochs are aligned", "astro-scc measure",
         "Speed of the main stream from parts of the data: ", "2 epochs left out",

@@ -257,7 +257,7 @@ def _cautions(search, stream, row, alpha, unit):
         "interval, patterns could be mistaken for one another":
             speed > search.unambiguous,
         f"near the fastest speed that is searched, {_shown(search.fastest, unit)}: "
-        "give a larger max_speed":
+        "give a larger max_speed (--max-speed)":
             speed > NEAR * search.fastest,
         f"near the slowest speed that is searched, {_shown(search.slowest, unit)}":
             speed < search.slowest / NEAR,
