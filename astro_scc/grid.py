@@ -16,6 +16,8 @@ import scipy
 
 from astro_scc import kinematics
 from astro_scc.decomposition import wavelet
+from astro_scc.images.beam import FWHM_TO_SIGMA
+from astro_scc.images.grid import gaussian_smooth
 from astro_scc.kinematics.frames import axes_along
 from astro_scc.spectrum.diagram import REACH, SampledPlanes
 
@@ -273,7 +275,7 @@ def default_scales(beam_px, largest=0.55, number=3):
 
 def seen_flow(cube, beam, *, core, threshold=5.0, least=1.2):
     """
-    Return the pixels in which the flow is seen.
+    Return the pixels in which the flow is seen, if need be without a sky.
 
     Parameters
     ----------
@@ -291,15 +293,37 @@ def seen_flow(cube, beam, *, core, threshold=5.0, least=1.2):
     -------
     `~numpy.ndarray` of bool, shape (ny, nx)
     """
-    n, rms = len(cube), float(np.median(cube.noise_rms().value))
-    few = max(2, n // 4)
-    images = np.where(cube.mask, -np.inf, cube.data)
-    top = np.partition(images, n - few, axis=0)[n - few :].mean(axis=0)
-    seen = top > threshold * rms
+    place = np.ones(cube.shape[1:], dtype=bool)
     if core:
         east, north = (offset.to_value(u.mas) for offset in cube.offsets())
-        seen &= np.hypot(east, north) > least * beam
+        place = np.hypot(east, north) > least * beam
+    seen = place & _bright(cube.data, cube.mask, cube.noise_rms().value, threshold)
+    if not seen.any():
+        # The noise of images whose sky is not even is that of the sky.
+        data, rms = _evened(cube, beam)
+        seen = place & _bright(data, cube.mask, rms, threshold)
     return seen
+
+
+def _bright(data, mask, rms, threshold):
+    """Return the pixels whose brightest quarter of epochs has a mean above noises."""
+    n = len(data)
+    few = max(2, n // 4)
+    images = np.where(mask, -np.inf, data)
+    top = np.partition(images, n - few, axis=0)[n - few :].mean(axis=0)
+    return top > threshold * float(np.median(rms))
+
+
+def _evened(cube, beam, *, smooth=4.0):
+    """Return images without their sky, smooth on this many beams, and their noise."""
+    width = FWHM_TO_SIGMA * smooth * beam / cube.pixel_scale.to_value(u.mas)
+    even = np.where(cube.mask, np.nan, cube.data)
+    for epoch, image in enumerate(even):
+        for place, axis in zip(np.indices(image.shape), (0, 1), strict=True):
+            # Smoothing has one side alone at the edges of a slope.
+            image -= np.nanmedian(np.diff(image, axis=axis)) * place
+        even[epoch] -= gaussian_smooth(image, width**2 * np.eye(2))
+    return even, [*map(wavelet.measure_noise, even, cube.mask)]
 
 
 def has_core(cube, beam):

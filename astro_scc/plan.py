@@ -463,7 +463,7 @@ def choose_direction(
         if use.any():
             break
     else:
-        return None, "nothing is seen beyond a beam from the core"
+        return None, "nothing is seen beyond a beam from the core on one side alone"
     order = np.argsort(r[use])
     r, offset, excess = (a[use][order] for a in (r, offset, excess))
     length = np.hypot(*((excess / r) @ offset))
@@ -472,4 +472,27 @@ def choose_direction(
     (inner, near), share = begins, np.cumsum(excess) / excess.sum()
     if r[np.searchsorted(share, inner)] > near * cube.resolution.to_value(u.mas):
         return None, "the structure does not begin at the reference pixel"
+    if _lies_aside(cube, image, snr * noise, angle):
+        return None, "the structure lies beside the reference pixel"
     return np.round(angle), "that of the mean image"
+
+
+def _lies_aside(cube, image, faintest, angle, *, core=0.05, least=25.0, longer=2.0):
+    """
+    Return whether a jet does not come from the reference pixel, but passes beside it.
+
+    Nothing brighter than this part of the brightest point, the ``core``, is within half
+    a beam of that pixel, and the structure is ``longer`` in a direction than across it,
+    ``least`` degrees from its direction as seen from there.
+    """
+    y, x = np.nonzero(image > faintest)
+    bright = image[y, x]
+    places = np.stack([offset.value for offset in cube.pixel_to_offset(x, y)])
+    near = np.hypot(*places) < cube.resolution.to_value(u.mas) / 2
+    if bright.size < 3 or (bright[near] > core * bright.max()).any():
+        return False
+    spread = np.cov(places, aweights=bright)
+    variances, axes = np.linalg.eigh(spread)
+    way = np.sin(angle), np.cos(angle)
+    turn = np.degrees(np.arccos(min(1.0, abs(float(axes[:, 1] @ way)))))
+    return bool(variances[1] > longer**2 * variances[0] and turn > least)

@@ -21,7 +21,7 @@ from astropy.time import Time
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.epochs.tables import LISTS, NO_IMAGE
 from astro_scc.images import fits, grid, headers, pixels, positions, series
-from astro_scc.images.dates import as_times, date_labels, order_of
+from astro_scc.images.dates import as_times, date_labels, order_of, without_order
 from astro_scc.images.positions import readable_angle
 from astro_scc.intervals import median_interval
 
@@ -85,7 +85,9 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     read = [row for row in rows if "plane" in row]
     planes = [row["plane"] for row in read]
     unit = planes[0].unit if read else u.dimensionless_unscaled
-    for row, plane in zip(read, planes, strict=True):
+    notes = without_order([row["problem"] for row in read])
+    for row, plane, own in zip(read, planes, notes, strict=True):
+        row["problem"] = own
         factor = plane.unit.to(unit) if unit.is_equivalent(plane.unit) else np.nan
         row |= {"peak": row["peak"] * factor, "noise": row["noise"] * factor}
     if read:
@@ -448,7 +450,9 @@ def _strangers(planes):
     kinds = [("Stokes", intensity, UNCHECKED)]
     for fact, row in headers.KEYWORDS["facts"].items():
         if "named" in row:
-            advice = OTHER_CHANNEL if fact == "channel" else UNCHECKED
+            # Spacecraft see the Sun from several sides.
+            slight = fact in ("channel", "observatory")
+            advice = OTHER_CHANNEL if slight else UNCHECKED
             values = [plane.facts.get(fact) for plane in planes]
             kinds.append((row["named"], values, advice))
     for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):

@@ -212,7 +212,9 @@ def _completed(planes, times, beams):
             raise ValueError(f"{plane.name}: {plane.beam_choice}")
         with naming(plane.name):
             plane.take_uncertainty()
-        for note in plane.notes:
+    notes = dates.without_order([plane.notes for plane in planes])
+    for plane, own in zip(planes, notes, strict=True):
+        for note in own:
             remarks.setdefault(note, []).append(plane.label or plane.name)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")

@@ -28,6 +28,11 @@ UNKNOWN_SCALE = (
     "its time scale TIMESYS = {} is not known and taken for UTC; correct its dates, "
     "and TIMESYS, if they are local"
 )
+EITHER_ORDER = (
+    "its date is taken for day/month/year, as FITS had it, and may be month/day/year; "
+    "write it as 2006-03-09"
+)
+_EITHER = re.compile(r"\s*(0?[1-9]|1[0-2])/(0?[1-9]|1[0-2])/(\d\d){1,2}\b")
 _CLOCK = re.compile(
     r"(\d{1,2})[: H-](\d{1,2})(?:[: M-](\d{1,2})(\.\d*)?)?[MS]?$"
     r"|(\d\d)(\d\d)(\d\d)(\.\d*)?$"
@@ -81,6 +86,8 @@ def observing_time(header, *, start=False):
         starts[1:1], doubt = _with_clock(header, first)
     begin = min((one for one in starts if _agrees(one, first)), default=None)
     unknown = "" if scale in SCALES else UNKNOWN_SCALE.format(scale)
+    if _EITHER.match(get(header, first.keyword, kind=str)):
+        unknown = EITHER_ORDER
     remark = _contradictions(starts, first) or unknown or doubt
     if start:
         return (None if begin is None else _in_utc(begin.time)), remark
@@ -90,10 +97,11 @@ def observing_time(header, *, start=False):
         if not exposure > 0 and (value := get(header, keyword, kind=float)):
             # Its comment may say another unit.
             exposure = max(value, 0.0) * _unit_of(header, keyword, 1.0)
-    ends = [one for one in _dates(header, WORDS["end"], scale)[0] if not one.day_only]
+    ends = _dates(header, WORDS["end"], scale)[0]
     if known.day_only:
         half = TimeDelta(exposure / 2, format="sec")
-        middles += [replace(one, time=one.time - half) for one in ends]
+        clocked = (one for one in ends if not one.day_only)
+        middles += [replace(one, time=one.time - half) for one in clocked]
     middles = [one for one in middles if _follows(one, known, exposure)]
     middle = min(middles, default=None)
     # It is more precise than the start, or than their gap.
@@ -169,13 +177,17 @@ def _follows(middle, begin, exposure):
 
 
 def _lasted(begin, ends, exposure):
-    """Return the seconds from a start to the end, 0 if its time is not known."""
-    if begin is None or begin.day_only:
+    """Return the seconds from a start to the end, 0 if they are less than is known."""
+    if begin is None:
         return 0.0
     end = min((one for one in ends if one.time > begin.time), default=None)
+    lasted = 0.0 if end is None else (end.time - begin.time).to_value(u.s)
+    if begin.day_only or (end and end.day_only):
+        # Days alone, and midnights, tell of longer ones.
+        return lasted if lasted > DAY else 0.0
     if end is not None:
         # Exposures leave out the pauses.
-        return max(exposure, (end.time - begin.time).to_value(u.s))
+        return max(exposure, lasted)
     # A longer one is the sum of many, of which the dates are not known.
     return exposure if exposure <= DAY else 0.0
 
@@ -282,6 +294,16 @@ def _in_scale(time, scale):
 def _in_utc(time):
     with warnings.catch_warnings(action="ignore"):
         return Time(time.utc, format="isot")
+
+
+def without_order(notes):
+    """
+    Return advice on images without that on the order of days and months, in lists.
+
+    It stays if that of no image is known, which is that of all.
+    """
+    unknown = [EITHER_ORDER in own for own in notes]
+    return [[n for n in own if all(unknown) or n != EITHER_ORDER] for own in notes]
 
 
 # -- dates that are given ---------------------------------------------------------

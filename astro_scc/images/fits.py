@@ -270,7 +270,7 @@ def plane_of(hdus, path, *, window=None, load=True, frame=None):
     index = pixels.plane_index(header, frame)
     shape = tuple(n for n, i in zip(hdu.shape, index, strict=True) if i == slice(None))
     record = read_header(header, hdus)
-    record["remarks"].append(remark)
+    record["remarks"] += [remark, headers.contradicting_matrices(header)]
     plane = Plane(name=labelled(path, frame), wcs=wcs, shape=shape, unit=unit, **record)
     if plane.extent > WHOLE_SKY:
         raise headers.ContentError(

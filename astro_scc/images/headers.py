@@ -24,6 +24,8 @@ _UNITS = {word: unit for unit, words in KEYWORDS["units"].items() for word in wo
 #: Units that are logarithms of brightness, as text.
 _LOGARITHM = re.compile(r"(?<![a-z])(mag|mags|magnitudes?|dex|db|log|log10)(?![a-z])")
 _WCS_NUMBER = re.compile(r"((CRPIX|CRVAL|CDELT|CROTA)\d+|(PC|CD)\d+_\d+)$")
+#: The keywords of matrices, of which a header has one kind and WCS takes the first.
+_MATRICES = {"PC": r"PC\d+_\d+$", "CD": r"CD\d+_\d+$", "CROTA": r"CROTA\d+$"}
 _SIP = re.compile(r"[AB]P?_(ORDER|DMAX|\d+_\d+)$")
 _MATRIX = re.compile(r"PV|CDELT|CROTA|(PC|CD)\d+_|WCSAXES|NAXIS|CRPIX[3-9]")
 _CELESTIAL = re.compile(
@@ -234,6 +236,32 @@ def celestial_wcs(header, fobj=None):
     return as_celestial(wcs)
 
 
+def contradicting_matrices(header, within=0.01):
+    """
+    Return a remark on matrices of a header that are not one, or "".
+
+    They may differ ``within`` a part of their pixels, as angles are rounded.
+    """
+    clean, found = _repaired(header), {}
+    # Angles of zero are left over where there is a matrix.
+    kinds = [
+        kind for kind, own in _MATRICES.items()
+        if any(clean[key] for key in clean if re.match(own, key))
+    ]  # fmt: skip
+    for kind in kinds if len(kinds) > 1 else ():
+        others = "|".join(own for name, own in _MATRICES.items() if name != kind)
+        with warnings.catch_warnings(action="ignore"), suppress(Exception):
+            wcs = WCS(without(clean.copy(), others)).celestial
+            found[kind] = wcs.pixel_scale_matrix
+    first, *rest = found.values() or [np.zeros(1)]
+    if all(np.allclose(first, one, 0, within * np.abs(first).max()) for one in rest):
+        return ""
+    return (
+        f"its {' and '.join(found)} are of different scales or directions, and "
+        f"{kinds[0]} is taken; remove what is wrong"
+    )
+
+
 def _complete_polynomials(header, axes):
     """
     Put the pixel scale of ``TPV`` into the matrix of two axes, in place.
@@ -282,9 +310,20 @@ def _repaired(header):
     if not any("-SIP" in str(value) for value in clean["CTYPE*"].values()):
         # Images that were resampled keep the coefficients of the distorted ones.
         without(clean, _SIP)
+    _complete_rotation(clean, header)
     if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
         clean["EQUINOX"] = epoch
     return clean
+
+
+def _complete_rotation(clean, header):
+    """Write the rotation to where the standard has it, in place, unless it is there."""
+    longitude, latitude = celestial_axes(clean) or (1, 2)
+    own = f"CROTA{latitude}"
+    if own not in clean and not any(re.match("(CD|PC)[0-9]", key) for key in clean):
+        other = f"CROTA{longitude}", *KEYWORDS["rotation"]["keywords"]
+        if angle := get(header, *other, kind=float):
+            clean[own] = angle
 
 
 def _standard(keyword, value):

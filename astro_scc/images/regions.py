@@ -192,7 +192,9 @@ def _read(path):
     ):
         found = Regions.parse(text, format=kind)
     if len(found) == 0:
-        raise ValueError(f"{path}: holds no region that can be used")
+        why = [str(item.message).removesuffix(", skipping.") for item in caught]
+        why = f": {'; '.join(why)}; save it as fk5 or image" if why else ""
+        raise ValueError(f"{path}: holds no region that can be used{why}")
     for item in caught:
         warn(f"{path}: {item.message}; check that the rest is what you want")
     return found, {len(digits) for digits in re.findall(r"\.(\d+)", text)}

@@ -203,6 +203,7 @@ def test_given_dates_and_beams_replace_those_of_headers(make_epochs):
         ({"data": 1e4 * np.arange(512.0).reshape(16, 32)}, "1.fits: its peak is .* ti"),
         ({"OBJECT": "1226+023"}, "1.fits: shows 1226.023, at the same place"),
         ({"CDELT1": 1 / 3.6e7}, "1.fits: east is to the right, unlike in most"),
+        ({"PC1_1": 1.0, "CROTA2": 20.0}, "1.fits: its PC and CROTA are of different s"),
     ],
 )  # fmt: skip
 def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_epochs, changes, words):
@@ -215,6 +216,18 @@ def test_what_is_odd_and_no_reason_to_refuse_is_a_warning(make_epochs, changes, 
     said = [text for text in said if "on another grid" not in text]
     assert (len(said), caught[0].filename, len(cube)) == (1, __file__, 4)
     assert re.search(words, said[0])
+
+
+def test_the_order_of_days_and_months_is_that_of_the_series(make_epochs):
+    paths = make_epochs({"DATE_OBS": "05/03/97"}, {"DATE_OBS": "06/03/97"})
+    with pytest.warns(EpochWarning, match="0.fits, 1.fits: its date .* month/day"):
+        EpochCube.read(paths)
+    assert all("month/day" in problem for problem in inspect_epochs(paths)["problem"])
+    # One date of which the order is known tells that of all.
+    paths += make_epochs({}, {}, {"DATE_OBS": "21/03/97"})[2:]
+    paths[:2] = make_epochs({"DATE_OBS": "05/03/97"}, {"DATE_OBS": "06/03/97"})
+    assert EpochCube.read(paths).times.isot[1][:10] == "1997-03-06"
+    assert set(inspect_epochs(paths)["problem"]) == {""}
 
 
 USUAL = {"FILTER": "F502N", "WAVELNTH": 171, "WAVEUNIT": "angstrom", "BAND": "L",
@@ -240,17 +253,19 @@ NEIGHBOURS = [
     (VELOCITY | {"CRVAL3": 2e5}, "is of the channel VRAD 200000 m/s, others are of VR"),
     ({"CRVAL3": 15.43e9}, "is at 15.43 GHz, others are at 15.4, in the same band"),
     ({"CRVAL4": -1.0}, "is of Stokes RR, others are of I; leave it out if it shows"),
+    ({"OBSRVTRY": "STEREO_B"}, "OBSRVTRY. STEREO_B, others are of STEREO_A; leave it"),
 ]
 
 
 @pytest.mark.parametrize(("changes", "words"), NEIGHBOURS)
 def test_images_of_a_neighbouring_channel_are_named(make_epochs, changes, words):
-    usual = VELOCITY if "VRAD" in words else {}
+    usual = VELOCITY if "VRAD" in words else {"OBSRVTRY": "STEREO_A"}
     paths = make_epochs(usual, usual, usual, changes)
     with pytest.warns(EpochWarning, match=f"3.fits: .*{words}") as caught:
         assert len(EpochCube.read(paths)) == 4
     assert len(caught) == 1
-    assert words.split(";")[0] in inspect_epochs(paths)["problem"][3]
+    words = words.partition(";")[0].removeprefix("OBSRVTRY. ")
+    assert words in inspect_epochs(paths)["problem"][3]
 
 
 def test_files_of_something_else_are_named(make_epochs):

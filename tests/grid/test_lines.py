@@ -117,3 +117,10 @@ def test_what_is_seen(cube):
     assert seen.sum() < 70
     assert not seen_flow(bright, 3.0, core=True)[32, 45]
     assert not has_core(bright, 0.8)
+    # On a sky that is not even, above which the noise of the sky leaves nothing.
+    sky = np.linspace(0, 400, cube.shape[2])
+    uneven = bright.with_step("a sky", data=data + sky)
+    assert uneven.noise_rms().value.min() > 100
+    assert seen_flow(uneven, 0.8, core=False)[32, 45]
+    none = bright.with_step("nothing", data=cube.data + sky)
+    assert not seen_flow(none, 0.8, core=False)[:, 10:-10].any()

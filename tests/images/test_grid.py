@@ -117,6 +117,7 @@ def test_regions_of_too_few_digits_are_refused(tmp_path):
 def test_regions_that_cannot_be_used(tmp_path):
     for region, message in [
         (b"garbage\n", "r.reg: holds no region"),
+        (b"physical\nbox(9,9,9,9,0)\n", '"physical" frame .* not .* save it as fk5'),
         (b"image\ncircle(1,2\n", "r.reg: cannot be read as a ds9 region file"),
         (b"#CRTFv0\ncircle[[1pix],2]\n", "r.reg: cannot be read as a crtf"),
         (b"\xff\xfe\x00\x80", "r.reg: is not a text file"),

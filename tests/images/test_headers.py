@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """What headers tell, also those that archives have."""
 
+import re
 import warnings
 from types import SimpleNamespace
 
@@ -15,7 +16,11 @@ from astropy.wcs import WCS
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.images.dates import observing_time
 from astro_scc.images.fits import read_header, read_plane
-from astro_scc.images.headers import celestial_wcs, parse_unit
+from astro_scc.images.headers import (
+    celestial_wcs,
+    contradicting_matrices,
+    parse_unit,
+)
 from astro_scc.images.positions import axis_words, name_by_frame, sky_columns
 from astro_scc.quantities import parse_date
 
@@ -128,6 +133,35 @@ def test_repaired_headers_give_the_same_wcs_and_warn_of_nothing(aips_header):
         expected = [[-scale, 0], [0, scale]]
         assert np.allclose(wcs.pixel_scale_matrix, expected, rtol=1e-12)
         assert [*wcs.wcs.crpix, *wcs.wcs.crval] == [16, 9, 187.25, 2.05]
+
+
+TURN = {"PC1_1": 0.8, "PC1_2": 0.6, "PC2_1": -0.6, "PC2_2": 0.8}
+ANGLE = np.degrees(np.arcsin(0.6))
+STEPS = {"CD1_1": -1e-5, "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": 1e-5}
+#: Cards, whether they turn the image, and a remark.
+ROTATIONS = [
+    (TURN, True, ""),
+    *(({key: ANGLE}, True, "") for key in ("CROTA2", "CROTA1", "CROTA", "SC_ROLL")),
+    # What the standard has counts.
+    ({"CROTA2": 0.0, "SC_ROLL": ANGLE}, False, ""),
+    (TURN | {"CROTA2": round(ANGLE, 1), "SC_ROLL": 5.0}, True, ""),
+    (STEPS | {"CROTA2": 0.0, "CDELT1": 1.0, "CDELT2": 1.0}, False, ""),
+    (TURN | {"CROTA2": -ANGLE}, True, "its PC and CROTA are of different scales or d"),
+    (STEPS | {"CROTA2": ANGLE}, False, "its CD and CROTA are of different .* and CD "),
+    (TURN | STEPS, True, "its PC and CD are of different scales .* and PC is taken; r"),
+]
+
+
+@pytest.mark.parametrize(("cards", "turned", "remark"), ROTATIONS)
+def test_the_rotation_wherever_it_is(aips_header, cards, turned, remark):
+    header = aips_header(CDELT1=-1e-5, CDELT2=1e-5, CROTA1=None, CROTA2=None)
+    header.update(cards)
+    matrix = celestial_wcs(header).pixel_scale_matrix / 1e-5
+    wanted = [[-0.8, -0.6], [-0.6, 0.8]] if turned else [[-1, 0], [0, 1]]
+    assert np.allclose(matrix, wanted, atol=1e-9)
+    said = contradicting_matrices(header)
+    assert re.match(remark, said)
+    assert bool(said) == bool(remark)
 
 
 @pytest.mark.parametrize("name", ["solar_x", "SOLAR-X", "Solar-X"])
@@ -313,6 +347,11 @@ DATES = [
     (DATE | {"DATE-AVG": "2015-06-18T14:29:00"}, MIDDLE),
     (DATE | {"MJD-AVG": MJD + 300 / 86400, "EXPTIME": 99.0}, MIDDLE),
     (CLOCK | {"DATE-AVG": "2015-06-20T14:29:00"}, START),
+    # Of long ones the time of the day does not matter.
+    ({"DATE-OBS": "2015-06-08", "DATE-END": "2015-06-28"}, MIDNIGHT),
+    ({"DATE-OBS": "2015-06-08T00:00:00", "DATE-END": "2015-06-28T04:48:00"},
+     "2015-06-18T02:24:00.000"),
+    (DATE | {"DATE-END": "2015-06-19"}, MIDNIGHT),
     # The end alone.
     (DATE | {"DATE-END": "2015-06-18T14:34:00", "EXPTIME": 600.0}, MIDDLE),
     # Exposures that last beyond midnight.
@@ -352,6 +391,7 @@ DOUBTS = [
     (DATE | {"UT": 14.4}, MIDNIGHT, "its UT = 14.4 may be hours or seconds and is lef"),
     (DATE | {"TIME-OBS": 14.4}, "2015-06-18T00:00:14.400", "its TIME-OBS = 14.4 may be "
      "hours or seconds and is seconds; write it as"),
+    ({"DATE-OBS": "05/03/97"}, "1997-03-05T00:00:00.000", "and may be month/day/year;"),
     (CLOCK | {"TIMESYS": "MST"}, START, "its time scale TIMESYS = MST is not known and "
      "taken for UTC"),
 ]  # fmt: skip

@@ -75,6 +75,14 @@ def spots(*places, beams=BEAM):
     )  # fmt: skip
 
 
+def aside(place):
+    """A jet to the west whose core is at a place (east, north) in mas."""
+    cube = spots((-1, 0.1), (-2, -0.1), (-3, 0))
+    wcs = cube.wcs.deepcopy()
+    wcs.wcs.crpix += np.array([place[0], -place[1]]) / 0.1
+    return cube.with_step("moved", wcs=wcs)
+
+
 @pytest.mark.parametrize("angle", [60, 270])
 def test_the_direction_is_that_of_the_jet(angle):
     way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
@@ -91,6 +99,8 @@ def test_the_direction_is_that_of_the_jet(angle):
     [
         (lambda: spots((2, 0), beams=None), "without a beam"),
         (lambda: spots(), "nothing is seen beyond a beam"),
+        (lambda: spots((2, 0), (-2, 0)), "from the core on one side alone"),
+        (lambda: aside((1.2, -1.2)), "lies beside the reference pixel"),
         (lambda: spots((0, 4.8)), "does not begin"),
         (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
     ],
