@@ -14,6 +14,7 @@ from astro_scc import kinematics
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.epochs.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
+from astro_scc.grid import has_core
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
 from astro_scc.settings import refuse_other_method, require
 from astro_scc.spectrum.permutations import EVERY, within
@@ -397,10 +398,11 @@ def structure_size(cube, *, background=16.0, most_epochs=5, most_pixels=512):
 
 
 def choose_direction(
-    cube, *, snr=5.0, cores=(1.5, 1.0), one_sided=0.6, begins=(0.05, 4.0), certain=10.0
+    cube, *, snr=5.0, cores=(1.5, 1.0), one_sided=0.6, begins=(0.05, 4.0), certain=10.0,
+    two_sided=0.8,
 ):  # fmt: skip
     """
-    Return the direction of a one-sided jet, from the mean of its images.
+    Return the direction of a jet, from the mean of its images.
 
     Parameters
     ----------
@@ -419,12 +421,17 @@ def choose_direction(
         within 3.5 of those jets; the shells have none within 18.
     certain : float, optional
         Largest error of a direction that is used, in degrees.
+    two_sided : float, optional
+        Structure is along one axis if the mean of the unit vectors with twice the
+        position angle is as long: 0.93 for a jet with a counter-jet, below 0.1 for the
+        shells.
 
     Returns
     -------
     position_angle : `~astropy.units.Quantity` or None
-        In whole degrees; None where the structure does not extend to one side from the
-        reference pixel, so that motion in all directions is searched for.
+        In whole degrees, of two sides the brighter one; None where the structure
+        extends from the reference pixel neither to one side nor along one axis, so that
+        motion in all directions is searched for.
     reason : str
 
     Examples
@@ -436,22 +443,36 @@ def choose_direction(
     """
     if cube.beams is None:
         return None, "images without a beam have no core"
+    image = np.asarray(cube.mean_image().data, dtype=float)
+    # A sky that is not zero would be an excess where the other side is not seen.
+    image = np.nan_to_num(image - np.nanmedian(image))
+    faintest = snr * np.median(u.Quantity(cube.noise_rms()).value)
+    limits = {"cores": cores, "one_sided": one_sided, "begins": begins}
+    angle, reason = _on_one_side(cube, image, faintest, certain=certain, **limits)
+    if angle is not None:
+        if _lies_aside(cube, image, faintest, angle):
+            return None, "the structure lies beside the reference pixel"
+        return np.round(angle), "that of the mean image"
+    angle = _along_both_sides(cube, image, faintest, cores[0], two_sided)
+    if angle is None:
+        return None, reason
+    return np.round(angle), "that of the mean image, on both sides of the core"
+
+
+def _on_one_side(cube, image, faintest, *, cores, one_sided, begins, certain):
+    """Return the direction of a one-sided jet, or None and why there is none."""
     try:
         angle, error = kinematics.fit_position_angle(cube)
     except ValueError:
         return None, "nothing is seen beyond a beam from the core"
-    image = np.asarray(cube.mean_image().data, dtype=float)
-    # A sky that is not zero would be an excess where the other side is not seen.
-    image = np.nan_to_num(image - np.nanmedian(image))
-    noise, columns = np.median(u.Quantity(cube.noise_rms()).value), image.shape[1]
-    found = []
+    columns, found = image.shape[1], []
     # Few pixels are bright; row by row, large images need no more memory.
     for row, values in enumerate(image):
         east, north = cube.pixel_to_offset(np.arange(columns), row)
         # Without what is as bright on the other side: the core's wings, a shell.
         x, y = cube.offset_to_pixel(-east, -north)
         excess = values - scipy.ndimage.map_coordinates(image, [y, x], order=1)
-        bright = excess > snr * noise
+        bright = excess > faintest
         found.append(np.stack([east.value, north.value, excess])[:, bright])
     *offset, excess = np.concatenate(found, axis=1)
     r, offset = np.hypot(*offset), np.transpose(offset)
@@ -472,9 +493,29 @@ def choose_direction(
     (inner, near), share = begins, np.cumsum(excess) / excess.sum()
     if r[np.searchsorted(share, inner)] > near * cube.resolution.to_value(u.mas):
         return None, "the structure does not begin at the reference pixel"
-    if _lies_aside(cube, image, snr * noise, angle):
-        return None, "the structure lies beside the reference pixel"
-    return np.round(angle), "that of the mean image"
+    return angle, ""
+
+
+def _along_both_sides(cube, image, faintest, core, two_sided, *, weaker=0.1):
+    """
+    Return the direction of a jet on both sides of a core, or None.
+
+    The ``weaker`` side has this part of the brightness or more.
+    """
+    y, x = np.nonzero(image > faintest)
+    places = [offset.to_value(u.rad) for offset in cube.pixel_to_offset(x, y)]
+    beam = cube.resolution.to_value(u.mas)
+    far = np.hypot(*places) > core * cube.resolution.to_value(u.rad)
+    if far.sum() < 3 or not has_core(cube, beam):
+        return None
+    bright, angle = image[y, x][far], np.arctan2(*places)[far]
+    double = bright @ np.exp(2j * angle) / bright.sum()
+    axis = np.angle(double) / 2
+    ahead = bright @ (np.cos(angle - axis) > 0) / bright.sum()
+    if abs(double) < two_sided or min(ahead, 1 - ahead) < weaker:
+        return None
+    # The brighter end of the axis.
+    return (np.degrees(axis + np.pi * (ahead < 0.5)) % 360) * u.deg
 
 
 def _lies_aside(cube, image, faintest, angle, *, core=0.05, least=25.0, longer=2.0):

@@ -94,12 +94,26 @@ def test_the_direction_is_that_of_the_jet(angle):
     assert abs(found.value - angle) <= 1
 
 
+@pytest.mark.parametrize("angle", [60, 270])
+@pytest.mark.parametrize("core", [True, False])
+def test_the_direction_of_a_jet_with_an_equal_counter_jet_is_its_axis(angle, core):
+    way = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
+    cube = spots(*(r * way for r in (-3, -1.5, 1.5, 3)))
+    if not core:
+        data = cube.data.copy()
+        data[:, 50:71, 50:71] = 0
+        cube = cube.with_step("no core", data=data)
+    found, said = plan.choose_direction(cube)
+    assert (found is not None) == ("on both sides of the core" in said) == core
+    assert found is None or min(abs(found.value % 180 - angle % 180), 180) <= 1
+
+
 @pytest.mark.parametrize(
     ("cube", "reason"),
     [
         (lambda: spots((2, 0), beams=None), "without a beam"),
         (lambda: spots(), "nothing is seen beyond a beam"),
-        (lambda: spots((2, 0), (-2, 0)), "from the core on one side alone"),
+        (lambda: spots((2, 0), (-2, 0), (0, 2), (0, -2)), "on one side alone"),
         (lambda: aside((1.2, -1.2)), "lies beside the reference pixel"),
         (lambda: spots((0, 4.8)), "does not begin"),
         (lambda: spots((2, 0), (0, 2), (-1.5, -1.5)), "not on one side"),
