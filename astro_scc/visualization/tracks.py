@@ -324,7 +324,8 @@ def _draw_paths(ax, features, view, stream, given):
         look = style.look_of("line", given, **feature_look(features, number, stream))
         place = view.factor * features.detections.place[track.detection].T
         dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0, "linewidth": 0.9}
-        ax.plot(*place, **dots | look)
+        # The arrow is the last step: drawn twice, a dotted one looks solid.
+        ax.plot(*place[:, :-1], **dots | look)
         line = {k: look[k] for k in ("color", "alpha", "zorder", "linestyle")}
         ends = place.T[-1:-3:-1]
         ax.annotate("", *ends, arrowprops=head | line, annotation_clip=True)
