@@ -302,8 +302,9 @@ def without_order(notes):
 
     It stays if that of no image is known, which is that of all.
     """
-    unknown = [EITHER_ORDER in own for own in notes]
-    return [[n for n in own if all(unknown) or n != EITHER_ORDER] for own in notes]
+    if all(EITHER_ORDER in of_image for of_image in notes):
+        return notes
+    return [[note for note in each if note != EITHER_ORDER] for each in notes]
 
 
 # -- dates that are given ---------------------------------------------------------

@@ -245,11 +245,11 @@ def contradicting_matrices(header, within=0.01):
     clean, found = _repaired(header), {}
     # Angles of zero are left over where there is a matrix.
     kinds = [
-        kind for kind, own in _MATRICES.items()
-        if any(clean[key] for key in clean if re.match(own, key))
+        kind for kind, keys in _MATRICES.items()
+        if any(clean[key] for key in clean if re.match(keys, key))
     ]  # fmt: skip
     for kind in kinds if len(kinds) > 1 else ():
-        others = "|".join(own for name, own in _MATRICES.items() if name != kind)
+        others = "|".join(keys for name, keys in _MATRICES.items() if name != kind)
         with warnings.catch_warnings(action="ignore"), suppress(Exception):
             wcs = WCS(without(clean.copy(), others)).celestial
             found[kind] = wcs.pixel_scale_matrix
@@ -319,11 +319,12 @@ def _repaired(header):
 def _complete_rotation(clean, header):
     """Write the rotation to where the standard has it, in place, unless it is there."""
     longitude, latitude = celestial_axes(clean) or (1, 2)
-    own = f"CROTA{latitude}"
-    if own not in clean and not any(re.match("(CD|PC)[0-9]", key) for key in clean):
+    standard = f"CROTA{latitude}"
+    matrix = any(re.match("(CD|PC)[0-9]", key) for key in clean)
+    if standard not in clean and not matrix:
         other = f"CROTA{longitude}", *KEYWORDS["rotation"]["keywords"]
         if angle := get(header, *other, kind=float):
-            clean[own] = angle
+            clean[standard] = angle
 
 
 def _standard(keyword, value):
