@@ -40,7 +40,7 @@ def write_sources(folder, number, trials):
     text = [HEAD, f"n_trials = {trials}\n"]
     for k in range(number):
         cube = simulate_two_fluid(n_epochs=6, rng=k).cube
-        cube = cube.crop((slice(64, 192), slice(16, 240)))
+        cube = cube.crop((slice(0, 128), slice(16, 240)))
         cube.write(folder / f"jet{k:02d}.fits")
         text.append(f'[sources."Jet {k}"]\nepochs = "jet{k:02d}.fits"\n')
     path = folder / "survey.toml"
