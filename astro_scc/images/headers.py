@@ -242,15 +242,21 @@ def contradicting_matrices(header, within=0.01):
 
     They may differ ``within`` a part of their pixels, as angles are rounded.
     """
+    written = [
+        kind for kind, keys in _MATRICES.items()
+        if any(re.match(keys, key) for key in header)
+    ]  # fmt: skip
+    if len(written) < 2:
+        return ""
     clean, found = _repaired(header), {}
     # Angles of zero are left over where there is a matrix.
     kinds = [
-        kind for kind, keys in _MATRICES.items()
-        if any(clean[key] for key in clean if re.match(keys, key))
+        kind for kind in written
+        if any(clean[key] for key in clean if re.match(_MATRICES[kind], key))
     ]  # fmt: skip
     for kind in kinds if len(kinds) > 1 else ():
         others = "|".join(keys for name, keys in _MATRICES.items() if name != kind)
-        with warnings.catch_warnings(action="ignore"), suppress(Exception):
+        with warnings.catch_warnings(action="ignore"), suppress(ValueError):
             wcs = WCS(without(clean.copy(), others)).celestial
             found[kind] = wcs.pixel_scale_matrix
     first, *rest = found.values() or [np.zeros(1)]
