@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.survey import run_survey
 
 REPOSITORY = Path(__file__).parents[1]
@@ -114,6 +115,11 @@ def test_movies_in_true_and_in_scrambled_order(script):
     order = [int(np.flatnonzero((old == image).all(axis=1))[0]) for image in new]
     assert sorted(order) == list(range(11)) != order
     assert resolved.true_speeds(resolved.simulate("static", "11x21d", 1)) == []
+    # Features that are found by chance are not secure.
+    found = StackedCrossCorrelation()(cube, n_trials=119, rng=1)
+    assert found.decomposed.features.secure.any()
+    assert not found.features["secure"].any()
+    assert "so no feature is secure" in found.streams["caution"][0]
 
 
 @pytest.mark.slow

@@ -46,6 +46,9 @@ class Features:
         The core of each epoch, if it is seen.
     tracks : tuple of ``Track``
         In the order of their first epochs.
+    alike : bool
+        Whether images of neighbouring dates resemble one another, or their motion is
+        significant, so that features can be recognised; otherwise none is secure.
 
     Examples
     --------
@@ -60,6 +63,7 @@ class Features:
     detections: Detections
     core: Detections
     tracks: tuple[Track, ...]
+    alike: bool = True
 
     def __len__(self) -> int:
         return len(self.tracks)
@@ -123,7 +127,7 @@ class Features:
 
     def _are_secure(self, p_false):
         each = zip(p_false, self.moved, self.tracks, self.motions, strict=True)
-        return np.array([is_secure(*one) for one in each], dtype=bool)
+        return np.array([self.alike and is_secure(*one) for one in each], dtype=bool)
 
     @cached_property
     def core_error(self) -> float:

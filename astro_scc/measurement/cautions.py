@@ -76,6 +76,8 @@ def _doubts(result, stream, alpha):
     search, unit = result.search, result.cube.speed_unit
     never = search.test.p_smallest > alpha
     low, high = (_shown(speed, unit) for speed in (search.slowest, search.fastest))
+    unlike = f"{finder.UNLIKE}, if the dates are right; so no feature is secure"
+    unlike = [] if search.features.alike else [unlike]
     one_way, angle = [], np.degrees(result.flow.grids[0].angle) % 360
     if result.meta["settings"]["outward"] and result.flow.directed:
         outward = result.flow.outward
@@ -84,6 +86,7 @@ def _doubts(result, stream, alpha):
     return [
         f"p_global {stream.p_global:.2g} is above alpha, {alpha:g}"
         f"{', which so few epochs or trials cannot reach' if never else ''}",
+        *unlike,
         *one_way,
         f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
         "faster shorter intervals",

@@ -171,7 +171,8 @@ class SCCResult(tables.VelocityMaps):
     @property
     def tracked_features(self) -> Features:
         """The features that are followed in the images of ``decomposed``."""
-        return self.decomposed.features
+        features: Features = self.search.features
+        return features
 
     @cached_property
     def features(self) -> QTable:
