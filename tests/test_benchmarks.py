@@ -15,6 +15,7 @@ import pytest
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.survey import run_survey
+from astro_scc.report.answer import feature_lines
 
 REPOSITORY = Path(__file__).parents[1]
 PATH = REPOSITORY / "benchmarks" / "run_all.py"
@@ -120,6 +121,7 @@ def test_movies_in_true_and_in_scrambled_order(script):
     assert found.decomposed.features.secure.any()
     assert not found.features["secure"].any()
     assert "so no feature is secure" in found.streams["caution"][0]
+    assert "none is secure" in feature_lines(found.features)[-1]
 
 
 @pytest.mark.slow

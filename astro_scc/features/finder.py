@@ -355,7 +355,7 @@ def feature_table(features, stream=0):
         describe(table, "features")
         table["t_ej"].info.description = "MJD at which it was at the core"
     in_speed_unit(table, unit)
-    table.meta.update(cube.facts)
+    table.meta |= cube.facts | ({} if features.alike else {"alike": False})
     return round_to_errors(name_by_frame(table, cube))
 
 

@@ -395,6 +395,8 @@ def _lacking(features, *, most_spans=10):
     """
     if len(features) == 0:
         return ["No detections of four epochs or more are in steady motion."]
+    if not features.meta.get("alike", True):
+        return ["In images of neighbouring dates that differ so much none is secure."]
     motion, false = features["motion"].value, features["p_false"]
     errors = (features["pm"] / features["pm_err"]).value
     beams, sigma, _ = MOTIONS[0]
