@@ -88,7 +88,7 @@ def explain_feature(
     lines = said + lines
     owner = np.full(len(d), -1)
     for k, track in enumerate(features.tracks):
-        owner[track.detection] = k
+        owner[track] = k
     if len(seen) == 0:
         why = " though there is emission: blended, or outside of the region" * bright
         return [*lines, f"It is lost: nothing is detected there{why}."]
@@ -115,7 +115,7 @@ def _of_feature(features, number):
     if len(found) == 0:
         raise ValueError(f"there is no feature {number}; features.ecsv has the numbers")
     d, motion = features.detections, features.motions[found[0]]
-    first, last = d.epoch[features.tracks[found[0]].detection[[0, -1]]]
+    first, last = d.epoch[features.tracks[found[0]][[0, -1]]]
     epoch = np.arange(first, last + 1)
     return epoch, motion.at(d.years[epoch])
 
@@ -229,9 +229,9 @@ def _not_linked(features, seen, owner):
 def _linked(features, k):
     """Return how well the links of a feature agree with its motion, as a line."""
     d, track, motion = features.detections, features.tracks[k], features.motions[k]
-    scatter = position_scatter(d, TrackSettings())[track.detection]
+    scatter = position_scatter(d, TrackSettings())[track]
     off = np.hypot(*d.to_beams(motion.residual).T) / scatter
-    missed = np.ptp(d.epoch[track.detection]) + 1 - len(track)
+    missed = np.ptp(d.epoch[track]) + 1 - len(track)
     return [
         f"Feature {features.number[k]} links {_count(len(track))} and misses "
         f"{missed}; it is off its line by {np.sqrt((off**2).mean()):.2g} standard "
@@ -247,8 +247,8 @@ def _trusted(features, k):
     # The distance has an offset, see `properties`.
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
-    false, moved, same = features.p_false[k], features.moved[k], track.same_speed
-    most = trust.MOST_FALSE
+    false, same, most = features.p_false[k], features.same_speed[k], trust.MOST_FALSE
+    moved = features.moved[k]
     checks = {
         f"p_false {false:.2g} (at most {most:g})": false <= most,
         f"the same speed in {same:.0%} of the perturbed assignments (at least "

@@ -299,7 +299,7 @@ def measure_diffusion(features: Any) -> dict[str, float]:
     found = {"step": 0.0, "change": 0.0, "isotropy": 0.0, "variance": 0.0}
     d = features.detections
     each = zip(features.tracks, features.motions, strict=True)
-    long = [(t.detection, motion) for t, motion in each if len(t) >= HALVES_OF]
+    long = [(track, motion) for track, motion in each if len(track) >= HALVES_OF]
     found["n_features"] = len(long)
     if len(long) < 2:
         return found
@@ -370,7 +370,7 @@ def random_walk(features: Any) -> float:
     """
     d, walk, years = features.detections, 0.0, 0.0
     for track, motion in zip(features.tracks, features.motions, strict=True):
-        time, place = d.time[track.detection], d.place[track.detection]
+        time, place = d.time[track], d.place[track]
         n = len(time) - 1
         if n < LEAST_EPOCHS - 1:
             continue

@@ -5,7 +5,6 @@ import numpy as np
 
 from astro_scc.features.detections import Detections
 from astro_scc.features.motion import LEAST_EPOCHS, SIGNIFICANT, Motion
-from astro_scc.features.tracks import Track
 
 #: Logistic regression of what the survey's positions confirm, on the properties in
 #: `properties`: constant, and coefficients (``benchmarks/features.py trust``).
@@ -23,14 +22,15 @@ MOTIONS = (1.0, SIGNIFICANT, LEAST_EPOCHS), (0.5, 5.0, 5)
 FAR = 2.0
 
 
-def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarray:
+def properties(detections: Detections, track: np.ndarray, motion: Motion) -> np.ndarray:
     """
     Return the properties of a track from which its probability follows.
 
     Parameters
     ----------
     detections : ``Detections``
-    track : ``Track``
+    track : `~numpy.ndarray` of int
+        The detections of the track.
     motion : ``Motion``
 
     Returns
@@ -42,25 +42,25 @@ def properties(detections: Detections, track: Track, motion: Motion) -> np.ndarr
         nearest other detection in beams; scatter of the logarithm of its flux
         from epoch to epoch; scatter of its positions in beams.
     """
-    d, members = detections, track.detection
-    epoch, place = d.epoch[members], d.in_beams
+    d = detections
+    epoch, place = d.epoch[track], d.in_beams
     distance = np.hypot(*motion.place)
     length = distance * motion.speed
     cosine = motion.velocity @ motion.place / length if length > 0 else 0.0
     nearest = []
-    for k in members.tolist():
+    for k in track.tolist():
         same = np.arange(*np.searchsorted(d.epoch, (d.epoch[k], d.epoch[k] + 1)))
         away = np.hypot(*(place[same[same != k]] - place[k]).T)
         nearest.append(away.min(initial=FAR))
     return np.array(
         [
-            np.log(len(members)),
+            np.log(len(track)),
             np.log(max(np.hypot(*d.to_beams(motion.moved)), 0.05)),
             np.log(distance / d.fwhm + 0.3),
             cosine,
-            len(members) / (epoch[-1] - epoch[0] + 1),
+            len(track) / (epoch[-1] - epoch[0] + 1),
             np.median(nearest),
-            np.diff(np.log(d.flux[members])).std(),
+            np.diff(np.log(d.flux[track])).std(),
             np.sqrt((motion.residual**2).mean()) / d.fwhm,
         ]
     )
@@ -87,28 +87,27 @@ def p_false_of(known: np.ndarray, *, outward: bool = False) -> np.ndarray:
     return 1 / (1 + np.exp(CONSTANT + known @ COEFFICIENTS))
 
 
-def is_secure(p_false: float, moved: float, track: Track, motion: Motion) -> bool:
+def are_secure(p_false, same_speed, moved, errors, n_epochs):
     """
-    Return whether a track is one feature with a reliable speed.
+    Return which tracks are one feature each, with a reliable speed.
 
-    It has a ``p_false`` of at most ``MOST_FALSE``, the same speed in the share
+    They have a ``p_false`` of at most ``MOST_FALSE``, the same speed in the share
     ``SAME_SPEED`` of the assignments, and `moves_enough`.
 
     Parameters
     ----------
-    p_false : float
-    moved : float
-        Motion from the first to the last date, in beams along it.
-    track : ``Track``
-    motion : ``Motion``
+    p_false, same_speed : `~numpy.ndarray`, shape (n,)
+    moved, errors : `~numpy.ndarray`, shape (n,)
+        Motion from the first to the last date, in beams along it, and speed in
+        standard errors.
+    n_epochs : `~numpy.ndarray` of int, shape (n,)
 
     Returns
     -------
-    bool
+    `~numpy.ndarray` of bool, shape (n,)
     """
-    stable = track.same_speed >= SAME_SPEED and p_false <= MOST_FALSE
-    errors = motion.speed / motion.speed_err
-    return bool(stable and moves_enough(moved, errors, len(track)))
+    stable = (same_speed >= SAME_SPEED) & (p_false <= MOST_FALSE)
+    return stable & moves_enough(moved, errors, n_epochs)
 
 
 def moves_enough(moved, errors, n_epochs):

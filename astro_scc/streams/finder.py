@@ -523,7 +523,7 @@ def _standing(features, flow, streams, inside, shift):
     the core, the reference, do: images do not tell which.
     """
     velocities, _ = frame_velocities(flow.frame, features)
-    weight = np.array([len(track) for track in features.tracks], float)
+    weight = features.n_epochs.astype(float)
     speed, error = np.reshape(
         [(m.speed, m.speed_err) for m in features.motions], (-1, 2)
     ).T

@@ -98,7 +98,7 @@ def _draw_separations(ax, lower, features, on_axis, unit, stream, given):
     outward = d.place / np.maximum(distance, 1e-30)[:, None]
     error = np.hypot(*(outward * d.place_error).T)
     for number, motion in enumerate(features.motions):
-        k = features.tracks[number].detection
+        k = features.tracks[number]
         look = style.look_of("line", given, **feature_look(features, number, stream))
         dots = {"fmt": "o", "ms": 3, "mew": 0, "lw": 0.8, **look, "linestyle": ""}
         time = d.time[k]
@@ -143,7 +143,7 @@ def ejections(features, *, earlier=0.3):
 
 def _named(features):
     """Return the features with numbers, first the secure ones and of most epochs."""
-    n = [len(track) for track in features.tracks]
+    n = features.n_epochs
     order = sorted(range(len(n)), key=lambda k: (~features.secure[k], -n[k]))
     crowded = len(order) > CROWDED
     return [k for k in order[:NAMED] if features.secure[k]] if crowded else order
@@ -286,7 +286,7 @@ def _inner_paths(features, view, *, inner=0.3, close=0.02):
     from scipy.spatial.distance import cdist
 
     d, size = features.detections, np.ptp(view.limits, axis=1).max()
-    paths = [view.factor * d.place[track.detection] for track in features.tracks]
+    paths = [view.factor * d.place[track] for track in features.tracks]
     far = np.array([np.hypot(*path.T).max() for path in paths])
     near = np.flatnonzero(far < inner * size)
     apart = [cdist(paths[a], paths[b]).min() for a, b in combinations(near, 2)]
@@ -322,7 +322,7 @@ def _draw_paths(ax, features, view, stream, given):
     head, last = head | {"linewidth": 0.9}, []
     for number, track in enumerate(features.tracks):
         look = style.look_of("line", given, **feature_look(features, number, stream))
-        place = view.factor * features.detections.place[track.detection].T
+        place = view.factor * features.detections.place[track].T
         dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0, "linewidth": 0.9}
         # The arrow is the last step: drawn twice, a dotted one looks solid.
         ax.plot(*place[:, :-1], **dots | look)

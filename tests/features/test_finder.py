@@ -38,13 +38,13 @@ def against_truth(jet, features):
     purity, off = [], []
     for track, motion in zip(features.tracks, features.motions, strict=True):
         own = []
-        for k in track.detection.tolist():
+        for k in track.tolist():
             now = np.flatnonzero((truth["epoch"] == d.epoch[k]) & truth["visible"])
             near = np.hypot(*(place[now] - d.place[k]).T).argmin()
             own.append(truth["feature"][now[near]])
         names, counts = np.unique(own, return_counts=True)
         at = (truth["feature"] == names[counts.argmax()]) & np.isin(
-            truth["epoch"], d.epoch[track.detection]
+            truth["epoch"], d.epoch[track]
         )
         time = d.years[truth["epoch"][at]]
         velocity = np.polyfit(time - time.mean(), place[at], 1)[0]
