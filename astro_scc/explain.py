@@ -11,7 +11,14 @@ from astropy.table import QTable
 from astropy.time import Time
 from scipy.ndimage import map_coordinates
 
-from astro_scc.features import Features, TrackSettings, trust
+from astro_scc.features import Features, TrackSettings
+from astro_scc.features.motion import (
+    MOST_FALSE,
+    SAME_SPEED,
+    motions_in_words,
+    moves_enough,
+    properties,
+)
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
 from astro_scc.images.dates import date_labels
 from astro_scc.intervals import median_interval
@@ -19,7 +26,7 @@ from astro_scc.intervals import median_interval
 __all__ = ["explain_feature"]
 
 
-#: What the properties of `astro_scc.features.trust.properties` are, the first three as
+#: What the properties of `astro_scc.features.motion.properties` are, the first three as
 #: logarithms.
 PROPERTIES = (
     "{0:.0f} epochs, {1:.2g} beams of motion, {2:.2g} beams from the core, cosine "
@@ -243,19 +250,18 @@ def _linked(features, k):
 def _trusted(features, k):
     """Return what makes a feature secure or not, as lines."""
     track, motion = features.tracks[k], features.motions[k]
-    known = trust.properties(features.detections, track, motion)
+    known = properties(features.detections, track, motion)
     # The distance has an offset, see `properties`.
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
-    false, same, most = features.p_false[k], features.same_speed[k], trust.MOST_FALSE
-    moved = features.moved[k]
+    false, moved, same = features.p_false[k], features.moved[k], features.same_speed[k]
     checks = {
-        f"p_false {false:.2g} (at most {most:g})": false <= most,
+        f"p_false {false:.2g} (at most {MOST_FALSE:g})": false <= MOST_FALSE,
         f"the same speed in {same:.0%} of the perturbed assignments (at least "
-        f"{trust.SAME_SPEED:.0%})": same >= trust.SAME_SPEED,
+        f"{SAME_SPEED:.0%})": same >= SAME_SPEED,
         f"motion of {moved:.2g} beams and {sigma:.2g} standard errors in "
-        f"{_count(len(track))} (at least {trust.motions_in_words()})":
-            trust.moves_enough(moved, sigma, len(track)),
+        f"{_count(len(track))} (at least {motions_in_words()})":
+            moves_enough(moved, sigma, len(track)),
     }  # fmt: skip
     failed = [text for text, passed in checks.items() if not passed]
     return [

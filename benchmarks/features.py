@@ -12,8 +12,8 @@ beam, and observed and CLEANed, in FOLDER, finds their features as ``astro-scc t
 does without options, and compares them with the survey's.  The constants were chosen
 on the development sources and the twelve well-known ones; the others were not looked
 at.
-``trust`` fits the coefficients of `astro_scc.features.trust` to the development and the
-well-known sources, and compares probabilities with shares: for these by
+``trust`` fits the coefficients of `astro_scc.features.motion` to the development and
+the well-known sources, and compares probabilities with shares: for these by
 cross-validation, for the others by the fit to all of these.  Both take means of several
 seeds of the disturbed assignments, which change a few features.  ``simulated`` counts
 secure features of static jets, and compares those of moving ones with the truth.
@@ -43,8 +43,8 @@ from scipy.optimize import minimize
 from astro_scc import EpochCube
 from astro_scc.cli import main as astro_scc
 from astro_scc.features import find_features
+from astro_scc.features.motion import are_secure, properties
 from astro_scc.features.tracks import find_tracks
-from astro_scc.features.trust import are_secure, properties
 
 TABLE = "data/mojave_xviii/apjac230ft4_mrt.txt"
 KNOWN = (

@@ -21,9 +21,14 @@ from astro_scc.features.detections import (
     pixel_flux,
     ssps_of,
 )
-from astro_scc.features.motion import Motion, fit_motion
+from astro_scc.features.motion import (
+    Motion,
+    are_secure,
+    fit_motion,
+    p_false_of,
+    properties,
+)
 from astro_scc.features.tracks import TrackSettings, find_tracks
-from astro_scc.features.trust import are_secure, p_false_of, properties
 from astro_scc.images.positions import name_by_frame
 from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit

@@ -6,7 +6,7 @@ from itertools import combinations
 import astropy.units as u
 import numpy as np
 
-from astro_scc.features.trust import MOST_FALSE
+from astro_scc.features.motion import MOST_FALSE
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
 

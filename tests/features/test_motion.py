@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from astro_scc.features import Features
-from astro_scc.features.motion import Motion, fit_motion
-from astro_scc.features.trust import FAR, are_secure, properties
+from astro_scc.features.motion import FAR, Motion, are_secure, fit_motion, properties
 
 TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
 ERROR = np.full((8, 2), 0.01)
