@@ -18,8 +18,8 @@ from astro_scc.columns import cell
 from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import paper_table, stream_table, velocity_columns
-from astro_scc.plan import alignment_errors
 from astro_scc.quantities import decimals
+from astro_scc.streams.finder import alignment_errors
 
 
 def same(read, written):
