@@ -16,10 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.models import fit_profile
+from astro_scc.flow.models import FlowAcceleration, acceleration_of, fit_profile
 from astro_scc.flow.speeds import (
-    FlowAcceleration,
-    acceleration_of,
     distances_along,
     flows_by_scale,
     halves,

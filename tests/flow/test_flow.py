@@ -21,8 +21,9 @@ from astro_scc.flow import (
     measure_field,
     measure_profile,
 )
+from astro_scc.flow.models import slope_of
 from astro_scc.flow.profile import bins_of
-from astro_scc.flow.speeds import distances_along, slope_of, speeds_in_parts
+from astro_scc.flow.speeds import distances_along, speeds_in_parts
 from astro_scc.kinematics import ExpansionFrame, PositionAngleFrame, RidgeLine
 from astro_scc.simulation import simulate_jet
 from astro_scc.streams.decomposed import decompose_flow, fit_part
