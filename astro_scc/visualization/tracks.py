@@ -86,7 +86,7 @@ def plot_separation(
         lower.axhline(0, color=style.GREY, lw=0.6, zorder=0)
         lower.set_ylabel(f"Residual ({unit_name(unit)})")
         figure.align_ylabels()
-    _lay_out(figure, own=lower is not None)
+    _lay_out(figure, fixed=lower is not None)
     _write_numbers(ax, features, [(k[1], k[2]) for k in ends], beta_per_pm)
     return figure
 
@@ -172,11 +172,11 @@ def feature_look(features, number, stream=None):
     return {"color": color, "label": f"stream {k}" if k else style.NONE, **look}
 
 
-def _lay_out(figure, *, own):
+def _lay_out(figure, *, fixed):
     """Place the axes, as numbers need; nothing need be drawn for that."""
     if engine := figure.get_layout_engine():
         engine.execute(figure)
-    if own:
+    if fixed:
         # A second layout takes time.
         figure.set_layout_engine("none")
 
@@ -268,7 +268,7 @@ def plot_tracks(
             _draw_published(panel, published, features.cube, *place)
         last = _draw_paths(panel, features, view, stream, look)
     style.legend_above(ax)
-    _lay_out(drawn, own=figure is None)
+    _lay_out(drawn, fixed=figure is None)
     for panel in axes:
         shown = panel is not ax
         ends = [end if (k in inner) == shown else None for k, end in enumerate(last)]
