@@ -102,20 +102,6 @@ def test_the_sources_of_a_large_survey_can_be_measured(script, tmp_path):
     assert run_survey(survey, tmp_path / "out")["status"].tolist() == ["measured"]
 
 
-def test_movies_in_true_and_in_scrambled_order(script):
-    resolved = script("resolved")
-    jet = resolved.simulate("two", "11x21d", 1)
-    slow, fast = resolved.true_speeds(jet)
-    assert slow == pytest.approx(0.3 / 0.264)
-    assert 5 < fast < 9
-    cube = resolved.scrambled(jet, 1)
-    assert np.array_equal(cube.times.mjd, jet.cube.times.mjd)
-    old, new = (c.data.reshape(11, -1) for c in (jet.cube, cube))
-    order = [int(np.flatnonzero((old == image).all(axis=1))[0]) for image in new]
-    assert sorted(order) == list(range(11)) != order
-    assert resolved.true_speeds(resolved.simulate("static", "11x21d", 1)) == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [31001, 33001])
 def test_features_of_scrambled_movies_are_no_motion(script, seed):

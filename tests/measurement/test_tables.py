@@ -22,22 +22,8 @@ from astro_scc.quantities import decimals
 from astro_scc.streams.finder import alignment_errors
 
 
-def same(read, written):
-    assert read.colnames == written.colnames
-    for name in written.colnames:
-        a, b = read[name], written[name]
-        assert getattr(a, "unit", None) == getattr(b, "unit", None)
-        assert a.info.description == b.info.description
-        assert isinstance(a, Time) == isinstance(b, Time)
-        if isinstance(b, Time):
-            a, b = a.isot, b.isot
-        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
-
-
-def test_tables_round_trip_and_their_settings_can_be_used_again(sky_result, tmp_path):
-    for name, table in (("c", sky_result.components), ("s", sky_result.ssps)):
-        table.write(tmp_path / f"{name}.ecsv")
-        same(QTable.read(tmp_path / f"{name}.ecsv"), table)
+def test_the_settings_of_a_table_can_be_used_again(sky_result, tmp_path):
+    sky_result.components.write(tmp_path / "c.ecsv")
     meta = QTable.read(tmp_path / "c.ecsv").meta
     assert meta["versions"]["numpy"] == np.__version__
     again = StackedCrossCorrelation(**meta["settings"])
