@@ -457,7 +457,7 @@ def angles_by_scale(profile, result):
         groups = halves(np.intersect1d(scale[inside], profile.flow.planes[0].scales))
     else:
         groups = {
-            name: next((fit.planes.scales for fit in fits if fit), ())
+            name: next((fit.flow.planes[0].scales for fit in fits if fit), ())
             for name, fits in profile.fits.items()
         }
     return {

@@ -267,7 +267,7 @@ def find_streams(
     )
     if passes:
         sure = ALONE * alpha if whole else 1.0
-        streams = [_on_its_side(s, search, moving, part.planes) for s in streams]
+        streams = [_on_its_side(s, search, moving) for s in streams]
         doubts = {"opposed": opposed, "diffusing": diffusing, "sure": sure}
         streams = [_judged(s, search, **doubts) for s in streams]
     streams += _standing(features, flow, streams, inside, shift)
@@ -374,14 +374,14 @@ def _stream(search, row, members, sheet, shift, *, covered):
     )  # fmt: skip
 
 
-def _on_its_side(stream, search, moving, planes):
+def _on_its_side(stream, search, moving):
     """Return a stream with the direction of its own side of a core."""
     members = moving[np.isin(moving.number, stream.members)]
     # Where both sides move so, the direction is that of the jet.
     behind = members.weight @ members.side < -members.weight.sum() / 2
     if not len(members):
         speed = search.sign * stream.spectrum[0] / search.beam
-        behind = is_behind(search.flow, planes, speed)
+        behind = is_behind(search.flow, speed)
     if not behind:
         return stream
     turned = {"velocity": -stream.velocity, "angle": stream.angle + np.pi}
