@@ -96,6 +96,10 @@ def test_inspect_says_what_is_wrong(series, done, refused, here):
     assert any("no beam where other epochs have one" in line for line in problems)
     assert any("note.fits: cannot be read as FITS" in line for line in problems)
     assert problems[-1].startswith("  as one series: ")
+    with fits.open(paths[0], mode="update") as hdus:
+        for key in ("DATE-OBS", "MJD-OBS"):
+            hdus[0].header.remove(key, ignore_missing=True)
+    assert "no date of observation" in done("inspect", paths[0])[0]
     out, _ = done("inspect", paths[1])
     assert "velocities need at least two epochs of different date." in out
     EpochCube.read(paths[1:]).write("whole.fits")

@@ -15,7 +15,7 @@ from astro_scc import Beam, StackedCrossCorrelation, kinematics
 from astro_scc.epochs import ComponentList, restore
 from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
-from astro_scc.report.answer import headline, scale_lines
+from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import FlowPlanes, correlate_aside
 from astro_scc.spectrum.rays import transverse_speed
@@ -305,6 +305,11 @@ def test_a_speed_that_was_not_searched_is_not_confirmed(two, factor, than):
     far = _judged(replace(far, covariance=np.eye(2) * 1e-4), search, diffusing=False)
     assert far.kind == "not confirmed"
     assert far.reason == f"it is {than} than what was searched"
+    profile = two.streams[:1]
+    profile["r_min"], profile["r_max"] = [[1.0] * u.mas, [2.0] * u.mas]
+    profile["main"], profile["caution"] = [True], [far.reason]
+    profile.meta["bins"] = [[1.0, 2.0]]
+    assert f"1 to 2 mas: {far.reason}" in profile_lines(profile)
 
 
 def test_means_of_features():
