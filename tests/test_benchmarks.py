@@ -110,6 +110,14 @@ def test_features_of_scrambled_movies_are_no_motion(script, seed):
     assert len(resolved.measure(("11x21d", "two", "scrambled", seed))[1]) == 0
 
 
+def test_static_series_of_each_kind(script):
+    level = script("level")
+    for kind in level.KINDS:
+        cube = level.static_cube(kind, 1, n_epochs=3)
+        again = level.static_cube(kind, np.random.default_rng(1), n_epochs=3)
+        assert np.array_equal(cube.data, again.data)
+
+
 @pytest.mark.parametrize("speeds", [(5,), (2, 7, 12), (-8, 0, 25)])
 def test_all_speeds_that_other_packages_find_are_read(script, speeds):
     reading, rng = script("comparison_reading"), np.random.default_rng(1)

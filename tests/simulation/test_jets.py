@@ -122,7 +122,6 @@ def test_what_is_refused():
         (simulate_jet, {"length": np.nan}, "length must be zero or positive"),
         (simulate_jet, {"streams": [Flow()], "speed": 1.0, "size": 0.1},
          "speed, size: give them to"),
-        (Layer, {"scatter": -1}, "layer 'l': scatter must be zero or positive, got -1"),
         (Layer, {"speed": [0, 1, 1] * u.mas / u.yr}, "speed must be positive, or zero"),
         (Layer, {"across": ()}, "across needs one place or more"),
         (Layer, {"speed": [1, 1] * u.mas / u.yr}, "brightness must have one len"),
