@@ -17,9 +17,9 @@ from astro_scc.measurement import false_discovery_rate
 from astro_scc.measurement.tables import stack_tables
 from astro_scc.paper.method import matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
-from astro_scc.plan import alignment_errors
 from astro_scc.quantities import Seed, check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
+from astro_scc.streams.finder import alignment_errors
 
 __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 

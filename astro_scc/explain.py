@@ -11,7 +11,14 @@ from astropy.table import QTable
 from astropy.time import Time
 from scipy.ndimage import map_coordinates
 
-from astro_scc.features import Features, TrackSettings, trust
+from astro_scc.features import Features, TrackSettings
+from astro_scc.features.motion import (
+    MOST_FALSE,
+    SAME_SPEED,
+    motions_in_words,
+    moves_enough,
+    properties,
+)
 from astro_scc.features.tracks import position_scatter, steady_hypotheses
 from astro_scc.images.dates import date_labels
 from astro_scc.intervals import median_interval
@@ -19,7 +26,7 @@ from astro_scc.intervals import median_interval
 __all__ = ["explain_feature"]
 
 
-#: What the properties of `astro_scc.features.trust.properties` are, the first three as
+#: What the properties of `astro_scc.features.motion.properties` are, the first three as
 #: logarithms.
 PROPERTIES = (
     "{0:.0f} epochs, {1:.2g} beams of motion, {2:.2g} beams from the core, cosine "
@@ -88,7 +95,7 @@ def explain_feature(
     lines = said + lines
     owner = np.full(len(d), -1)
     for k, track in enumerate(features.tracks):
-        owner[track.detection] = k
+        owner[track] = k
     if len(seen) == 0:
         why = " though there is emission: blended, or outside of the region" * bright
         return [*lines, f"It is lost: nothing is detected there{why}."]
@@ -115,7 +122,7 @@ def _of_feature(features, number):
     if len(found) == 0:
         raise ValueError(f"there is no feature {number}; features.ecsv has the numbers")
     d, motion = features.detections, features.motions[found[0]]
-    first, last = d.epoch[features.tracks[found[0]].detection[[0, -1]]]
+    first, last = d.epoch[features.tracks[found[0]][[0, -1]]]
     epoch = np.arange(first, last + 1)
     return epoch, motion.at(d.years[epoch])
 
@@ -229,9 +236,9 @@ def _not_linked(features, seen, owner):
 def _linked(features, k):
     """Return how well the links of a feature agree with its motion, as a line."""
     d, track, motion = features.detections, features.tracks[k], features.motions[k]
-    scatter = position_scatter(d, TrackSettings())[track.detection]
+    scatter = position_scatter(d, TrackSettings())[track]
     off = np.hypot(*d.to_beams(motion.residual).T) / scatter
-    missed = np.ptp(d.epoch[track.detection]) + 1 - len(track)
+    missed = np.ptp(d.epoch[track]) + 1 - len(track)
     return [
         f"Feature {features.number[k]} links {_count(len(track))} and misses "
         f"{missed}; it is off its line by {np.sqrt((off**2).mean()):.2g} standard "
@@ -243,19 +250,18 @@ def _linked(features, k):
 def _trusted(features, k):
     """Return what makes a feature secure or not, as lines."""
     track, motion = features.tracks[k], features.motions[k]
-    known = trust.properties(features.detections, track, motion)
+    known = properties(features.detections, track, motion)
     # The distance has an offset, see `properties`.
     plain = *np.exp(known[:2]), np.exp(known[2]) - 0.3, *known[3:]
     sigma = motion.speed / motion.speed_err
-    false, moved, same = features.p_false[k], features.moved[k], track.same_speed
-    most = trust.MOST_FALSE
+    false, moved, same = features.p_false[k], features.moved[k], features.same_speed[k]
     checks = {
-        f"p_false {false:.2g} (at most {most:g})": false <= most,
+        f"p_false {false:.2g} (at most {MOST_FALSE:g})": false <= MOST_FALSE,
         f"the same speed in {same:.0%} of the perturbed assignments (at least "
-        f"{trust.SAME_SPEED:.0%})": same >= trust.SAME_SPEED,
+        f"{SAME_SPEED:.0%})": same >= SAME_SPEED,
         f"motion of {moved:.2g} beams and {sigma:.2g} standard errors in "
-        f"{_count(len(track))} (at least {trust.motions_in_words()})":
-            trust.moves_enough(moved, sigma, len(track)),
+        f"{_count(len(track))} (at least {motions_in_words()})":
+            moves_enough(moved, sigma, len(track)),
     }  # fmt: skip
     failed = [text for text, passed in checks.items() if not passed]
     return [

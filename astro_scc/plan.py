@@ -16,9 +16,9 @@ from astro_scc.epochs.registration import MISALIGNED
 from astro_scc.exceptions import AstroSccWarning
 from astro_scc.grid import has_core
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
-from astro_scc.settings import refuse_other_method, require
+from astro_scc.settings import require
 from astro_scc.spectrum.permutations import EVERY, within
-from astro_scc.streams.finder import FEWEST_EPOCHS, SearchSettings
+from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.units import PM_UNIT
 
 
@@ -151,42 +151,6 @@ def velocity_frame(cube, position_angle):
     return position_angle
 
 
-def alignment_errors(cube, error=None):
-    """
-    Return the standard error of the alignment of each epoch on both axes.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    error : `~astropy.units.Quantity`, optional
-        One error for all epochs, or one per epoch.  The default is the error
-        of each epoch's last alignment, or zero without it.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs, 2)
-        In mas.
-
-    Raises
-    ------
-    ValueError
-        If ``error`` has neither one element nor one per epoch.
-    """
-    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
-    if error is None:
-        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        records = [last.get(label, {}) for label in cube.labels]
-        left = [[record.get(name) or 0.0 for name in names] for record in records]
-        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
-    else:
-        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
-        if each.shape not in ((1,), (n,)):
-            raise ValueError(
-                f"alignment_error must be 1 or {n} angles, got {each.size}"
-            )
-    return np.broadcast_to(each[:, None], (n, 2))
-
-
 def used_intervals(cube, baseline):
     """Return the shortest and the longest interval that is used, in years."""
     years = cube.years.to_value(u.yr)
@@ -217,15 +181,6 @@ def require_pairs(cube, baseline, number, *, least=2):
         f"no two epochs are {shortest:g} to {longest:g} yr apart: their separations go "
         f"from {gaps.min():.3g} to {gaps.sum():.3g} yr; choose another baseline"
     )
-
-
-def search_settings(scc, cube, n_trials):
-    """Return what a search for streams needs to know of the settings."""
-    refuse_other_method("spectrum", scc.to_dict())
-    return SearchSettings(
-        misaligned=alignment_errors(cube, scc.alignment_error), alpha=scc.alpha,
-        n_trials=n_trials, outward=scc.outward,
-    )  # fmt: skip
 
 
 def out_of_reach(smallest, n_epochs, n_trials, alpha):

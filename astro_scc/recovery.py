@@ -337,9 +337,9 @@ def completeness(
     cells = list(product(speeds.tolist(), peaks.tolist()))
     outcomes = run_all(recover, cells, n_injections, root, n_workers, progress_bar)
     rows = [_row(*pair, noise) for pair in zip(cells, outcomes, strict=True)]
-    own = [any(np.hypot(*(bare - v * axis).T) <= tolerance) for v, _ in cells]
+    shown = [any(np.hypot(*(bare - v * axis).T) <= tolerance) for v, _ in cells]
     peaks = [peak for _, peak in cells] * cube.unit
-    table = build_table("completeness", rows, flux=peaks, own=own)
+    table = build_table("completeness", rows, flux=peaks, own=shown)
     table.meta = {
         "settings": scc.to_dict(), "position_angle": position_angle,
         "tolerance": tolerance * PM_UNIT, "alpha": scc.alpha, "n_features": n_features,

@@ -287,11 +287,13 @@ class StackedCrossCorrelation(MeasurementSettings):
             )
         (generator, seed), cube = seeded(rng), decomposed.cube
         features = decomposed.follow(n_workers=n_workers, progress_bar=progress_bar)
-        settings = plan.search_settings(self, cube, n_trials)
+        refuse_other_method("spectrum", self.to_dict())
         # The matrix products are small: threads would wait for one another.
         with threadpool_limits(1), progress(None, "Searching", show=progress_bar):
             flow = self.flow(decomposed)
-            search = find_streams(flow, features, settings, rng=generator)
+            search = find_streams(
+                flow, features, self, n_trials=n_trials, rng=generator
+            )
             choices = parts_of(search)
         smallest = search.test.p_smallest
         if said := plan.out_of_reach(smallest, len(cube), n_trials, self.alpha):

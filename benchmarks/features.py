@@ -12,8 +12,8 @@ beam, and observed and CLEANed, in FOLDER, finds their features as ``astro-scc t
 does without options, and compares them with the survey's.  The constants were chosen
 on the development sources and the twelve well-known ones; the others were not looked
 at.
-``trust`` fits the coefficients of `astro_scc.features.trust` to the development and the
-well-known sources, and compares probabilities with shares: for these by
+``trust`` fits the coefficients of `astro_scc.features.motion` to the development and
+the well-known sources, and compares probabilities with shares: for these by
 cross-validation, for the others by the fit to all of these.  Both take means of several
 seeds of the disturbed assignments, which change a few features.  ``simulated`` counts
 secure features of static jets, and compares those of moving ones with the truth.
@@ -43,8 +43,8 @@ from scipy.optimize import minimize
 from astro_scc import EpochCube
 from astro_scc.cli import main as astro_scc
 from astro_scc.features import find_features
+from astro_scc.features.motion import are_secure, properties
 from astro_scc.features.tracks import find_tracks
-from astro_scc.features.trust import is_secure, properties
 
 TABLE = "data/mojave_xviii/apjac230ft4_mrt.txt"
 KNOWN = (
@@ -117,7 +117,9 @@ def features_of(kind, name, *, shared, folder, seeds):
         first = find_features(EpochCube.read(files))
         seconds = time.process_time() - start
         found = (find_tracks(first.detections, seed=seed) for seed in range(1, seeds))
-        return [first, *(replace(first, tracks=tuple(one)) for one in found)], seconds
+        names = "tracks", "same_speed", "proven"
+        others = (dict(zip(names, one, strict=True)) for one in found)
+        return [first, *(replace(first, **other) for other in others)], seconds
 
 
 def measured(kind, name, **options):
@@ -262,19 +264,21 @@ def examples(task, **options):
     rows, beam = survey.read(options["shared"] / TABLE)[name], survey.beam(name)[0]
     known, found = survey.features(rows), []
     for features in features_of(kind, name, **options)[0]:
-        d, parts = features.detections, (features.tracks, features.motions)
-        for track, motion, moved in zip(*parts, features.moved, strict=True):
+        d, motions = features.detections, features.motions
+        errors = np.array([motion.speed / motion.speed_err for motion in motions])
+        certain = features.same_speed, features.moved, errors, features.n_epochs
+        each = features.tracks, motions, are_secure(0.0, *certain)
+        for track, motion, can_be_secure in zip(*each, strict=True):
             if motion.speed > 3 * motion.speed_err:
                 one = {
-                    "first": d.time[track.detection[0]],
-                    "last": d.time[track.detection[-1]],
+                    "first": d.time[track[0]],
+                    "last": d.time[track[-1]],
                     "date": motion.date,
                     "place": motion.place,
                     "pm": motion.speed,
                     "err": motion.speed_err,
                 }
                 right = confirmed(one, known, beam)[0]
-                can_be_secure = is_secure(0.0, moved, track, motion)
                 found.append([*properties(d, track, motion), can_be_secure, right])
     return found
 
@@ -364,17 +368,17 @@ def compared(kind, seed):
 
 def nearest(track, motion, d, known, cube):
     """Return the true feature of a track, and whether its speed and error are right."""
-    own, best = track.detection, (NEAR * d.fwhm, None)
+    best = NEAR * d.fwhm, None
     years = cube.years.to_value(u.yr)
     for number, (epoch, place, _) in enumerate(known):
-        _, one, other = np.intersect1d(d.epoch[own], epoch, return_indices=True)
-        if 2 * len(one) >= len(own):
-            off = np.median(np.hypot(*(d.place[own[one]] - place[other]).T))
+        _, one, other = np.intersect1d(d.epoch[track], epoch, return_indices=True)
+        if 2 * len(one) >= len(track):
+            off = np.median(np.hypot(*(d.place[track[one]] - place[other]).T))
             best = min(best, (off, number))
     if best[1] is None:
         return None, False, False
     epoch, place, _ = known[best[1]]
-    seen = (epoch >= d.epoch[own[0]]) & (epoch <= d.epoch[own[-1]])
+    seen = (epoch >= d.epoch[track[0]]) & (epoch <= d.epoch[track[-1]])
     dt = years[epoch[seen]] - years[epoch[seen]].mean()
     speed = np.hypot(*(dt @ place[seen])) / (dt @ dt)
     off = abs(motion.speed - speed)

@@ -147,12 +147,6 @@ def test_every_error_is_documented():
     assert missing == []
 
 
-def test_scripts_of_figures_draw_with_pyplot():
-    # The pages show no others, and say nothing of it.
-    for path in (DOCS / "plots").glob("*.py"):
-        assert "pyplot" in path.read_text(encoding="utf-8"), path.name
-
-
 def test_documentation_is_short_and_in_the_table_of_contents():
     words = sum(len(page(name).split()) for name in PAGES)
     assert words < LONGEST

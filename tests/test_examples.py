@@ -115,7 +115,7 @@ def test_examples_of_real_jets_run(name, shared_data):
 
 
 def test_relativity_in_its_doctests_and_there_and_back():
-    """Two-sided jets of known speed, and what is refused."""
+    """Two-sided jets of known speed."""
     relativity = importlib.import_module("relativity")
     assert doctest.testmod(relativity).failed == 0
     for beta, theta in itertools.product((0.1, 0.6, 0.999), (1, 40, 89)):
@@ -129,8 +129,3 @@ def test_relativity_in_its_doctests_and_there_and_back():
         far = found["beta_max_distance"]
         at = relativity.two_sided_jet(*motions, far, n_trials=2)
         assert at["beta"][0] == pytest.approx(1)
-    for speed in (-1.0, np.nan):
-        with pytest.raises(ValueError, match="finite and not negative"):
-            relativity.intrinsic_table([speed], [0.1])
-        with pytest.raises(ValueError, match="receding motion must be positive"):
-            relativity.two_sided_jet(1 * u.mas / u.d, speed * u.mas / u.d, d)

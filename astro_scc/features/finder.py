@@ -21,9 +21,14 @@ from astro_scc.features.detections import (
     pixel_flux,
     ssps_of,
 )
-from astro_scc.features.motion import Motion, fit_motion
-from astro_scc.features.tracks import Track, TrackSettings, find_tracks
-from astro_scc.features.trust import is_secure, p_false_of, properties
+from astro_scc.features.motion import (
+    Motion,
+    are_secure,
+    fit_motion,
+    p_false_of,
+    properties,
+)
+from astro_scc.features.tracks import TrackSettings, find_tracks
 from astro_scc.images.positions import name_by_frame
 from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit
@@ -44,8 +49,11 @@ class Features:
         Offsets from the core; the core itself is not among them.
     core : ``Detections``
         The core of each epoch, if it is seen.
-    tracks : tuple of ``Track``
-        In the order of their first epochs.
+    tracks : tuple of `~numpy.ndarray` of int
+        The detections of each feature, one per epoch, in the order of the epochs;
+        features are in the order of their first ones.
+    same_speed, proven : `~numpy.ndarray`, shape (n_features,)
+        How sure each track is, see ``find_tracks``.
     alike : bool
         Whether images of neighbouring dates resemble one another, or their motion is
         significant, so that features can be recognised; otherwise none is secure.
@@ -62,7 +70,9 @@ class Features:
     cube: EpochCube
     detections: Detections
     core: Detections
-    tracks: tuple[Track, ...]
+    tracks: tuple[np.ndarray, ...]
+    same_speed: np.ndarray
+    proven: np.ndarray
     alike: bool = True
 
     def __len__(self) -> int:
@@ -78,10 +88,16 @@ class Features:
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
         """Straight line or parabola of each feature."""
-        d, each = self.detections, [track.detection for track in self.tracks]
+        d = self.detections
         return tuple(
-            fit_motion(d.time[k], d.place[k], d.place_error[k], d.fwhm) for k in each
+            fit_motion(d.time[k], d.place[k], d.place_error[k], d.fwhm)
+            for k in self.tracks
         )
+
+    @property
+    def n_epochs(self) -> np.ndarray:
+        """Number of epochs in which each is seen."""
+        return np.array([len(track) for track in self.tracks], dtype=int)
 
     @property
     def number(self) -> np.ndarray:
@@ -94,7 +110,7 @@ class Features:
         as they are.
         """
         d = self.detections
-        first = np.array([track.detection[0] for track in self.tracks], dtype=int)
+        first = np.array([track[0] for track in self.tracks], dtype=int)
         # Images of structure everywhere have more than a hundred detections.
         step = 10 ** max(2, len(str(d.number.max(initial=0) + 1)))
         return step * (d.epoch[first] + 1) + d.number[first] + 1
@@ -126,8 +142,9 @@ class Features:
         return self._are_secure(p_false_of(self._properties, outward=True))
 
     def _are_secure(self, p_false):
-        each = zip(p_false, self.moved, self.tracks, self.motions, strict=True)
-        return np.array([self.alike and is_secure(*one) for one in each], dtype=bool)
+        errors = np.array([m.speed / m.speed_err for m in self.motions], dtype=float)
+        secure = are_secure(p_false, self.same_speed, self.moved, errors, self.n_epochs)
+        return secure & self.alike
 
     @cached_property
     def core_error(self) -> float:
@@ -156,9 +173,8 @@ class Features:
     def positions(self) -> QTable:
         """One row for each feature and epoch, a `~astropy.table.QTable`."""
         cube, d = self.cube, self.detections
-        number = np.repeat(self.number, [len(track) for track in self.tracks])
-        which = np.concatenate([[], *(track.detection for track in self.tracks)])
-        d = d.select(which.astype(int))
+        number = np.repeat(self.number, self.n_epochs)
+        d = d.select(np.concatenate([[], *self.tracks]).astype(int))
         place, error = d.place.T * u.mas, d.place_error.T * u.mas
         east, north = zip(place, error, strict=True)
         offsets = with_errors(ra_offset=east, dec_offset=north)
@@ -236,12 +252,12 @@ def find_features(
     found = found.aligned()
     if region is not None:
         found = found.select(found.core(settings.core) | _inside(found, cube, region))
-    found, tracks = without_alternatives(found, settings, seed)
+    found, known = without_alternatives(found, settings, seed)
     is_core = found.core(settings.core)
     jet = found.select(~is_core)
-    if tracks is None:
-        tracks = find_tracks(jet, settings, seed=seed)
-    return Features(cube, jet, found.select(is_core), tuple(tracks))
+    if known is None:
+        known = find_tracks(jet, settings, seed=seed)
+    return Features(cube, jet, found.select(is_core), *known)
 
 
 #: Parts of one elongated feature keep their distance and direction: in so many epochs
@@ -264,8 +280,9 @@ def without_alternatives(found, settings, seed=0):
     Returns
     -------
     detections : ``Detections``
-    tracks : list of ``Track`` or None
-        Those of the detections without the core, where no parts replace any.
+    known : tuple or None
+        What ``find_tracks`` finds in the detections without the core, where no parts
+        replace any.
     """
     if not np.any(found.group < 0):
         return found, None
@@ -273,8 +290,8 @@ def without_alternatives(found, settings, seed=0):
     joined = found.select(every)
     is_core = joined.core(settings.core)
     jet = np.flatnonzero(~is_core)
-    tracks = find_tracks(joined.select(jet), settings, seed=seed)
-    for members in (np.flatnonzero(is_core), *(jet[t.detection] for t in tracks)):
+    known = find_tracks(joined.select(jet), settings, seed=seed)
+    for members in (np.flatnonzero(is_core), *(jet[track] for track in known[0])):
         group = found.group[every[members]]
         split, plain = every[members[group < 0]], every[members[group == 0]]
         if len(split) >= ELONGATED_EPOCHS:
@@ -283,7 +300,7 @@ def without_alternatives(found, settings, seed=0):
             whole[split] = [_continues(found, plain, k) for k in split.tolist()]
     chosen = found.chosen(whole)
     same = np.array_equal(chosen.group, joined.group)
-    return chosen, tracks if same else None
+    return chosen, known if same else None
 
 
 def _continues(found, plain, k):
@@ -333,19 +350,20 @@ def feature_table(features, stream=0):
         than a line, and dates of ejection unless the motion is radial.
     """
     rows = [_row(features, k) for k in range(len(features))]
-    cube, d, unit = features.cube, features.detections, features.cube.speed_unit
-    each = [track.detection for track in features.tracks]
+    cube, d, tracks = features.cube, features.detections, features.tracks
     years = np.array([motion.date for motion in features.motions], dtype=float)
     date = Time(years, format="jyear", scale="utc")
     date.format = "isot"
-    flux = np.array([np.median(d.flux[k]) for k in each], float) * pixel_flux(cube).unit
+    flux = np.array([np.median(d.flux[k]) for k in tracks], dtype=float)
     table = build_table(
-        "features", rows, date=date, flux=flux, feature=features.number,
-        stream=np.full(len(features), stream), motion=features.moved * u.one,
-        first=_dates(cube, [d.epoch[k[0]] for k in each]),
-        last=_dates(cube, [d.epoch[k[-1]] for k in each]),
+        "features", rows, date=date, flux=flux * pixel_flux(cube).unit,
+        feature=features.number, stream=np.full(len(features), stream),
+        motion=features.moved * u.one,
+        first=_dates(cube, [d.epoch[k[0]] for k in tracks]),
+        last=_dates(cube, [d.epoch[k[-1]] for k in tracks]),
         p_false=features.p_false, secure=features.secure,
     )  # fmt: skip
+    unit = cube.speed_unit
     if unit.bases[1] != u.yr:
         years = table["t_ej"].value
         known = np.isfinite(years)
@@ -397,6 +415,6 @@ def _row(features, number):
             acc_perpendicular=(bend @ across, np.hypot(*(across * bend_err))),
             t_ej=motion.ejection(features.core_error, d.fwhm),
         ),
-        "size": np.median(d.size[track.detection]),
-        "proven": track.proven,
+        "size": np.median(d.size[track]),
+        "proven": features.proven[number],
     }

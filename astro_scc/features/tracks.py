@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -95,40 +95,9 @@ class TrackSettings:
     rounds: int = 6
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """
-    Detections of one feature, one per epoch.
-
-    Attributes
-    ----------
-    detection : `~numpy.ndarray` of int, shape (n,)
-        In the order of the epochs.
-    same_speed : float
-        Share of the disturbed assignments with a track of these detections, at the
-        same dates, that has the same velocity.
-    proven : bool
-        Whether the assignment was solved to the end.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from astro_scc.features.tracks import Track
-    >>> len(Track(np.array([0, 2, 3, 5]), 1.0, True))
-    4
-    """
-
-    detection: np.ndarray
-    same_speed: float
-    proven: bool
-
-    def __len__(self) -> int:
-        return len(self.detection)
-
-
 def find_tracks(
     detections: Detections, settings: TrackSettings | None = None, *, seed: int = 0
-) -> list[Track]:
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """
     Assign detections to tracks, each to one track at most.
 
@@ -148,8 +117,14 @@ def find_tracks(
 
     Returns
     -------
-    list of `Track`
-        In the order of their first epochs.
+    tracks : tuple of `~numpy.ndarray` of int
+        Detections of each feature, one per epoch, in the order of the epochs; tracks
+        are in the order of their first epochs.
+    same_speed : `~numpy.ndarray`, shape (n_tracks,)
+        Share of the disturbed assignments with a track of these detections, at the
+        same dates, that has the same velocity.
+    proven : `~numpy.ndarray` of bool, shape (n_tracks,)
+        Whether the assignment was solved to the end.
 
     Examples
     --------
@@ -163,7 +138,8 @@ def find_tracks(
     ...     flux=np.array([1.0, 0.2] * 6), size=np.zeros(12), beam=np.eye(2) / 5.545,
     ...     years=2000.0 + np.arange(6), number=np.tile([0, 1], 6),
     ...     group=np.zeros(12, dtype=int))
-    >>> [track.detection.tolist() for track in find_tracks(d)]
+    >>> tracks, same_speed, proven = find_tracks(d)
+    >>> [track.tolist() for track in tracks]
     [[0, 2, 4, 6, 8, 10], [1, 3, 5, 7, 9, 11]]
     """
     settings = TrackSettings() if settings is None else settings
@@ -173,17 +149,24 @@ def find_tracks(
         new = _agreed(detections.select(left), settings, seed + turn)
         if not new:
             break
-        for track in new:
-            found.append(replace(track, detection=left[track.detection]))
-            free[found[-1].detection] = False
-
+        for track, same_speed, proven in new:
+            found.append((left[track], same_speed, proven))
+            free[left[track]] = False
     order = np.lexsort((detections.number, detections.epoch))
     rank = np.argsort(order)
-    return sorted(found, key=lambda track: rank[track.detection[0]])
+    found.sort(key=lambda one: rank[one[0][0]])
+    tracks = tuple(track for track, *_ in found)
+    same_speed = np.array([share for _, share, _ in found], dtype=float)
+    return tracks, same_speed, np.array([proven for *_, proven in found], dtype=bool)
 
 
 def _agreed(d, settings, seed):
-    """Return tracks of the links that most assignments agree upon."""
+    """
+    Return tracks of the links that most assignments agree upon.
+
+    Each is with the share of the assignments in which it has the same speed, and
+    whether the best one is proven.
+    """
     paths, score = steady_hypotheses(d, settings)
     if not paths:
         return []
@@ -203,13 +186,13 @@ def _agreed(d, settings, seed):
     share = used @ has / len(solutions)
     links = np.divmod(links[share > settings.agreed], len(d))
     return [
-        Track(detection, _same_speed(d, detection, paths, solutions), proven)
-        for detection in chains(*links, len(d))
-        if len(detection) >= settings.least_epochs
+        (track, _same_speed(d, track, paths, solutions), proven)
+        for track in chains(*links, len(d))
+        if len(track) >= settings.least_epochs
     ]
 
 
-def _same_speed(d, detection, paths, solutions, *, least=0.5, off=0.2):
+def _same_speed(d, track, paths, solutions, *, least=0.5, off=0.2):
     """
     Return the share of the assignments in which a track has the same velocity.
 
@@ -217,8 +200,8 @@ def _same_speed(d, detection, paths, solutions, *, least=0.5, off=0.2):
     the velocity if it is ``off`` by at most such a part.
     """
     time, n_same = d.time, 0
-    first, last = time[detection[[0, -1]]]
-    members, velocity = set(detection.tolist()), d.velocity(detection)[0]
+    first, last = time[track[[0, -1]]]
+    members, velocity = set(track.tolist()), d.velocity(track)[0]
     for chosen in solutions:
         common, best = max(
             ((len(members.intersection(paths[k])), k) for k in chosen.tolist()),

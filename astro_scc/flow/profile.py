@@ -16,10 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.models import fit_profile
+from astro_scc.flow.models import FlowAcceleration, acceleration_of, fit_profile
 from astro_scc.flow.speeds import (
-    FlowAcceleration,
-    acceleration_of,
     distances_along,
     flows_by_scale,
     halves,
@@ -33,11 +31,11 @@ from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import Components, stack_tables, stream_table
 from astro_scc.parallel import progress
 from astro_scc.patterns import DecomposedEpochs
-from astro_scc.plan import flow_direction, scale_numbers, search_settings
+from astro_scc.plan import flow_direction, scale_numbers
 from astro_scc.products.folder import write_files, write_tables
 from astro_scc.quantities import seeded
 from astro_scc.scc import StackedCrossCorrelation, meta_of
-from astro_scc.settings import require
+from astro_scc.settings import refuse_other_method, require
 from astro_scc.streams.decomposed import (
     DecomposedFlow,
     PartFit,
@@ -302,24 +300,23 @@ def measure_profile(
     scc = scc if ridge is None else replace(scc, position_angle=ridge)
     features = decomposed.follow(progress_bar=progress_bar)
     generator, seed = seeded(rng)
-    # Bins have the speeds of Gaussians, whose covariance is known.
-    settings = replace(search_settings(scc, decomposed.cube, n_trials), whole=False)
+    refuse_other_method("spectrum", scc.to_dict())
     limits, meta = bins.to_value(u.mas), meta_of(scc, n_trials, seed)
-    results, fits, speeds, both = {}, {}, {}, None
+    searches, results, fits, speeds, both = {}, {}, {}, {}, None
     # The matrix products are small: threads would wait for one another.
     with threadpool_limits(1):
-        flow, flows = _flows(scc, decomposed, groups, settings, generator)
+        flow, flows = _flows(scc, decomposed, groups, n_trials, generator)
         with progress(len(flows) * len(bins), "Searching", show=progress_bar) as done:
-            searches = {
-                name: _search_bins(
-                    part, limits, features, settings, generator, done, name == ALL
-                )
-                for name, part in flows.items()
-            }
+            for name, part in flows.items():
+                searches[name] = []
+                for search in _search_bins(
+                    part, limits, features, scc, n_trials, generator, name == ALL
+                ):
+                    searches[name].append(search)
+                    done(1)
         if groups is not None:
             # Bins and groups have fewer patterns to tell two streams from one.
-            whole = find_streams(flow, features, settings, rng=generator.spawn(1)[0])
-            both = whole.pair
+            both = _search(flow, features, scc, n_trials, generator.spawn(1)[0]).pair
         sign, angle = _sign_of(searches, bins), flow_direction(decomposed, flow.frame)
         places = [place_of(flow.between(low, high)) for low, high in limits]
         for name, found in searches.items():
@@ -331,14 +328,14 @@ def measure_profile(
     return Profile(bins, results, fits, speeds, flow, both)
 
 
-def _flows(scc, decomposed, groups, settings, rng):
+def _flows(scc, decomposed, groups, n_trials, rng):
     """Return the flow along its direction and lines, and those of groups of scales."""
     cube, flow, numbers = decomposed.cube, scc.flow(decomposed), {}
     if groups is not None:
         numbers = {k: scale_numbers(cube, scales) for k, scales in groups.items()}
     if len(flow.grids) > 1:
         # Bins need one direction, that of the whole flow.
-        flow = find_streams(flow, decomposed.features, settings, rng=rng).flow
+        flow = _search(flow, decomposed.features, scc, n_trials, rng).flow
     else:
         every = sorted(set().union(*numbers.values()))
         flow = flow.along(scales=every) if every else flow
@@ -357,17 +354,23 @@ def _sign_of(searches, bins):
     return max(seen, key=lambda search: search.test.z.max()).sign
 
 
-def _search_bins(flow, limits, features, settings, generator, done, tracked):
-    """Return the search of each bin, or None; groups of scales have no features."""
-    distance, found = distances_along(flow, features.places), []
+def _search(flow, features, scc, n_trials, rng, inside=None):
+    """Return a search whose streams have the speeds of Gaussians."""
+    # Their covariance is known, as that of a mean of the spectrum is not.
+    return find_streams(
+        flow, features, scc, n_trials=n_trials, whole=False, inside=inside, rng=rng
+    )
+
+
+def _search_bins(flow, limits, features, scc, n_trials, generator, tracked):
+    """Yield the search of each bin, or None; groups of scales have no features."""
+    distance = distances_along(flow, features.places)
     for (low, high), rng in zip(limits, generator.spawn(len(limits)), strict=True):
         part, search = flow.between(low, high), None
         if has_flow(part):
             inside = tracked & (distance >= low) & (distance < high)
-            search = find_streams(part, features, settings, inside=inside, rng=rng)
-        found.append(search)
-        done(1)
-    return found
+            search = _search(part, features, scc, n_trials, rng, inside)
+        yield search
 
 
 def _fit_again(search, sign):
@@ -454,7 +457,7 @@ def angles_by_scale(profile, result):
         groups = halves(np.intersect1d(scale[inside], profile.flow.planes[0].scales))
     else:
         groups = {
-            name: next((fit.planes.scales for fit in fits if fit), ())
+            name: next((fit.flow.planes[0].scales for fit in fits if fit), ())
             for name, fits in profile.fits.items()
         }
     return {

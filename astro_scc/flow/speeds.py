@@ -1,24 +1,28 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Speeds of features in bins, speeds by scale and in parts, and their acceleration."""
+"""Speeds of features in bins, and of a flow by scale, in parts and in cells."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import astropy.units as u
 import numpy as np
 import scipy
+from astropy.io import fits
 from astropy.table import QTable
+from astropy.wcs import WCS
 
+from astro_scc.kinematics import RidgeLine
 from astro_scc.measurement import SCCResult
-from astro_scc.quantities import with_error
+from astro_scc.quantities import check_range, named, random_generator
+from astro_scc.settings import require
 from astro_scc.spectrum.gaussians import ONE_SIGMA
-from astro_scc.streams.decomposed import fit_part, weight_of
+from astro_scc.streams.decomposed import find_motion, fit_part, has_flow, weight_of
 from astro_scc.streams.members import mean_speed, moving_features
-from astro_scc.units import PM_UNIT, offset_unit
+from astro_scc.units import PM_UNIT
 
 #: Features of a bin: with fewer a dispersion has an error of half its size.
 LEAST = 5
@@ -284,12 +288,6 @@ def _knows(part, stream, both):
 
 # -- speeds in parts ---------------------------------------------------------------
 
-#: Distance from the core below which speeds are not used, and length of a part, in
-#: beams.
-CORE, LENGTH = 2.0, 2.0
-#: Fewest and most parts.
-FEWEST, MOST = 3, 10
-
 
 def place_of(flow):
     """Return the mean distance of what is seen, in beams, or NaN."""
@@ -341,202 +339,215 @@ def speeds_in_parts(fits, places, *, stream=0):
     return np.array(places), speed, covariance
 
 
-def slope_of(place, speed, covariance):
+# -- speeds in cells ----------------------------------------------------------------
+
+#: Length of a cell along the flow in beams, and number across it, if none are given.
+LENGTH, ACROSS = 2.0, 3
+#: Columns of the table that are images of the FITS file.
+IMAGES = {"SPEED": "pm_parallel", "ERROR": "pm_parallel_err", "P_FDR": "p_fdr"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FlowField:
     """
-    Return the slope of speeds with distance by weighted least squares.
-
-    Weights are the inverse variances; the error follows from the whole covariance,
-    which is not inverted, as it has few clusters.  Speeds that scatter by more than
-    their errors about the line, as where two streams are seen as one, enlarge it.
-
-    Parameters
-    ----------
-    place, speed, covariance : `~numpy.ndarray`
-        See `speeds_in_parts`.
-
-    Returns
-    -------
-    centre, speed, slope, error : float
-        Mean distance and the speed there; NaN with fewer than three speeds.
-    number : int
-        Speeds that are known.
-    """
-    use = np.isfinite(speed) & np.isfinite(np.diag(covariance))
-    number = int(use.sum())
-    if number < 3:
-        return np.nan, np.nan, np.nan, np.nan, number
-    square = covariance[np.ix_(use, use)]
-    x, y, weight = place[use], speed[use], 1 / np.diag(square)
-    centre = float(np.average(x, weights=weight))
-    design = np.stack([np.ones(number), x - centre], axis=1)
-    gain = np.linalg.solve(design.T @ (weight[:, None] * design), design.T * weight)
-    speed, slope = gain @ y
-    rest = np.eye(number) - design @ gain
-    scatter = weight @ (rest @ y) ** 2 / (weight @ np.diag(rest @ square @ rest.T))
-    error = np.sqrt(max(scatter, 1.0) * (gain @ square @ gain.T)[1, 1])
-    return centre, float(speed), float(slope), float(error), number
-
-
-# -- acceleration ------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class FlowAcceleration:
-    """
-    Acceleration of a flow, from its speeds in parts along it.
+    Speeds in cells of distance and place across the flow.
 
     Attributes
     ----------
-    speed : `~astropy.units.Quantity`
-        Speed at the centre, in mas/yr.
-    centre : `~astropy.units.Quantity`
-        Mean distance of the parts along the flow, in mas.
-    gradient, gradient_err : `~astropy.units.Quantity`
-        Change of the speed with distance, in 1/yr.
-    acceleration, acceleration_err : `~astropy.units.Quantity`
-        Acceleration of the matter, the gradient times the speed, in mas/yr^2.
-    p_value : float
-        Probability of as large an acceleration of either sign if there is none, by
-        Student's distribution, as the parts scatter about a line.
-    n_parts : int
-        Parts whose speed is known.  With fewer than three the other numbers are NaN.
+    table : `~astropy.table.QTable`
+        A row for each cell: ``r_min``, ``r_max``; ``offset_min``, ``offset_max``,
+        across the flow, positive to larger position angles, or, of radial flows, the
+        position angles themselves;
+        ``pm_parallel`` with ``pm_parallel_err``; ``p_global`` and, adjusted for all
+        cells, ``p_fdr``.  What is unknown is NaN.
+    along, across : `~astropy.units.Quantity`
+        Edges of the cells; ``to_fits`` needs even ones.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.table import QTable
+    >>> from astro_scc.flow import FlowField
+    >>> table = QTable({"pm_parallel": [1.0], "pm_parallel_err": [0.1]},
+    ...                units=[u.mas / u.yr] * 2)
+    >>> field = FlowField(table, [0, 5] * u.mas, [-1, 1] * u.mas)
+    >>> len(field.table)
+    1
     """
 
-    speed: u.Quantity
-    centre: u.Quantity
-    gradient: u.Quantity
-    gradient_err: u.Quantity
-    acceleration: u.Quantity
-    acceleration_err: u.Quantity
-    p_value: float
-    n_parts: int
+    table: QTable
+    along: u.Quantity
+    across: u.Quantity
 
-    def __str__(self):
-        if np.isnan(self.p_value):
-            return (
-                "acceleration: unknown, as speeds are needed in three parts of the "
-                f"flow, of two beams each, and there are {self.n_parts}"
-            )
-        length, time = self.speed.unit.bases
-        both = self.acceleration, self.acceleration_err
-        value = with_error(*(a.to_value(length / time**2) for a in both), "+-")
-        far = offset_unit(self.centre.to_value(u.mas))
-        return (
-            f"acceleration: {value} {length}/{time}^2 at "
-            f"{self.centre.to_value(far):.3g} {far}, p {self.p_value:.2g}, "
-            f"{self.n_parts} parts of the flow"
-        )
+    def to_fits(self) -> fits.HDUList:
+        """
+        Return the cells, of even edges, as images with a WCS of distance and offset.
+
+        Returns
+        -------
+        `~astropy.io.fits.HDUList`
+            ``SPEED``, ``ERROR`` and ``P_FDR``.
+
+        Raises
+        ------
+        ValueError
+            If the cells are not of one size.
+        """
+        wcs = WCS(naxis=2)
+        wcs.wcs.ctype = ["DISTANCE", "OFFSET"]
+        wcs.wcs.crpix = [0.5, 0.5]
+        for k, name in enumerate(("along", "across")):
+            edges = getattr(self, name)
+            step = np.diff(edges.value)
+            if not np.allclose(step, step[0], rtol=1e-6):
+                raise ValueError(
+                    f"images need cells of one size: give even edges {name}"
+                )
+            wcs.wcs.cunit[k] = edges.unit.to_string("fits")
+            wcs.wcs.crval[k], wcs.wcs.cdelt[k] = edges.value[0], step[0]
+        shape, hdus = (len(self.across) - 1, len(self.along) - 1), []
+        for name, column in IMAGES.items():
+            kind = fits.ImageHDU if hdus else fits.PrimaryHDU
+            values = u.Quantity(self.table[column])
+            hdu = kind(values.value.reshape(shape), wcs.to_header())
+            hdu.name, hdu.header["BUNIT"] = name, values.unit.to_string("fits")
+            hdus.append(hdu)
+        return fits.HDUList(hdus)
 
 
-def acceleration_of(parts, beam, unit=PM_UNIT):
+def measure_field(
+    result: SCCResult, *, along: u.Quantity | str | None = None,
+    across: u.Quantity | None = None, n_trials: int = 200,
+    rng: np.random.Generator | int | None = None,
+) -> FlowField:  # fmt: skip
     """
-    Return the acceleration from speeds in parts of a flow.
+    Measure speeds in cells of distance and place across the flow.
 
-    Parameters
-    ----------
-    parts : tuple of `~numpy.ndarray`
-        See `speeds_in_parts`.
-    beam : float
-        In mas.
-    unit : `~astropy.units.Unit`, optional
-        Of speeds.
-
-    Returns
-    -------
-    `FlowAcceleration`
-    """
-    centre, speed, slope, error, number = slope_of(*parts)
-    length, time = unit.bases
-    speed = (speed * beam * PM_UNIT).to(unit)
-    gradients = [u.Quantity(x, 1 / u.yr).to(1 / time) for x in (slope, error)]
-    return FlowAcceleration(
-        speed, centre * beam * u.mas, *gradients,
-        *((gradient * speed).to(length / time**2) for gradient in gradients),
-        p_value=2 * float(scipy.special.stdtr(number - 2, -abs(slope / error))),
-        n_parts=number,
-    )  # fmt: skip
-
-
-def measure_acceleration(result: SCCResult, row: int = 0) -> FlowAcceleration:
-    """
-    Measure the acceleration of a flow.
-
-    The flow beyond two beams from the core is divided into three to ten parts with
-    equal amounts of emission, of about two beams.  The speed of the stream is fitted in
-    each, and a straight line to these speeds with their covariance, as neighbouring
-    parts see the same patterns.
+    One stream is fitted in each cell, and motion is tested there.  The side of the
+    counter-jet is left out, and cells have no speed where nothing can be followed for
+    half a beam, as beside an edge of the images.
 
     Parameters
     ----------
     result : `~astro_scc.measurement.SCCResult`
-    row : int, optional
-        Row in the table of streams.
+    along : `~astropy.units.Quantity` or str, optional
+        Edges of the cells: increasing distances, by default every two beams.
+        `FlowField.to_fits` needs even ones, also across.
+    across : `~astropy.units.Quantity`, optional
+        Increasing offsets or, of radial and expanding flows, position angles; by
+        default three cells over what is seen.
+    n_trials : int, optional
+    rng : None, int or `~numpy.random.Generator`, optional
 
     Returns
     -------
-    ``FlowAcceleration``
-        ``speed`` in the unit of proper motions at the mean distance ``centre``;
-        ``gradient`` of the speed with distance in 1/yr and ``acceleration`` in
-        mas/yr^2, each with ``_err``; ``p_value`` and ``n_parts``.  It prints
-        as one line.
+    `FlowField`
 
     Raises
     ------
     ValueError
-        If there is no such row.
+        If edges do not increase, or nothing is seen in any cell.
 
     Examples
     --------
     >>> import astropy.units as u
     >>> from astro_scc import StackedCrossCorrelation
-    >>> from astro_scc.flow import measure_acceleration
-    >>> from astro_scc.simulation import simulate_jet
-    >>> jet = simulate_jet(n_epochs=30, n_features=10, acceleration=3.0,
-    ...                    dispersion=0.05, rng=1)
+    >>> from astro_scc.flow import measure_field
+    >>> from astro_scc.simulation import simulate_two_fluid
     >>> scc = StackedCrossCorrelation(position_angle=270 * u.deg)
-    >>> found = measure_acceleration(scc(jet.cube, n_trials=199, rng=1))
-    >>> bool(found.acceleration > 0 * u.mas / u.yr**2), found.p_value < 0.05
-    (True, True)
+    >>> result = scc(simulate_two_fluid(n_epochs=8, rng=1).cube, n_trials=100, rng=1)
+    >>> field = measure_field(
+    ...     result, along=[2, 10, 18] * u.mas, across=[-2, 0, 2] * u.mas, n_trials=20)
+    >>> len(field.table), [hdu.name for hdu in field.to_fits()]
+    (4, ['SPEED', 'ERROR', 'P_FDR'])
     """
-    n = len(result.search.streams)
-    if not 0 <= row < n:
-        raise ValueError(f"row must be from 0 to {n - 1}, got {row}")
-    return accelerations(result, [row])[0]
+    from scipy.stats import false_discovery_control
+
+    n_trials = require("n_trials", n_trials)
+    flow, (r, offset, unit) = result.flow, cell_coordinates(result.flow)
+    seen = flow.planes[0].mask & ~flow.grids[0].counter
+    along, across = _edges(along, across, r[seen], offset[seen], unit, flow.beam)
+    rows, rngs = [], iter(random_generator(rng).spawn(len(along) * len(across)))
+    for low, high in pairwise(across.value):
+        for r_min, r_max in pairwise(along.value):
+            ahead = offset - low
+            if unit == u.deg:
+                # Position angles are the same a turn later.
+                ahead = ahead % 360
+            inside = (r >= r_min) & (r < r_max) & (ahead >= 0) & (ahead < high - low)
+            cell = flow.part(places=[(inside & ~flow.grids[0].counter) * 1.0])
+            found = _measure_cell(cell, result, n_trials, next(rngs))
+            rows.append((r_min, r_max, low, high, *found))
+    names = ("r_min", "r_max", "offset_min", "offset_max", "pm_parallel",
+             "pm_parallel_err", "p_global")  # fmt: skip
+    units = [u.mas, u.mas, unit, unit, PM_UNIT, PM_UNIT]
+    table = QTable(rows=rows, names=names, units=dict(zip(names, units, strict=False)))
+    p = table["p_global"] = u.Quantity(table["p_global"]).value
+    known = np.isfinite(p)
+    if not known.any():
+        raise ValueError("nothing is seen in any cell: choose other edges")
+    table["p_fdr"] = np.full(len(p), np.nan)
+    table["p_fdr"][known] = false_discovery_control(p[known])
+    return FlowField(table, along, across)
 
 
-def accelerations(result, rows):
-    """Return the acceleration of each of some rows; the parts are fitted once."""
-    search = result.search
-    flow, fit, known = search.flow, search.fit, []
-    # Features that are not tested have no speed of the spectrum.
-    moving = [np.isfinite(search.streams[row].p_global) for row in rows]
-    if any(moving) and fit is not None:
-        known = [flow.between(low, high) for low, high in parts_along(flow)]
-    sign = 1 if fit is None else np.sign(fit.mean[0])
-    fits = [fit_part(part, sign=sign, start=search.pair) for part in known]
-    places = [place_of(part) for part in known]
-    found = []
-    for row, moves in zip(rows, moving, strict=True):
-        of_row = slice(None if moves else 0)
-        speeds = speeds_in_parts(fits[of_row], places[of_row], stream=row)
-        found.append(acceleration_of(speeds, flow.beam, result.cube.speed_unit))
-    return found
+def _edges(along, across, r, offset, unit, beam):
+    """Return the edges of the cells, by default those of what is seen."""
+    if along is None:
+        step = LENGTH * beam
+        first, last = np.floor(r.min() / step), np.ceil(r.max() / step)
+        along = np.arange(first, last + 1) * step * u.mas
+    if across is None:
+        across = np.linspace(offset.min(), offset.max() + 1e-9, ACROSS + 1) * unit
+    given = "increasing distances", "0.5 1.5 2.5 mas", 0, np.less, None
+    along = named("along", check_range, along, *given).to(u.mas)
+    across = u.Quantity(across).to(unit)
+    if across.ndim != 1 or len(across) < 2 or not np.all(np.diff(across) > 0):
+        raise ValueError(f"across = {across} must be two increasing offsets or more")
+    return along, across
 
 
-def parts_along(flow):
-    """Return limits of parts with equal amounts of emission, in mas, shape (n, 2)."""
-    along = flow.grids[0].distance
-    power = (flow.planes[0].values ** 2).sum(axis=(0, 1)) * weight_of(flow)
-    power = power.sum(axis=1) * (along > (CORE if flow.outward else 0))
-    order = np.argsort(along, kind="stable")
-    total = np.cumsum(power[order])
-    if not total[-1] > 0:
-        return np.empty((0, 2))
-    seen = along[order][power[order] > 0]
-    length = np.ptp(seen)
-    if length < FEWEST * LENGTH / 2:
-        return np.empty((0, 2))
-    n = int(np.clip(length / LENGTH, FEWEST, MOST))
-    inner = np.interp(np.arange(1, n) / n * total[-1], total, along[order])
-    edges = np.concatenate([[seen[0]], inner, [seen[-1] * (1 + 1e-9)]])
-    return np.stack([edges[:-1], edges[1:]], axis=1) * flow.beam
+def _measure_cell(cell, result, n_trials, rng):
+    """Return speed, error and p-value of a cell, or NaN."""
+    if not has_flow(cell):
+        return np.nan, np.nan, np.nan
+    outward, fit = result.meta["settings"]["outward"], result.search.fit
+    _, test = find_motion(cell, n_trials, rng, outward=outward)
+    sign = 1.0 if fit is None else np.sign(fit.mean[0])
+    part = fit_part(cell, sign=sign)
+    if part.fit is None or not part.fit.amplitude[0] > 0:
+        return np.nan, np.nan, test.p_global
+    speed = part.fit.mean[0]
+    (error,), *_ = part.errors(speed)
+    return abs(speed) * cell.beam, error * cell.beam, test.p_global
+
+
+def cell_coordinates(flow):
+    """
+    Return the coordinates of the points of a flow's grid.
+
+    Parameters
+    ----------
+    flow : ``DecomposedFlow``
+
+    Returns
+    -------
+    distance, offset : `~numpy.ndarray`, shape (n_along, n_across)
+        The first in mas.
+    unit : `~astropy.units.Unit`
+        Of the offset: mas, or degrees of the position angle in radial flows.
+    """
+    grid, frame, beam = flow.grids[0], flow.frame, flow.beam
+    shape, place = grid.x.shape, flow.cube.pixel_to_offset(grid.x, grid.y)
+    distance = grid.distances * beam
+    if isinstance(frame, RidgeLine):
+        return distance, np.broadcast_to(grid.across * beam, shape), u.mas
+    if np.isfinite(grid.angle):
+        offset = np.tensordot(grid.axes[1], [p.to_value(u.mas) for p in place], 1)
+        return distance, offset, u.mas
+    place = zip(place, frame.origin, strict=True)
+    east, north = ((p - origin).to_value(u.mas) for p, origin in place)
+    # The last row, as a radial grid begins at the origin.  Angles do not jump at north.
+    angle = np.degrees(np.unwrap(np.arctan2(east[-1], north[-1])))
+    angle -= np.floor(angle.mean() / 360) * 360
+    return np.hypot(east, north), np.broadcast_to(angle, shape), u.deg

@@ -445,7 +445,7 @@ def with_published(
             paths[number] = seen["date"].jyear, np.stack(place)
     rows = []
     for track in features.tracks:
-        time, place = d.time[track.detection], d.place[track.detection].T
+        time, place = d.time[track], d.place[track].T
         apart = {SAME * d.fwhm: 0}
         for number, (years, published_place) in paths.items():
             both = (time >= years[0]) & (time <= years[-1])

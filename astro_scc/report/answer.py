@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
-from astro_scc.features.trust import MOST_FALSE, MOTIONS, SAME_SPEED, motions_in_words
+from astro_scc.features.motion import MOST_FALSE, MOTIONS, SAME_SPEED, motions_in_words
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.measurement.cautions import NO_DIRECTION
 from astro_scc.measurement.tables import dates_as_text

@@ -15,7 +15,8 @@ from astropy.time import Time
 from astro_scc.columns import cell, headed, heading_of
 from astro_scc.epochs.tables import common_names, plain
 from astro_scc.flow import feature_profile
-from astro_scc.flow.speeds import LEAST, MOST_BINS, accelerations, compare_scales
+from astro_scc.flow.models import accelerations
+from astro_scc.flow.speeds import LEAST, MOST_BINS, compare_scales
 from astro_scc.kinematics.cosmology import beta_per_pm, cosmology_text, table_in_c_as
 from astro_scc.measurement import SCCResult
 from astro_scc.measurement.tables import dates_as_text

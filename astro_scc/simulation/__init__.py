@@ -1,8 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Simulation: images of jets and shells with known velocities."""
 
-from astro_scc.simulation.jets import JetSimulation, write_simulation
-from astro_scc.simulation.simulators import (
+from astro_scc.simulation.jets import (
+    JetSimulation,
     simulate_ballistic,
     simulate_jet,
     simulate_random_velocity,
@@ -11,6 +11,7 @@ from astro_scc.simulation.simulators import (
     simulate_static,
     simulate_two_fluid,
     simulate_unrelated,
+    write_simulation,
 )
 from astro_scc.simulation.streams import Flow, Layer, Stream, m87_layers
 

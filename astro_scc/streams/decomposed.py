@@ -377,7 +377,6 @@ class PartFit:
     """Streams that are fitted to a part of a flow; their fit is None if none are."""
 
     flow: DecomposedFlow
-    planes: FlowPlanes
     diagram: Diagram
     equations: Equations
     fit: StreamFit | None
@@ -385,7 +384,7 @@ class PartFit:
     def errors(self, travel=None, stream=None):
         """Return what `fit_errors` does, of clusters that move at one speed."""
         return fit_errors(
-            self.planes, self.diagram, self.equations, self.fit,
+            self.flow.planes[0].fitted, self.diagram, self.equations, self.fit,
             region=self.flow.regions[0], travel=travel, stream=stream,
         )  # fmt: skip
 
@@ -417,9 +416,8 @@ def fit_part(flow, *, sign=1.0, start=None, diagram=None, fit=None):
     -------
     `PartFit`
     """
-    planes = flow.planes[0].fitted
     if diagram is None:
-        diagram = correlate(planes, region=flow.regions[0])
+        diagram = correlate(flow.planes[0].fitted, region=flow.regions[0])
     equations = set_up(diagram, fastest=flow.fastest, intervals=flow.intervals)
     if not has_flow(flow):
         fit = None
@@ -427,7 +425,7 @@ def fit_part(flow, *, sign=1.0, start=None, diagram=None, fit=None):
         fit = one_stream(equations, 1 / np.ptp(flow.years), sign)
     elif fit is None:
         fit = fit_streams(equations, start)
-    return PartFit(flow, planes, diagram, equations, fit)
+    return PartFit(flow, diagram, equations, fit)
 
 
 def fit_along_lines(flow, *, straight=False, sign=1.0, diagram=None):
@@ -468,14 +466,14 @@ def fit_along_lines(flow, *, straight=False, sign=1.0, diagram=None):
     return parts[best]
 
 
-def is_behind(flow, planes, speed):
+def is_behind(flow, speed):
     """Return whether most of what moves at a speed is on the side of a counter-jet."""
     counter, moves = flow.grids[0].counter, []
     if not counter.any():
         return False
     for side in (counter, ~counter):
         weight = weight_of(flow) * side
-        diagram = correlate(planes, region=weight)
+        diagram = correlate(flow.planes[0].fitted, region=weight)
         kept = correlation_kept(diagram, speed)[0]
         moves.append(kept * diagram.power * weight.sum())
     return bool(moves[0] > moves[1])

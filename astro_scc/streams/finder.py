@@ -4,10 +4,12 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import astropy.units as u
 import numpy as np
 
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.intervals import median_interval
+from astro_scc.settings import MeasurementSettings
 from astro_scc.spectrum.diagram import Diagram
 from astro_scc.spectrum.equations import RATIO, deconvolve
 from astro_scc.spectrum.gaussians import (
@@ -137,33 +139,6 @@ class MeasuredStream:
     counter: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class SearchSettings:
-    """
-    What a search for streams needs to know beside the flow.
-
-    Attributes
-    ----------
-    n_trials : int
-    misaligned : `~numpy.ndarray`, shape (n_epochs, 2), optional
-        Standard error of the alignment of each epoch, in mas.
-    alpha : float
-        Largest ``p_global`` of a stream that moves.
-    outward : bool
-        Search only speeds away from the core.
-    whole : bool
-        Whether a single stream has the error of few patterns, and the harmonic mean of
-        the spectrum where its Gaussian is not well known; parts of a flow have the
-        speeds of Gaussians, whose covariance is known, unless their errors are larger.
-    """
-
-    n_trials: int
-    misaligned: np.ndarray | None = None
-    alpha: float = 0.01
-    outward: bool = False
-    whole: bool = True
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class StreamSearch:
     """
@@ -242,8 +217,9 @@ class StreamSearch:
 
 
 def find_streams(
-    flow: DecomposedFlow, features: Any, settings: SearchSettings, *,
-    inside: np.ndarray | None = None, rng: np.random.Generator,
+    flow: DecomposedFlow, features: Any, settings: MeasurementSettings, *,
+    n_trials: int, whole: bool = True, inside: np.ndarray | None = None,
+    rng: np.random.Generator,
 ) -> StreamSearch:  # fmt: skip
     """
     Find the streams of a flow.
@@ -252,7 +228,13 @@ def find_streams(
     ----------
     flow : ``DecomposedFlow``
     features : `~astro_scc.features.Features`
-    settings : `SearchSettings`
+    settings : `~astro_scc.settings.MeasurementSettings`
+        Its ``alpha``, ``outward`` and ``alignment_error`` count.
+    n_trials : int
+    whole : bool, optional
+        Whether a single stream has the error of few patterns, and the harmonic mean of
+        the spectrum where its Gaussian is not well known; parts of a flow have the
+        speeds of Gaussians, whose covariance is known, unless their errors are larger.
     inside : `~numpy.ndarray` of bool, shape (n_features,), optional
         The features of a part of the flow.
     rng : `~numpy.random.Generator`
@@ -261,15 +243,16 @@ def find_streams(
     -------
     `StreamSearch`
     """
-    map_rng = rng.spawn(1)[0]
-    flow, test = find_motion(flow, settings.n_trials, rng, outward=settings.outward)
+    map_rng, alpha = rng.spawn(1)[0], settings.alpha
+    shift = _of_alignment(flow, alignment_errors(flow.cube, settings.alignment_error))
+    flow, test = find_motion(flow, n_trials, rng, outward=settings.outward)
     (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
     alike = shared_variance(test, flow.years) >= ALIKE
-    if settings.whole and not alike and test.p_global > settings.alpha:
+    if whole and not alike and test.p_global > alpha:
         features = replace(features, alike=False)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)
-    enough = WITH_FEATURES if len(moving) and covered and alike else settings.alpha
+    enough = WITH_FEATURES if len(moving) and covered and alike else alpha
     passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
         flow, straight=not passes, sign=sign, diagram=sheet[len(sheet) // 2]
@@ -279,7 +262,7 @@ def find_streams(
         length = np.hypot(moving.along, moving.across)
         moving.along = np.copysign(length, moving.along)
     if part.fit is not None and passes and not diffusing:
-        part, p = _one_or_two(part, test, moving, settings, map_rng)
+        part, p = _one_or_two(part, test, moving, n_trials, alpha, map_rng)
     if part.fit is not None:
         mean_err, number, *_ = part.errors()
         part = replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
@@ -287,14 +270,13 @@ def find_streams(
         flow, features, test, part.diagram, equations.speed * flow.beam,
         deconvolve(equations), part.fit,
     )  # fmt: skip
-    shift = _alignment(flow.years, settings.misaligned)
-    rows = _of_spectrum(search, equations, settings.whole)
+    rows = _of_spectrum(search, equations, whole)
     streams = _streams(
         search, rows, moving, (sheet, aside), shift, covered=covered, p_distinct=p
     )
     if passes:
-        sure = ALONE * settings.alpha if settings.whole else 1.0
-        streams = [_on_its_side(s, search, moving, part.planes) for s in streams]
+        sure = ALONE * alpha if whole else 1.0
+        streams = [_on_its_side(s, search, moving) for s in streams]
         doubts = {"opposed": opposed, "diffusing": diffusing, "sure": sure}
         streams = [_judged(s, search, **doubts) for s in streams]
     streams += _standing(features, flow, streams, inside, shift)
@@ -319,17 +301,17 @@ def _map_of(search, streams, sheet, aside, rng):
     )
 
 
-def _one_or_two(part, test, moving, settings, rng):
+def _one_or_two(part, test, moving, n_trials, alpha, rng):
     """Return a fit of one stream, or of two if they are, and the p-value of one."""
     least, first = 1 / np.ptp(part.flow.years), test.clearest
     second, p_distinct = test.beside(first, least / 2)
     speed, chance = np.abs(moving.along) / part.flow.beam, 1.0
     if len(speed) >= FEWEST:
-        chance = chance_of_separation(speed, settings.n_trials, rng)
-    if p_distinct > settings.alpha:
+        chance = chance_of_separation(speed, n_trials, rng)
+    if p_distinct > alpha:
         # A second test where the first does not reject.
         p_distinct = min(p_distinct, 2 * chance)
-    if p_distinct <= settings.alpha:
+    if p_distinct <= alpha:
         two = two_streams(part.equations, part.fit, least, (first, second))
         if _are_two(part, two, speed, chance):
             part = replace(part, fit=two)
@@ -405,14 +387,14 @@ def _stream(search, row, members, sheet, shift, *, covered):
     )  # fmt: skip
 
 
-def _on_its_side(stream, search, moving, planes):
+def _on_its_side(stream, search, moving):
     """Return a stream with the direction of its own side of a core."""
     members = moving[np.isin(moving.number, stream.members)]
     # Where both sides move so, the direction is that of the jet.
     behind = members.weight @ members.side < -members.weight.sum() / 2
     if not len(members):
         speed = search.sign * stream.spectrum[0] / search.beam
-        behind = is_behind(search.flow, planes, speed)
+        behind = is_behind(search.flow, speed)
     if not behind:
         return stream
     turned = {"velocity": -stream.velocity, "angle": stream.angle + np.pi}
@@ -521,11 +503,47 @@ def _harmonic(search, equations):
     return sign * mean * search.beam, error * search.beam
 
 
-def _alignment(years, misaligned):
+def alignment_errors(cube, error=None):
+    """
+    Return the standard error of the alignment of each epoch on both axes.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    error : `~astropy.units.Quantity`, optional
+        One error for all epochs, or one per epoch.  The default is the error
+        of each epoch's last alignment, or zero without it.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs, 2)
+        In mas.
+
+    Raises
+    ------
+    ValueError
+        If ``error`` has neither one element nor one per epoch.
+    """
+    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
+    if error is None:
+        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
+        records = [last.get(label, {}) for label in cube.labels]
+        left = [[record.get(name) or 0.0 for name in names] for record in records]
+        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
+    else:
+        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
+        if each.shape not in ((1,), (n,)):
+            raise ValueError(
+                f"alignment_error must be 1 or {n} angles, got {each.size}"
+            )
+    return np.broadcast_to(each[:, None], (n, 2))
+
+
+def _of_alignment(flow, errors):
     """Return the covariance of a speed by errors of the alignment, on both axes."""
-    off = years - years.mean()
+    off = flow.years - flow.years.mean()
     response = off / (off @ off)
-    return np.diag(response**2 @ misaligned**2)
+    return np.diag(response**2 @ errors**2)
 
 
 def _standing(features, flow, streams, inside, shift):
@@ -536,7 +554,7 @@ def _standing(features, flow, streams, inside, shift):
     the core, the reference, do: images do not tell which.
     """
     velocities, _ = frame_velocities(flow.frame, features)
-    weight = np.array([len(track) for track in features.tracks], float)
+    weight = features.n_epochs.astype(float)
     speed, error = np.reshape(
         [(m.speed, m.speed_err) for m in features.motions], (-1, 2)
     ).T

@@ -35,7 +35,7 @@ def moving_features(features, frame, angle, inside=None, walk=None, *, folded=Fa
     turned by 180 degrees.
     """
     motions, places, n = features.motions, features.places, len(features)
-    epochs = np.array([len(track) for track in features.tracks], dtype=int)
+    epochs = features.n_epochs
     error = np.reshape([motion.velocity_err for motion in motions], (-1, 2))
     local = turn_to_flow(angle) @ np.asarray(frame.matrix(*places.T))
     behind = folded & ((local @ places[..., None])[:, 0, 0] < 0)
@@ -109,7 +109,7 @@ def passing_features(features, beam, *, aligned=0.7):
         Those behind the reference position; empty if none are before it.
     """
     secure = np.flatnonzero(features.secure_without_core)
-    weight = np.array([len(features.tracks[k]) for k in secure])
+    weight = features.n_epochs[secure]
     velocity = features.velocities[secure]
     ways = velocity / np.hypot(*velocity.T)[:, None]
     mean = weight @ ways

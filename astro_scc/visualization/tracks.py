@@ -6,7 +6,7 @@ from itertools import combinations
 import astropy.units as u
 import numpy as np
 
-from astro_scc.features.trust import MOST_FALSE
+from astro_scc.features.motion import MOST_FALSE
 from astro_scc.units import offset_unit, unit_name
 from astro_scc.visualization import images, style
 
@@ -86,7 +86,7 @@ def plot_separation(
         lower.axhline(0, color=style.GREY, lw=0.6, zorder=0)
         lower.set_ylabel(f"Residual ({unit_name(unit)})")
         figure.align_ylabels()
-    _lay_out(figure, own=lower is not None)
+    _lay_out(figure, fixed=lower is not None)
     _write_numbers(ax, features, [(k[1], k[2]) for k in ends], beta_per_pm)
     return figure
 
@@ -98,7 +98,7 @@ def _draw_separations(ax, lower, features, on_axis, unit, stream, given):
     outward = d.place / np.maximum(distance, 1e-30)[:, None]
     error = np.hypot(*(outward * d.place_error).T)
     for number, motion in enumerate(features.motions):
-        k = features.tracks[number].detection
+        k = features.tracks[number]
         look = style.look_of("line", given, **feature_look(features, number, stream))
         dots = {"fmt": "o", "ms": 3, "mew": 0, "lw": 0.8, **look, "linestyle": ""}
         time = d.time[k]
@@ -143,7 +143,7 @@ def ejections(features, *, earlier=0.3):
 
 def _named(features):
     """Return the features with numbers, first the secure ones and of most epochs."""
-    n = [len(track) for track in features.tracks]
+    n = features.n_epochs
     order = sorted(range(len(n)), key=lambda k: (~features.secure[k], -n[k]))
     crowded = len(order) > CROWDED
     return [k for k in order[:NAMED] if features.secure[k]] if crowded else order
@@ -172,11 +172,11 @@ def feature_look(features, number, stream=None):
     return {"color": color, "label": f"stream {k}" if k else style.NONE, **look}
 
 
-def _lay_out(figure, *, own):
+def _lay_out(figure, *, fixed):
     """Place the axes, as numbers need; nothing need be drawn for that."""
     if engine := figure.get_layout_engine():
         engine.execute(figure)
-    if own:
+    if fixed:
         # A second layout takes time.
         figure.set_layout_engine("none")
 
@@ -268,7 +268,7 @@ def plot_tracks(
             _draw_published(panel, published, features.cube, *place)
         last = _draw_paths(panel, features, view, stream, look)
     style.legend_above(ax)
-    _lay_out(drawn, own=figure is None)
+    _lay_out(drawn, fixed=figure is None)
     for panel in axes:
         shown = panel is not ax
         ends = [end if (k in inner) == shown else None for k, end in enumerate(last)]
@@ -286,7 +286,7 @@ def _inner_paths(features, view, *, inner=0.3, close=0.02):
     from scipy.spatial.distance import cdist
 
     d, size = features.detections, np.ptp(view.limits, axis=1).max()
-    paths = [view.factor * d.place[track.detection] for track in features.tracks]
+    paths = [view.factor * d.place[track] for track in features.tracks]
     far = np.array([np.hypot(*path.T).max() for path in paths])
     near = np.flatnonzero(far < inner * size)
     apart = [cdist(paths[a], paths[b]).min() for a, b in combinations(near, 2)]
@@ -322,7 +322,7 @@ def _draw_paths(ax, features, view, stream, given):
     head, last = head | {"linewidth": 0.9}, []
     for number, track in enumerate(features.tracks):
         look = style.look_of("line", given, **feature_look(features, number, stream))
-        place = view.factor * features.detections.place[track.detection].T
+        place = view.factor * features.detections.place[track].T
         dots = {"marker": "o", "markersize": 2, "markeredgewidth": 0, "linewidth": 0.9}
         # The arrow is the last step: drawn twice, a dotted one looks solid.
         ax.plot(*place[:, :-1], **dots | look)

@@ -120,30 +120,14 @@ def test_warnings_are_lines_each_once(capsys, quiet):
     assert reporter.warnings == ["look here"]
 
 
-@pytest.mark.slow
-def test_long_commands_tell_how_far_they_are(jet, done, monkeypatch):
-    # As if every half minute, and pytest's standard error is no terminal.
-    monkeypatch.setattr("astro_scc.parallel.EVERY", 0.001)
-    for words, labels in (
-        ("measure --n-trials=119 --no-report", {"Decomposing", "Searching"}),
-        ("track --no-figures", {"Fitting"}),
-    ):
-        name, *options = words.split()
-        _, err = done(name, *jet, "-o", name, *options, "--scales", "2")
-        line = rf"^({'|'.join(labels)}): \d+ (?:of \d+|done), \d+\.\d min$"
-        assert set(re.findall(line, err, re.MULTILINE)) == labels
-
-
 #: Beside ``tools/inputs.py``, by the beginning of a command: further words, and a part
 #: of what is said.
 REFUSED = {
     "measure JET -o out": """
 --beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another
---max-speed -2mas/yr | '-2mas/yr' must be finite and above 0
 --align coer | --align 'coer' is none of
 --align "core 9" | --align core '9' has no unit at its end; it must be a position angle
 --region no.reg | no.reg: No such file or directory
---config no.toml | no.toml: No such file or directory
 -o full | full: exists and is not empty
 --method paper --ds9-regions | --ds9-regions is for method spectrum: leave it out
 --kappa 0.9 | --kappa is for method paper: leave it out
@@ -161,10 +145,8 @@ note.fits more.fits | (and 1 more like it)
 """,
     "simulate": """
 static x --dense | --dense is for two-fluid, not for static
-jet x --distribution flat | error: --distribution = 'flat' must
 """,
     'restore MODELS -o out --beam "1 mas" --pixel "0.1 mas"': """
---beam "1 mas 2 mas 0 deg" | 2 mas 0 deg' is no beam: a beam is finite with major
 --after 2011-01-01 | no component is left
 """,
     "restore MODELS": """

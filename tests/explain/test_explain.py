@@ -14,7 +14,7 @@ from astro_scc.explain import explain_feature
 @pytest.fixture(scope="module")
 def secure(known_features):
     """The secure feature of most epochs: its index, and its positions as published."""
-    number = [len(track) for track in known_features.tracks]
+    number = known_features.n_epochs.tolist()
     k = int(np.argmax(number * known_features.secure))
     rows = known_features.positions
     return k, rows[rows["feature"] == known_features.number[k]]
@@ -45,7 +45,7 @@ def test_which_step_lost_an_emission(known_features, secure):
     assert lines[1].startswith("Not detected (date, S/N")
     # Emission that no detection is at.
     d = known_features.detections
-    others = ~np.isin(np.arange(len(d)), known_features.tracks[k].detection)
+    others = ~np.isin(np.arange(len(d)), known_features.tracks[k])
     away = replace(none, detections=d.select(others))
     bright = "nothing is detected there though there is emission: blended, or outside"
     assert bright in lost(away)[-1]

@@ -10,7 +10,7 @@ import pytest
 from astro_scc.columns import columns_of
 from astro_scc.decomposition import Decomposer, SSPs
 from astro_scc.epochs import Beam, EpochCube
-from astro_scc.features import TrackSettings, find_features
+from astro_scc.features import find_features
 from astro_scc.simulation import simulate_jet, simulate_static
 
 STATIC = {"n_epochs": 6, "shape": (64, 128), "extent": (16, 112), "axis": 32}
@@ -38,13 +38,13 @@ def against_truth(jet, features):
     purity, off = [], []
     for track, motion in zip(features.tracks, features.motions, strict=True):
         own = []
-        for k in track.detection.tolist():
+        for k in track.tolist():
             now = np.flatnonzero((truth["epoch"] == d.epoch[k]) & truth["visible"])
             near = np.hypot(*(place[now] - d.place[k]).T).argmin()
             own.append(truth["feature"][now[near]])
         names, counts = np.unique(own, return_counts=True)
         at = (truth["feature"] == names[counts.argmax()]) & np.isin(
-            truth["epoch"], d.epoch[track.detection]
+            truth["epoch"], d.epoch[track]
         )
         time = d.years[truth["epoch"][at]]
         velocity = np.polyfit(time - time.mean(), place[at], 1)[0]
@@ -139,9 +139,3 @@ def test_nothing_is_a_table_with_all_columns(name):
 def test_choices_that_do_not_exist(known_jet, change, how, words):
     with pytest.raises(ValueError, match=words):
         find_features(replace(known_jet.cube, **change), **how)
-
-
-def test_settings_are_used(known_jet):
-    how = TrackSettings(core=0.0, least_epochs=6)
-    none = find_features(known_jet.cube[:5], settings=how)
-    assert len(none) == len(none.core) == 0

@@ -69,15 +69,6 @@ def test_errors_of_positions(variance):
     assert abs(np.mean(pulls)) < 0.3
 
 
-def test_no_scale():
-    image = sky(*THREE) + 1e-3 * beam_noise(np.random.default_rng(3))
-    one, small = (fit_gaussians(k * image, BEAM, k * 1e-3) for k in (1, 1e-9))
-    for name in ("y", "x", "size", "y_err", "x_err", "peak", "flux"):
-        unit = 1e-9 if name in ("peak", "flux") else 1
-        value = unit * one[name]
-        np.testing.assert_allclose(small[name], value, 1e-6, 1e-9 * unit)
-
-
 @pytest.mark.parametrize("noise", [1e-30, 1e-9])
 def test_images_without_noise(noise):
     """Simulations, and components that are restored without noise."""
@@ -97,18 +88,6 @@ def test_missing_pixels_do_not_spread(bad):
     assert len(found) == 2
     np.testing.assert_allclose(found["y"], [30.3, 52.4], atol=1e-3)
     np.testing.assert_allclose(found["x"], [40.2, 60.7], atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("image", "noise", "mask"),
-    [
-        (np.zeros(SHAPE), 1.0, False),
-        (sky(*ONE), 1e-3, np.ones(SHAPE, dtype=bool)),
-        (np.zeros((0, 0)), 1.0, False),
-    ],
-)
-def test_empty(image, noise, mask):
-    assert len(fit_gaussians(image, BEAM, noise, mask=mask)) == 0
 
 
 def test_noise_alone_has_no_components_and_a_spike_few():

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from astro_scc.features import Features
-from astro_scc.features.motion import Motion, fit_motion
-from astro_scc.features.tracks import Track
-from astro_scc.features.trust import FAR, is_secure, properties
+from astro_scc.features.motion import FAR, Motion, are_secure, fit_motion, properties
 
 TIME = 2000 + np.array([0.0, 0.7, 1.5, 3.0, 3.4, 5.1, 6.0, 7.7])
 ERROR = np.full((8, 2), 0.01)
@@ -109,9 +107,9 @@ def track_of(series):
 
     def make(rows):
         d = series(rows)
-        own = np.flatnonzero(d.number == 0)
-        args = (part[own] for part in (d.time, d.place, d.place_error))
-        return d, Track(own, 1.0, True), fit_motion(*args, d.fwhm)
+        track = np.flatnonzero(d.number == 0)
+        args = (part[track] for part in (d.time, d.place, d.place_error))
+        return d, track, fit_motion(*args, d.fwhm)
 
     return make
 
@@ -142,30 +140,23 @@ def test_properties(track_of):
     motion = replace(motion, residual=np.full((6, 2), 0.1))
     weights = [1.41, -0.60, 0.88, 0.82, 2.32, 1.44, -0.62]
     logit = -5.88 + np.dot(weights, found[:7]) - 7.23 * 0.1
-    features = Features(cube=None, detections=d, core=d, tracks=(track,))
+    features = Features(None, d, d, (track,), np.ones(1), np.ones(1, dtype=bool))
     features.__dict__["motions"] = (motion,)
     assert features.p_false == pytest.approx([1 / (1 + np.exp(logit))])
 
 
 @pytest.mark.parametrize(
-    ("p_false", "moved", "change", "error", "secure"),
+    ("p_false", "same_speed", "moved", "errors", "n_epochs", "secure"),
     [
-        (0.3, 1.0, {}, 0.3, True),
-        (0.301, 1.0, {}, 0.3, False),
-        (0.3, 0.999, {}, 0.3, False),
-        (0.3, 0.5, {}, 0.199, True),
-        (0.3, 0.5, {}, 0.201, False),
-        (0.3, 0.499, {}, 0.1, False),
-        (0.3, 0.5, {"detection": np.arange(4)}, 0.1, False),
-        (0.3, 1.0, {"same_speed": 0.5}, 0.3, True),
-        (0.3, 1.0, {"same_speed": 0.499}, 0.3, False),
-        (0.0, 9.0, {"detection": np.arange(3)}, 0.3, False),
-        (0.0, 9.0, {"detection": np.arange(4)}, 0.3, True),
-        (0.0, 9.0, {}, 1 / 3.01, True),
-        (0.0, 9.0, {}, 1 / 2.99, False),
+        (0.3, 1.0, 1.0, 3.0, 8, True),
+        (0.301, 1.0, 1.0, 3.0, 8, False),
+        (0.3, 0.5, 1.0, 3.0, 8, True),
+        (0.3, 0.499, 1.0, 3.0, 8, False),
+        (0.3, 1.0, 0.5, 5.0, 5, True),
+        (0.3, 1.0, 0.499, 9.0, 8, False),
+        (0.0, 1.0, 9.0, 9.0, 3, False),
+        (0.0, 1.0, 9.0, 2.99, 4, False),
     ],
 )
-def test_what_is_vouched_for(track_of, p_false, moved, change, error, secure):
-    _, track, motion = track_of(straight(8))
-    motion = replace(motion, velocity_err=np.full(2, error * motion.speed))
-    assert is_secure(p_false, moved, replace(track, **change), motion) is secure
+def test_what_is_vouched_for(p_false, same_speed, moved, errors, n_epochs, secure):
+    assert are_secure(p_false, same_speed, moved, errors, n_epochs) == secure

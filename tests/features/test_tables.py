@@ -11,7 +11,6 @@ from astropy.time import Time
 from astro_scc.columns import columns_of
 from astro_scc.epochs import Beam, EpochCube
 from astro_scc.features import Features
-from astro_scc.features.tracks import Track
 
 N = 8
 
@@ -30,16 +29,19 @@ def features(series):
         beams=Beam(1 * u.mas, 1 * u.mas),
     )  # fmt: skip
     d = series(rows, years=dates.jyear)
-    tracks = [Track(np.arange(k, 3 * N, 3), 1.0, True) for k in (0, 1)]
-    late = Track(np.arange(5, 3 * N, 3), 0.2, False)
-    return Features(cube=cube, detections=d, core=core, tracks=(*tracks, late))
+    tracks = tuple(np.arange(first, 3 * N, 3) for first in (0, 1, 5))
+    return Features(
+        cube, d, core, tracks, np.array([1.0, 1.0, 0.2]), np.array([True, True, False])
+    )
 
 
 @pytest.mark.parametrize("empty", [False, True])
 def test_each_column_has_a_unit_or_type_and_a_meaning(features, empty):
     found, nothing = features, features.detections.select(np.arange(0))
     if empty:
-        found = replace(features, tracks=(), detections=nothing, core=nothing)
+        none = np.zeros(0)
+        found = replace(features, detections=nothing, core=nothing, tracks=(),
+                        same_speed=none, proven=none)  # fmt: skip
         assert found.core_error == 0
     for table, own in ((found.table, "features"), (found.positions, "positions")):
         known_ones = columns_of(own)

@@ -22,7 +22,7 @@ from astro_scc.features.tracks import (
 
 
 def found(d, **options):
-    return [track.detection.tolist() for track in find_tracks(d, **options)]
+    return [track.tolist() for track in find_tracks(d, **options)[0]]
 
 
 def random_series(series, seed):
@@ -47,18 +47,19 @@ def random_series(series, seed):
 @given(st.integers(0, 10**6))
 def test_what_holds_for_all_tracks(series, seed):
     d = random_series(series, seed)
-    tracks = find_tracks(d)
-    every = np.concatenate([np.empty(0, int), *(track.detection for track in tracks)])
+    tracks, same_speed, proven = find_tracks(d)
+    every = np.concatenate([np.empty(0, int), *tracks])
     assert len(every) == len(set(every.tolist()))
+    assert len(same_speed) == len(proven) == len(tracks)
+    assert ((same_speed >= 0) & (same_speed <= 1)).all()
     firsts = []
     for track in tracks:
-        epoch = d.epoch[track.detection]
+        epoch = d.epoch[track]
         assert len(track) >= TrackSettings().least_epochs
         assert (np.diff(epoch) > 0).all()
-        assert 0 <= track.same_speed <= 1
-        firsts.append((epoch[0], d.number[track.detection[0]]))
+        firsts.append((epoch[0], d.number[track[0]]))
     assert firsts == sorted(firsts)
-    assert found(d) == [track.detection.tolist() for track in tracks]
+    assert found(d) == [track.tolist() for track in tracks]
 
 
 @pytest.mark.parametrize("days", [(0,), (0, 0.007), (0, 1, 5, 6)])
@@ -67,10 +68,11 @@ def test_crossing_features_keep_their_identity(series, days):
     years, rows = np.add.outer(np.arange(8.0), np.array(days) / 365).ravel(), []
     for k, t in enumerate(years):
         rows += [(k, 0.4 * t, 0.3 * t - 1.05, 1.0), (k, 0.4 * t, 1.05 - 0.3 * t, 0.3)]
-    tracks = find_tracks(series(rows, years=2000 + years), seed=1)
-    each = sorted(track.detection.tolist() for track in tracks)
+    tracks, same_speed, proven = find_tracks(series(rows, years=2000 + years), seed=1)
+    each = sorted(track.tolist() for track in tracks)
     assert each == [list(range(k, 2 * len(years), 2)) for k in range(2)]
-    assert all(track.proven and track.same_speed > 0.9 for track in tracks)
+    assert proven.all()
+    assert (same_speed > 0.9).all()
 
 
 @pytest.mark.parametrize("left_out", [0, 3])

@@ -56,7 +56,6 @@ def test_what_is_missing_or_too_much():
         ({"redshift": 47367}, "redshift = 47367 must be below 30; of a velocity"),
         ({"redshift": MaskedColumn([0.1], mask=[True])}, "must be a redshift"),
         ({"redshift": 1 * u.yr}, "redshift = 1.0 yr must be a redshift"),
-        ({"redshift": 0.1, "cosmology": {"H0": 71}}, "is no cosmology; give H0=71"),
         ({"redshift": "high"}, "redshift = 'high' must be a redshift, a number such"),
         ({"redshift": 47367 * u.km / u.s},
          "redshift = 47367.0 km / s is a velocity, which may be defined in three "
@@ -100,12 +99,7 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
         table_in_c(table, distance="16 7 Mpc")
 
 
-def test_numbers_at_15_degrees_and_speeds_that_are_none():
-    gamma = lorentz_factor(beta_intrinsic([4, 6], 15 * u.deg))
-    np.testing.assert_allclose(gamma.value, [4.13, 7.48], atol=5e-3)
-    # The acceleration between 1 and 7 mas that the paper calls 0.3.
-    k = np.log((gamma[1] / gamma[0]).value) / np.log(7)
-    assert k == pytest.approx(0.305, abs=5e-4)
+def test_speeds_that_are_none():
     assert lorentz_factor(60 * u.percent).value == pytest.approx(1.25)
     assert np.isnan(beta_intrinsic(0, 0 * u.deg))
     assert np.isnan(beta_intrinsic([-0.1, -0.5, -3.0], 15 * u.deg)).all()

@@ -61,12 +61,6 @@ def test_windows_end_with_the_image_and_warn():
         assert plan_of((0, YEAR), beam=2.0)[-1] == (39, 59)
 
 
-def test_pairs_of_dates():
-    cube = cube_of((0, 30, 90))
-    np.testing.assert_allclose(pairs_of_dates(cube, None).interval * YEAR, [30, 60])
-    assert pairs_of_dates(cube, [50, 100] * u.day).first.tolist() == [0, 1]
-
-
 @pytest.mark.filterwarnings("ignore:two images are of")
 @pytest.mark.parametrize(
     ("days", "baseline", "words"),

@@ -111,11 +111,9 @@ def test_what_is_refused():
         (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
         (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
         (Stream, {"dx": (1.0, 2.0, 3.0)}, "dx must be a number, two limits"),
-        (Flow, {"distribution": "flat"}, "flow 's': distribution = .* must be one"),
         (Flow, {"positions": (2.0,)}, "they are those of standing features"),
         (Flow, {"acceleration": 0.0}, "acceleration must be positive"),
         (JetSimulation, {"streams": ONE}, "sequence of Stream"),
-        (JetSimulation, {"n_epochs": 0}, "n_epochs must be at least"),
         (JetSimulation, {"dates": Time([2001, 2000], format="jyear")}, "increasing ti"),
         (JetSimulation, {"noise": ()}, "beams and noise need one value"),
         (JetSimulation, {"extent": (220.0, 20.0)}, "extent must be"),
@@ -124,9 +122,6 @@ def test_what_is_refused():
         (simulate_jet, {"length": np.nan}, "length must be zero or positive"),
         (simulate_jet, {"streams": [Flow()], "speed": 1.0, "size": 0.1},
          "speed, size: give them to"),
-        (simulate_jet, {"noise": -0.001}, r"must be zero or p.* got -0.00\d+$"),
-        (simulate_jet, {"standing": -1}, "flow 'standing': n_features must be zero or"),
-        (Layer, {"scatter": -1}, "layer 'l': scatter must be zero or positive, got -1"),
         (Layer, {"speed": [0, 1, 1] * u.mas / u.yr}, "speed must be positive, or zero"),
         (Layer, {"across": ()}, "across needs one place or more"),
         (Layer, {"speed": [1, 1] * u.mas / u.yr}, "brightness must have one len"),
@@ -143,12 +138,7 @@ def test_written_simulation(tmp_path):
     *images, table = write_simulation(jet, tmp_path / "jet")
     assert (len(images), table.name) == (3, "truth.ecsv")
     assert sorted((tmp_path / "jet").iterdir()) == sorted([*images, table])
-    truth = QTable.read(table)
-    assert_allclose(truth["x"].value, jet.truth["x"].value)
-    assert truth.meta["streams"][1]["dx"] == 20.0
-    header = fits.getheader(images[2])
-    assert header["DATE-OBS"].startswith("2000-03-01")
-    assert (header["CRPIX1"], header["CRPIX2"]) == (21, 65)
+    assert QTable.read(table).meta["streams"][1]["dx"] == 20.0
     with pytest.raises(OSError, match="truth.ecsv: exists already"):
         write_simulation(jet, tmp_path / "jet")
     assert write_simulation(jet, tmp_path / "jet", overwrite=True)[-1] == table

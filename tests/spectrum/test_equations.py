@@ -182,18 +182,6 @@ def test_missing_pixels_do_not_count():
     assert np.abs(found.values[0, 1:, :5]).mean() > 0.5
 
 
-def test_parts_have_no_mean():
-    rng = np.random.default_rng(4)
-    found = planes_of(rng.normal(size=(9, 20, 10)))
-    part = found.of_epochs(slice(4))
-    assert np.abs(part.values.mean(axis=1)).max() < 1e-6
-    assert len(part.years) == 4
-    assert np.abs(found.fitted.values.mean(axis=1)).max() < 1e-6
-    assert found.of_scales([1]).values.shape == found.values.shape
-    along = planes_of(rng.normal(size=(9, 20, 10)), normalise="along")
-    assert along.values.std() > 0.5
-
-
 @pytest.mark.parametrize(("mean", "sd"), [(1.0, 0.2), (-2.0, 0.3), (0.11, 0.06)])
 def test_derivatives_of_the_shares_of_gaussians(mean, sd):
     """Also of a Gaussian part of which is beyond the speeds."""

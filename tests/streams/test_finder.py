@@ -4,7 +4,6 @@
 import re
 from copy import copy
 from dataclasses import replace
-from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -20,8 +19,8 @@ from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
 from astro_scc.spectrum.diagram import FlowPlanes, correlate_aside
 from astro_scc.spectrum.rays import transverse_speed
-from astro_scc.streams.finder import _judged, _standing, shared_variance, verdict
-from astro_scc.streams.members import MOVING, _opposed, mean_speed, separation
+from astro_scc.streams.finder import _judged, _standing
+from astro_scc.streams.members import mean_speed, separation
 
 
 def measured(cube, **settings):
@@ -289,40 +288,6 @@ def test_few_epochs_cannot_show_motion():
     assert found.streams["kind"][0] == "not significant"
     with pytest.raises(ValueError, match="at least 3 epochs"):
         measured(cube[:2], position_angle=270 * u.deg)
-
-
-@pytest.mark.parametrize("doubtful", [False, True])
-@pytest.mark.parametrize("unlike", [False, True])
-@pytest.mark.parametrize("ratio", [0.5, 2.5, 3.5, np.nan])
-def test_what_is_said_of_a_speed_that_the_test_finds(ratio, doubtful, unlike):
-    kind, reason = verdict(ratio, 1.0, doubtful=doubtful, unlike=unlike)
-    known = ratio > (3 if doubtful else 1)
-    assert kind == ("moving" if known and not unlike else "not confirmed")
-    assert ("of rest" in reason) == (not known)
-    assert ("little in common" in reason) == (known and unlike)
-    assert verdict(1e6 * ratio, 1e6, doubtful=doubtful, unlike=unlike) == (kind, reason)
-
-
-@pytest.mark.parametrize(("along", "others", "said"), [
-    ((1, 1, -1), 0, ""), ((1, -1, -1), 0, "only 1 of 3"), ((-1,), 0, "none of 1"),
-    ((1, 1), 7, ""), ((1,), 5, "only 1 of 6"), ((), 4, ""), ((), 5, "none of 5"),
-])  # fmt: skip
-def test_what_most_secure_features_contradict(along, others, said):
-    secure = np.ones(len(along) + others, dtype=bool)
-    moving = [(a, 0.1, 0, 0.1, 9, k, 1) for k, a in enumerate(along)]
-    moving = np.array(moving, dtype=MOVING).view(np.recarray)
-    found = _opposed(SimpleNamespace(secure=secure), None, moving, 1.0)
-    assert found.startswith(said)
-    assert bool(found) == bool(said)
-
-
-@pytest.mark.parametrize(("memory", "white", "share"), [
-    (0.0, 0.0, 0.0), (1.0, 0.0, np.exp(-0.5)), (1e9, 0.4, 0.6), (np.nan, 0.0, 0.0),
-])  # fmt: skip
-def test_what_images_of_neighbouring_dates_share(memory, white, share):
-    test = SimpleNamespace(memory=memory, white=white)
-    found = shared_variance(test, np.array([2000.0, 2000.5, 2001.0, 2004.0]))
-    assert found == pytest.approx(share)
 
 
 @pytest.mark.parametrize(("alone", "sure", "kind"), [
