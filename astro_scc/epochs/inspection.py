@@ -86,8 +86,8 @@ def inspect_epochs(paths: Path | str | Sequence[Path | str]) -> QTable:
     planes = [row["plane"] for row in read]
     unit = planes[0].unit if read else u.dimensionless_unscaled
     notes = without_order([row["problem"] for row in read])
-    for row, plane, own in zip(read, planes, notes, strict=True):
-        row["problem"] = own
+    for row, plane, found in zip(read, planes, notes, strict=True):
+        row["problem"] = found
         factor = plane.unit.to(unit) if unit.is_equivalent(plane.unit) else np.nan
         row |= {"peak": row["peak"] * factor, "noise": row["noise"] * factor}
     if read:

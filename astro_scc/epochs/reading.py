@@ -213,8 +213,8 @@ def _completed(planes, times, beams):
         with naming(plane.name):
             plane.take_uncertainty()
     notes = dates.without_order([plane.notes for plane in planes])
-    for plane, own in zip(planes, notes, strict=True):
-        for note in own:
+    for plane, found in zip(planes, notes, strict=True):
+        for note in found:
             remarks.setdefault(note, []).append(plane.label or plane.name)
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
