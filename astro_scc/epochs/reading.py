@@ -410,5 +410,7 @@ def _refuse_misfits(planes, grids, ratio=10):
             f"{plane.name}: lies too far from {planes[0].name} to share a grid with "
             "it, by its coordinates; leave one of them out"
         )
+        if one[0] == grids[0][0] and grid.is_same(one[1], grids[0][1]):
+            continue
         with refusing(too_far, ValueError):
             grid.shared_grid([grids[0], one])
