@@ -225,8 +225,8 @@ def _ranked(values, first, second):
     place, margin = first * len(sample) / len(values), 2 * np.sqrt(len(sample))
     low = sample[max(int(place - margin), 0)]
     high = sample[min(int(place + margin) + 1, len(sample) - 1)]
-    near = values[(values >= low) & (values <= high)]
-    n_below = np.count_nonzero(values < low)
+    below = values < low
+    near, n_below = values[below ^ (values <= high)], np.count_nonzero(below)
     if not n_below <= first <= second < n_below + len(near):
         near, n_below = values, 0
     ranks = first - n_below, second - n_below
