@@ -493,4 +493,4 @@ def _noise(plane, scale, sky, mask):
     """Return the noise of a plane where no flow is seen, or as it is found in it."""
     if sky.mean() < 0.1:
         return wavelet.plane_noise(plane, scale, mask=mask)
-    return wavelet.MAD_TO_SIGMA * float(np.median(np.abs(plane[sky])))
+    return wavelet.MAD_TO_SIGMA * wavelet.median(np.abs(plane[sky]))

@@ -183,22 +183,29 @@ def _submit(pool, function, piece):
             # Pieces are large, but each is sent once to one worker.  Scattered data
             # would be lost with the worker that holds them.
             warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-            return pool.submit(_call, function, piece)
+            of_machine = isinstance(pool, futures.ProcessPoolExecutor)
+            call = _call if of_machine else _call_on_one_thread
+            return pool.submit(call, function, piece)
     except futures.BrokenExecutor as error:
         future = futures.Future()
         future.set_exception(error)
         return future
 
 
-def _call(function, piece):
-    """Work in a process, on one thread, since the workers share the processor."""
-    from multiprocessing.reduction import ForkingPickler
-
+def _call_on_one_thread(function, piece):
+    """Work on a cluster, whose workers have other work, too."""
     from threadpoolctl import threadpool_limits
 
+    with threadpool_limits(1):
+        return _call(function, piece)
+
+
+def _call(function, piece):
+    """Work in a process."""
+    from multiprocessing.reduction import ForkingPickler
+
     try:
-        with threadpool_limits(1):
-            return function(piece)
+        return function(piece)
     except Exception as error:
         found = error
     try:
@@ -295,13 +302,19 @@ def _processes(number, context):
 
 
 def _begin():
-    """Prepare a process for its work."""
+    """Prepare a process for its work, on one thread, as all share the processor."""
+    from threadpoolctl import threadpool_limits
+
     # The parent handles the signals of its terminal, and then ends its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # What has threads, with numpy, is not there in processes that begin as no copy.  To
+    # limit each piece takes as long as many a piece.
+    importlib.import_module("scipy.linalg")
+    threadpool_limits(1)
 
 
 def _end_with_parent():

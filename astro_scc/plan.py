@@ -420,16 +420,14 @@ def _on_one_side(cube, image, faintest, *, cores, one_sided, begins, certain):
         angle, error = kinematics.fit_position_angle(cube)
     except ValueError:
         return None, "nothing is seen beyond a beam from the core"
-    columns, found = image.shape[1], []
-    # Few pixels are bright; row by row, large images need no more memory.
-    for row, values in enumerate(image):
-        east, north = cube.pixel_to_offset(np.arange(columns), row)
-        # Without what is as bright on the other side: the core's wings, a shell.
-        x, y = cube.offset_to_pixel(-east, -north)
-        excess = values - scipy.ndimage.map_coordinates(image, [y, x], order=1)
-        bright = excess > faintest
-        found.append(np.stack([east.value, north.value, excess])[:, bright])
-    *offset, excess = np.concatenate(found, axis=1)
+    # Of others the excess is less, whatever is on the other side.
+    y, x = np.nonzero(image >= faintest + min(image.min(), 0.0))
+    offset = cube.pixel_to_offset(x, y)
+    # Without what is as bright on the other side: the core's wings, a shell.
+    other = cube.offset_to_pixel(*(-part for part in offset))[::-1]
+    excess = image[y, x] - scipy.ndimage.map_coordinates(image, other, order=1)
+    bright = excess > faintest
+    offset, excess = [part.value[bright] for part in offset], excess[bright]
     r, offset = np.hypot(*offset), np.transpose(offset)
     beam = np.mean([b.covariance.to_value(u.mas**2) for b in cube.beams], axis=0)
     beams = np.einsum("...i,ij,...j", offset, np.linalg.inv(beam), offset)

@@ -6,7 +6,7 @@ import secrets
 import shutil
 import signal
 from contextlib import ExitStack, contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
+from importlib import import_module
 from pathlib import Path
 
 
@@ -142,9 +142,6 @@ def versions() -> dict[str, str]:
     >>> {"astro_scc", "numpy", "scipy"} <= set(versions())
     True
     """
-    needed = ("astro_scc", "numpy", "scipy", "astropy", "scikit-image")
-    found = dict.fromkeys(needed, "unknown")
-    for name in found:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+    needed = ("astro_scc", "numpy", "scipy", "astropy", "skimage")
+    found = {name: import_module(name).__version__ for name in needed}
+    return found | {"scikit-image": found.pop("skimage")}

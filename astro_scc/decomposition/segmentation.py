@@ -253,11 +253,11 @@ def find_ssps(
     significant = whole > segmentation * noise
     if mask is not None:
         significant &= ~np.asarray(mask)
-    around = scipy.ndimage.find_objects(significant.astype(np.uint8))
-    if not around:
+    seen = [np.flatnonzero(significant.any(axis=axis)) for axis in (1, 0)]
+    if len(seen[0]) == 0:
         return SSPs.empty()
     margin = round(scale_size(scale)) + 1
-    box = tuple(slice(max(s.start - margin, 0), s.stop + margin) for s in around[0])
+    box = tuple(slice(max(at[0] - margin, 0), at[-1] + 1 + margin) for at in seen)
     plane, noise, significant = whole[box], noise[box], significant[box]
     outside = _outside(whole.shape, mask)
     peaks = _maxima(np.where(significant, plane, 0.0), scale, outside, box)
@@ -307,10 +307,10 @@ def _outside(shape, mask):
 
     Missing pixels that are joined to its edge are, others are holes.
     """
-    frame = np.pad(np.zeros(shape, dtype=bool), 1, constant_values=True)
+    frame = np.ones(np.add(shape, 2), dtype=bool)
+    frame[1:-1, 1:-1] = False if mask is None else mask
     if mask is None or not np.any(mask):
         return frame
-    frame[1:-1, 1:-1] = mask
     label, _ = scipy.ndimage.label(frame)
     return label == label[0, 0]
 
@@ -540,7 +540,7 @@ class Decomposer:
         if missing.all():
             raise ValueError("the image has no valid pixel")
         # An offset would use up the digits of single precision.
-        offset = np.median(image[~missing])
+        offset = wavelet.median(image[~missing])
         image = np.where(missing, 0.0, image - offset)
         missing = missing if missing.any() else None
         planes = wavelet_planes(image, self.scales, kernel=self.kernel, mask=missing)

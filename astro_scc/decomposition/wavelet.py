@@ -189,18 +189,19 @@ def source_free(plane, scale, *, mask=None, iterations=25):
     seen = values[known]
     if seen.size == 0:
         return valid, 0.0
-    quantiles = np.quantile(seen, [0.1, 0.5], overwrite_input=True)
-    faintest, everything = (quantiles * [DECILE_TO_SIGMA, MAD_TO_SIGMA]).tolist()
+    tenth = 0.1 * (len(seen) - 1)
+    below, above = _ranked(seen, int(tenth), int(np.ceil(tenth)))
+    faintest = float(below + (above - below) * (tenth % 1)) * DECILE_TO_SIGMA
+    everything = median(seen) * MAD_TO_SIGMA
     free, radius = valid, scale_size(scale)
     for sigma in (min(faintest, everything), everything):
         for _ in range(iterations):
             candidate = valid & _away_from_source(values, radius, valid, sigma)
             sky = values[candidate & known]
             # A sky smaller than one disk is too small to measure noise.
-            if candidate.sum() < np.pi * radius**2 or len(sky) == 0:
+            if np.count_nonzero(candidate) < np.pi * radius**2 or len(sky) == 0:
                 break
-            middle = _median_near(sky, sigma / MAD_TO_SIGMA)
-            before, free, sigma = sigma, candidate, MAD_TO_SIGMA * middle
+            before, free, sigma = sigma, candidate, MAD_TO_SIGMA * median(sky)
             if abs(sigma - before) < 1e-3 * before:
                 break
         if free is not valid:
@@ -208,14 +209,28 @@ def source_free(plane, scale, *, mask=None, iterations=25):
     return free, float(sigma)
 
 
-def _median_near(values, guess, within=0.1):
-    """Return the median, for which few values are sorted if the guess is good."""
-    low = np.count_nonzero(values < guess * (1 - within))
-    near = values[np.abs(values - guess) <= guess * within]
-    first, second = (len(values) - 1) // 2 - low, len(values) // 2 - low
-    if first < 0 or second >= len(near):
-        return np.median(values)
-    return np.partition(near, (first, second))[[first, second]].mean()
+def median(values):
+    """Return the median of numbers, several times faster than numpy for many."""
+    return float(_ranked(values, (len(values) - 1) // 2, len(values) // 2).mean())
+
+
+def _ranked(values, first, second):
+    """
+    Return the values of two ranks that are equal or consecutive.
+
+    Two of a sample are the limits of the few values that are sorted (Floyd & Rivest
+    1975, Communications of the ACM 18, 165).
+    """
+    sample = np.sort(values[::32])
+    place, margin = first * len(sample) / len(values), 2 * np.sqrt(len(sample))
+    low = sample[max(int(place - margin), 0)]
+    high = sample[min(int(place + margin) + 1, len(sample) - 1)]
+    below = values < low
+    near, n_below = values[below ^ (values <= high)], np.count_nonzero(below)
+    if not n_below <= first <= second < n_below + len(near):
+        near, n_below = values, 0
+    ranks = first - n_below, second - n_below
+    return np.partition(near, ranks)[[*ranks]]
 
 
 def _away_from_source(values, radius, valid, sigma, snr=5.0):
@@ -444,13 +459,10 @@ def measure_noise(
         kept = kept[kept != 0]
     if kept.size == 0:
         return 0.0
-    # Images may be large, so this median sorts in place.  astropy's SigmaClip gives the
-    # same number in twice the time.
-    sigma = 0.0
+    # astropy's SigmaClip gives the same number in several times the time.
     while True:
-        middle = np.median(kept, overwrite_input=True)
-        deviation = np.abs(kept - middle)
-        sigma = MAD_TO_SIGMA * float(_median_near(deviation, sigma / MAD_TO_SIGMA))
+        deviation = np.abs(kept - median(kept))
+        sigma = MAD_TO_SIGMA * median(deviation)
         inside = deviation <= clip * sigma
         if sigma == 0 or inside.all():
             return sigma or float(np.std(kept))

@@ -42,8 +42,9 @@ def read_files(files, times, beams, frame, *, check, region, pad):
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
+        have = machine_memory()
         for (path, k), name, window in zip(images, names, windows, strict=True):
-            plane = fits.read_plane(path, window=window, frame=k)
+            plane = fits.read_plane(path, window=window, frame=k, known=True)
             plane.label = name
             if check and fits.looks_like_mask(plane.data):
                 where = "" if window is None else " in this region"
@@ -51,7 +52,7 @@ def read_files(files, times, beams, frame, *, check, region, pad):
                     f"{path}: has no more than two different values{where}, it seems "
                     f"to be a mask; {UNCHECKED}"
                 )
-            _refuse_too_large(len(images), *plane.data.shape)
+            _refuse_too_large(len(images), *plane.data.shape, have)
             yield plane
 
     fields = _assemble(read(), *given, frame, check, f"{len(images)} FITS images")
@@ -60,11 +61,11 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     return fields
 
 
-def _refuse_too_large(n, ny, nx):
+def _refuse_too_large(n, ny, nx, have):
     """Refuse images before the machine is blocked by more than its memory holds."""
     # Of float64, with masks.
     need = n * ny * nx * (8 + 1)
-    if need > (have := machine_memory()):
+    if need > have:
         raise MemoryError(
             f"{n} images of {nx} x {ny} pixels are {need / 1e9:.3g} GB, this machine "
             f"has {have / 1e9:.3g}; read a region of them (region=, --crop)"
@@ -410,5 +411,7 @@ def _refuse_misfits(planes, grids, ratio=10):
             f"{plane.name}: lies too far from {planes[0].name} to share a grid with "
             "it, by its coordinates; leave one of them out"
         )
+        if one[0] == grids[0][0] and grid.is_same(one[1], grids[0][1]):
+            continue
         with refusing(too_far, ValueError):
             grid.shared_grid([grids[0], one])

@@ -251,8 +251,9 @@ CLEANED = 2.0
 
 
 def rank_in_group(key):
-    """Return the rank of each entry of a sorted key among the equal ones, from 0."""
-    return np.arange(len(key)) - np.searchsorted(key, key)
+    """Return the rank of each entry of a sorted key >= 0 among equal ones, from 0."""
+    first = np.flatnonzero(np.diff(key, prepend=-1))
+    return np.arange(len(key)) - np.repeat(first, np.diff(first, append=len(key)))
 
 
 def gaussians_of(cube, *, n_workers=1, progress_bar=False):

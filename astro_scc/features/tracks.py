@@ -567,7 +567,7 @@ class Assignment:
                         chosen[one], total[one] = other, reached
             # Few tracks are taken: a product with the whole matrix takes longer.
             used = np.repeat(column * n_detections, self.length[taken])
-            used += self.uses[taken].indices
+            used += self._detections(taken)
             number = np.bincount(used, minlength=len(active) * n_detections)
             slope = 1.0 - number.reshape(len(active), n_detections)
             slope[(price[active] <= 0) & (slope > 0)] = 0
@@ -579,6 +579,12 @@ class Assignment:
             size = step[active] * gap[go_on] / square[go_on]
             price[active] = np.maximum(price[active] - size[:, None] * slope[go_on], 0)
         return best_price, [np.array(tracks, dtype=int) for tracks in chosen], lowest
+
+    def _detections(self, tracks):
+        """Return the detections of some tracks, one track after the other."""
+        start, length = self.uses.indptr[tracks], self.length[tracks]
+        start = np.repeat(start - np.cumsum(length) + length, length)
+        return self.uses.indices[start + np.arange(len(start))]
 
     def _greedy(self, value, score):
         """Return the tracks in the order of their values that share no detection."""

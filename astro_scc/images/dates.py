@@ -130,7 +130,8 @@ def _contradictions(starts, first, longest=0.9):
         f"{one.keyword} is of {one.time.isot[:10]}"
         for one in starts
         # Of a day alone, the other may be of its last second or of another scale.
-        if abs((one.time - first.time).jd)
+        if one is not first
+        and abs((one.time - first.time).jd)
         > (1.5 if one.day_only or first.day_only else longest)
     )
     if not others:

@@ -182,18 +182,18 @@ def file_of(path):
     return Path(file), choice
 
 
-def read_plane(path, *, window=None, load=True, frame=None):
+def read_plane(path, *, window=None, load=True, frame=None, known=False):
     """
     Return the `Plane` of a FITS file of AIPS, difmap, CASA, HST or others.
 
     For the image that is read see `find_image`.  Axes of length one are dropped, and
     Stokes I is taken from several Stokes parameters, ``frame`` from an axis of time.
-    ``window`` selects the rows and columns to load from a file that was read before;
-    without ``load`` only the header is read.  A file that is missing, broken or holds
+    ``window`` selects the rows and columns to load; without ``load`` only the header is
+    read.  A ``known`` file was opened before.  A file that is missing, broken or holds
     no image raises an OSError; an image of more than two axes, without celestial
     coordinates or without a valid pixel a ValueError.
     """
-    with opened(path, known=bool(window)) as hdus:
+    with opened(path, known=known) as hdus:
         return plane_of(hdus, path, window=window, load=load, frame=frame)
 
 

@@ -45,7 +45,9 @@ def get(header, *keywords, kind=None):
     to ``kind`` (float or str), empty strings and numbers that are not finite count
     as absent.
     """
-    for keyword in (key for name in keywords for key in (name, name.lower())):
+    if not isinstance(header, fits.Header):
+        keywords = [key for name in keywords for key in (name, name.lower())]
+    for keyword in keywords:
         with suppress(KeyError, ValueError, fits.VerifyError):
             value = header[keyword]
             if value is None or isinstance(value, fits.card.Undefined):
@@ -303,15 +305,16 @@ def _repaired(header):
     """Return the cards of a header that WCS reads, corrected to the standard."""
     cards = {}
     for card in header.cards:
+        # Dates are read elsewhere; WCS would warn of them in every file.
+        if re.match(r"(HISTORY|COMMENT|)$|DATE|MJD|TIMESYS", card.keyword):
+            continue
         try:
             keyword, value = card.keyword, card.value
         except (fits.VerifyError, ValueError):
             continue
-        # Dates are read elsewhere; WCS would warn of them in every file.
-        if not re.match(r"(HISTORY|COMMENT|)$|DATE|MJD|TIMESYS", keyword):
-            value = _standard(keyword, value)
-            with suppress(fits.VerifyError, ValueError):
-                cards[keyword] = fits.Card(keyword, value)
+        value = _standard(keyword, value)
+        with suppress(fits.VerifyError, ValueError):
+            cards[keyword] = fits.Card(keyword, value)
     clean = fits.Header(cards.values())
     if not any("-SIP" in str(value) for value in clean["CTYPE*"].values()):
         # Images that were resampled keep the coefficients of the distorted ones.

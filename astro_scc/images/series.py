@@ -285,12 +285,13 @@ class ImageSeries:
         """Side of a square pixel with the area of the cube's pixels."""
         return np.sqrt(np.abs(np.linalg.det(self.pixel_matrix.value))) * u.mas
 
-    @property
+    @cached_property
     def resolution(self) -> u.Quantity:
         """Width of one beam, the epochs' median; three pixels without beams."""
         if self.beams is None:
             return positions.PIXELS_RESOLVED * self.pixel_scale
-        return np.median(u.Quantity([np.sqrt(b.major * b.minor) for b in self.beams]))
+        axes = np.array([(beam.major.value, beam.minor.value) for beam in self.beams])
+        return np.median(np.sqrt(axes.prod(axis=1))) * u.mas
 
     @property
     def beam_shapes(self) -> list[np.ndarray]:

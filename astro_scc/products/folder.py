@@ -205,7 +205,7 @@ def write_products(
     >>> [path.name for path in paths if path.parent.name == "out"][:3]
     ['streams.ecsv', 'components.ecsv', 'spectrum.ecsv']
     """
-    tables = {"streams": streams, "components": streams}
+    tables = {"streams": streams}
     meta, cube = {**result.meta, **streams.meta}, result.cube
     if isinstance(result, SCCResult):
         features = table_in_c_as(result.features, streams)
@@ -225,6 +225,7 @@ def write_products(
         tables | {"ssps": result.ssps}, directory, meta, cube,
         configuration=configuration, text=text, published=published,
     )  # fmt: skip
+    paths.insert(1, shutil.copyfile(paths[0], Path(directory, "components.ecsv")))
     paths.append(Path(directory, "scc.fits"))
     hdus.writeto(paths[-1], output_verify="exception", overwrite=True)
     if archives:

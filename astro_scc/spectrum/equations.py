@@ -187,9 +187,10 @@ def set_up(diagram, *, fastest=None, intervals=EVERY):
     centre = _centre(bins, number, share) * (np.sqrt(number) * used)[:, None]
     # What is seen in the other order, and what moves backward, looks the same with the
     # other sign of d.
-    design = np.delete(centre, np.s_[m:-1], axis=1) @ shape
-    design += centre[:, m:-1] @ shape[:, :-1, ::-1]
-    design = np.concatenate([design[forward:0:-1, :, ::-1], design])
+    design = np.empty((forward + len(shape), m, len(x)))
+    half = np.matmul(np.delete(centre, np.s_[m:-1], axis=1), shape, design[forward:])
+    half += centre[:, m:-1] @ shape[:, :-1, ::-1]
+    design[:forward] = half[forward:0:-1, :, ::-1]
     data = binned(diagram.means, bins, number, share)
     data[~used] = 0
     flat = design.reshape(len(design), -1)

@@ -18,6 +18,7 @@ from astro_scc.decomposition.wavelet import (
     atrous_transform,
     local_noise,
     measure_noise,
+    median,
     plane_noise,
     propagated_noise,
     shared_variance,
@@ -403,3 +404,12 @@ def test_noise_of_an_image():
     alike = np.ones((10, 10))
     alike[0, 0] = 2
     assert measure_noise(alike, alike > 2) == pytest.approx(alike.std())
+
+
+@pytest.mark.parametrize("n", [1, 2, 31, 64, 1000, 5001])
+def test_median_is_that_of_numpy(n):
+    values = np.random.default_rng(n).normal(size=n)
+    # A sample of the last ones says nothing of the others.
+    unlike = np.where(np.arange(n) % 32 == 0, 1e3, values)
+    for each in (values, values.round(1), np.zeros(n), np.sort(values), unlike):
+        assert median(each) == np.median(each)
