@@ -208,12 +208,11 @@ class Completion(argparse.Action):
 @contextmanager
 def _seldom_collected(made=100_000):
     """
-    Let Python look for unreachable objects when so many are made, not at its exit.
+    Let Python look for unreachable objects when so many are made.
 
     By default it does so 350 times while it imports and measures, for a twentieth of
-    the time, and twice among all objects when it ends, for another one.
+    the time.
     """
-    atexit.register(gc.freeze)
     before = gc.get_threshold()
     gc.set_threshold(made, *before[1:])
     try:
@@ -309,7 +308,10 @@ def main(argv: list[str] | None = None) -> int:
     SystemExit
         After ``--help`` and for invalid arguments.
     """
-    argv = sys.argv[1:] if argv is None else argv
+    if argv is None:
+        # The process is ours: looking for unreachable objects at its end takes longer
+        # than many a command.
+        atexit.register(gc.freeze)
     args = build_parser().parse_args(argv)
     options = [name for name in OPTIONS if name in vars(args) and name != "epochs"]
     name = f"astro-scc {args.command}"
