@@ -4,16 +4,16 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 
 ::
 
-    cube       = EpochCube.read(files)       # epochs/cube.py: images, dates, beams, WCS
-    decomposed = scc.decompose(cube)         # patterns.py: DecomposedEpochs, SSPs
-    features   = decomposed.follow()         # features/finder.py: Features, motions
-    flow       = scc.flow(decomposed)        # streams/decomposed.py: DecomposedFlow
-    search     = find_streams(flow, ...)     # streams/finder.py: StreamSearch
-      flow, test = find_motion(flow, ...)        # spectrum/permutations.py: MotionTest
-      diagrams   = correlate_aside(planes, ...)  # spectrum/diagram.py: Diagram
-      spectrum   = deconvolve(set_up(diagram))   # spectrum/equations.py: Equations
-    result     = SCCResult(decomposed, ...)  # measurement/result.py: tables, figures
-    paper      = measure_as_in_paper(...)    # paper/method.py, instead
+    cube       = EpochCube.read(files)         # EpochCube of epochs/cube.py
+    decomposed = scc.decompose(cube)           # DecomposedEpochs of patterns.py: SSPs
+    features   = decomposed.follow()           # Features of features/finder.py
+    flow       = scc.flow(decomposed)          # DecomposedFlow of streams/decomposed.py
+    search     = find_streams(flow, features)  # StreamSearch of streams/finder.py
+      flow, test = find_motion(flow)            # MotionTest of spectrum/permutations.py
+      diagram    = correlate(flow.planes[0])    # Diagram of spectrum/diagram.py
+      spectrum   = deconvolve(set_up(diagram))  # array; Equations of equations.py
+    result     = SCCResult(decomposed, search) # measurement/result.py: tables, figures
+    paper      = measure_as_in_paper(cube)     # PaperMeasurement of paper/method.py
 """
 
 from __future__ import annotations
