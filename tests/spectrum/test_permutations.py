@@ -30,6 +30,18 @@ def test_innovations_have_no_memory():
     assert np.allclose(covariance, np.eye(24) * covariance[0, 0], atol=0.15)
 
 
+def test_no_epoch_outweighs_others(moving_flow):
+    flow = moving_flow([1.0])
+    bright = replace(flow, values=flow.values * np.linspace(1, 9, 15)[:, None, None])
+    first, second = (
+        permutations._innovations(correlate(one), slice(None))[1]
+        for one in (bright, replace(bright, values=5 * bright.values))
+    )
+    assert second == pytest.approx(25 * first, rel=1e-3, abs=1e-3 * np.abs(first).max())
+    power = np.sqrt((first**2).sum(axis=(1, 2)))
+    assert power.max() < 2.5 * power.min()
+
+
 def test_orders_begin_with_the_observed_one():
     rng = np.random.default_rng(2)
     for gaps, number in ([1] * 4, 24), ([1e-3, 1] * 3, 36), ([1] * 9, 1001):

@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""Streams of simulated jets, means of features, and the speed across the flow."""
+"""Streams of simulated jets, and means of features."""
 
 import re
 from copy import copy
@@ -9,7 +9,6 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
-from numpy.testing import assert_equal
 
 from astro_scc import Beam, StackedCrossCorrelation, kinematics
 from astro_scc.epochs import ComponentList, restore
@@ -17,8 +16,6 @@ from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.report.answer import headline, profile_lines, scale_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
-from astro_scc.spectrum.diagram import FlowPlanes, correlate_aside
-from astro_scc.spectrum.rays import transverse_speed
 from astro_scc.streams.finder import _judged, _standing
 from astro_scc.streams.members import mean_speed, separation
 
@@ -338,37 +335,3 @@ def test_separation_of_known_distributions():
         assert found == pytest.approx(wanted, abs=0.03)
     assert separation([1.0, 1.01, 3.0, 3.02]) > 0.99
     assert separation([1.0, 1.0]) == 0.0
-
-
-STEP, N = 0.2, (60, 40)
-
-
-def flow_of(speed, across, *, n_epochs=10, seed=1):
-    """Gaussians of a beam that move along and across a periodic grid."""
-    rng = np.random.default_rng(seed)
-    years = np.sort(rng.uniform(0, 1, n_epochs))
-    x, y = (STEP * np.fft.fftfreq(n, 1 / n) for n in N)
-    spot = np.exp(-2.77 * (x[:, None] ** 2 + y**2))
-    noise = np.fft.fft2(rng.normal(size=N)) * np.fft.fft2(spot)
-    ways = (np.fft.fftfreq(n, STEP) for n in N)
-    kx, ky = np.meshgrid(*ways, indexing="ij")
-    turned = [np.exp(-2j * np.pi * t * (kx * speed + ky * across)) for t in years]
-    values = np.fft.ifft2(noise * turned).real
-    values -= values.mean(axis=0)
-    along, aside = (STEP * np.arange(n) for n in N)
-    mask = np.ones(N, bool)
-    return FlowPlanes(values[None].astype("f4"), mask, along, aside, years, (1,), 3.0)
-
-
-@pytest.mark.parametrize("across", [-0.4, 0.0, 0.4])
-def test_the_speed_across_is_found(across):
-    found = []
-    for seed in range(6):
-        flow = flow_of(2.0, across, seed=seed)
-        speed, error = transverse_speed(correlate_aside(flow, [2]), 2 * STEP, 2.0)
-        assert 0 < error < 2.0
-        found.append(speed)
-    assert np.mean(found) == pytest.approx(across, abs=0.15)
-    assert transverse_speed([], 0.4, 2.0)[0] == 0
-    unknown = transverse_speed(correlate_aside(flow, [2]), 2 * STEP, 1e-3)
-    assert_equal(unknown[:2], [0, np.nan])
