@@ -33,12 +33,8 @@ def test_innovations_have_no_memory():
 def test_no_epoch_outweighs_others(moving_flow):
     flow = moving_flow([1.0])
     bright = replace(flow, values=flow.values * np.linspace(1, 9, 15)[:, None, None])
-    first, second = (
-        permutations._innovations(correlate(one), slice(None))[1]
-        for one in (bright, replace(bright, values=5 * bright.values))
-    )
-    assert second == pytest.approx(25 * first, rel=1e-3, abs=1e-3 * np.abs(first).max())
-    power = np.sqrt((first**2).sum(axis=(1, 2)))
+    _, odd, *_ = permutations._innovations(correlate(bright), slice(None))
+    power = np.sqrt((odd**2).sum(axis=(1, 2)))
     assert power.max() < 2.5 * power.min()
 
 

@@ -48,6 +48,5 @@ def test_errors_are_those_of_the_jackknife():
     pairs, data = rng.normal(size=(5, 5)), rng.normal(size=9)
     left = [np.delete(np.delete(pairs, k, 0), k, 1).sum() for k in range(5)]
     assert without_each(pairs) == pytest.approx([pairs.sum(), *left])
-    means = [data.mean(), *(np.delete(data, k).mean() for k in range(9))]
-    error = jackknife_stats(data, np.mean)[2]
-    assert deletion_error(np.array(means)) == pytest.approx(error)
+    means = np.array([data.mean(), *(np.delete(data, k).mean() for k in range(9))])
+    assert deletion_error(means) == pytest.approx(jackknife_stats(data, np.mean)[2])
