@@ -108,8 +108,7 @@ def test_features_that_are_found_by_chance_are_not_secure(script):
     resolved = script("resolved")
     cube = resolved.scrambled(resolved.simulate("two", "11x21d", 1), 1)
     found = StackedCrossCorrelation()(cube, n_trials=119, rng=1)
-    assert found.decomposed.features.secure.any()
-    assert not found.features["secure"].any()
+    assert found.decomposed.features.secure.any() > found.features["secure"].any()
     assert "so no feature is secure" in found.streams["caution"][0]
     assert "none is secure" in feature_lines(found.features)[-1]
 

@@ -209,9 +209,12 @@ def test_no_maximum_at_the_edge_of_what_exists():
 def test_the_noise_of_the_image_is_propagated():
     how = {"beam_covariance": np.array([[9, 1], [1, 4]])}
     image = gaussians([(24, 30)])
-    found = Decomposer((1, 2), noise="propagated")(image, rms=0.01, **how)
+    decompose = Decomposer((1, 2), noise="propagated")
+    beyond = np.indices((NY, NX))[1] > 28
+    found, rest = (decompose(image, mask=m, rms=0.01, **how) for m in (None, beyond))
     np.testing.assert_allclose(found.noise, propagated_noise(0.01, (1, 2), **how))
-    assert len(found.ssps) == 2
+    assert len(rest.ssps) == 0
+    assert SSPs.of_epochs([found, found]).epoch.tolist() == [0, 0, 1, 1]
 
 
 def slow_smooth(image, exists, kernel, step):
