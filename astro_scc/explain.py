@@ -29,7 +29,7 @@ __all__ = ["explain_feature"]
 #: What the properties of `astro_scc.features.motion.properties` are, the first three as
 #: logarithms.
 PROPERTIES = (
-    "{0:.0f} epochs, {1:.2g} beams of motion, {2:.2g} beams from the core, cosine "
+    "{0:.0f} epochs, {1:.2g} beams moved, {2:.2g} beams from the core, cosine "
     "{3:.2f} of the angle between motion and radius, seen in {4:.0%} of the epochs, "
     "next detection at {5:.2g} beams, ln(flux) changes by {6:.2g} between epochs, "
     "positions scatter by {7:.2g} beams"
@@ -263,6 +263,8 @@ def _trusted(features, k):
         f"{_count(len(track))} (at least {motions_in_words()})":
             moves_enough(moved, sigma, len(track)),
     }  # fmt: skip
+    if not features.alike:
+        checks["images of neighbouring dates have little in common"] = False
     failed = [text for text, passed in checks.items() if not passed]
     return [
         f"Its p_false follows from {PROPERTIES.format(*plain)}.",

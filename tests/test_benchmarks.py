@@ -15,6 +15,7 @@ import pytest
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.survey import run_survey
+from astro_scc.explain import explain_feature
 from astro_scc.report.answer import feature_lines
 
 REPOSITORY = Path(__file__).parents[1]
@@ -111,6 +112,9 @@ def test_features_that_are_found_by_chance_are_not_secure(script):
     assert found.decomposed.features.secure.any() > found.features["secure"].any()
     assert "so no feature is secure" in found.streams["caution"][0]
     assert "none is secure" in feature_lines(found.features)[-1]
+    followed = found.tracked_features
+    said = explain_feature(followed, feature=followed.number[0])[-1]
+    assert "little in common" in said
 
 
 @pytest.mark.slow

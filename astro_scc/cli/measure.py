@@ -3,6 +3,7 @@
 
 import math
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
@@ -27,6 +28,7 @@ from astro_scc.quantities import finite_quantities, named, to_time
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config, refuse_other_method
+from astro_scc.streams.finder import BY_FAR
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style, tracks
 from astro_scc.writing import versions
@@ -305,6 +307,12 @@ def track(args, reporter):
             files = style.figure_files(more, draw, pdf=args.pdf)
             write_files(files, folder)
     lines = answer.feature_lines(table, most=len(table)) + answer.published_lines(table)
+    if 0 < features.coverage < BY_FAR:
+        lines.append(
+            f"Secure features are {features.coverage:.1%} of all detections: in images "
+            "that have little in common as many are found by chance, of which "
+            "'astro-scc measure' warns."
+        )
     lines += answer.speed_lines(epochs.settings.in_c) + epochs.found
     what = "Tables" if args.no_figures else "Tables and figures"
     reporter.say(*lines, f"\n{what}: {output}")
@@ -367,6 +375,7 @@ def explain(args, reporter):
     # A measurement has no seed of its own for the features.
     measured = (folder / "streams.ecsv").is_file()
     features = _find(epochs, reporter, 0 if measured else settings.seed)
+    features = replace(features, alike=table.meta.get("alike", True))
     if features.number.tolist() != table["feature"].tolist():
         reporter.warn(
             f"{folder}: its features are not those of the images now; measure again"

@@ -55,8 +55,9 @@ class Features:
     same_speed, proven : `~numpy.ndarray`, shape (n_features,)
         How sure each track is, see ``find_tracks``.
     alike : bool
-        Whether images of neighbouring dates resemble one another, or their motion is
-        significant, so that features can be recognised; otherwise none is secure.
+        Whether features can be recognised: images of neighbouring dates resemble one
+        another, motion is significant or secure features are a large share of all
+        detections; otherwise none is secure.
 
     Examples
     --------
@@ -145,6 +146,11 @@ class Features:
         errors = np.array([m.speed / m.speed_err for m in self.motions], dtype=float)
         secure = are_secure(p_false, self.same_speed, self.moved, errors, self.n_epochs)
         return secure & self.alike
+
+    @property
+    def coverage(self) -> float:
+        """Share of the detections that are of secure features."""
+        return self.n_epochs[self.secure].sum() / max(len(self.detections), 1)
 
     @cached_property
     def core_error(self) -> float:

@@ -359,7 +359,9 @@ def write_report(
     )
     notes = answer.notes(streams, features) + answer.published_lines(features)
     notes += answer.speeds_along(streams.meta)
-    in_c = table_in_c_as(features, streams)
+    in_c, secure = table_in_c_as(features, streams), answer.SECURE
+    if not features.meta.get("alike", True):
+        secure += f"; {answer.UNLIKE}"
     name = both_names(result.cube.meta.get("object") or "Velocities")
     settings = meta.pop("settings", {}) | meta
     for unused in METHODS["paper"].split():
@@ -370,7 +372,7 @@ def write_report(
         aligned=bool(np.any(streams["pm_err_alignment"] > 0)),
         alignment=answer.misalignment_text(settings.pop("misalignment_beams", None)),
         features=feature_rows(in_c), count=answer.feature_count(features),
-        secure_words=answer.SECURE, accelerations=acceleration_text(in_c),
+        secure_words=secure, accelerations=acceleration_text(in_c),
         notes=[line.rstrip(".") for line in notes], settings=settings,
         flow=flow_lines(result) if flow is None else flow,
         depends=result.sensitivity_line, files=files, warnings=warnings,

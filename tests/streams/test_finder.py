@@ -124,11 +124,7 @@ YEARS = np.cumsum([0.0, 0.37, 0.38, 0.28, 0.2, 0.13, 0.24, 0.24, 0.12, 0.13])
 
 
 def knots(angles, speeds=(1.0,), n=8, bend=0.0, years=YEARS, behind=0.0):
-    """
-    Images of knots that leave a core in turn, with a long beam to the north.
-
-    The core may lie behind the reference position, where a bright knot stands then.
-    """
+    """Images of knots in turn; a core behind a bright one at the reference position."""
     epoch, knot = np.indices((len(years), n)).reshape(2, -1)
     turn, speed = np.radians(np.resize(angles, n))[knot], np.resize(speeds, n)[knot]
     r = 8.8 / n * knot - 3.1 + speed * years[epoch]
