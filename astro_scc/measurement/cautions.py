@@ -254,6 +254,8 @@ def _cautions(search, stream, row, alpha, unit):
             close and p <= alpha,
         "no secure feature moves at this speed: it is that of the spectrum alone":
             row["n_features"] == 0,
+        "its features diffuse: all that are followed count, also those not secure":
+            not search.features.secure[stream.members].all(),
         "the spectrum has no such stream, so that its share is not known":
             np.isnan(row["share"]),
         f"faster than {_shown(search.unambiguous, unit)}, a beam in the median "
