@@ -15,8 +15,6 @@ import pytest
 
 from astro_scc import StackedCrossCorrelation
 from astro_scc.cli.survey import run_survey
-from astro_scc.explain import explain_feature
-from astro_scc.report.answer import feature_lines
 
 REPOSITORY = Path(__file__).parents[1]
 PATH = REPOSITORY / "benchmarks" / "run_all.py"
@@ -106,15 +104,10 @@ def test_the_sources_of_a_large_survey_can_be_measured(script, tmp_path):
 
 
 def test_features_that_are_found_by_chance_are_not_secure(script):
-    resolved = script("resolved")
-    cube = resolved.scrambled(resolved.simulate("two", "11x21d", 1), 1)
-    found = StackedCrossCorrelation()(cube, n_trials=119, rng=1)
+    jet = (resolved := script("resolved")).simulate("two", "11x21d", 1)
+    found = StackedCrossCorrelation()(resolved.scrambled(jet, 1), n_trials=119, rng=1)
     assert found.decomposed.features.secure.any() > found.features["secure"].any()
     assert "so no feature is secure" in found.streams["caution"][0]
-    assert "none is secure" in feature_lines(found.features)[-1]
-    followed = found.tracked_features
-    said = explain_feature(followed, feature=followed.number[0])[-1]
-    assert "little in common" in said
 
 
 @pytest.mark.slow

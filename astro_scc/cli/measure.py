@@ -28,7 +28,7 @@ from astro_scc.quantities import finite_quantities, named, to_time
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config, refuse_other_method
-from astro_scc.streams.finder import BY_FAR
+from astro_scc.streams.finder import BEYOND_CHANCE
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style, tracks
 from astro_scc.writing import versions
@@ -307,11 +307,11 @@ def track(args, reporter):
             files = style.figure_files(more, draw, pdf=args.pdf)
             write_files(files, folder)
     lines = answer.feature_lines(table, most=len(table)) + answer.published_lines(table)
-    if 0 < features.coverage < BY_FAR:
+    if 0 < features.coverage < BEYOND_CHANCE:
         lines.append(
-            f"Secure features are {features.coverage:.1%} of all detections: in images "
-            "that have little in common as many are found by chance, of which "
-            "'astro-scc measure' warns."
+            f"Secure features are {features.coverage:.1%} of all detections: as many "
+            "are found by chance in images that have little in common, which "
+            "'astro-scc measure' tests."
         )
     lines += answer.speed_lines(epochs.settings.in_c) + epochs.found
     what = "Tables" if args.no_figures else "Tables and figures"

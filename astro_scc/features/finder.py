@@ -55,9 +55,9 @@ class Features:
     same_speed, proven : `~numpy.ndarray`, shape (n_features,)
         How sure each track is, see ``find_tracks``.
     alike : bool
-        Whether features can be recognised: images of neighbouring dates resemble one
-        another, motion is significant or secure features are a large share of all
-        detections; otherwise none is secure.
+        Whether features can be recognised, since images of neighbouring dates resemble
+        one another, motion is significant, or secure features make up much of all
+        detections.  If not, none is secure.
 
     Examples
     --------

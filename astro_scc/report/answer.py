@@ -28,8 +28,8 @@ SECURE = (
     f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, and at this "
     f"speed in {SAME_SPEED:.0%} or more of the perturbed assignments to features"
 )
-#: Why none is secure.
-UNLIKE = "in images of neighbouring dates that differ so much none is secure"
+#: Why none of some features is secure.
+NONE_SECURE = "in images of neighbouring dates that differ so much none is secure"
 
 #: Columns of streams, features and profiles.
 STREAMS = (
@@ -398,7 +398,7 @@ def _lacking(features, *, most_spans=10):
     if len(features) == 0:
         return ["No detections of four epochs or more are in steady motion."]
     if not features.meta.get("alike", True):
-        return [f"{UNLIKE[0].upper()}{UNLIKE[1:]}."]
+        return [f"{NONE_SECURE[0].upper()}{NONE_SECURE[1:]}."]
     motion, false = features["motion"].value, features["p_false"]
     errors = (features["pm"] / features["pm_err"]).value
     beams, sigma, _ = MOTIONS[0]

@@ -361,7 +361,7 @@ def write_report(
     notes += answer.speeds_along(streams.meta)
     in_c, secure = table_in_c_as(features, streams), answer.SECURE
     if not features.meta.get("alike", True):
-        secure += f"; {answer.UNLIKE}"
+        secure += f"; {answer.NONE_SECURE}"
     name = both_names(result.cube.meta.get("object") or "Velocities")
     settings = meta.pop("settings", {}) | meta
     for unused in METHODS["paper"].split():

@@ -47,7 +47,7 @@ from astro_scc.streams.members import (
 #: they share less and p_global is above alpha, no feature is secure unless secure ones
 #: make up such a share of all detections: this tells those of ``simulate_ballistic``
 #: (seeds 20 to 55) from those of scrambled jets (seeds 6200 to 6409) in 86 of 90.
-WITH_FEATURES, ALIKE, BY_FAR = 0.1, 0.2, 0.15
+WITH_FEATURES, ALIKE, BEYOND_CHANCE = 0.1, 0.2, 0.15
 #: Error of the speed of a spectrum beyond that of its patterns, relative to it, where
 #: its Gaussian has at least the other one.
 MODEL_ERROR, WELL_KNOWN = 0.25, 0.1
@@ -249,7 +249,12 @@ def find_streams(
     flow, test = find_motion(flow, n_trials, rng, outward=settings.outward)
     (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
     alike = shared_variance(test, flow.years) >= ALIKE
-    if whole and not alike and test.p_global > alpha and features.coverage < BY_FAR:
+    if (
+        whole
+        and not alike
+        and test.p_global > alpha
+        and features.coverage < BEYOND_CHANCE
+    ):
         features = replace(features, alike=False)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
     covered = moving.weight.sum() >= COVERAGE * len(features.detections)

@@ -192,6 +192,14 @@ def test_images_without_beams_have_features_of_ssps(done, jet, here):
     assert np.all(features["size"].value == 0)
 
 
+def test_features_by_chance(done):
+    done("simulate", "unrelated", "chance", "--seed", "1")
+    how = "chance/*.fits", "--seed", "1"
+    assert "none is secure" in done("measure", *how, "-o", "out", "--no-report")[0]
+    assert "little in common" in done("explain", "out", "--feature", 718)[0]
+    assert "by chance" in done("track", *how, "-o", "tracked", "--no-figures")[0]
+
+
 def test_why_it_is_a_feature(done, refused, jet, here):
     done("track", *jet, "-o", "out", "--seed", "1", "--no-figures")
     features, positions = tables_of(here / "out")
