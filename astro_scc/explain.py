@@ -263,8 +263,9 @@ def _trusted(features, k):
         f"{_count(len(track))} (at least {motions_in_words()})":
             moves_enough(moved, sigma, len(track)),
     }  # fmt: skip
-    if not features.alike:
-        checks["images of neighbouring dates have little in common"] = False
+    for reason, numbers in features.doubts.items():
+        if features.number[k] in numbers:
+            checks[reason] = False
     failed = [text for text, passed in checks.items() if not passed]
     return [
         f"Its p_false follows from {PROPERTIES.format(*plain)}.",

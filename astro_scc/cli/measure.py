@@ -375,7 +375,7 @@ def explain(args, reporter):
     # A measurement has no seed of its own for the features.
     measured = (folder / "streams.ecsv").is_file()
     features = _find(epochs, reporter, 0 if measured else settings.seed)
-    features = replace(features, alike=table.meta.get("alike", True))
+    features = replace(features, doubts=table.meta.get("doubts", {}))
     if features.number.tolist() != table["feature"].tolist():
         reporter.warn(
             f"{folder}: its features are not those of the images now; measure again"

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,8 @@ from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from distributed import Client
 
 
@@ -54,10 +56,9 @@ class Features:
         features are in the order of their first ones.
     same_speed, proven : `~numpy.ndarray`, shape (n_features,)
         How sure each track is, see ``find_tracks``.
-    alike : bool
-        Whether features can be recognised, since images of neighbouring dates resemble
-        one another, motion is significant, or secure features make up much of all
-        detections.  If not, none is secure.
+    doubts : dict of str: list of int
+        Numbers of features that are secure by themselves, and why they are not: images
+        of neighbouring dates have little in common, or the flow passes them.
 
     Examples
     --------
@@ -74,7 +75,7 @@ class Features:
     tracks: tuple[np.ndarray, ...]
     same_speed: np.ndarray
     proven: np.ndarray
-    alike: bool = True
+    doubts: dict[str, list[int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.tracks)
@@ -145,7 +146,14 @@ class Features:
     def _are_secure(self, p_false):
         errors = np.array([m.speed / m.speed_err for m in self.motions], dtype=float)
         secure = are_secure(p_false, self.same_speed, self.moved, errors, self.n_epochs)
-        return secure & self.alike
+        doubtful = [number for numbers in self.doubts.values() for number in numbers]
+        return secure & ~np.isin(self.number, doubtful)
+
+    def doubted(self, numbers: Iterable[int], reason: str) -> Features:
+        """Return the features with a reason why some are not secure, if any are."""
+        more = {reason: [int(number) for number in numbers]}
+        # What is not changed keeps what it has computed.
+        return replace(self, doubts=self.doubts | more) if more[reason] else self
 
     @property
     def coverage(self) -> float:
@@ -192,6 +200,15 @@ class Features:
         )  # fmt: skip
         table.meta.update(cube.facts)
         return round_to_errors(name_by_frame(table, cube))
+
+
+def doubts_in_words(doubts: Mapping[str, list[int]]) -> list[str]:
+    """Return how many features are not secure for a reason alone, a line a reason."""
+    return [
+        f"{len(numbers)} feature{' is' if len(numbers) == 1 else 's are'} not secure "
+        f"for this alone: {reason}"
+        for reason, numbers in doubts.items()
+    ]
 
 
 def find_features(
@@ -379,7 +396,7 @@ def feature_table(features, stream=0):
         describe(table, "features")
         table["t_ej"].info.description = "MJD at which it was at the core"
     in_speed_unit(table, unit)
-    table.meta |= cube.facts | ({} if features.alike else {"alike": False})
+    table.meta |= cube.facts | ({"doubts": features.doubts} if features.doubts else {})
     return round_to_errors(name_by_frame(table, cube))
 
 

@@ -365,7 +365,14 @@ def _search(flow, features, scc, n_trials, rng, inside=None):
 def _search_bins(flow, limits, features, scc, n_trials, generator, tracked):
     """Yield the search of each bin, or None; groups of scales have no features."""
     distance = distances_along(flow, features.places)
-    for (low, high), rng in zip(limits, generator.spawn(len(limits)), strict=True):
+    seeds = generator.spawn(len(limits))
+    if tracked:
+        # Bins are too small to tell which features may be seen by chance.
+        whole = find_streams(
+            flow, features, scc, n_trials=n_trials, rng=generator.spawn(1)[0]
+        )
+        features = whole.features
+    for (low, high), rng in zip(limits, seeds, strict=True):
         part, search = flow.between(low, high), None
         if has_flow(part):
             inside = tracked & (distance >= low) & (distance < high)

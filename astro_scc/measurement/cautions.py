@@ -11,6 +11,7 @@ from astropy.stats import circmean, circstd
 
 from astro_scc.columns import with_errors
 from astro_scc.epochs.registration import farthest_upstream
+from astro_scc.features.finder import doubts_in_words
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
 from astro_scc.images.dates import date_labels
@@ -54,6 +55,7 @@ def cautions_of(result, k, row):
     if stream.kind == "moving":
         said += _of_both_sides(result, stream)
         said += _cautions(search, stream, row, alpha, unit)
+        said += doubts_in_words(search.features.doubts)
         if k == _main(search):
             said.append(result.sensitivity_line)
     return [text for text in said if text]
@@ -77,7 +79,7 @@ def _doubts(result, stream, alpha):
     never = search.test.p_smallest > alpha
     low, high = (_shown(speed, unit) for speed in (search.slowest, search.fastest))
     unlike = f"{finder.UNLIKE}, if the dates are right; so no feature is secure"
-    unlike = [] if search.features.alike else [unlike]
+    unlike = [unlike] if search.features.doubts else []
     one_way, angle = [], np.degrees(result.flow.grids[0].angle) % 360
     if result.meta["settings"]["outward"] and result.flow.directed:
         outward = result.flow.outward

@@ -266,7 +266,7 @@ def write_tables(
     meta, written, paths = meta | {"history": history}, {}, []
     for name, table in tables.items():
         written[name] = copy = table.copy(copy_data=False)
-        note = {key: table.meta[key] for key in ("note", "alike") if key in table.meta}
+        note = {key: table.meta[key] for key in ("note", "doubts") if key in table.meta}
         copy.meta = plain_meta(meta | note)
         paths.append(Path(folder, f"{name}.ecsv"))
         copy.write(paths[-1], format="ascii.ecsv", overwrite=True)

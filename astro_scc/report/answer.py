@@ -5,6 +5,7 @@ import astropy.units as u
 import numpy as np
 
 from astro_scc.columns import cell, headed, table_lines
+from astro_scc.features.finder import doubts_in_words
 from astro_scc.features.motion import MOST_FALSE, MOTIONS, SAME_SPEED, motions_in_words
 from astro_scc.kinematics.cosmology import source_text, table_in_c_as
 from astro_scc.measurement.cautions import NO_DIRECTION
@@ -28,8 +29,6 @@ SECURE = (
     f"of at most {MOST_FALSE:g}, moved by {motions_in_words()} or more, and at this "
     f"speed in {SAME_SPEED:.0%} or more of the perturbed assignments to features"
 )
-#: Why none of some features is secure.
-NONE_SECURE = "in images of neighbouring dates that differ so much none is secure"
 
 #: Columns of streams, features and profiles.
 STREAMS = (
@@ -317,7 +316,7 @@ def feature_lines(features, most=MOST):
     if most < n_secure:
         said += f"; the {most} that were seen in most epochs"
     lines = column_lines(_followed(features[longest(features, most)]), FEATURES)
-    return ["", f"{said}:", *lines, *SECURE.split("; "), ""]
+    return ["", f"{said}:", *lines, *trust_lines(features), ""]
 
 
 def feature_count(features):
@@ -389,6 +388,11 @@ def _followed(features):
     return shown
 
 
+def trust_lines(features):
+    """Return what makes features secure, and how many are not for another reason."""
+    return [*SECURE.split("; "), *doubts_in_words(features.meta.get("doubts", {}))]
+
+
 def _lacking(features, *, most_spans=10):
     """
     Return what makes a feature secure, and what the nearest to it lacks.
@@ -397,8 +401,8 @@ def _lacking(features, *, most_spans=10):
     """
     if len(features) == 0:
         return ["No detections of four epochs or more are in steady motion."]
-    if not features.meta.get("alike", True):
-        return [f"{NONE_SECURE[0].upper()}{NONE_SECURE[1:]}."]
+    if features.meta.get("doubts"):
+        return trust_lines(features)
     motion, false = features["motion"].value, features["p_false"]
     errors = (features["pm"] / features["pm_err"]).value
     beams, sigma, _ = MOTIONS[0]

@@ -359,9 +359,8 @@ def write_report(
     )
     notes = answer.notes(streams, features) + answer.published_lines(features)
     notes += answer.speeds_along(streams.meta)
-    in_c, secure = table_in_c_as(features, streams), answer.SECURE
-    if not features.meta.get("alike", True):
-        secure += f"; {answer.NONE_SECURE}"
+    in_c = table_in_c_as(features, streams)
+    secure = "; ".join(answer.trust_lines(features))
     name = both_names(result.cube.meta.get("object") or "Velocities")
     settings = meta.pop("settings", {}) | meta
     for unused in METHODS["paper"].split():

@@ -28,14 +28,18 @@ from astro_scc.streams.decomposed import (
     sheet_of,
 )
 from astro_scc.streams.members import (
+    AS_WELL,
+    DIFFERENT,
     FEWEST,
     LEAST_SIDE,
+    PASSED,
     chance_of_separation,
     divided,
     frame_velocities,
     mean_across,
     mean_speed,
     moving_with,
+    passed_by,
     turn_to_flow,
     unknown_scatter,
 )
@@ -76,9 +80,8 @@ UNLIKE = (
 BY_CHANCE, BROAD, LEAST_GAIN, CLUSTERS = 0.05, 6.0, 0.03, 2.5
 #: Features speak for a flow if they are this share of all detections.
 COVERAGE = 0.1
-#: Largest motion of a standing feature, in beams, its fewest epochs, and the fewest
-#: errors by which its velocity is not that of a stream.
-STANDING, STANDING_EPOCHS, AS_WELL = 0.5, 5, 2.0
+#: Largest motion of a standing feature, in beams, and its fewest epochs.
+STANDING, STANDING_EPOCHS = 0.5, 5
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
@@ -150,7 +153,7 @@ class StreamSearch:
     flow : ``DecomposedFlow``
         Along one direction.
     features : `~astro_scc.features.Features`
-        None is secure where nothing is significant in images that are not ``alike``.
+        Those that may be seen by chance have ``doubts``.
     test : ``MotionTest``
         Along this direction; its ``p_global`` is that of all that were tested.
     diagram : ``Diagram``
@@ -248,53 +251,72 @@ def find_streams(
     shift = _of_alignment(flow, alignment_errors(flow.cube, settings.alignment_error))
     flow, test = find_motion(flow, n_trials, rng, outward=settings.outward)
     (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
-    alike = shared_variance(test, flow.years) >= ALIKE
-    if (
-        whole
-        and not alike
-        and test.p_global > alpha
-        and features.coverage < BEYOND_CHANCE
-    ):
-        features = replace(features, alike=False)
+    alike, significant = is_alike(test, flow.years), test.p_global <= alpha
+    if whole and not alike and not significant:
+        features = _unlike(features)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
-    covered = moving.weight.sum() >= COVERAGE * len(features.detections)
-    enough = WITH_FEATURES if len(moving) and covered and alike else alpha
+    enough = WITH_FEATURES if alike and _covered(moving, features) else alpha
     passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
         flow, straight=not passes, sign=sign, diagram=sheet[len(sheet) // 2]
     )
     flow, equations = part.flow, part.equations
     if flow.grids[0].bends:
-        length = np.hypot(moving.along, moving.across)
-        moving.along = np.copysign(length, moving.along)
+        moving, *_ = moving_with(flow, features, inside, sign)
     if part.fit is not None and passes and not diffusing:
         part, p = _one_or_two(part, test, moving, n_trials, alpha, map_rng)
-    if part.fit is not None:
-        mean_err, number, *_ = part.errors()
-        part = replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
+    part = _with_errors(part)
     search = StreamSearch(
         flow, features, test, part.diagram, equations.speed * flow.beam,
         deconvolve(equations), part.fit,
     )  # fmt: skip
     rows = _of_spectrum(search, equations, whole)
-    streams = _streams(
-        search, rows, moving, (sheet, aside), shift, covered=covered, p_distinct=p
-    )
+    if whole and significant and part.fit is not None:
+        search = _without_passed(search, rows)
+        moving, opposed, diffusing = moving_with(flow, search.features, inside, sign)
+    streams = _streams(search, rows, moving, (sheet, aside), shift, p_distinct=p)
     if passes:
-        sure = ALONE * alpha if whole else 1.0
+        doubts = {"diffusing": diffusing, "sure": ALONE * alpha if whole else 1.0}
         streams = [_on_its_side(s, search, moving) for s in streams]
-        doubts = {"opposed": opposed, "diffusing": diffusing, "sure": sure}
-        streams = [_judged(s, search, **doubts) for s in streams]
-    streams += _standing(features, flow, streams, inside, shift)
+        streams = [_judged(s, search, opposed, **doubts) for s in streams]
+    streams += _standing(search.features, flow, streams, inside, shift)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
 
 
-def shared_variance(test, years):
-    """Return the share of the variance that images of neighbouring dates share."""
+def _unlike(features):
+    """Return features of images that are unlike, none secure if that may be chance."""
+    if features.coverage >= BEYOND_CHANCE:
+        return features
+    return features.doubted(features.number[features.secure], DIFFERENT)
+
+
+def _without_passed(search, rows):
+    """Return a search without the secure features that the slowest stream passes."""
+    slowest, error = min((abs(row[0]), row[1]) for row in rows)
+    passed = passed_by(search.features, slowest, error, search.beam)
+    return replace(search, features=search.features.doubted(passed, PASSED))
+
+
+def _covered(moving, features):
+    """Return whether features that move are enough to speak for a flow."""
+    least = COVERAGE * len(features.detections)
+    return len(moving) > 0 and moving.weight.sum() >= least
+
+
+def _with_errors(part):
+    """Return a fit with the errors of its means, and their numbers of clusters."""
+    if part.fit is None:
+        return part
+    mean_err, number, *_ = part.errors()
+    return replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
+
+
+def is_alike(test, years):
+    """Return whether images of neighbouring dates share enough of their variance."""
     if not test.memory > 0:
-        return 0.0
-    return (1 - test.white) * np.exp(-median_interval(years) / test.memory)
+        return False
+    return (1 - test.white) * np.exp(-median_interval(years) / test.memory) >= ALIKE
 
 
 def _map_of(search, streams, sheet, aside, rng):
@@ -339,11 +361,11 @@ def _are_two(part, two, speed, chance):
     return bool(number.min() >= CLUSTERS)
 
 
-def _streams(search, rows, moving, sheet, shift, *, covered, p_distinct):
+def _streams(search, rows, moving, sheet, shift, *, p_distinct):
     """Return the streams that move, or the strongest speed, none of them judged yet."""
     groups = [moving] if len(rows) == 1 else divided(moving, [abs(r[0]) for r in rows])
     # Of two streams the spectrum knows which is which.
-    covered = covered and len(rows) == 1
+    covered = len(rows) == 1 and _covered(moving, search.features)
     found = [
         _stream(search, row, members, sheet, shift, covered=covered)
         for row, members in zip(rows, groups, strict=True)
@@ -370,6 +392,10 @@ def _stream(search, row, members, sheet, shift, *, covered):
             sign * members.along, members.along_err, members.weight
         )
         features = mean, mean_err
+        # Where a flow moves by more than a beam between images, slow features are
+        # often parts of several.
+        lost = abs(speed) - mean > np.hypot(error, mean_err)
+        covered &= not (lost and abs(speed) > search.unambiguous)
         lengths = np.hypot(members.along, members.across)
         slowest, fastest = lengths.min(), lengths.max()
         if covered or not np.isfinite(error):
