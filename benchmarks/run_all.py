@@ -96,6 +96,8 @@ ENTRIES = {
         args="simulated --jets 20"),
     "streams_survey": _script(
         "streams", 240, "streams_survey.csv", args="survey {data} {images}"),
+    "streams_few": _script(
+        "streams", 40, "streams_few.csv", args="few {data} {images}"),
     "comparison": _script(
         "comparison", 30, "comparison.csv", "comparison_packages.csv"),
     # It keeps what is measured: without its files of a kind, that is measured again.

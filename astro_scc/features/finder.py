@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ from astro_scc.quantities import check_choice
 from astro_scc.units import in_speed_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from distributed import Client
 
@@ -148,12 +148,6 @@ class Features:
         secure = are_secure(p_false, self.same_speed, self.moved, errors, self.n_epochs)
         doubtful = [number for numbers in self.doubts.values() for number in numbers]
         return secure & ~np.isin(self.number, doubtful)
-
-    def doubted(self, numbers: Iterable[int], reason: str) -> Features:
-        """Return the features with a reason why some are not secure, if any are."""
-        more = {reason: [int(number) for number in numbers]}
-        # What is not changed keeps what it has computed.
-        return replace(self, doubts=self.doubts | more) if more[reason] else self
 
     @property
     def coverage(self) -> float:

@@ -288,14 +288,23 @@ def _unlike(features):
     """Return features of images that are unlike, none secure if that may be chance."""
     if features.coverage >= BEYOND_CHANCE:
         return features
-    return features.doubted(features.number[features.secure], DIFFERENT)
+    return _doubted(features, features.number[features.secure], DIFFERENT)
 
 
 def _without_passed(search, rows):
     """Return a search without the secure features that the slowest stream passes."""
     slowest, error = min((abs(row[0]), row[1]) for row in rows)
     passed = passed_by(search.features, slowest, error, search.beam)
-    return replace(search, features=search.features.doubted(passed, PASSED))
+    return replace(search, features=_doubted(search.features, passed, PASSED))
+
+
+def _doubted(features, numbers, reason):
+    """Return features with a reason why some are not secure, if any are named."""
+    more = {reason: [int(number) for number in numbers]}
+    if not more[reason]:
+        # What is not changed keeps what it has computed.
+        return features
+    return replace(features, doubts=features.doubts | more)
 
 
 def _covered(moving, features):

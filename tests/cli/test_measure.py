@@ -195,7 +195,7 @@ def test_images_without_beams_have_features_of_ssps(done, jet, here):
 def test_features_by_chance(done):
     done("simulate", "unrelated", "chance", "--seed", "1")
     how = "chance/*.fits", "--seed", "1"
-    assert "images of neighbouring dates" in done("measure", *how, "-o", "out", "--no-report")[0]
+    assert "for this alone" in done("measure", *how, "-o", "out", "--no-report")[0]
     assert "little in common" in done("explain", "out", "--feature", 718)[0]
     assert "by chance" in done("track", *how, "-o", "tracked", "--no-figures")[0]
 

@@ -12,6 +12,7 @@ from astropy.time import Time
 
 from astro_scc import Beam, StackedCrossCorrelation, kinematics
 from astro_scc.epochs import ComponentList, restore
+from astro_scc.explain import explain_feature
 from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.report.answer import headline, profile_lines, scale_lines
@@ -309,6 +310,21 @@ def test_a_speed_that_was_not_searched_is_not_confirmed(two, factor, than):
     profile["main"], profile["caution"] = [True], [far.reason]
     profile.meta["bins"] = [[1.0, 2.0]]
     assert f"1 to 2 mas: {far.reason}" in profile_lines(profile)
+
+
+def test_features_that_the_flow_passes_between_images_are_not_secure():
+    jet = simulate_jet(n_epochs=48, rng=2)
+    result = measured(jet.cube[::4], position_angle=270 * u.deg)
+    row, features = result.streams[0], result.tracked_features
+    ((reason, numbers),) = features.doubts.items()
+    passed = np.isin(features.number, numbers)
+    assert passed.sum() == len(numbers) == 3
+    assert np.all(np.hypot(*features.velocities[passed].T) < 1)
+    assert not features.secure.any()
+    assert replace(features, doubts={}).secure.tolist() == passed.tolist()
+    assert row["pm"].value == pytest.approx(2.37, abs=2 * row["pm_err"].value)
+    assert reason in row["caution"]
+    assert reason in explain_feature(features, feature=numbers[0])[-1]
 
 
 def test_means_of_features():
