@@ -199,8 +199,7 @@ def _write_catalogues(parts, output, folder):
             catalogue.write(file, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
-    printed = {"streams": measured, "features": features}
-    publication.write_publication(printed, folder)
+    publication.write_publication({"streams": measured, "features": features}, folder)
     _replace(output / publication.FOLDER, folder / publication.FOLDER)
     write_overview(table, features, parts, output)
     return table

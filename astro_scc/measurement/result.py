@@ -183,7 +183,12 @@ class SCCResult(tables.VelocityMaps):
         features that move belong to the stream of the nearest speed, features that
         stand still to the stationary one.
         """
-        return feature_table(self.tracked_features, tables.stream_of_features(self))
+        found = np.zeros(len(self.tracked_features), dtype=int)
+        for number, stream in enumerate(self.search.streams, start=1):
+            # What is not tested rests on its features alone.
+            if stream.kind == "moving" or np.isnan(stream.p_global):
+                found[stream.members] = number
+        return feature_table(self.tracked_features, found)
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -245,8 +250,7 @@ class SCCResult(tables.VelocityMaps):
         for name in ("slowest", "fastest", "unambiguous"):
             meta[name] = (getattr(self.search, name) * PM_UNIT).to(unit)
         meta["lines"] = self.search.flow.grids[0].kind_of_lines
-        table = tables.stream_table(rows, meta=meta, unit=unit)
-        return name_by_frame(table, self.cube)
+        return name_by_frame(tables.stream_table(rows, meta=meta, unit=unit), self.cube)
 
     @cached_property
     def spectrum(self) -> QTable:
