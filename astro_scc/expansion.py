@@ -257,7 +257,11 @@ def fit_mixture(samples, start, area, *, fixed=False, n_sectors=24):
         if np.all(np.bincount(samples.group[keep], minlength=n_groups) > 3):
             begin = samples[keep], place, scatter, share, area[keep]
             others.append(_climb(*begin, widest, fixed)[0])
-    covariance = jackknife_covariance(np.reshape(others, (-1, len(place))))
+    covariance, n = np.full((len(place),) * 2, np.inf), len(others)
+    # Of fewer parts, the jackknife says nothing.
+    if n > 3:
+        apart = others - np.mean(others, axis=0)
+        covariance = (n - 1) / n * apart.T @ apart
     weight = p * samples.interval**2 / scatter[samples.kind] ** 2
     response = weight[:, None, None] * _design(samples, place, fixed) @ inverse
     return place, covariance, response, scatter, share
@@ -428,16 +432,3 @@ def measure_expansion(
                 columns[name + end] = frame.rate(table[of + end])
         rows.append(QTable(columns | {name: table[name] for name in KEPT}))
     return stack_tables(rows, {"centre": frame.centre, "radius": frame.radius})
-
-
-def jackknife_covariance(estimates):
-    """
-    Return the jackknife covariance of estimates that each leave out a part of the data.
-
-    It is infinite for fewer than four parts.
-    """
-    n = len(estimates)
-    if n < 4:
-        return np.full((np.shape(estimates)[-1],) * 2, np.inf)
-    apart = np.asarray(estimates) - np.mean(estimates, axis=0)
-    return (n - 1) / n * apart.T @ apart

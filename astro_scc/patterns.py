@@ -15,7 +15,7 @@ from astro_scc.epochs import EpochCube
 from astro_scc.epochs.registration import warn_of_misalignment
 from astro_scc.exceptions import MeasurementWarning, warn
 from astro_scc.features import Features, find_features
-from astro_scc.images.beam import require_common_beam
+from astro_scc.images.beam import different_beam
 from astro_scc.parallel import Workers, in_order, progress
 
 __all__ = ["DecomposedEpochs"]
@@ -110,8 +110,12 @@ def check_cube(cube, common_beam):
             f"cube must be an EpochCube, got {type(cube).__name__}: read files by "
             "EpochCube.read"
         )
-    if common_beam is not False:
-        require_common_beam(cube)
+    if common_beam is not False and (k := different_beam(cube.beams)) is not None:
+        raise ValueError(
+            f"the beams differ, {cube.beams[0]} in {cube.labels[0]} and "
+            f"{cube.beams[k]} in {cube.labels[k]}: give cube.to_common_beam(), "
+            "or state common_beam=False to measure them as they are"
+        )
     warn_of_misalignment(cube)
 
 

@@ -485,8 +485,7 @@ def _lies_aside(cube, image, faintest, angle, *, core=0.05, least=25.0, longer=2
     near = np.hypot(*places) < cube.resolution.to_value(u.mas) / 2
     if bright.size < 3 or (bright[near] > core * bright.max()).any():
         return False
-    spread = np.cov(places, aweights=bright)
-    variances, axes = np.linalg.eigh(spread)
+    variances, axes = np.linalg.eigh(np.cov(places, aweights=bright))
     way = np.sin(angle), np.cos(angle)
     turn = np.degrees(np.arccos(min(1.0, abs(float(axes[:, 1] @ way)))))
     return bool(variances[1] > longer**2 * variances[0] and turn > least)

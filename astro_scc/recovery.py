@@ -99,7 +99,7 @@ def draw_paths(
     rows, columns = np.nonzero(area)
     if len(rows) == 0:
         raise ValueError("the area for features holds no pixel")
-    years = cube.years.to_value(u.yr)
+    (ny, nx), years = area.shape, cube.years.to_value(u.yr)
     speed = u.Quantity(speed).to_value(PM_UNIT)
     to_sky = cube.pixel_matrix.value
     to_pixels = np.linalg.inv(to_sky)
@@ -113,7 +113,10 @@ def draw_paths(
         travelled = speed * (years - years[epoch])
         line = start[:, None] + (to_pixels @ direction)[:, None] * travelled
         line[:, distance + travelled < 0] = np.nan
-        inside = _is_inside(line, area)
+        # At which epochs it is in the area.
+        x, y = np.rint(np.nan_to_num(line, nan=-1)).astype(int)
+        inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
+        inside &= area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
         if keep * max(inside.sum(), 1) < 1:
             lines.append(line)
             number += inside.mean()
@@ -134,14 +137,6 @@ def _motion(start, origin, to_sky, position_angle):
         return offset / distance, distance
     angle = u.Quantity(position_angle).to_value(u.rad)
     return np.array([np.sin(angle), np.cos(angle)]), np.inf
-
-
-def _is_inside(line, area):
-    """Return at which epochs a line is in the area."""
-    ny, nx = area.shape
-    x, y = np.rint(np.nan_to_num(line, nan=-1)).astype(int)
-    within = (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
-    return within & area[np.clip(y, 0, ny - 1), np.clip(x, 0, nx - 1)]
 
 
 def inject(
@@ -395,12 +390,25 @@ def _searched(speeds, axis, cube, scc):
 
 
 def _bare(cube, scc, region, n_trials, rng):
-    """Return where features are injected, and the velocities that are there already."""
+    """
+    Return where features are injected, and the velocities that are there already.
+
+    They are injected into the pixels of the region that are valid in any epoch.
+    Without a region, these are the pixels of SSPs of any epoch and scale, or all if
+    there are none.
+    """
+    exists = ~cube.mask.all(axis=0)
     with warnings.catch_warnings():
         # Features are injected even if the region has no SSP.
         warnings.filterwarnings("ignore", NOTHING_THERE, MeasurementWarning)
         decomposed = scc.decompose(cube, region=region)
-        area = area_for_features(decomposed, region)
+        if region is None:
+            area = np.zeros(exists.shape, dtype=bool)
+            area.flat[decomposed.ssps.pixels] = True
+            area = area if area.any() else exists
+        elif not (area := region & exists).any():
+            what = "region holds masked pixels only: no feature can be injected"
+            raise ValueError(what)
         found = _streams(scc, decomposed, n_trials, rng)
     return area, np.reshape([stream.velocity for stream in found], (-1, 2))
 
@@ -503,24 +511,6 @@ def run_all(function, cells, number, rng, n_workers=1, progress_bar=False):
 
         found = map(work, jobs) if n_workers == 1 else pool.map(work, jobs)
         return [list(islice(found, number)) for _ in cells]
-
-
-def area_for_features(decomposed, region=None):
-    """
-    Return the pixels in which features are injected, shape (ny, nx).
-
-    They are the pixels of the region that are valid in any epoch.  Without a region,
-    they are the pixels of SSPs of any epoch and scale, or all if there are none.
-    """
-    exists = ~decomposed.cube.mask.all(axis=0)
-    if region is None:
-        area = np.zeros(exists.shape, dtype=bool)
-        area.flat[decomposed.ssps.pixels] = True
-        return area if area.any() else exists
-    area = region & exists
-    if not area.any():
-        raise ValueError("region holds masked pixels only: no feature can be injected")
-    return area
 
 
 def recovered(streams, claims, speed, axis, *, tolerance):

@@ -323,15 +323,10 @@ def refuse_other_method(method, given):
             raise _error(f"{shown} is for method {other}: leave it out", name)
 
 
-def in_unit(name, value):
-    """Return the checked value of a setting in the unit of calculations."""
-    unit = OPTIONS[name]["unit"]
-    return value.to(unit) if unit and hasattr(value, "to") else value
-
-
 def require(name, value):
     """Check the value of a setting and return it in the unit of calculations."""
-    return in_unit(name, check_setting(name, value))
+    value, unit = check_setting(name, value), OPTIONS[name]["unit"]
+    return value.to(unit) if unit and hasattr(value, "to") else value
 
 
 def read_toml(path):

@@ -199,8 +199,7 @@ def _write_catalogues(parts, output, folder):
             catalogue.write(file, format="ascii.ecsv")
     measured = table[table["status"] == "measured"]
     measured.remove_columns(["status", "message"])
-    printed = {"streams": measured, "features": features}
-    publication.write_publication(printed, folder)
+    publication.write_publication({"streams": measured, "features": features}, folder)
     _replace(output / publication.FOLDER, folder / publication.FOLDER)
     write_overview(table, features, parts, output)
     return table
@@ -329,7 +328,12 @@ def catalogues(parts, output):
     """
     empty, numbers = stream_table([]), set(range(len(parts)))
     found = _stacked(parts, output, "streams.ecsv", empty.copy())
-    whole = _without_groups(parts)
+    regions = {}
+    for part in parts:
+        place = part.source, part.region
+        if place not in regions or regions[place].status != "measured":
+            regions[place] = replace(part, scale_group=WHOLE)
+    whole = [*regions.values()]
     features = _stacked(whole, output, FEATURES, QTable())
     searched = {k for k in numbers if parts[k].status != "failed"}
     nothing = dict.fromkeys(searched - set(found["part"]), empty)
@@ -349,16 +353,6 @@ def catalogues(parts, output):
     features.remove_columns(["status", "message"])
     features.meta = {key: table.meta[key] for key in ("versions", "speeds_in_c")}
     return table, features
-
-
-def _without_groups(parts):
-    """Return one part for the groups of each region, measured if one of them is."""
-    found = {}
-    for part in parts:
-        place = part.source, part.region
-        if place not in found or found[place].status != "measured":
-            found[place] = replace(part, scale_group=WHOLE)
-    return list(found.values())
 
 
 def _stacked(parts, output, name, empty):

@@ -165,8 +165,7 @@ class EpochCube(series.ImageSeries):
             cube = restore_files(cls, files, times=times, beams=beams)
         else:
             options = {"check": check, "region": region, "pad": pad}
-            fields = reading.read_files(files, times, beams, frame, **options)
-            return cls._of(**fields)
+            return cls._of(**reading.read_files(files, times, beams, frame, **options))
         return cube if region is None else cube.crop(region, pad)
 
     @classmethod
@@ -196,8 +195,7 @@ class EpochCube(series.ImageSeries):
         `EpochCube`
         """
         images = [images] if isinstance(images, NDData) else list(images)
-        fields = reading.read_images(images, times, beams, frame, check=check)
-        return cls._of(**fields)
+        return cls._of(**reading.read_images(images, times, beams, frame, check=check))
 
     @classmethod
     def from_ndcube(

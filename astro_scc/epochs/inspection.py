@@ -21,7 +21,7 @@ from astropy.time import Time
 from astro_scc.decomposition.wavelet import measure_noise
 from astro_scc.epochs.tables import LISTS, NO_IMAGE
 from astro_scc.images import fits, grid, headers, pixels, positions, series
-from astro_scc.images.dates import as_times, date_labels, order_of, without_order
+from astro_scc.images.dates import as_times, date_labels, without_order
 from astro_scc.images.positions import readable_angle
 from astro_scc.intervals import median_interval
 
@@ -146,8 +146,11 @@ def _row_of(path, frame):
     row["date"], (row["ny"], row["nx"]) = plane.time, plane.shape
     row["object"] = plane.facts.get("object", "")
     row["frequency"] = plane.facts.get("frequency", np.nan) / 1e9
-    flat = _flat(plane)
-    row["origin"] = "the reference pixel" if flat is plane.wcs else "the middle"
+    wcs = flat = plane.wcs
+    if positions.is_far(wcs, plane.shape) or not positions.is_flat(wcs, plane.shape):
+        middle = positions.tangent_wcs(wcs, [(n - 1) / 2 for n in plane.shape[::-1]])
+        flat = middle if np.all(np.isfinite(middle.pixel_scale_matrix)) else wcs
+    row["origin"] = "the reference pixel" if flat is wcs else "the middle"
     matrix = flat.pixel_scale_matrix * u.deg.to(u.mas)
     row["pixel"] = np.sqrt(np.abs(np.linalg.det(matrix)))
     if plane.beam is not None:
@@ -160,15 +163,6 @@ def _row_of(path, frame):
     # Only the facts are kept, as there may be many large files.
     plane.data = plane.mask = None
     return row | {"plane": plane}
-
-
-def _flat(plane):
-    """Return the WCS of an image, or its tangent plane in the middle."""
-    shape = plane.shape
-    if positions.is_flat(plane.wcs, shape) and not positions.is_far(plane.wcs, shape):
-        return plane.wcs
-    middle = positions.tangent_wcs(plane.wcs, [(n - 1) / 2 for n in shape[::-1]])
-    return middle if np.all(np.isfinite(middle.pixel_scale_matrix)) else plane.wcs
 
 
 @dataclass(frozen=True)
@@ -397,7 +391,7 @@ def _same_dates(planes, part=1e-3):
     if not dated:
         return
     times = as_times([planes[i].time for i in dated], len(dated))
-    order = order_of(times)
+    order = times.argsort()
     gaps = np.diff((times - times[0]).sec[order])
     for k in np.flatnonzero(gaps <= part * gaps.sum()):
         one, other = (dated[order[n]] for n in (k, k + 1))
@@ -458,8 +452,7 @@ def _strangers(planes):
     for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):
         refused = advice == UNCHECKED
         for i, mine, others in _minority(values)[: None if refused else 1]:
-            what_is = f"is of {what} {mine}, others are of {others}"
-            yield i, what_is, advice, refused
+            yield i, f"is of {what} {mine}, others are of {others}", advice, refused
     yield from _other_frequencies(planes, known)
 
 

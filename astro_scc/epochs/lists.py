@@ -98,7 +98,7 @@ class ComponentList:
         labels = series.as_epoch_tuple(self.labels, len(times), "labels", str)
         labels = labels or times.strftime("%Y-%m-%d").tolist()
         beams = series.as_beams(self.beams, len(times)) or ()
-        order = np.argsort(times.mjd, kind="stable")
+        order = times.argsort()
         # Components without a size are points, those with one axis are round.
         default = {"major": np.zeros(n) * u.mas, "pa": np.zeros(n) * u.deg}
         default |= {"feature": np.full(n, -1.0)}

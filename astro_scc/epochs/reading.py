@@ -38,7 +38,7 @@ def read_files(files, times, beams, frame, *, check, region, pad):
     if region is not None:
         planes = [fits.read_plane(path, load=False, frame=k) for path, k in images]
         days = dates.as_times(map(_observed, planes, given[0]), len(images))
-        first = planes[dates.order_of(days)[0]]
+        first = planes[days.argmin()]
         part, windows = windows_of(planes, first, frame, region, pad)
 
     def read():
@@ -220,7 +220,7 @@ def _completed(planes, times, beams):
     for note, names in remarks.items():
         warn(f"{some(names)}: {note}")
     times = dates.as_times([plane.time for plane in planes], len(planes))
-    order = dates.order_of(times)
+    order = times.argsort()
     return [planes[i] for i in order], times[order]
 
 

@@ -239,8 +239,7 @@ class _Loader(yaml.AstropyLoader):
         packed = self.construct_mapping(node, deep=True)
         name = packed.pop(CLASS, None)
         if name == "WCS":
-            header = fits.Header.fromstring(packed["header"])
-            made = WCS(without(header, DATES))
+            made = WCS(without(fits.Header.fromstring(packed["header"]), DATES))
             if packed["shape"]:
                 made.array_shape = packed["shape"]
         elif name == "array":

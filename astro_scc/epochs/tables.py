@@ -334,7 +334,14 @@ def _open_aips(path):
         found = [h for h in hdus[1:] if h.name.strip().startswith("AIPS CC")]
         if not found:
             raise headers.ContentError("no AIPS CC table in the file; leave it out")
-        table = _aips_table(max(found, key=lambda h: h.ver))
+        table, newest = Table(), max(found, key=lambda h: h.ver)
+        for column in newest.columns:
+            name, unit = column.name.strip(), (column.unit or "").strip()
+            usual = {"FLUX": "Jy", "TYPE OBJ": ""}.get(name, "deg")
+            if not unit or unit.upper().startswith(usual.upper()):
+                unit = usual
+            table[name] = np.array(newest.data[column.name], dtype=float).ravel()
+            table[name].unit = u.Unit(unit, parse_strict="silent")
         record = read_header(header, hdus)
     beam = record["beam"]
     table.meta = record["facts"] | ({} if beam is None else {"beam": beam})
@@ -343,18 +350,6 @@ def _open_aips(path):
         frame = wcs_to_celestial_frame(wcs)
         table.meta["position"] = SkyCoord(*wcs.wcs.crval, unit="deg", frame=frame).icrs
     return table, headers.get(header, "DATE-OBS", kind=str) or ""
-
-
-def _aips_table(hdu):
-    table = Table()
-    for column in hdu.columns:
-        name, unit = column.name.strip(), (column.unit or "").strip()
-        usual = {"FLUX": "Jy", "TYPE OBJ": ""}.get(name, "deg")
-        if not unit or unit.upper().startswith(usual.upper()):
-            unit = usual
-        table[name] = np.array(hdu.data[column.name], dtype=float).ravel()
-        table[name].unit = u.Unit(unit, parse_strict="silent")
-    return table
 
 
 def plain(name):

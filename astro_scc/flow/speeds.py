@@ -513,8 +513,7 @@ def _measure_cell(cell, result, n_trials, rng):
         return np.nan, np.nan, np.nan
     outward, fit = result.meta["settings"]["outward"], result.search.fit
     _, test = find_motion(cell, n_trials, rng, outward=outward)
-    sign = 1.0 if fit is None else np.sign(fit.mean[0])
-    part = fit_part(cell, sign=sign)
+    part = fit_part(cell, sign=1.0 if fit is None else np.sign(fit.mean[0]))
     if part.fit is None or not part.fit.amplitude[0] > 0:
         return np.nan, np.nan, test.p_global
     speed = part.fit.mean[0]

@@ -180,17 +180,6 @@ def different_beam(beams, within=0.01):
     return int(np.argmax(differs)) if differs.any() else None
 
 
-def require_common_beam(cube):
-    """Raise a ValueError if the beams of the epochs differ by more than 1%."""
-    index = different_beam(cube.beams)
-    if index is not None:
-        raise ValueError(
-            f"the beams differ, {cube.beams[0]} in {cube.labels[0]} and "
-            f"{cube.beams[index]} in {cube.labels[index]}: give cube.to_common_beam(), "
-            "or state common_beam=False to measure them as they are"
-        )
-
-
 def as_beam(beam):
     """Return a `Beam`, also from an object with major, minor and pa."""
     try:

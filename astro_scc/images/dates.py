@@ -368,11 +368,6 @@ def warn_of_equal_dates(times):
         warn(f"two images are of {times.isot[k]}; leave one out, or average them")
 
 
-def order_of(times):
-    """Return the order of dates, of which equal ones stay as they are."""
-    return np.argsort((times - times[0]).sec, kind="stable")
-
-
 def date_labels(times, *, clock=False):
     """
     Return dates as short text, with as much of the time of day as tells them apart.

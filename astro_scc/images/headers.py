@@ -319,21 +319,16 @@ def _repaired(header):
     if not any("-SIP" in str(value) for value in clean["CTYPE*"].values()):
         # Images that were resampled keep the coefficients of the distorted ones.
         without(clean, _SIP)
-    _complete_rotation(clean, header)
+    longitude, latitude = celestial_axes(clean) or (1, 2)
+    standard = f"CROTA{latitude}"
+    if not any(re.match(f"(CD|PC)[0-9]|{standard}$", key) for key in clean):
+        # Others write the rotation elsewhere.
+        elsewhere = f"CROTA{longitude}", *KEYWORDS["rotation"]["keywords"]
+        if angle := get(header, *elsewhere, kind=float):
+            clean[standard] = angle
     if "EQUINOX" not in clean and (epoch := get(header, "EPOCH", kind=float)):
         clean["EQUINOX"] = epoch
     return clean
-
-
-def _complete_rotation(clean, header):
-    """Write the rotation to where the standard has it, in place, unless it is there."""
-    longitude, latitude = celestial_axes(clean) or (1, 2)
-    standard = f"CROTA{latitude}"
-    matrix = any(re.match("(CD|PC)[0-9]", key) for key in clean)
-    if standard not in clean and not matrix:
-        other = f"CROTA{longitude}", *KEYWORDS["rotation"]["keywords"]
-        if angle := get(header, *other, kind=float):
-            clean[standard] = angle
 
 
 def _standard(keyword, value):
@@ -353,21 +348,19 @@ def _standard(keyword, value):
         units = KEYWORDS["angles"].items()
         return next((unit for start, unit in units if text.startswith(start)), value)
     if keyword in ("RADESYS", "RADECSYS"):
-        return _frame_name(keyword, str(value).strip().upper())
+        name = str(value).strip().upper()
+        old = {"J2000": "FK5", "B1950": "FK4", "GAPPT": "", "UNKNOWN": ""}
+        name = old.get(name, name)
+        if name not in ("", "ICRS", "FK5", "FK4", "FK4-NO-E"):
+            what = f"{keyword} = {name!r} is no frame; write ICRS, FK5 or FK4"
+            raise ContentError(what)
+        return name
     if not _WCS_NUMBER.match(keyword):
         return value
     number = get({keyword: value}, keyword, kind=float)
     if number is None:
         raise ContentError(f"{keyword} = {value!r} is not a finite number")
     return number
-
-
-def _frame_name(keyword, name):
-    """Return the name of a frame as the standard has it, "" if it is left out."""
-    name = {"J2000": "FK5", "B1950": "FK4", "GAPPT": "", "UNKNOWN": ""}.get(name, name)
-    if name not in ("", "ICRS", "FK5", "FK4", "FK4-NO-E"):
-        raise ContentError(f"{keyword} = {name!r} is no frame; write ICRS, FK5 or FK4")
-    return name
 
 
 def fits_wcs(wcs):

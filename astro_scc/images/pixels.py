@@ -138,15 +138,10 @@ def _marks(hdu):
     unit = headers.parse_unit(headers.get(header, "BUNIT", kind=str))
     bright = unit is not None and unit != u.one and not unit.is_equivalent(u.s)
     science = not (beside or re.search(NAMES["types"], kind))
-    placed = headers.celestial_axes(header) is not None
-    return science, placed, _is_one_plane(hdu), bright, hdu.name in NAMES["science"]
-
-
-def _is_one_plane(hdu):
-    """Return whether an image has one plane, of each date and Stokes parameter."""
+    placed, one_plane = headers.celestial_axes(header) is not None, False
     with suppress(headers.ContentError):
-        return bool(plane_index(hdu.header, 0))
-    return False
+        one_plane = bool(plane_index(header, 0))
+    return science, placed, one_plane, bright, hdu.name in NAMES["science"]
 
 
 def plane_index(header, frame=None):
@@ -276,8 +271,7 @@ def padding(image, side=3, each_sign=0.1, jump=0.5):
     positive = np.mean(border > 0)
     if min(positive, 1 - positive) >= each_sign:
         return padded
-    size = np.abs(border)
-    low, middle, high = np.quantile(size, [0.1, 0.5, 0.9])
+    low, middle, high = np.quantile(np.abs(border), [0.1, 0.5, 0.9])
     brighter = np.mean(inside > high)
     return padded if low > jump * middle and brighter <= 0.5 else none
 

@@ -95,8 +95,7 @@ def axis_words(cube):
     Sun it increases to the west, which is right.  The words are "east" and "north" for
     right ascension and declination only.  Only the ``wcs`` of the ``cube`` is used.
     """
-    start = str(cube.wcs.wcs.ctype[0])[:4]
-    return tuple(AXES.get(start, AXES["other"]))
+    return tuple(AXES.get(str(cube.wcs.wcs.ctype[0])[:4], AXES["other"]))
 
 
 def ssp_offsets(ssps, cube, *, centroid=False):
@@ -482,8 +481,7 @@ def on_one_sky(every, first, frame):
         return every
     place = {"crval": (0, 0), "radesys": "ICRS", "equinox": np.nan}
     offsets = [with_frame(wcs, ("RA---", "DEC--"), **place) for wcs in every]
-    norths = [north_in(wcs, first) for wcs in every]
-    return list(map(turned, offsets, norths))
+    return list(map(turned, offsets, [north_in(wcs, first) for wcs in every]))
 
 
 def turned(wcs, angle):

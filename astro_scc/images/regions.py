@@ -128,8 +128,7 @@ def _combine(cube, items, name, places):
                 "that the images show"
             ) from None
         if places and isinstance(item, SkyRegion):
-            size = min(pixel.bounding_box.shape)
-            _refuse_rounded(item, size, cube.wcs, places, name)
+            _refuse_rounded(item, min(pixel.bounding_box.shape), cube.wcs, places, name)
         inside[include][target] |= within
     return inside[True] & ~inside[False]
 

@@ -76,7 +76,7 @@ class ImageSeries:
         refuse_empty(mask, labels)
         if not positions.is_flat(wcs, data.shape[1:]):
             wcs = flat_wcs(wcs, data, mask)
-        order = dates.order_of(times)
+        order = times.argsort()
         dates.warn_of_equal_dates(times[order])
         values = data, mask, times, labels, beams, noise, each_wcs, facts
         each = dict(zip(EACH, values, strict=True))
@@ -191,7 +191,7 @@ class ImageSeries:
                 raise ValueError(
                     f"the selection {item!r} holds none of {len(self)} epochs"
                 )
-            keep = keep[dates.order_of(self.times[keep])]
+            keep = keep[self.times[keep].argsort()]
             each = {name: getattr(self, name) for name in EACH}
             return self._changed(**picked(each, keep))
         index = epoch_index(item, len(self))

@@ -342,8 +342,7 @@ def beta_intrinsic(beta_app: ArrayLike, viewing_angle: u.Quantity) -> u.Quantity
     angle = u.Quantity(viewing_angle).to_value(u.rad)
     with np.errstate(divide="ignore", invalid="ignore"):
         beta = beta_app / (np.sin(angle) + beta_app * np.cos(angle))
-    possible = (beta >= 0) & (beta < 1)
-    return np.where(possible, beta, np.nan) * u.one
+    return np.where((beta >= 0) & (beta < 1), beta, np.nan) * u.one
 
 
 def lorentz_factor(beta: ArrayLike) -> u.Quantity:
@@ -480,5 +479,4 @@ def viewing_angle(beta_app: ArrayLike, doppler: ArrayLike) -> u.Quantity:
     <Quantity 4.6 deg>
     """
     beta_app, doppler = _in_units_of_c(beta_app), _in_units_of_c(doppler)
-    angle = np.arctan2(2 * beta_app, beta_app**2 + doppler**2 - 1)
-    return np.degrees(angle) * u.deg
+    return np.degrees(np.arctan2(2 * beta_app, beta_app**2 + doppler**2 - 1)) * u.deg

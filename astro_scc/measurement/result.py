@@ -183,7 +183,12 @@ class SCCResult(tables.VelocityMaps):
         features that move belong to the stream of the nearest speed, features that
         stand still to the stationary one.
         """
-        return feature_table(self.tracked_features, tables.stream_of_features(self))
+        found = np.zeros(len(self.tracked_features), dtype=int)
+        for number, stream in enumerate(self.search.streams, start=1):
+            # What is not tested rests on its features alone.
+            if stream.kind == "moving" or np.isnan(stream.p_global):
+                found[stream.members] = number
+        return feature_table(self.tracked_features, found)
 
     @cached_property
     def feature_positions(self) -> QTable:
@@ -245,8 +250,7 @@ class SCCResult(tables.VelocityMaps):
         for name in ("slowest", "fastest", "unambiguous"):
             meta[name] = (getattr(self.search, name) * PM_UNIT).to(unit)
         meta["lines"] = self.search.flow.grids[0].kind_of_lines
-        table = tables.stream_table(rows, meta=meta, unit=unit)
-        return name_by_frame(table, self.cube)
+        return name_by_frame(tables.stream_table(rows, meta=meta, unit=unit), self.cube)
 
     @cached_property
     def spectrum(self) -> QTable:
@@ -409,8 +413,28 @@ def velocity_hdus(result, *, text=None):
         on the axes of the velocity map, ``pm_axis1`` and ``pm_axis2``, and dates as
         text.
     """
-    hdus = map_hdus(result, text=text)
-    hdus.extend([*_diagram_hdus(result), _features_hdu(result)])
+    hdus, image = map_hdus(result, text=text), result.diagram()
+    along = result.frame.axis_names[0]
+    along = "DISPPA" if along == "east" else along
+    header = _header(image, ("between two dates", f"of patterns, along {along}"))
+    header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
+    if (angle := image.meta["position_angle"]) is not None:
+        header["DISPPA"] = angle.value, "[deg] position angle of the displacement"
+    for line in DIAGRAM:
+        header.add_comment(line)
+    hdus.append(fits.ImageHDU(image.data, header, name="DIAGRAM"))
+    columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
+    hdus.append(fits.table_to_hdu(columns, name="INTERVALS"))
+    features = result.feature_positions.copy()
+    features.meta.clear()
+    # The standard does not have DN, which solar images are in.
+    features.remove_column("flux")
+    # Readers of FITS know dates as text.
+    features["date"] = np.asarray(features["date"].isot, dtype="U23")
+    velocity, _ = members.frame_velocities(result.frame, result.tracked_features)
+    row = np.searchsorted(result.tracked_features.number, features["feature"])
+    features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
+    hdus.append(fits.table_to_hdu(features, name="FEATURES"))
     return hdus
 
 
@@ -459,34 +483,6 @@ def map_hdus(result, *, text=None):
     for line in (text or "").splitlines():
         primary.add_comment(ascii_line(line) or " ")
     return hdus
-
-
-def _features_hdu(result):
-    features = result.feature_positions.copy()
-    features.meta.clear()
-    # The standard does not have DN, which solar images are in.
-    features.remove_column("flux")
-    # Readers of FITS know dates as text.
-    features["date"] = np.asarray(features["date"].isot, dtype="U23")
-    velocity, _ = members.frame_velocities(result.frame, result.tracked_features)
-    row = np.searchsorted(result.tracked_features.number, features["feature"])
-    features["pm_axis1"], features["pm_axis2"] = velocity[row].T * PM_UNIT
-    return fits.table_to_hdu(features, name="FEATURES")
-
-
-def _diagram_hdus(result):
-    image = result.diagram()
-    along = result.frame.axis_names[0]
-    along = "DISPPA" if along == "east" else along
-    header = _header(image, ("between two dates", f"of patterns, along {along}"))
-    header["BEAM"] = image.meta["beam"].value, "[mas] FWHM along the displacement"
-    if (angle := image.meta["position_angle"]) is not None:
-        header["DISPPA"] = angle.value, "[deg] position angle of the displacement"
-    for line in DIAGRAM:
-        header.add_comment(line)
-    columns = QTable({name: image.meta[name] for name in ("interval", "n_pairs")})
-    table = fits.table_to_hdu(columns, name="INTERVALS")
-    return fits.ImageHDU(image.data, header, name="DIAGRAM"), table
 
 
 def _header(image, comments):

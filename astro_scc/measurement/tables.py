@@ -260,26 +260,14 @@ def stream_row(result, k):
         "n_features": len(stream.members), "pm_min": stream.slowest,
         "pm_max": stream.fastest,
     }  # fmt: skip
-    said = cautions_of(result, k, row)
     # ECSV reads empty text as a missing value.
-    return row | {"caution": "; ".join(said) or "-"}
-
-
-def stream_of_features(result):
-    """Return the number of the stream of each feature, 0 for none."""
-    found = np.zeros(len(result.tracked_features), dtype=int)
-    for number, stream in enumerate(result.search.streams, start=1):
-        # What is not tested rests on its features alone.
-        if stream.kind == "moving" or np.isnan(stream.p_global):
-            found[stream.members] = number
-    return found
+    return row | {"caution": "; ".join(cautions_of(result, k, row)) or "-"}
 
 
 def spectrum_table(result):
     """Return the velocity spectrum as a table, see `SCCResult.spectrum`."""
     search, test = result.search, result.search.test
-    total = search.spectrum.sum()
-    share = search.spectrum / total if total > 0 else search.spectrum
+    share = search.spectrum / (search.spectrum.sum() or 1.0)
     direction, _ = test.best
     order = np.argsort(test.speed)
     tested = test.speed[order] * search.beam

@@ -61,7 +61,7 @@ def plan_matches(
     scales : tuple of float
         Numbers of the scales.
     pairs : ``DatePairs``
-        Pairs of dates that are compared.
+        Pairs of dates that are compared, consecutive ones without a ``baseline``.
     max_speed : float
         The largest speed of a match, in mas/yr.
     reach : tuple of int
@@ -84,7 +84,12 @@ def plan_matches(
     >>> scales, len(pairs), reach
     ((1, 2, 3, 4), 9, (50, 50))
     """
-    pairs = pairs_of_dates(cube, settings.baseline)
+    years, baseline = cube.years.to_value(u.yr), settings.baseline
+    if baseline is None:
+        pairs = stack.consecutive_pairs(years)
+    else:
+        pairs = stack.baseline_pairs(years, *baseline.to_value(u.yr))
+    require_pairs(cube, baseline, len(pairs))
     scales = scale_numbers(cube, settings.scales)
     beam = flow_beam(cube)
     # Four beams in the longest interval, as in the simulated jets of the paper.
@@ -105,34 +110,6 @@ def plan_matches(
     reach = np.ceil((most + beam) / side).astype(int)[::-1]
     reach = tuple(np.minimum(reach, shape - 1).tolist())
     return scales, pairs, speed, reach
-
-
-def pairs_of_dates(cube, baseline):
-    """
-    Return the pairs of dates that are compared.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    baseline : `~astropy.units.Quantity`, shape (2,), or None
-        Shortest and longest interval; if None, consecutive epochs are paired.
-
-    Returns
-    -------
-    ``DatePairs``
-
-    Raises
-    ------
-    ValueError
-        If no two epochs make a pair.
-    """
-    years = cube.years.to_value(u.yr)
-    if baseline is None:
-        pairs = stack.consecutive_pairs(years)
-    else:
-        pairs = stack.baseline_pairs(years, *baseline.to_value(u.yr))
-    require_pairs(cube, baseline, len(pairs))
-    return pairs
 
 
 def match(
@@ -340,8 +317,16 @@ class PaperMeasurement(VelocityMaps):
         Those that move come first, then what stands still and what is not significant,
         the slowest of each first.  Velocities are on the sky and along the jet.
         """
-        given = self.frame, self.position_angle, self.meta["alpha"]
-        rows = [component_row(one, *given) for one in self.found]
+        rows = []
+        for one in self.found:
+            velocity, covariance = one["velocity"], one["covariance"]
+            # What is within three standard errors of zero is stationary.
+            still = np.hypot(*(velocity / np.sqrt(np.diag(covariance)))) <= 3
+            kind = "stationary" if still else "moving"
+            kind = kind if one["p_global"] <= self.meta["alpha"] else "not significant"
+            axes = self.frame, self.position_angle
+            row = one | velocity_columns(velocity, covariance, *axes)
+            rows.append(row | {"kind": kind, "pm_err_jitter": row["pm_err"]})
         rows.sort(key=lambda row: (KINDS.index(row["kind"]), row["pm"]))
         for number, row in enumerate(rows, start=1):
             row["stream"] = number
@@ -366,33 +351,6 @@ class PaperMeasurement(VelocityMaps):
         from astro_scc.visualization import plot_result
 
         return plot_result(self, "paper", level=self.level, **options)
-
-
-def component_row(component, frame, angle, alpha):
-    """
-    Return a component as a row of the table, in mas/yr and degrees.
-
-    Parameters
-    ----------
-    component : dict
-        Of those of `astro_scc.paper.stack_patterns`.
-    frame : frame of `astro_scc.kinematics`
-    angle : `~astropy.units.Quantity`
-        Position angle of the jet.
-    alpha : float
-        Largest ``p_global`` of what is significant.
-
-    Returns
-    -------
-    dict
-        What is within three standard errors of zero is ``stationary``.
-    """
-    velocity, covariance = component["velocity"], component["covariance"]
-    still = np.hypot(*(velocity / np.sqrt(np.diag(covariance)))) <= 3
-    kind = "stationary" if still else "moving"
-    kind = kind if component["p_global"] <= alpha else "not significant"
-    row = component | velocity_columns(velocity, covariance, frame, angle)
-    return row | {"kind": kind, "pm_err_jitter": row["pm_err"]}
 
 
 def measure_as_in_paper(

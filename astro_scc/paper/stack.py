@@ -197,8 +197,7 @@ def image_pairs(pairs: DatePairs, orders: ArrayLike) -> np.ndarray:
     >>> image_pairs(consecutive_pairs([0.0, 1.0, 2.0]), [[1, 0, 2]]).tolist()
     [[0, 1], [0, 2], [1, 0], [1, 2]]
     """
-    every = np.vstack([np.arange(pairs.n_dates), orders])
-    reference, target = pairs.images(every)
+    reference, target = pairs.images(np.vstack([np.arange(pairs.n_dates), orders]))
     number = np.unique(reference * pairs.n_dates + target)
     return np.stack(np.divmod(number, pairs.n_dates), axis=1)
 

@@ -351,7 +351,7 @@ def ssp_regions(
     (True, '0')
     """
     # It imports matplotlib.
-    from regions import Regions
+    from regions import PolygonSkyRegion, Regions
 
     if frame not in ("cube", "epoch"):
         raise ValueError(f"frame must be 'cube' or 'epoch', got {frame!r}")
@@ -361,7 +361,14 @@ def ssp_regions(
     colors = {s: COLORS[k % len(COLORS)] for k, s in enumerate(np.unique(ssps.scale))}
     found = Regions([])
     for index in _chosen(ssps, cube, epoch, scales):
-        region = _outline(ssps, index, cube, wcs)
+        y0, x0, y1, x1 = ssps.bbox[index]
+        row, column = np.divmod(ssps.pixels_of(index), cube.shape[2])
+        inside = np.zeros((y1 - y0 + 2, x1 - x0 + 2))
+        inside[row - y0 + 1, column - x0 + 1] = 1
+        contours = find_contours(inside, 0.5, fully_connected="high")
+        # The longest contour is the outer one; the others surround holes.
+        y, x = max(contours, key=len)[:-1].T
+        region = PolygonSkyRegion(wcs.pixel_to_world(x + x0 - 1, y + y0 - 1))
         region.meta["text"] = str(index)
         region.visual["color"] = colors[ssps.scale[index]]
         found.append(region)
@@ -475,20 +482,6 @@ def _chosen(ssps, cube, epoch, scales):
     if scales is not None:
         here &= np.isin(ssps.scale, list(scales))
     return np.flatnonzero(here)
-
-
-def _outline(ssps, index, cube, wcs):
-    from regions import PolygonSkyRegion
-
-    _, _, nx = cube.shape
-    y0, x0, y1, x1 = ssps.bbox[index]
-    row, column = np.divmod(ssps.pixels_of(index), nx)
-    inside = np.zeros((y1 - y0 + 2, x1 - x0 + 2))
-    inside[row - y0 + 1, column - x0 + 1] = 1
-    contours = find_contours(inside, 0.5, fully_connected="high")
-    # The longest contour is the outer one; the others surround holes.
-    y, x = max(contours, key=len)[:-1].T
-    return PolygonSkyRegion(wcs.pixel_to_world(x + x0 - 1, y + y0 - 1))
 
 
 def write_epoch_regions(

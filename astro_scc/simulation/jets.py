@@ -362,8 +362,7 @@ def centred(jet, ahead, *, margin, shape=None):
     an image of another ``shape`` has other margins.
     """
     angle = u.Quantity(jet.position_angle).to_value(u.rad)
-    direction = np.array([-np.sin(angle), np.cos(angle)])
-    tip = ahead * direction
+    tip = ahead * np.array([-np.sin(angle), np.cos(angle)])
     if shape is None:
         shape = np.round(np.abs(tip) + 2 * margin).astype(int).tolist()[::-1]
     x0, y0 = np.floor((np.array(shape[::-1]) - tip) / 2)

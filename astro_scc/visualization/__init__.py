@@ -29,8 +29,7 @@ def plot_result(result, kind, **options):
             return getattr(speeds, f"plot_{kind}")(result, **options)
         case "tracks" | "separation":
             options.setdefault("stream", result.features["stream"])
-            plot = getattr(tracks, f"plot_{kind}")
-            return plot(result.tracked_features, **options)
+            return getattr(tracks, f"plot_{kind}")(result.tracked_features, **options)
         case "speeds":
             return tracks.plot_feature_speeds(result, **options)
         case "epochs":

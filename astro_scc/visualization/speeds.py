@@ -96,8 +96,7 @@ def plot_spectrum(result, *, figure=None, unit=None, beta_per_pm=None, **look):
     speed, there = search.speed[half + 1 :] * speeds.factor, share[half + 1 :]
     main = style.look_of("line", look, color=style.BLUE, label=words[0], lw=1.2)
     upper.step(speed, there, where="mid", **main)
-    color = main["color"]
-    upper.fill_between(speed, there, step="mid", color=color, alpha=0.2, lw=0)
+    upper.fill_between(speed, there, step="mid", color=main["color"], alpha=0.2, lw=0)
     back = share[:half][::-1]
     upper.step(speed, back, where="mid", color=style.GREY, lw=0.8, label=words[1])
     top = max(there.max(), back.max()) or 1.0
@@ -465,8 +464,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
     """
     if len(table) == 0:
         raise ValueError("the table has no rows: nothing moves significantly")
-    height = 0.8 + 0.36 * len(table)
-    figure, ax = style.figure_and_axes(ax, (style.WIDTH, height))
+    figure, ax = style.figure_and_axes(ax, (style.WIDTH, 0.8 + 0.36 * len(table)))
     unit = table["pm"].unit
     speed, error = (table[name].to_value(unit) for name in ("pm", "pm_err"))
     ends = speed[0] - error[0], speed[0] + error[0]
