@@ -48,8 +48,7 @@ def test_scales_of_two_streams_are_compared_stream_by_stream(two):
     whole = compare_scales(two)
     scc = StackedCrossCorrelation(position_angle=270 * u.deg)
     groups = {"scale_groups": "1; 2", "n_trials": 119, "rng": 1}
-    edges = [2, 10, 18] * u.mas
-    bins = compare_scales(measure_profile(scc, two.decomposed, edges, **groups))
+    bins = compare_scales(measure_profile(scc, two.decomposed, "2 10 18 mas", **groups))
     for found in (whole, bins):
         known = found[np.isfinite(found["p_value"])]
         slow = known["stream"] == 1
@@ -199,22 +198,19 @@ def test_a_stream_of_both_sides_has_the_direction_of_one():
     ("behind", "way"), [(0, "away from the core"), (4, "towards PA 180 deg")]
 )
 def test_what_outward_leaves_out_is_said(behind, way):
-    if behind:
-        epochs = behind_another(behind)
-    else:
-        # In reverse, towards the core.
-        epochs = knots((0,))
-        epochs = replace(epochs, data=epochs.data[::-1])
+    cube = knots((0,))
+    # In reverse, towards the core.
+    epochs = behind_another(4) if behind else replace(cube, data=cube.data[::-1])
     row = measured(epochs, position_angle="fit", outward=True).streams[0]
     assert row["kind"] == "not significant"
     assert f"'outward' searches only motion {way}" in row["caution"]
 
 
-@pytest.mark.parametrize(("behind", "angle"), [(2.2, 180), (4, None), (4, "radial")])
+@pytest.mark.parametrize(
+    ("behind", "angle"), [(2.2, "180 deg"), (4, None), (4, "radial")]
+)
 def test_a_bright_knot_at_the_reference_position_is_no_core(behind, angle):
-    angle = 180 * u.deg if angle == 180 else angle
-    found = measured(behind_another(behind), position_angle=angle)
-    row = found.streams[0]
+    row = measured(behind_another(behind), position_angle=angle).streams[0]
     assert row["kind"] == "moving"
     assert row["pm"].value == pytest.approx(1.0, abs=0.02)
     words = "emission lies upstream of the reference position, to .* at PA 180 deg, and"
