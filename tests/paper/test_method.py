@@ -34,7 +34,7 @@ def region(cube):
 
 @pytest.fixture(scope="module")
 def found(cube, region):
-    return measure_as_in_paper(cube, settings(), region=region, n_trials=200, rng=1)
+    return measure_as_in_paper(cube, settings(), region=region, n_trials=99, rng=1)
 
 
 def test_both_streams_are_significant(cube, found):
@@ -65,7 +65,7 @@ def test_both_streams_are_significant(cube, found):
 
 
 def test_axes_of_the_sky_and_workers_give_the_same(cube, region, found):
-    how = {"region": region, "n_trials": 200, "rng": 1, "n_workers": 2}
+    how = {"region": region, "n_trials": 99, "rng": 1, "n_workers": 2}
     sky = measure_as_in_paper(cube, settings(position_angle="any"), **how)
     assert sky.frame.axis_names == ("east", "north")
     for name in ("pm_ra_cosdec", "pm_dec", "z_score", "coefficient"):
