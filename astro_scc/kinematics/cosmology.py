@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from functools import cache
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -44,9 +45,15 @@ def paper_cosmology() -> FlatLambdaCDM:
     >>> paper_cosmology().H0
     <Quantity 71. km / (Mpc s)>
     """
-    from astropy.cosmology import FlatLambdaCDM
+    return _cosmology("FlatLambdaCDM", H0=71, Om0=0.27)
 
-    return FlatLambdaCDM(H0=71, Om0=0.27)
+
+@cache
+def _cosmology(kind, **parameters):
+    """Return a cosmology, which takes astropy some 20 ms to make."""
+    from astropy import cosmology
+
+    return getattr(cosmology, kind)(**parameters)
 
 
 def to_cosmology(value=None):
@@ -75,7 +82,7 @@ def to_cosmology(value=None):
         kinds = {"H0 Om0": "FlatLambdaCDM", "H0 Ode0 Om0": "LambdaCDM"}
         kind = kinds.get(" ".join(sorted(match[1] for match in matches)))
         if kind and values["H0"] > 0 and np.all(np.isfinite([*values.values()])):
-            return getattr(cosmology, kind)(**values)
+            return _cosmology(kind, **values)
     raise ValueError(
         "is no cosmology; give H0=71,Om0=0.27 (and Ode0 unless it is flat) or one of "
         f"{', '.join(sorted(cosmology.available))}"

@@ -95,10 +95,8 @@ def test_the_method_of_the_paper(measured, jet, done, here, no_figures):
     out, _ = done(*words, "-o", "out", "--seed", 1, "--redshift", 0.1)
     assert out.startswith("Paper's method: ")
     table = QTable.read(here / "out" / "streams.ecsv")
-    scc = StackedCrossCorrelation(
-        scales=[2], max_speed=30 * u.mas / u.yr, position_angle=270 * u.deg,
-        method="paper",
-    )  # fmt: skip
+    how = {"scales": [2], "max_speed": "30 mas/yr", "position_angle": "270 deg"}
+    scc = StackedCrossCorrelation(**how, method="paper")
     own = scc(EpochCube.read(jet).align("none"), n_trials=99, rng=1)
     for name in own.streams.colnames:
         np.testing.assert_array_equal(table[name], own.streams[name], err_msg=name)
@@ -214,14 +212,12 @@ def test_why_it_is_a_feature(done, refused, jet, here):
     again, _ = done("explain", "out", "--at", offset, "--date", "2030-01-01")
     assert " yr from it, more than half the median interval.\n" in again
     # A table of published features.
-    published = QTable(
-        {
-            "epoch": positions["date"].isot, "feature": positions["feature"],
-            "east": positions["ra_offset"], "north": positions["dec_offset"],
-            "flux": np.ones(len(positions)) * u.Jy,
-        }
-    )  # fmt: skip
-    published.write("p.ecsv", format="ascii.ecsv")
+    published = {
+        "epoch": positions["date"].isot, "feature": positions["feature"],
+        "east": positions["ra_offset"], "north": positions["dec_offset"],
+        "flux": np.ones(len(positions)) * u.Jy,
+    }  # fmt: skip
+    QTable(published).write("p.ecsv", format="ascii.ecsv")
     name = "--compare", "p.ecsv", "--published"
     again, _ = done("explain", "out", *name, row["feature"])
     assert again.splitlines()[-1] == out.splitlines()[-1]

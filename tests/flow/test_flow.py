@@ -216,10 +216,7 @@ def test_cells_of_distance_and_offset(result):
     assert_allclose(wcs.wcs_pix2world([[1, 0]], 0), [[5.2, 0.0]])
 
 
-@settings(max_examples=1, deadline=None)
-@given(st.floats(0, 360))
-@example(0.0)
-@example(180.0)
+@pytest.mark.parametrize("turn", [0.0, 180.0])
 def test_cells_of_radial_flows_turn_with_the_jet(turn):
     how = {"n_epochs": 10, "length": 8, "shape": (200, 200), "rng": 1}
     cube = simulate_jet(position_angle=turn * u.deg, **how).cube

@@ -96,7 +96,7 @@ def test_a_reader_selects_and_looks(path, page, result):
 
 
 def test_large_images_are_binned_and_there_may_be_no_features(bare, monkeypatch):
-    monkeypatch.setattr(explore, "PIXELS", 10_000)
+    monkeypatch.setattr(explore, "PIXELS", 2_500)
     page = explore.Page(*parts(bare), bare.cube)
     roots = [root.name for root in page.document().roots]
     assert roots == ["choose", "velocity", "sky", "diagram", "time", "table"]
