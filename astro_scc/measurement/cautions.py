@@ -11,7 +11,6 @@ from astropy.stats import circmean, circstd
 
 from astro_scc.columns import with_errors
 from astro_scc.epochs.registration import farthest_upstream
-from astro_scc.features.finder import doubts_in_words
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
 from astro_scc.images.dates import date_labels
@@ -55,7 +54,6 @@ def cautions_of(result, k, row):
     if stream.kind == "moving":
         said += _of_both_sides(result, stream)
         said += _cautions(search, stream, row, alpha, unit)
-        said += doubts_in_words(search.features.doubts)
         if k == _main(search):
             said.append(result.sensitivity_line)
     return [text for text in said if text]
