@@ -294,7 +294,7 @@ def _unlike(features):
 def _without_passed(search, rows):
     """Return a search without the secure features that the slowest stream passes."""
     slowest, error = min((abs(row[0]), row[1]) for row in rows)
-    passed = passed_by(search.features, slowest, error, search.beam)
+    passed = passed_by(search.features, search.flow, slowest, error)
     return replace(search, features=_doubted(search.features, passed, PASSED))
 
 

@@ -65,19 +65,22 @@ def moving_features(features, frame, angle, inside=None, walk=None, *, folded=Fa
     return np.rec.fromarrays([column[use] for column in columns], dtype=MOVING)
 
 
-def passed_by(features, speed, error, beam):
+def passed_by(features, flow, speed, error):
     """
     Return the numbers of secure features that a flow passes between their images.
 
     Other emission may be in their places.  The speed of the flow and its error are in
-    mas/yr, the beam is in mas.
+    mas/yr, as those of features on the axes of its frame.
     """
     d, passed = features.detections, []
+    velocities, covariances = frame_velocities(flow.frame, features)
     for k in np.flatnonzero(features.secure):
-        motion, dates = features.motions[k], d.years[d.epoch[features.tracks[k]]]
-        slower = speed - motion.speed
-        sure = slower >= AS_WELL * np.hypot(error, motion.speed_err)
-        if sure and slower * median_interval(dates) >= PASSING * beam:
+        length = np.hypot(*velocities[k])
+        way = velocities[k] / length
+        scatter = np.sqrt(way @ covariances[k] @ way + error**2)
+        interval = median_interval(d.years[d.epoch[features.tracks[k]]])
+        least = max(AS_WELL * scatter, PASSING * flow.beam / interval)
+        if speed - length >= least:
             passed.append(features.number[k])
     return passed
 
