@@ -32,6 +32,7 @@ from astro_scc.streams.members import (
     DIFFERENT,
     FEWEST,
     LEAST_SIDE,
+    MOST_PASSED,
     PASSED,
     chance_of_separation,
     divided,
@@ -402,9 +403,10 @@ def _stream(search, row, members, sheet, shift, *, covered):
         )
         features = mean, mean_err
         # Where a flow moves by more than a beam between images, slow features are
-        # often parts of several.
+        # often parts of several, unless they are many.
+        few = members.weight.sum() <= MOST_PASSED * len(search.features.detections)
         lost = abs(speed) - mean > np.hypot(error, mean_err)
-        covered &= not (lost and abs(speed) > search.unambiguous)
+        covered &= not (few and lost and abs(speed) > search.unambiguous)
         lengths = np.hypot(members.along, members.across)
         slowest, fastest = lengths.min(), lengths.max()
         if covered or not np.isfinite(error):
