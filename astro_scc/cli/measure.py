@@ -28,7 +28,7 @@ from astro_scc.quantities import finite_quantities, named, to_time
 from astro_scc.report import answer, write_report
 from astro_scc.report.page import PRODUCTS, flow_lines
 from astro_scc.settings import Settings, read_config, refuse_other_method
-from astro_scc.streams.finder import BEYOND_CHANCE
+from astro_scc.streams.members import BEYOND_CHANCE
 from astro_scc.units import in_speed_unit
 from astro_scc.visualization import FIGURES, style, tracks
 from astro_scc.writing import versions

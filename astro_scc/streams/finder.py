@@ -29,30 +29,27 @@ from astro_scc.streams.decomposed import (
 )
 from astro_scc.streams.members import (
     AS_WELL,
-    DIFFERENT,
     FEWEST,
     LEAST_SIDE,
     MOST_PASSED,
-    PASSED,
     chance_of_separation,
     divided,
     frame_velocities,
     mean_across,
     mean_speed,
     moving_with,
-    passed_by,
+    speaks_for,
     turn_to_flow,
     unknown_scatter,
+    without_passed,
+    without_unlike,
 )
 
 #: With secure features that move, this p_global is enough, where images of
 #: neighbouring dates share such a part of their variance: nine of ten scrambled movies
 #: of ``benchmarks/resolved.py`` (seeds 33000 to 33089), in which features are found by
-#: chance, share less, and survey sources that need this p_global 0.22 to 0.77.  Where
-#: they share less and p_global is above alpha, no feature is secure unless secure ones
-#: make up such a share of all detections: this tells those of ``simulate_ballistic``
-#: (seeds 20 to 55) from those of scrambled jets (seeds 6200 to 6409) in 86 of 90.
-WITH_FEATURES, ALIKE, BEYOND_CHANCE = 0.1, 0.2, 0.15
+#: chance, share less, and survey sources that need this p_global 0.22 to 0.77.
+WITH_FEATURES, ALIKE = 0.1, 0.2
 #: Error of the speed of a spectrum beyond that of its patterns, relative to it, where
 #: its Gaussian has at least the other one.
 MODEL_ERROR, WELL_KNOWN = 0.25, 0.1
@@ -79,8 +76,6 @@ UNLIKE = (
 #: ``benchmarks/calibration`` (seeds 6000 on) 10 of 14 second streams had fewer, single
 #: features, and none of 29 of ``two-fluid-sparse-region``.
 BY_CHANCE, BROAD, LEAST_GAIN, CLUSTERS = 0.05, 6.0, 0.03, 2.5
-#: Features speak for a flow if they are this share of all detections.
-COVERAGE = 0.1
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
 #: Standing features do not stand still if their mean is so many errors from zero, of
@@ -254,9 +249,9 @@ def find_streams(
     (sheet, aside), sign = sheet_of(flow, 3), np.sign(test.clearest)
     alike, significant = is_alike(test, flow.years), test.p_global <= alpha
     if whole and not alike and not significant:
-        features = _unlike(features)
+        features = without_unlike(features)
     moving, opposed, diffusing = moving_with(flow, features, inside, sign)
-    enough = WITH_FEATURES if alike and _covered(moving, features) else alpha
+    enough = WITH_FEATURES if alike and speaks_for(moving, features) else alpha
     passes, p = test.p_global <= enough, 1.0
     part = fit_along_lines(
         flow, straight=not passes, sign=sign, diagram=sheet[len(sheet) // 2]
@@ -273,7 +268,7 @@ def find_streams(
     )  # fmt: skip
     rows = _of_spectrum(search, equations, whole)
     if whole and significant and part.fit is not None:
-        search = _without_passed(search, rows)
+        search = replace(search, features=without_passed(features, flow, rows))
         moving, opposed, diffusing = moving_with(flow, search.features, inside, sign)
     streams = _streams(search, rows, moving, (sheet, aside), shift, p_distinct=p)
     if passes:
@@ -283,35 +278,6 @@ def find_streams(
     streams += _standing(search.features, flow, streams, inside, shift)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
-
-
-def _unlike(features):
-    """Return features of images that are unlike, none secure if that may be chance."""
-    if features.coverage >= BEYOND_CHANCE:
-        return features
-    return _doubted(features, features.number[features.secure], DIFFERENT)
-
-
-def _without_passed(search, rows):
-    """Return a search without the secure features that the slowest stream passes."""
-    slowest, error = min((abs(row[0]), row[1]) for row in rows)
-    passed = passed_by(search.features, search.flow, slowest, error)
-    return replace(search, features=_doubted(search.features, passed, PASSED))
-
-
-def _doubted(features, numbers, reason):
-    """Return features with a reason why some are not secure, if any are named."""
-    more = {reason: [int(number) for number in numbers]}
-    if not more[reason]:
-        # What is not changed keeps what it has computed.
-        return features
-    return replace(features, doubts=features.doubts | more)
-
-
-def _covered(moving, features):
-    """Return whether features that move are enough to speak for a flow."""
-    least = COVERAGE * len(features.detections)
-    return len(moving) > 0 and moving.weight.sum() >= least
 
 
 def _with_errors(part):
@@ -375,7 +341,7 @@ def _streams(search, rows, moving, sheet, shift, *, p_distinct):
     """Return the streams that move, or the strongest speed, none of them judged yet."""
     groups = [moving] if len(rows) == 1 else divided(moving, [abs(r[0]) for r in rows])
     # Of two streams the spectrum knows which is which.
-    covered = len(rows) == 1 and _covered(moving, search.features)
+    covered = len(rows) == 1 and speaks_for(moving, search.features)
     found = [
         _stream(search, row, members, sheet, shift, covered=covered)
         for row, members in zip(rows, groups, strict=True)
