@@ -10,9 +10,11 @@ from pathlib import Path
 # when they are loaded.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
-# What is imported and collected stays to the end: that the collector of garbage looks
-# through it again and again takes a twentieth of the time.
+# What is imported and collected stays to the end, and tests leave little in circles:
+# that the collector of garbage looks through all again and again takes a twentieth of
+# the time.
 gc.disable()
+gc.set_threshold(50_000)
 
 import pytest
 from pytest_astropy_header.display import PYTEST_HEADER_MODULES, TESTED_VERSIONS

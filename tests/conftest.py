@@ -41,7 +41,7 @@ def jet_cube():
     """Eight epochs of a core and of features that move 0.6 beam an epoch west."""
     flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
     jet = JetSimulation(
-        [flow], n_epochs=8, core=1.0, shape=(96, 180), extent=(20.0, 140.0), axis=48.0
+        [flow], n_epochs=8, core=3.0, shape=(96, 180), extent=(20.0, 140.0), axis=48.0
     )
     return jet.run(rng=2).cube
 

@@ -129,7 +129,7 @@ context, n = sys.argv[1], int(sys.argv[2])
 
 def work(_):
     time.sleep(0.01)
-    return bytes(3_000_000)
+    return bytes(1_000_000)
 
 def kill(after):
     time.sleep(after)

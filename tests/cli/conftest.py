@@ -13,10 +13,10 @@ QUICK = ["--scales", "2", "--max-speed", "30 mas/yr", "--n-trials", "99"]
 
 
 def small_jet(n_epochs=6):
-    """Features that move 0.6 beam an epoch, on small images."""
+    """Features that move 0.6 beam an epoch, and a core that shows the alignment."""
     flow = Stream("flow", dx=6.0, sigma=3.0, density=0.6, jitter=0.5)
     small = {"shape": (64, 128), "extent": (20.0, 100.0), "axis": 32.0}
-    return JetSimulation([flow], n_epochs=n_epochs, core=1.0, **small).run(rng=2)
+    return JetSimulation([flow], n_epochs=n_epochs, core=3.0, **small).run(rng=2)
 
 
 @pytest.fixture(scope="session")

@@ -199,7 +199,7 @@ def test_features_by_chance(done):
 
 
 def test_why_it_is_a_feature(done, refused, jet, here):
-    done("track", *jet, "-o", "out", "--seed", "1", "--no-figures")
+    done("track", *jet[:4], "-o", "out", "--seed", "1", "--no-figures")
     features, positions = tables_of(here / "out")
     row = features[features["secure"]][0]
     out, _ = done("explain", "out", "--feature", row["feature"])

@@ -165,7 +165,7 @@ def test_p_global_is_uniform_where_epochs_are_unrelated():
         pairs = consecutive_pairs(np.cumsum(rng.uniform(0.5, 1.0, n)))
         most = 5000 if seed % 2 else 10
         orders = draw_orders(pairs, 19, rng, most_pairs=most)
-        given = {"fwhm": 1.0, "max_speed": 4.0, "rng": rng}
+        given = {"fwhm": 1.0, "max_speed": 3.0, "rng": rng}
         velocities, trial_z, components = stack_patterns(d, pairs, orders, **given)
         highest = velocities.z_score.max() * (1 - 1e-6)
         p.append((1 + np.sum(trial_z >= highest)) / 20)
