@@ -83,6 +83,13 @@ UNLIKE = (
 BY_CHANCE, BROAD, LEAST_GAIN, CLUSTERS = 0.05, 6.0, 0.03, 2.5
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
+#: A stream of no feature is not confirmed where more than such a share of all
+#: detections are of standing features: periodic fluxes look like motion.  In the
+#: survey's sources whose speed is right, it is at most 0.46.
+MOSTLY = 0.5
+STANDING_STILL = (
+    "stand still, and no feature moves: fluxes that vary in turn look like motion"
+)
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
@@ -281,6 +288,7 @@ def find_streams(
         streams = [_on_its_side(s, search, moving) for s in streams]
         streams = [_judged(s, search, opposed, **doubts) for s in streams]
     streams += _standing(search.features, flow, streams, inside, shift)
+    streams = _beside_standing(streams, search.features)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
 
@@ -608,3 +616,18 @@ def _standing(features, flow, streams, inside, shift):
             members=members, slowest=speeds.min(), fastest=speeds.max(),
         )
     ]  # fmt: skip
+
+
+def _beside_standing(streams, features):
+    """Return streams, none without features moving if most of what is seen stands."""
+    weight, number = features.n_epochs, max(len(features.detections), 1)
+    share = sum(weight[s.members].sum() for s in streams if s.kind == "stationary")
+    if share <= MOSTLY * number:
+        return streams
+    doubt = f"{share / number:.0%} of detections {STANDING_STILL}"
+    return [
+        replace(stream, kind="not confirmed", reason=doubt)
+        if stream.kind == "moving" and not len(stream.members)
+        else stream
+        for stream in streams
+    ]
