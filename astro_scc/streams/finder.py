@@ -4,14 +4,14 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs.align import alignment_errors
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.intervals import median_interval
 from astro_scc.settings import MeasurementSettings
 from astro_scc.spectrum.diagram import Diagram
-from astro_scc.spectrum.equations import RATIO, deconvolve
+from astro_scc.spectrum.equations import RATIO, deconvolve, harmonic_mean
 from astro_scc.spectrum.gaussians import (
     GAIN,
     StreamFit,
@@ -501,65 +501,15 @@ def verdict(speed, error, *, doubtful, unlike):
 
 
 def _harmonic(search, equations):
-    """
-    Return the mean speed of the spectrum of one stream and its error, in mas/yr.
-
-    What is the same at v and -v is noise, and so is what is far from the speed at which
-    motion is clearest.  The mean is harmonic, as a fast pattern covers more of the way
-    in a time.
-    """
-    sign, spectrum = search.sign, search.spectrum
-    clearest = abs(search.test.clearest)
-    half = len(spectrum) // 2
-    forward = equations.speed[half + 1 :]
-    share = sign * (spectrum[half + 1 :] - spectrum[:half][::-1])
-    used = (forward > clearest / AROUND) & (forward < AROUND * clearest)
-    share = np.where(used, np.maximum(share, 0), 0)
-    if not share.sum() > 0:
-        speed = search.fit.mean[0] * search.beam
+    """Return the mean speed of the spectrum of one stream and its error, in mas/yr."""
+    clearest, fit = search.test.clearest, search.fit
+    mean, width = harmonic_mean(equations.speed, search.spectrum, clearest, AROUND)
+    if np.isnan(mean):
+        speed = fit.mean[0] * search.beam
         return speed, MODEL_ERROR * abs(speed)
-    share = share / share.sum()
-    mean = 1 / (share @ (1 / forward))
-    width = mean**2 * np.sqrt(share @ (1 / forward - 1 / mean) ** 2)
-    number = max(search.fit.number[0], 1)
+    number = max(fit.number[0], 1)
     error = np.hypot(width / np.sqrt(number), MODEL_ERROR * mean)
-    return sign * mean * search.beam, error * search.beam
-
-
-def alignment_errors(cube, error=None):
-    """
-    Return the standard error of the alignment of each epoch on both axes.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    error : `~astropy.units.Quantity`, optional
-        One error for all epochs, or one per epoch.  The default is the error
-        of each epoch's last alignment, or zero without it.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs, 2)
-        In mas.
-
-    Raises
-    ------
-    ValueError
-        If ``error`` has neither one element nor one per epoch.
-    """
-    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
-    if error is None:
-        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        records = [last.get(label, {}) for label in cube.labels]
-        left = [[record.get(name) or 0.0 for name in names] for record in records]
-        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
-    else:
-        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
-        if each.shape not in ((1,), (n,)):
-            raise ValueError(
-                f"alignment_error must be 1 or {n} angles, got {each.size}"
-            )
-    return np.broadcast_to(each[:, None], (n, 2))
+    return search.sign * mean * search.beam, error * search.beam
 
 
 def _of_alignment(flow, errors):
