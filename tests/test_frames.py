@@ -34,7 +34,8 @@ def test_each_frame_has_all_figures_files_and_questions(frame, decomposed, tmp_p
             plt.close("all")
     write_products(result, result.streams, tmp_path)
     write_report(result, tmp_path)
-    measure_acceleration(result)
+    found = measure_acceleration(result)
+    assert ("radial flow" in str(found)) == (frame == "radial")
     profile = measure_profile(scc, decomposed, [2, 5, 9] * u.mas, n_trials=99, rng=1)
     assert profile.bins[0].to_value(u.mas).tolist() == [2, 5]
     if frame != "sky":

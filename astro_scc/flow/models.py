@@ -11,6 +11,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from astro_scc.flow.speeds import place_of, speeds_in_parts
+from astro_scc.kinematics import RadialFrame
 from astro_scc.measurement import SCCResult
 from astro_scc.quantities import with_error
 from astro_scc.streams.decomposed import fit_part, weight_of
@@ -253,12 +254,16 @@ class FlowAcceleration:
     gradient, gradient_err : `~astropy.units.Quantity`
         Change of the speed with distance, in 1/yr.
     acceleration, acceleration_err : `~astropy.units.Quantity`
-        Acceleration of the matter, the gradient times the speed, in mas/yr^2.
+        Acceleration of the matter in a steady flow, the gradient times the speed, in
+        mas/yr^2.
     p_value : float
         Probability of as large an acceleration of either sign if there is none, by
         Student's distribution, as the parts scatter about a line.
     n_parts : int
         Parts whose speed is known.  With fewer than three the other numbers are NaN.
+    radial : bool
+        Whether it flows to all sides of a point.  Then none of these is measured:
+        matter of one explosion is faster farther out without an acceleration.
     """
 
     speed: u.Quantity
@@ -269,8 +274,14 @@ class FlowAcceleration:
     acceleration_err: u.Quantity
     p_value: float
     n_parts: int
+    radial: bool = False
 
     def __str__(self):
+        if self.radial:
+            return (
+                "acceleration: not measured in a radial flow, whose speeds grow with "
+                "distance without one if all started at one time (measure_expansion)"
+            )
         if np.isnan(self.p_value):
             return (
                 "acceleration: unknown, as speeds are needed in three parts of the "
@@ -287,7 +298,7 @@ class FlowAcceleration:
         )
 
 
-def acceleration_of(parts, beam, unit=PM_UNIT):
+def acceleration_of(parts, flow, unit=PM_UNIT):
     """
     Return the acceleration from speeds in parts of a flow.
 
@@ -295,8 +306,7 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
     ----------
     parts : tuple of `~numpy.ndarray`
         See `speeds_in_parts`.
-    beam : float
-        In mas.
+    flow : ``DecomposedFlow``
     unit : `~astropy.units.Unit`, optional
         Of speeds.
 
@@ -304,7 +314,9 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
     -------
     `FlowAcceleration`
     """
-    centre, speed, slope, error, number = slope_of(*parts)
+    beam, radial = flow.beam, isinstance(flow.frame, RadialFrame)
+    known = [part[: 0 if radial else None] for part in parts]
+    centre, speed, slope, error, number = slope_of(*known)
     length, time = unit.bases
     speed = (speed * beam * PM_UNIT).to(unit)
     gradients = [u.Quantity(x, 1 / u.yr).to(1 / time) for x in (slope, error)]
@@ -312,7 +324,7 @@ def acceleration_of(parts, beam, unit=PM_UNIT):
         speed, centre * beam * u.mas, *gradients,
         *((gradient * speed).to(length / time**2) for gradient in gradients),
         p_value=2 * float(scipy.special.stdtr(number - 2, -abs(slope / error))),
-        n_parts=number,
+        n_parts=number, radial=radial,
     )  # fmt: skip
 
 
@@ -378,7 +390,7 @@ def accelerations(result, rows):
     for row, moves in zip(rows, moving, strict=True):
         of_row = slice(None if moves else 0)
         speeds = speeds_in_parts(fits[of_row], places[of_row], stream=row)
-        found.append(acceleration_of(speeds, flow.beam, result.cube.speed_unit))
+        found.append(acceleration_of(speeds, flow, result.cube.speed_unit))
     return found
 
 

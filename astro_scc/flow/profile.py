@@ -155,7 +155,7 @@ class Profile(Components):
         """The acceleration by the name of the group of scales."""
         unit = self.flow.cube.speed_unit
         return {
-            name: acceleration_of(speeds, self.flow.beam, unit)
+            name: acceleration_of(speeds, self.flow, unit)
             for name, speeds in self.speeds.items()
         }
 

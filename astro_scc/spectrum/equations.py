@@ -260,3 +260,37 @@ def deconvolve(equations, ridge=1e-4):
         return np.zeros(len(equations.speed))
     found = _least_squares(equations.gram, equations.right, ridge * scale)
     return found[: len(equations.speed)]
+
+
+def harmonic_mean(speed, spectrum, clearest, factor):
+    """
+    Return the mean speed of the spectrum of one stream, and its width.
+
+    What is the same at v and -v is noise, and so is what is far from the speed at which
+    motion is clearest.  The mean is harmonic, as a fast pattern covers more of the way
+    in a time.
+
+    Parameters
+    ----------
+    speed, spectrum : `~numpy.ndarray`, shape (n_v,)
+        Speeds of both signs, with the same numbers, and the share of each.
+    clearest : float
+        Speed at which motion is clearest; its sign is that of the stream.
+    factor : float
+        How far from it the spectrum counts.
+
+    Returns
+    -------
+    mean, width : float
+        Positive, or NaN if nothing is left.
+    """
+    half, clear = len(spectrum) // 2, abs(clearest)
+    forward = speed[half + 1 :]
+    share = np.sign(clearest) * (spectrum[half + 1 :] - spectrum[:half][::-1])
+    used = (forward > clear / factor) & (forward < factor * clear)
+    share = np.where(used, np.maximum(share, 0), 0)
+    if not share.sum() > 0:
+        return np.nan, np.nan
+    share = share / share.sum()
+    mean = 1 / (share @ (1 / forward))
+    return mean, mean**2 * np.sqrt(share @ (1 / forward - 1 / mean) ** 2)

@@ -4,14 +4,14 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs.align import alignment_errors
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.intervals import median_interval
 from astro_scc.settings import MeasurementSettings
 from astro_scc.spectrum.diagram import Diagram
-from astro_scc.spectrum.equations import RATIO, deconvolve
+from astro_scc.spectrum.equations import RATIO, deconvolve, harmonic_mean
 from astro_scc.spectrum.gaussians import (
     GAIN,
     StreamFit,
@@ -83,6 +83,13 @@ UNLIKE = (
 BY_CHANCE, BROAD, LEAST_GAIN, CLUSTERS = 0.05, 6.0, 0.03, 2.5
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
+#: A stream of no feature is not confirmed where more than such a share of all
+#: detections are of standing features: periodic fluxes look like motion.  In the
+#: survey's sources whose speed is right, it is at most 0.46.
+MOSTLY = 0.5
+STANDING_STILL = (
+    "stand still, and no feature moves: fluxes that vary in turn look like motion"
+)
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
@@ -281,6 +288,7 @@ def find_streams(
         streams = [_on_its_side(s, search, moving) for s in streams]
         streams = [_judged(s, search, opposed, **doubts) for s in streams]
     streams += _standing(search.features, flow, streams, inside, shift)
+    streams = _beside_standing(streams, search.features)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
 
@@ -493,65 +501,15 @@ def verdict(speed, error, *, doubtful, unlike):
 
 
 def _harmonic(search, equations):
-    """
-    Return the mean speed of the spectrum of one stream and its error, in mas/yr.
-
-    What is the same at v and -v is noise, and so is what is far from the speed at which
-    motion is clearest.  The mean is harmonic, as a fast pattern covers more of the way
-    in a time.
-    """
-    sign, spectrum = search.sign, search.spectrum
-    clearest = abs(search.test.clearest)
-    half = len(spectrum) // 2
-    forward = equations.speed[half + 1 :]
-    share = sign * (spectrum[half + 1 :] - spectrum[:half][::-1])
-    used = (forward > clearest / AROUND) & (forward < AROUND * clearest)
-    share = np.where(used, np.maximum(share, 0), 0)
-    if not share.sum() > 0:
-        speed = search.fit.mean[0] * search.beam
+    """Return the mean speed of the spectrum of one stream and its error, in mas/yr."""
+    clearest, fit = search.test.clearest, search.fit
+    mean, width = harmonic_mean(equations.speed, search.spectrum, clearest, AROUND)
+    if np.isnan(mean):
+        speed = fit.mean[0] * search.beam
         return speed, MODEL_ERROR * abs(speed)
-    share = share / share.sum()
-    mean = 1 / (share @ (1 / forward))
-    width = mean**2 * np.sqrt(share @ (1 / forward - 1 / mean) ** 2)
-    number = max(search.fit.number[0], 1)
+    number = max(fit.number[0], 1)
     error = np.hypot(width / np.sqrt(number), MODEL_ERROR * mean)
-    return sign * mean * search.beam, error * search.beam
-
-
-def alignment_errors(cube, error=None):
-    """
-    Return the standard error of the alignment of each epoch on both axes.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    error : `~astropy.units.Quantity`, optional
-        One error for all epochs, or one per epoch.  The default is the error
-        of each epoch's last alignment, or zero without it.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs, 2)
-        In mas.
-
-    Raises
-    ------
-    ValueError
-        If ``error`` has neither one element nor one per epoch.
-    """
-    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
-    if error is None:
-        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        records = [last.get(label, {}) for label in cube.labels]
-        left = [[record.get(name) or 0.0 for name in names] for record in records]
-        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
-    else:
-        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
-        if each.shape not in ((1,), (n,)):
-            raise ValueError(
-                f"alignment_error must be 1 or {n} angles, got {each.size}"
-            )
-    return np.broadcast_to(each[:, None], (n, 2))
+    return search.sign * mean * search.beam, error * search.beam
 
 
 def _of_alignment(flow, errors):
@@ -608,3 +566,18 @@ def _standing(features, flow, streams, inside, shift):
             members=members, slowest=speeds.min(), fastest=speeds.max(),
         )
     ]  # fmt: skip
+
+
+def _beside_standing(streams, features):
+    """Return streams, none without features moving if most of what is seen stands."""
+    weight, number = features.n_epochs, max(len(features.detections), 1)
+    share = sum(weight[s.members].sum() for s in streams if s.kind == "stationary")
+    if share <= MOSTLY * number:
+        return streams
+    doubt = f"{share / number:.0%} of detections {STANDING_STILL}"
+    return [
+        replace(stream, kind="not confirmed", reason=doubt)
+        if stream.kind == "moving" and not len(stream.members)
+        else stream
+        for stream in streams
+    ]

@@ -18,7 +18,7 @@ from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
 from astro_scc.report.answer import headline, scale_lines, trust_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
-from astro_scc.streams.finder import _judged, _standing
+from astro_scc.streams.finder import _beside_standing, _judged, _standing
 from astro_scc.streams.members import mean_speed, separation
 
 
@@ -79,8 +79,12 @@ def test_a_static_jet_does_not_move(seed):
     assert kinds[0] == "not significant"
     assert "were searched" in found.streams["caution"][0]
     assert not len(found.sensitivity)
-    # What is too slow in each feature is seen in their mean.
     features, search = found.tracked_features, found.search
+    alone = replace(search.streams[0], kind="moving", members=np.zeros(0, int))
+    doubted, _ = _beside_standing([alone, search.streams[-1]], features)
+    assert doubted.kind == "not confirmed"
+    assert "stand still" in doubted.reason
+    # What is too slow in each feature is seen in their mean.
     errors = [m.speed_err for m in features.motions]
     moved = [
         replace(m, velocity=np.array([2.4 * m.speed_err, 0.0]))
