@@ -72,8 +72,9 @@ REST_ERRORS, DOUBTFUL_ERRORS, ALONE = 1.0, 3.0, 0.2
 #: of their variance has no memory, and less than such a share moves.
 WHITE, LEAST_MOVING = 0.7, 0.15
 UNLIKE = (
-    "the images of neighbouring dates have little in common, so that patterns may be "
-    "mistaken for one another: shorter intervals are needed"
+    "but for what stands still, images of neighbouring dates have little in common, so "
+    "that patterns may be mistaken for one another: this needs shorter intervals, or "
+    "less noise"
 )
 #: Two streams are one broad one if as many features of one would be as separate more
 #: often than so, unless the speeds differ by such a factor; if not, two need explain
@@ -273,10 +274,9 @@ def find_streams(
         moving, *_ = moving_with(flow, features, inside, sign)
     if part.fit is not None and passes and not diffusing:
         part, p = _one_or_two(part, test, moving, n_trials, alpha, map_rng)
-    part = _with_errors(part)
     search = StreamSearch(
         flow, features, test, part.diagram, equations.speed * flow.beam,
-        deconvolve(equations), part.fit,
+        deconvolve(equations), _fit_with_errors(part),
     )  # fmt: skip
     rows = _of_spectrum(search, equations, whole)
     if whole and significant and part.fit is not None:
@@ -287,18 +287,18 @@ def find_streams(
         doubts = {"diffusing": diffusing, "sure": ALONE * alpha if whole else 1.0}
         streams = [_on_its_side(s, search, moving) for s in streams]
         streams = [_judged(s, search, opposed, **doubts) for s in streams]
-    streams += _standing(search.features, flow, streams, inside, shift)
-    streams = _beside_standing(streams, search.features)
+    standing = _standing(search.features, flow, streams, inside, shift)
+    streams = _beside_standing(streams + standing, search.features)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
 
 
-def _with_errors(part):
+def _fit_with_errors(part):
     """Return a fit with the errors of its means, and their numbers of clusters."""
     if part.fit is None:
-        return part
+        return None
     mean_err, number, *_ = part.errors()
-    return replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
+    return replace(part.fit, mean_err=mean_err, number=number)
 
 
 def is_alike(test, years):

@@ -28,7 +28,7 @@ COVERAGE = 0.1
 PASSING, AS_WELL, MOST_PASSED = 0.5, 2.0, 0.3
 #: Why features are not secure, beyond what they show by themselves.
 PASSED = f"slower than the flow by {PASSING:g} beams or more between images"
-DIFFERENT = "images of neighbouring dates have little in common"
+DIFFERENT = "what changes in images of neighbouring dates has little in common"
 #: A secure feature that moves, along a direction: speeds, errors, epochs, number, and
 #: 1 on the side of the jet, -1 on that of a counter-jet.
 MOVING = {
