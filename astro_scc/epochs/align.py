@@ -213,20 +213,34 @@ def _by_table(cube, table):
     return _from_sky(cube, offsets.value, errors.value, "positions of a table")
 
 
+def pointing_of(cube):
+    """
+    Return the shifts of epochs to the grid of the cube by their own coordinates.
+
+    Returns
+    -------
+    steps : `~numpy.ndarray`, shape (n_epochs, 2)
+        In pixels along x and y.
+    pure : `~numpy.ndarray` of bool, shape (n_epochs,)
+        Whether an epoch differs by this shift only.
+    """
+    shape = cube.shape[1:]
+    steps = [grid.grid_step(wcs, cube.wcs, shape) for wcs in cube.epoch_wcs]
+    return np.array([step for step, _ in steps]), np.array([pure for _, pure in steps])
+
+
 def _by_wcs(cube, _):
     if not cube.epoch_wcs:
         raise ValueError(
             "the epochs have no absolute coordinates (epoch_wcs); "
             "read them from FITS files, or choose another alignment"
         )
-    steps = np.empty((len(cube), 2))
-    for i, wcs in enumerate(cube.epoch_wcs):
-        steps[i], pure = grid.grid_step(wcs, cube.wcs, cube.shape[1:])
-        if not pure:
-            raise ValueError(
-                f"{cube.labels[i]}: is turned or stretched to the others; read the "
-                "files with frame='absolute', which aligns them so"
-            )
+    steps, pure = pointing_of(cube)
+    if not pure.all():
+        raise ValueError(
+            f"{cube.labels[pure.argmin()]}: is turned or stretched to the others; read "
+            "the files with frame='absolute', which aligns them so"
+        )
     return -steps, np.full((len(cube), 2, 2), np.nan), "absolute coordinates"
 
 

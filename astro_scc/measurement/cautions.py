@@ -10,6 +10,7 @@ import scipy
 from astropy.stats import circmean, circstd
 
 from astro_scc.columns import with_errors
+from astro_scc.epochs.align import pointing_of
 from astro_scc.epochs.registration import farthest_upstream
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
@@ -52,6 +53,7 @@ def cautions_of(result, k, row):
     if k == 0 and stream.kind != "stationary":
         said += [*_upstream(result, stream, row), *_other_directions(result)]
     if stream.kind == "moving":
+        said += _of_pointing(result.cube, row)
         said += _of_both_sides(result, stream)
         said += _cautions(search, stream, row, alpha, unit)
         if k == _main(search):
@@ -132,6 +134,28 @@ def _upstream(result, stream, row, *, least=1.2):
         f"emission lies upstream of the reference position, to {distance:.2g} at PA "
         f"{at} deg{passing}: if the core is there, align on it with a table of its "
         f"positions, or with --align 'core {to} deg'"
+    ]
+
+
+def _of_pointing(cube, row, *, near=0.1):
+    """Return that a stream moves as the sky does by the epochs' coordinates, as a list.
+
+    Epochs are aligned on their reference pixels, which may drift on the sky.
+    """
+    if not cube.epoch_wcs:
+        return []
+    steps, _ = pointing_of(cube)
+    years = (cube.years - cube.years.mean()).to_value(u.yr)
+    # A place on the sky is where the shift to the common grid comes from.
+    drift = -(years @ (steps - steps.mean(axis=0))) / (years @ years)
+    at = cube.pixel_to_offset(*np.transpose([[0.0, 0.0], drift]))
+    sky = np.array([np.diff(offset.to_value(u.mas))[0] for offset in at])
+    off = np.hypot(row["pm_ra_cosdec"] - sky[0], row["pm_dec"] - sky[1])
+    if not off <= max(near * np.hypot(*sky), 2 * row["pm_err"]) < np.hypot(*sky):
+        return []
+    return [
+        "what stands still on the sky moves so by the coordinates of the epochs: where "
+        "they are to be trusted, use frame='absolute' (--align wcs)"
     ]
 
 

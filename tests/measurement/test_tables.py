@@ -17,6 +17,7 @@ from astro_scc import EpochCube, StackedCrossCorrelation
 from astro_scc.epochs.align import alignment_errors
 from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import SCCResult, false_discovery_rate
+from astro_scc.measurement.cautions import _of_pointing
 from astro_scc.measurement.tables import paper_table, stream_table, velocity_columns
 from astro_scc.quantities import decimals
 
@@ -124,6 +125,17 @@ def test_errors_of_the_alignment_are_given_or_those_that_it_found():
     found = alignment_errors(aligned)
     np.testing.assert_allclose(found[:, 0], [np.sqrt(12.5e-6), 1e-3, 0], atol=1e-9)
     np.testing.assert_array_equal(alignment_errors(aligned[1:]), found[1:])
+
+
+def test_what_moves_as_its_coordinates_drift_is_said(jet_cube):
+    wcs, years = jet_cube.wcs, jet_cube.years.to_value(u.yr)
+    drifted = [wcs.deepcopy() for _ in years]
+    for one, t in zip(drifted, years - years[0], strict=True):
+        one.wcs.crval += [0, 2 * t / 3.6e6]
+    cube = replace(jet_cube, epoch_wcs=drifted)
+    for images, north, said in [(cube, -2, 1), (cube, 2, 0), (jet_cube, -2, 0)]:
+        row = {"pm_ra_cosdec": 0.1, "pm_dec": north, "pm_err": 0.1}
+        assert len(_of_pointing(images, row)) == said
 
 
 def test_without_a_position_angle_parallel_is_along_the_flow(sky_result):
