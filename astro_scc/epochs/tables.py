@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import FK4, SkyCoord
 from astropy.table import Table
-from astropy.time import Time
+from astropy.time import ScaleValueError, Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.columns import numbers
@@ -151,8 +151,11 @@ def _dates(table, columns, date):
         texts = [date] * len(table)
     elif "epoch" in columns:
         column = times_of_column(table[columns["epoch"]])
-        texts = column.utc.isot if isinstance(column, Time) else column
-        texts = [str(text) for text in texts]
+        if isinstance(column, Time):
+            local = f"column {columns['epoch']!r} is of the scale {column.scale!r}"
+            with refusing(f"{local}; write it in UTC", ScaleValueError):
+                column = column.utc.isot
+        texts = [str(text).strip() for text in column]
     else:
         rows = table.iterrows(*(columns[part] for part in ("year", "month", "day")))
         texts = ["-".join(str(value).zfill(2) for value in row) for row in rows]
@@ -448,8 +451,11 @@ def _digits(match):
 
 def table_position(table):
     """Return the position of the source that a table has, None if it has none."""
-    facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
-    units = {name: table[name].unit for name in table.colnames}
+    firsts = {name: table[name][0] for name in table.colnames}
+    blank = {k for k, value in firsts.items() if np.any(getattr(value, "mask", False))}
+    facts = dict(table.meta) | {k: firsts[k] for k in firsts.keys() - blank}
+    # Columns of dates and places have no unit.
+    units = {name: getattr(table[name], "unit", None) for name in table.colnames}
     keys = {re.sub(r"[^a-z0-9]", "", str(key).lower()): key for key in facts}
     place = facts.get(keys.get("position"))
     if isinstance(place, SkyCoord):
@@ -470,7 +476,9 @@ def table_position(table):
             old = "1950" in pair[0]
             frame = FK4(equinox="B1950") if old else "icrs"
             text = {"unit": (u.hourangle, u.deg)} if isinstance(lon, str) else {}
-            return SkyCoord(lon, lat, frame=frame, **text).icrs
+            place = SkyCoord(lon, lat, frame=frame, **text).icrs
+            if np.isfinite(place.ra + place.dec):
+                return place
     return None
 
 

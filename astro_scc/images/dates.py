@@ -341,7 +341,8 @@ def as_times(times, n):
 
 def times_of_column(column):
     """Return numbers that are years or (modified) Julian dates as Time, others not."""
-    if isinstance(column, Time) or column.dtype.kind not in "fi":
+    kind = getattr(getattr(column, "dtype", None), "kind", "")
+    if isinstance(column, Time) or kind not in ("f", "i"):
         return column
     values = np.ma.masked_invalid(np.ma.asarray(column, dtype=float))
     low, high = values.min(), values.max()

@@ -8,6 +8,7 @@ from astropy.coordinates import FK4, SkyCoord
 from astropy.io import fits
 from astropy.table import QTable
 from astropy.time import Time
+from astropy.utils.masked import Masked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -426,6 +427,8 @@ def test_sources_by_other_names(tmp_path):
         ({}, {"ra": "10 deg", "dec": "-20 deg"}),
         ({"RAdeg": 10 * u.deg, "DEdeg": -20 * u.deg}, {}),
         ({"RAJ2000": 2 / 3 * u.hour, "DEJ2000": -20 * u.deg}, {}),
+        ({"RA": Masked(3 * u.deg, mask=True), "Dec": 1 * u.deg,
+          "position": "00h40m00s -20d00m00s"}, {}),
         ({"RAJ2000": "00 40 00", "DEJ2000": "-20 00 00"}, {}),
         ({"RAh": 0, "RAm": 40, "RAs": 0.0, "DE-": "-", "DEd": 20, "DEm": 0, "DEs": 0.0},
          {}),
