@@ -438,7 +438,7 @@ def read_redshifts(path):
     if names is None or values is None:
         raise ValueError(
             f"{path}: needs the columns source and redshift; it has "
-            f"{', '.join(table.colnames)}"
+            f"{', '.join(map(repr, table.colnames))}"
         )
     wanted = f"its column {values.name} must be numbers without a unit, as 0.158"
     with naming_all(f"{path}: {wanted}"):

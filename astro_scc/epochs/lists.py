@@ -252,7 +252,7 @@ def _offsets(values):
         separation = np.where(blank, 0.0, separation)
     angle = np.radians(np.where((separation == 0) & np.isnan(angle), 0.0, angle))
     for i in np.flatnonzero(np.isnan(separation + angle)):
-        raise ValueError(f"row {i + 1}: separation or position_angle is blank")
+        raise ValueError(f"row {i + 1}: 'separation' or 'position_angle' is blank")
     return {"east": separation * np.sin(angle), "north": separation * np.cos(angle)}
 
 
