@@ -202,7 +202,7 @@ def _read(path, source, origin, date, beam):
     """Return the `ComponentList` in a file."""
     table, own_date = open_table(path)
     with naming(path):
-        values, dates, meta = read_rows(table, source, date or own_date)
+        values, dates, meta = read_rows(table, source, date or own_date, path)
         days, epoch = np.unique(dates, return_inverse=True)
         has_offsets = {"east", "north"} <= values.keys()
         if not has_offsets:
@@ -337,7 +337,8 @@ def read_components(
     Tables need columns for the date (``epoch``, or ``Obs.Y``, ``Obs.M`` and
     ``Obs.D`` for year, month and day), ``flux``, ``separation`` and
     ``position_angle`` (or ``east`` and ``north``), with units; they may also
-    have ``feature``, ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``, and
+    have ``feature`` (a number or a name, such as C3; the core is 0, ``core`` or, where
+    all others have numbers, C), ``major_fwhm``, ``axial_ratio`` or ``minor_fwhm``, and
     ``major_pa``.  Columns of machine-readable tables are recognised by their
     labels and explanations.  A blank size means a point, a blank ratio a circle.
 

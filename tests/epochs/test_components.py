@@ -111,8 +111,12 @@ CARTESIAN = {
         (CARTESIAN, "core", {"east": [0, 1, 0, 1], "north": [0, 1, 0, 1]}),
         ({"RA_offset": [0, 1, 0, 2] * u.mas, "Dec_offset": [0, 3, 0, 4] * u.mas}, None,
          {"east": [0, 1, 0, 2], "north": [0, 3, 0, 4]}),
+        ({"epoch": Time([53803, 53803, 54070, 54070], format="mjd"),
+          "feature": ["C", "C3", "C", "C2"]}, None, {"feature": [0, 3, 0, 2]}),
+        ({"feature": ["core", "B", "core", "C"]}, None, {"feature": [0, 1, 0, 2]}),
     ],
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*has names, which are numbered. B is 1, C is 2")
 def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, expected):
     path = tmp_path / "t.ecsv"
     write(mojave(**changes), path, name="S4", frequency="15.4 GHz")
@@ -131,7 +135,10 @@ def test_bad_tables(tmp_path):
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
         ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
-        ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: separation or posi"),
+        ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: 'separation' or 'posi"),
+        ({"separation": np.ones((4, 2)) * u.mas}, {}, "has several numbers in a row"),
+        ({"feature": [0, 1.5, 0, 1]}, {}, "row 2: feature is 1.5, expected a whole"),
+        ({"epoch": Time(["2006-03-09"] * 4, scale="local")}, {}, "write it in UTC"),
         ({"feature": [0, 0, 0, 1]}, {}, "2 core components .* on 2006-03-09"),
         ({"feature": [0, 1, 3, 2]}, {"origin": "map"}, "no core component .* 2006-12"),
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
