@@ -249,7 +249,7 @@ def test_files_and_folders_that_make_no_sense(folder, refused, here):
     (here / "images").mkdir()
     for text, reason in {
         "": "is no table: ",
-        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
+        "a b\n1 2\n": "needs the columns source and redshift; it has 'a', 'b'",
         "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
     }.items():
         (here / "z.txt").write_text(text)
