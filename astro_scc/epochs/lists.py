@@ -12,11 +12,19 @@ import numpy as np
 from astropy.table import QTable
 from astropy.time import Time
 
-from astro_scc.epochs.tables import UNITS, open_table, plain, read_rows, source_names
+from astro_scc.epochs.tables import (
+    UNITS,
+    first_names,
+    open_table,
+    plain,
+    read_rows,
+    source_names,
+)
 from astro_scc.exceptions import naming, warn
 from astro_scc.images import fits, series
 from astro_scc.images.beam import Beam
 from astro_scc.images.dates import as_times, given_times
+from astro_scc.images.headers import some
 from astro_scc.quantities import check_choice, named
 
 COLUMNS = (*UNITS, "feature")
@@ -367,9 +375,9 @@ def read_components(
     each = zip(paths, dates, beams, strict=True)
     lists = [_read(path, source, origin, date, beam) for path, date, beam in each]
     objects = sorted({part.meta["object"] for part in lists if "object" in part.meta})
-    if len(objects) > 1:
+    if len(objects := {*first_names(objects).values()}) > 1:
         warn(
-            f"the component files are of {', '.join(objects)}; if these are not "
+            f"the component files are of {some(sorted(objects))}; if these are not "
             "names of one source, leave the wrong files out"
         )
     return lists[0] if len(lists) == 1 else _concatenate(lists)

@@ -475,6 +475,14 @@ def same_source(wanted, names):
     return near if len(near) == 1 else []
 
 
+def first_names(names):
+    """Return by each of some names the first one of the same source."""
+    found = {}
+    for name in dict.fromkeys(names):
+        found[name] = (same_source(name, [*found.values()]) or [name])[0]
+    return found
+
+
 def _is_modern(match):
     """Return whether an IAU name is by the coordinates of J2000."""
     return match[1] == "J" or (match[1] == "" and bool(match[4] or match[8]))
