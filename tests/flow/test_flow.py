@@ -225,6 +225,8 @@ def test_cells_of_radial_flows_turn_with_the_jet(turn):
     for edges in (np.array([-20, 0, 20]) + turn, [turn - 380, turn - 340]):
         table = measure_field(result, across=edges * u.deg, **how).table
         assert_allclose(table["pm_parallel"].value, [2.36, 1.91][: len(table)], 0.05)
+    with pytest.raises(ValueError, match="must be two increasing position angles, in"):
+        measure_field(result, across=[-1, 0, 1] * u.mas, **how)
     table = measure_field(result, **how).table
     assert_allclose(table["pm_parallel"].value, [np.nan, 2.28, np.nan], 0.02)
 
