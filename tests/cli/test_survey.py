@@ -3,6 +3,7 @@
 
 import io
 import re
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -12,7 +13,14 @@ from astropy.table import QTable, Table, vstack
 
 from astro_scc.cli import survey
 from astro_scc.cli.survey import measure_part, run_survey
-from astro_scc.cli.survey_sources import Part, alone, folder_names, read_survey
+from astro_scc.cli.survey_sources import (
+    Part,
+    alone,
+    folder_names,
+    read_survey,
+    write_survey,
+)
+from astro_scc.exceptions import EpochWarning
 from astro_scc.report.page import write_overview
 
 TEXT = """
@@ -257,6 +265,12 @@ def test_files_and_folders_that_make_no_sense(folder, refused, here):
         assert f"z.txt: {reason}" in refused(*words)
     line = refused("survey", "images", "-o", "out")
     assert "images: has no folder of FITS images" in line
+    for name in ("one", "empty"):
+        (here / "images" / name).mkdir()
+    (here / "images" / "one" / "a.fits").touch()
+    args = SimpleNamespace(survey="images", workers=1)
+    with pytest.warns(EpochWarning, match="images/empty: no FITS images in the folder"):
+        write_survey(args, here / "out", None)
 
 
 def test_defaults_and_what_replaces_them(tmp_path):
