@@ -17,7 +17,7 @@ from astropy.time import ScaleValueError, Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.columns import numbers
-from astro_scc.exceptions import naming, naming_all, refusing, warn
+from astro_scc.exceptions import naming, naming_all, refusing
 from astro_scc.images import headers
 from astro_scc.images.beam import parse_beam
 from astro_scc.images.dates import times_of_column
@@ -56,8 +56,6 @@ ECSV, MACHINE_READABLE, DIFMAP = ".ecsv", (".txt", ".dat", ".mrt"), (".mod", ".m
 LISTS = {ECSV, *MACHINE_READABLE, *DIFMAP}
 #: Suffixes of files that may have an image, a list, or both.
 FITS = (".fits", ".fit", ".fts")
-#: Names of components that were not identified.
-UNIDENTIFIED = ("", "-", "--", "-1", "nan")
 #: What is wrong with a list where images are wanted.
 NO_IMAGE = (
     "is a list of components and no image; give lists alone to astro-scc measure or "
@@ -117,12 +115,12 @@ def open_table(path):
     raise ValueError(f"{path}: its suffix is none of {known}; rename it")
 
 
-def read_rows(table, source, date, path):
+def read_rows(table, source, date):
     """
     Return numbers of the components of a source in a table, their dates, and facts.
 
     A ``date`` is that of all rows, as text, None if the table has dates, "" if there
-    should be one.  The ``path`` is that of warnings.
+    should be one.  Features stay the column of their numbers or names.
     """
     columns = _find_columns(table)
     table = _select_source(table, columns, source)
@@ -143,40 +141,8 @@ def read_rows(table, source, date, path):
         if unit is not None and what in columns.keys() - {"feature"}
     }
     if "feature" in columns:
-        values["feature"] = _features(table[columns["feature"]], path)
+        values["feature"] = table[columns["feature"]]
     return values, _dates(table, columns, date), _meta(table, columns)
-
-
-def _features(column, path):
-    """
-    Return the numbers of the components in a column of their numbers or names.
-
-    Of names such as C3 they are those behind the letters, or else in the order of the
-    rows, which a warning tells.
-    """
-    texts, known = [], {}
-    if getattr(getattr(column, "dtype", None), "kind", "") == "U":
-        texts = [str(text).strip() for text in np.ma.filled(column, "")]
-        names = dict.fromkeys(text for text in texts if text not in UNIDENTIFIED)
-        known = {name: re.search(r"\d*$", name)[0] for name in names}
-    if all(name == digits for name, digits in known.items()):
-        values = numbers(column, u.one)
-        for row in np.flatnonzero(values % 1 > 0):
-            what = f"{column.info.name} is {values[row]:g}, expected a whole number"
-            raise ValueError(f"row {row + 1}: {what}")
-        return values
-    bare = [name for name, digits in known.items() if not digits]
-    # Beside names with numbers, C alone is the core.
-    cores = [k for k in bare if k.casefold() == "core" or bare == ["C"]]
-    others = [name for name in known if name not in cores]
-    found = {name: int(known[name] or -1) for name in others}
-    if -1 in found.values() or len({*found.values()} | {0}) <= len(found):
-        found = {name: k for k, name in enumerate(others, start=1)}
-        each = some([f"{name} is {k}" for name, k in found.items()], 8)
-        what = f"{path}: column {column.info.name!r} has names, which are numbered"
-        warn(f"{what}: {each}")
-    found |= dict.fromkeys(cores, 0)
-    return np.array([found.get(text, -1.0) for text in texts])
 
 
 def _dates(table, columns, date):

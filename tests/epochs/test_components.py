@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Lists of model components: their files, sources by their names, and images."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -125,6 +127,20 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
         found = np.asarray(getattr(components, name), dtype=float)
         assert_allclose(found, values, atol=1e-12)
     assert components.meta == {"object": "S4", "frequency": 15.4e9}
+
+
+@pytest.mark.parametrize("of_map", [0, 1])
+def test_positions_of_the_map_are_told_from_those_of_the_core(tmp_path, of_map):
+    core = np.array([0.3, -0.2, 0.1, 0.4, -0.3])
+    table = QTable(
+        {"epoch": np.repeat(np.arange(2001, 2006), 2), "feature": [0, 1] * 5}
+    )
+    table["flux"], table["position_angle"] = np.ones(10) * u.Jy, np.full(10, 90) * u.deg
+    places = np.stack([core, np.arange(5) + of_map * core], axis=1)
+    table["separation"] = places.ravel() * u.mas
+    with warnings.catch_warnings(record=True, action="always") as said:
+        read_components(write(table, tmp_path / "t.ecsv"))
+    assert ["seem to be from the" in str(w.message) for w in said] == [True] * of_map
 
 
 def test_bad_tables(tmp_path):
