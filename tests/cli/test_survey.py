@@ -11,16 +11,9 @@ import pytest
 from astropy.io.votable import validate
 from astropy.table import QTable, Table, vstack
 
-from astro_scc.cli import survey
+from astro_scc.cli import survey, survey_sources
 from astro_scc.cli.survey import measure_part, run_survey
-from astro_scc.cli.survey_sources import (
-    Part,
-    alone,
-    folder_names,
-    read_survey,
-    write_survey,
-)
-from astro_scc.exceptions import EpochWarning
+from astro_scc.cli.survey_sources import Part, alone, folder_names, read_survey
 from astro_scc.report.page import write_overview
 
 TEXT = """
@@ -269,8 +262,8 @@ def test_files_and_folders_that_make_no_sense(folder, refused, here):
         (here / "images" / name).mkdir()
     (here / "images" / "one" / "a.fits").touch()
     args = SimpleNamespace(survey="images", workers=1)
-    with pytest.warns(EpochWarning, match="images/empty: no FITS images in the folder"):
-        write_survey(args, here / "out", None)
+    with pytest.warns(UserWarning, match="images/empty: no FITS images in the folder"):
+        survey_sources.write_survey(args, here / "out", None)
 
 
 def test_defaults_and_what_replaces_them(tmp_path):
