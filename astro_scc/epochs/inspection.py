@@ -339,7 +339,7 @@ def problems(planes, peaks, scale=100, first=1880):
         if not plane.unit.is_equivalent(unit):
             mine, other = (one.to_string() or "none" for one in (plane.unit, unit))
             what = f"its unit is {mine}, that of others is {other}"
-            found.append((i, what, "leave one out", True))
+            found.append((i, what, "give all one unit, or leave it out", True))
         if some_have_beams and plane.beam is None:
             found.append((i, "no beam where other epochs have one", NO_BEAM, True))
     return sorted(found, key=itemgetter(0))
