@@ -268,8 +268,10 @@ def numbers(column, unit, own_unit=None):
     `astropy.units.one`, the numbers are returned as they are.
     """
     name = column.info.name
-    with refusing(f"column {name!r} is not numeric", TypeError, ValueError):
+    with refusing(f"column {name!r} is not numeric; correct it", TypeError, ValueError):
         values = np.array(np.ma.filled(np.ma.asarray(column, dtype=float), np.nan))
+    if values.ndim > 1:
+        raise ValueError(f"column {name!r} has several numbers in a row; keep one")
     for i in np.flatnonzero(np.isinf(values)):
         raise ValueError(f"row {i + 1}: {name} is infinite")
     if unit == u.one:

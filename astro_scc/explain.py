@@ -91,14 +91,13 @@ def explain_feature(
         said = [_epoch_line(features.cube, epoch[0], date)]
     else:
         raise ValueError("give a feature, a published one, or an offset with a date")
-    seen, bright, lines = _detected(features, epoch, place)
+    seen, signal, lines = _detected(features, epoch, place)
     lines = said + lines
     owner = np.full(len(d), -1)
     for k, track in enumerate(features.tracks):
         owner[track] = k
     if len(seen) == 0:
-        why = " though there is emission: blended, or outside of the region" * bright
-        return [*lines, f"It is lost: nothing is detected there{why}."]
+        return [*lines, f"It is lost: {_why_undetected(signal)}."]
     counts = Counter(owner[seen].tolist()).most_common()
     shares = (f"{n} are of {_name(features, k)}" for k, n in counts)
     lines.append(f"Of its {_count(len(seen), 'detection')}, {', '.join(shares)}.")
@@ -143,13 +142,12 @@ def _epoch_line(cube, epoch, date):
 # -- is it detected? -----------------------------------------------------------------
 
 
-def _detected(features, epoch, place, *, same=0.5, rival=1.0, bright=5.0, most=6):
+def _detected(features, epoch, place, *, same=0.5, rival=1.0, most=6):
     """
-    Return the detections at places, whether all are bright, and lines on them.
+    Return the detections at places, the signal-to-noise ratios, and lines on them.
 
     A detection is of the emission within ``same`` beams, and a rival of another one
-    within ``rival`` beams; in images above ``bright`` times the noise there is
-    emission.  At ``most`` so many epochs are named one by one.
+    within ``rival`` beams.  At ``most`` so many epochs are named one by one.
     """
     cube, d = features.cube, features.detections
     labels = date_labels(cube.times)
@@ -183,10 +181,22 @@ def _detected(features, epoch, place, *, same=0.5, rival=1.0, bright=5.0, most=6
             f"nearest at {beside[found].min():.2g} beams."
         )
     seen = np.unique(nearest[found].astype(int))
-    return seen, bool(np.all(signal >= bright)), lines
+    return seen, signal, lines
+
+
+def _why_undetected(signal, bright=5.0):
+    """Return why nothing is detected where images are above so many times the noise."""
+    if not np.isfinite(signal).any():
+        return "that is outside of the images, or their pixels there are bad"
+    if np.all(signal >= bright):
+        emission = "though there is emission: blended, or outside of the region"
+        return f"nothing is detected there {emission}"
+    return "nothing is detected there"
 
 
 def _number(value):
+    if np.isnan(value):
+        return "unknown"
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
 
 

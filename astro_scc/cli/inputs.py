@@ -166,7 +166,7 @@ def read_epochs(settings, args=None, *, note=None, features=False, moving=False)
     cube = EpochCube.read(files, frame=frame, region=settings.crop, beams=beam)
     if settings.region is not None:
         regions.refuse_pixels(settings.region, False, cube)
-    if said := repeated(cube):
+    for said in repeated(cube):
         warn(said)
     cube, left_out = select_epochs(cube, settings.after, settings.before)
     if moving:

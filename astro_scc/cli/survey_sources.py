@@ -18,7 +18,8 @@ import numpy as np
 from astropy.io import ascii
 
 from astro_scc.cli import images, inputs
-from astro_scc.exceptions import first_line, naming_all, refusing
+from astro_scc.exceptions import first_line, naming_all, refusing, warn
+from astro_scc.images.headers import some
 from astro_scc.parallel import in_order
 from astro_scc.quantities import finite_quantities, named
 from astro_scc.settings import OPTIONS, Settings, read_toml
@@ -334,8 +335,8 @@ def survey_of(args, output, reporter):
     path = given if of_file else write_survey(args, output, reporter)
     survey = parts, _ = read_survey(path, redshifts)
     if unknown := redshifts.keys() - {part.source for part in parts}:
-        some = "source is" if len(unknown) == 1 else "sources are"
-        reporter.note(f"{args.redshifts}: {len(unknown)} {some} not of the survey")
+        are = "source is" if len(unknown) == 1 else "sources are"
+        reporter.note(f"{args.redshifts}: {len(unknown)} {are} not of the survey")
     return survey, of_file if args.report is None else args.report
 
 
@@ -402,14 +403,19 @@ def _update_plan(path, head, defaults, epochs):
 
 def _images_in(folder):
     """Return the patterns of the images in each folder of a folder, by its name."""
-    found = {}
+    found, without = {}, []
     for path in sorted(path for path in folder.iterdir() if path.is_dir()):
         # A measurement beside its images is no source.
-        if path.name.startswith(".") or (path / "streams.ecsv").is_file():
+        made = any((path / name).is_file() for name in ("streams.ecsv", PLAN))
+        if path.name.startswith(".") or made:
             continue
         here = Path(glob.escape(str(path.absolute())))
         if kinds := [kind for kind in PATTERNS if next(path.glob(kind), None)]:
             found[path.name] = [str(here / kind) for kind in kinds]
+        else:
+            without.append(str(path))
+    if found and without:
+        warn(f"{some(without)}: no FITS images in the folder, which is no source")
     if not found:
         raise ValueError(
             f"{folder}: has no folder of FITS images; a survey is a folder with one "
@@ -438,7 +444,7 @@ def read_redshifts(path):
     if names is None or values is None:
         raise ValueError(
             f"{path}: needs the columns source and redshift; it has "
-            f"{', '.join(table.colnames)}"
+            f"{', '.join(map(repr, table.colnames))}"
         )
     wanted = f"its column {values.name} must be numbers without a unit, as 0.158"
     with naming_all(f"{path}: {wanted}"):

@@ -335,7 +335,7 @@ def _dates(table):
     if len(columns) != 1:
         raise ValueError(
             f"{len(columns)} columns of dates, one is needed, called one of "
-            f"{', '.join(DATES)}; it has {', '.join(table.colnames)}"
+            f"{', '.join(DATES)}; it has {', '.join(map(repr, table.colnames))}"
         )
     column = table[columns[0]]
     where = f"the dates in column {columns[0]!r} are not understood"
@@ -351,6 +351,7 @@ def _dates(table):
 
 def _axis(table, axis):
     """Return the offsets along "east" or "north" in mas, and their errors or NaN."""
+    has = ", ".join(map(repr, table.colnames))
     words = {c: re.split(r"[^a-z]+", c.lower()) for c in table.colnames}
     columns = [c for c in words if axis in words[c]]
     wrong = [c for c in columns if {"err", "error"} & set(words[c])]
@@ -358,7 +359,7 @@ def _axis(table, axis):
     if len(columns) != 1:
         raise ValueError(
             f"{len(columns)} columns have '{axis}' as a part of their names, one is "
-            f"needed, such as 'core_mas_{axis}'; it has {', '.join(table.colnames)}"
+            f"needed, such as 'core_mas_{axis}'; it has {has}"
         )
     found = []
     for column in columns + wrong[:1]:

@@ -19,7 +19,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from astro_scc.decomposition.wavelet import measure_noise
-from astro_scc.epochs.tables import LISTS, NO_IMAGE
+from astro_scc.epochs.tables import LISTS, NO_IMAGE, first_names
 from astro_scc.images import fits, grid, headers, pixels, positions, series
 from astro_scc.images.dates import as_times, date_labels, without_order
 from astro_scc.images.positions import readable_angle
@@ -339,7 +339,7 @@ def problems(planes, peaks, scale=100, first=1880):
         if not plane.unit.is_equivalent(unit):
             mine, other = (one.to_string() or "none" for one in (plane.unit, unit))
             what = f"its unit is {mine}, that of others is {other}"
-            found.append((i, what, "leave one out", True))
+            found.append((i, what, "give all one unit, or leave it out", True))
         if some_have_beams and plane.beam is None:
             found.append((i, "no beam where other epochs have one", NO_BEAM, True))
     return sorted(found, key=itemgetter(0))
@@ -347,18 +347,23 @@ def problems(planes, peaks, scale=100, first=1880):
 
 def far_away(planes, part=0.05):
     """
-    Yield the image whose reference pixel is far from that of the first one.
+    Yield the images whose reference pixels are far from that of the first one.
 
-    A larger ``part`` of the image exceeds the scatter of VLBI positions.
+    The farthest comes first.  A larger ``part`` of the image exceeds the scatter of
+    VLBI positions.
     """
     first = planes[0]
-    distance = [positions.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
-    k = int(np.argmax(distance))
-    if distance[k] > part * max(first.extent, planes[k].extent):
+    apart = [positions.apart_by_reference(plane.wcs, first.wcs) for plane in planes]
+    far = [
+        int(k)
+        for k in np.argsort(apart)[::-1]
+        if apart[k] > part * max(first.extent, planes[k].extent)
+    ]
+    for k in far:
+        most = f"{'up to ' if len(far) > 1 else ''}{apart[far[0]] * 3600:.4g} arcsec"
         what = (
-            f"its reference pixel and that of {Path(first.name).name} are "
-            f"{distance[k] * 3600:.4g} arcsec apart on the sky and are taken for one "
-            "place"
+            f"its reference pixel and that of {Path(first.name).name} are {most} apart "
+            "on the sky and are taken for one place"
         )
         advice = (
             "use frame='absolute' (--align wcs) where the coordinates are to be trusted"
@@ -410,16 +415,17 @@ def _same_dates(planes, part=1e-3):
 
 
 def repeated(cube):
-    """Return a line about the first image with the pixels of an earlier one, or ""."""
-    known = {}
+    """Return lines about the images with the pixels of an earlier one."""
+    known, copies = {}, {}
     for i, image in enumerate(cube.data):
         first = known.setdefault(crc32(np.ascontiguousarray(image)), i)
         if first != i and np.array_equal(image, cube.data[first], equal_nan=True):
-            return (
-                f"{cube.labels[i]}: has the same pixels as {cube.labels[first]}, of "
-                "another date; leave one out, or correct its date"
-            )
-    return ""
+            copies.setdefault(cube.labels[first], []).append(cube.labels[i])
+    return [
+        f"{headers.some(labels)}: has the same pixels as {first}, of another date; "
+        "leave one out, or correct its date"
+        for first, labels in copies.items()
+    ]
 
 
 def _strangers(planes):
@@ -431,6 +437,9 @@ def _strangers(planes):
     names = [str(name or "").strip() for name in names]
     unnamed = "", "UNKNOWN", "NONE", "N/A"
     names = [None if name.upper() in unnamed else name for name in names]
+    # Of names of one source, one stands for all.
+    same = first_names(filter(None, names))
+    names = [name and same[name] for name in names]
     for i, mine, others in _minority(names):
         one, other = planes[i], planes[names.index(others)]
         apart = positions.apart_by_reference(one.wcs, other.wcs)
@@ -451,7 +460,10 @@ def _strangers(planes):
             kinds.append((row["named"], values, advice))
     for what, values, advice in (*kinds, ("Stokes", hands, OTHER_CHANNEL)):
         refused = advice == UNCHECKED
-        for i, mine, others in _minority(values)[: None if refused else 1]:
+        odd = _minority(values)
+        # What is slight is told of one value.
+        same = [one for one in odd if refused or _key(one[1]) == _key(odd[0][1])]
+        for i, mine, others in same:
             yield i, f"is of {what} {mine}, others are of {others}", advice, refused
     yield from _other_frequencies(planes, known)
 

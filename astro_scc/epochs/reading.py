@@ -13,7 +13,7 @@ from astropy.wcs.utils import pixel_to_pixel
 
 from astro_scc.epochs.inspection import NO_BEAM, UNCHECKED, far_away, problems
 from astro_scc.epochs.serialize import AXIS, KEPT
-from astro_scc.epochs.tables import LISTS, NO_IMAGE
+from astro_scc.epochs.tables import LISTS, NO_IMAGE, first_names
 from astro_scc.exceptions import naming, refusing, warn
 from astro_scc.images import dates, fits, grid, positions, regions, series
 from astro_scc.images.beam import Beam, different_beam
@@ -231,11 +231,29 @@ def _refuse_strangers(planes):
         if plane.unit.is_equivalent(unit):
             peak = np.max(plane.data, where=~plane.mask, initial=-np.inf)
             peaks[i] = peak * plane.unit.to(unit)
-    for i, what, advice, refused in problems(planes, peaks):
-        text = f"{planes[i].name}: {what}; {advice}"
-        if refused:
-            raise ValueError(text)
+    lines = _lines(planes, problems(planes, peaks))
+    for names, text, is_refused in lines:
+        if is_refused:
+            others = (more for more, _, also in lines if also and more != names)
+            others = [name for more in others for name in more]
+            more = f"; others are refused, too: {some(others)}" if others else ""
+            raise ValueError(text + more)
         warn(text)
+
+
+def _lines(planes, found):
+    """
+    Return what is odd about images, see `problems`, once for all of the same fault.
+
+    These are the names of the images, a line, and whether they are refused.
+    """
+    names = {}
+    for i, *words in found:
+        names.setdefault(tuple(words), []).append(planes[i].name)
+    return [
+        (each, f"{some(each)}: {what}; {advice}", refused)
+        for (what, advice, refused), each in names.items()
+    ]
 
 
 def _assemble(planes, times, beams, frame, check, source):
@@ -246,8 +264,8 @@ def _assemble(planes, times, beams, frame, check, source):
     else:
         dates.warn_of_equal_dates(times)
     frame = _trusted(planes, frame)
-    for k, what, advice, _ in far_away(planes) if frame == "offset" else ():
-        warn(f"{planes[k].name}: {what}; {advice}")
+    for _, text, _ in _lines(planes, far_away(planes) if frame == "offset" else ()):
+        warn(text)
     unit = _in_one_unit(planes)
     fields, resampled = lay_on_one_grid(planes, frame, unit)
     if resampled:
@@ -267,8 +285,8 @@ def _assemble(planes, times, beams, frame, check, source):
     noise = None if resampled or noise is None else u.Quantity(noise)
     labels = tuple(plane.label for plane in planes)
     labels = labels if all(labels) else dates.date_labels(times)
-    names = {plane.facts.get("object") for plane in planes} - {None}
-    meta = {"object": names.pop()} if len(names) == 1 else {}
+    names = [*filter(None, (plane.facts.get("object") for plane in planes))]
+    meta = {"object": names[0]} if len({*first_names(names).values()}) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
     meta["history"] = [f"{source}, aligned on their {laid}", *filter(None, [line])]
     facts = tuple(plane.facts for plane in planes)

@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import FK4, SkyCoord
 from astropy.table import Table
-from astropy.time import Time
+from astropy.time import ScaleValueError, Time
 from astropy.wcs.utils import wcs_to_celestial_frame
 
 from astro_scc.columns import numbers
@@ -120,7 +120,7 @@ def read_rows(table, source, date):
     Return numbers of the components of a source in a table, their dates, and facts.
 
     A ``date`` is that of all rows, as text, None if the table has dates, "" if there
-    should be one.
+    should be one.  Features stay the column of their numbers or names.
     """
     columns = _find_columns(table)
     table = _select_source(table, columns, source)
@@ -138,8 +138,10 @@ def read_rows(table, source, date):
     values = {
         what: numbers(table[columns[what]], unit)
         for what, (unit, *_) in COLUMNS.items()
-        if unit is not None and what in columns
+        if unit is not None and what in columns.keys() - {"feature"}
     }
+    if "feature" in columns:
+        values["feature"] = table[columns["feature"]]
     return values, _dates(table, columns, date), _meta(table, columns)
 
 
@@ -151,8 +153,11 @@ def _dates(table, columns, date):
         texts = [date] * len(table)
     elif "epoch" in columns:
         column = times_of_column(table[columns["epoch"]])
-        texts = column.utc.isot if isinstance(column, Time) else column
-        texts = [str(text) for text in texts]
+        if isinstance(column, Time):
+            local = f"column {columns['epoch']!r} is of the scale {column.scale!r}"
+            with refusing(f"{local}; write it in UTC", ScaleValueError):
+                column = column.utc.isot
+        texts = [str(text).strip() for text in column]
     else:
         rows = table.iterrows(*(columns[part] for part in ("year", "month", "day")))
         texts = ["-".join(str(value).zfill(2) for value in row) for row in rows]
@@ -436,6 +441,14 @@ def same_source(wanted, names):
     return near if len(near) == 1 else []
 
 
+def first_names(names):
+    """Return by each of some names the first one of the same source."""
+    found = {}
+    for name in dict.fromkeys(names):
+        found[name] = (same_source(name, [*found.values()]) or [name])[0]
+    return found
+
+
 def _is_modern(match):
     """Return whether an IAU name is by the coordinates of J2000."""
     return match[1] == "J" or (match[1] == "" and bool(match[4] or match[8]))
@@ -448,8 +461,11 @@ def _digits(match):
 
 def table_position(table):
     """Return the position of the source that a table has, None if it has none."""
-    facts = dict(table.meta) | {name: table[name][0] for name in table.colnames}
-    units = {name: table[name].unit for name in table.colnames}
+    firsts = {name: table[name][0] for name in table.colnames}
+    blank = {k for k, value in firsts.items() if np.any(getattr(value, "mask", False))}
+    facts = dict(table.meta) | {k: firsts[k] for k in firsts.keys() - blank}
+    # Columns of dates and places have no unit.
+    units = {name: getattr(table[name], "unit", None) for name in table.colnames}
     keys = {re.sub(r"[^a-z0-9]", "", str(key).lower()): key for key in facts}
     place = facts.get(keys.get("position"))
     if isinstance(place, SkyCoord):
@@ -470,7 +486,9 @@ def table_position(table):
             old = "1950" in pair[0]
             frame = FK4(equinox="B1950") if old else "icrs"
             text = {"unit": (u.hourangle, u.deg)} if isinstance(lon, str) else {}
-            return SkyCoord(lon, lat, frame=frame, **text).icrs
+            place = SkyCoord(lon, lat, frame=frame, **text).icrs
+            if np.isfinite(place.ra + place.dec):
+                return place
     return None
 
 

@@ -442,6 +442,9 @@ def _joined(p, data, least):
         whole = None
         for n in range(2, 1 + min(MOST_JOINED, np.sum(away < JOINED))):
             parts, others = np.sort(near[:n]), np.delete(p, near[:n], axis=0)
+            if not p[parts, _PEAK].any():
+                # Without flux they have no moments.
+                continue
             new = np.vstack([others, _moments(p[parts], data.beam)])
             # Each of the components has four parameters, the ellipse six.
             as_good = -(n - 1.5) * data.penalty

@@ -423,16 +423,19 @@ def write_profile(profile, streams, directory, **settings):
     tables, cube = {"profile": streams}, profile.flow.cube
     _, paths = write_tables(tables, directory, streams.meta, cube, **settings)
     result = next(one for found in profile.results.values() for one in found if one)
+    angles = angles_by_scale(profile, result)
+    # Emission in the bins may be of no SSP.
+    figures = ["profile"] + ["position_angles"] * any(map(len, angles.values()))
 
     def draw(name):
         if name == "position_angles":
-            return speeds.plot_position_angles(angles_by_scale(profile, result))
+            return speeds.plot_position_angles(angles)
         return speeds.plot_profile(
             streams, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
             cube=cube, beta_per_pm=beta_per_pm(streams),
         )  # fmt: skip
 
-    files = style.figure_files(("profile", "position_angles"), draw)
+    files = style.figure_files(figures, draw)
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]
 

@@ -485,7 +485,10 @@ def measure_field(
     p = table["p_global"] = u.Quantity(table["p_global"]).value
     known = np.isfinite(p)
     if not known.any():
-        raise ValueError("nothing is seen in any cell: choose other edges")
+        raise ValueError(
+            "nothing is seen in any cell: choose other edges, such as those that are "
+            "taken without along and across"
+        )
     table["p_fdr"] = np.full(len(p), np.nan)
     table["p_fdr"][known] = false_discovery_control(p[known])
     return FlowField(table, along, across)
@@ -501,10 +504,15 @@ def _edges(along, across, r, offset, unit, beam):
         across = np.linspace(offset.min(), offset.max() + 1e-9, ACROSS + 1) * unit
     given = "increasing distances", "0.5 1.5 2.5 mas", 0, np.less, None
     along = named("along", check_range, along, *given).to(u.mas)
-    across = u.Quantity(across).to(unit)
-    if across.ndim != 1 or len(across) < 2 or not np.all(np.diff(across) > 0):
-        raise ValueError(f"across = {across} must be two increasing offsets or more")
-    return along, across
+    across, kind = u.Quantity(across), "offsets"
+    is_right = across.unit.is_equivalent(unit)
+    if unit == u.deg:
+        # Offsets on the sky are angles, too.
+        kind, is_right = "position angles, in deg", across.unit in (u.deg, u.rad)
+    rises = across.ndim == 1 and len(across) > 1 and np.all(np.diff(across) > 0)
+    if not (is_right and rises):
+        raise ValueError(f"across = {across} must be two increasing {kind} or more")
+    return along, across.to(unit)
 
 
 def _measure_cell(cell, result, n_trials, rng):

@@ -314,8 +314,13 @@ def without_order(notes):
 def as_times(times, n):
     """Return dates as a Time of shape (n,)."""
     if not isinstance(times, Time):
+        given = type(times).__name__
         if isinstance(times, str) or not np.iterable(times):
             times = [times]
+        else:
+            times = list(times)
+            wrong = [type(time).__name__ for time in times if not isinstance(time, str)]
+            given += f" of {wrong[0]}" if wrong else ""
         try:
             dates = [parse_date(t) if isinstance(t, str) else Time(t) for t in times]
         except (TypeError, ValueError) as error:
@@ -323,7 +328,7 @@ def as_times(times, n):
                 raise
             raise TypeError(
                 "times must be a Time or strings such as '2006-03-09', got "
-                f"{type(times).__name__}; of numbers make Time(numbers, format='mjd')"
+                f"{given}; of numbers make Time(numbers, format='mjd' or 'jyear')"
             ) from error
         times = Time(dates, format=None if dates else "jd")
     times = times.reshape(1) if times.isscalar else times
@@ -341,7 +346,8 @@ def as_times(times, n):
 
 def times_of_column(column):
     """Return numbers that are years or (modified) Julian dates as Time, others not."""
-    if isinstance(column, Time) or column.dtype.kind not in "fi":
+    kind = getattr(getattr(column, "dtype", None), "kind", "")
+    if isinstance(column, Time) or kind not in ("f", "i"):
         return column
     values = np.ma.masked_invalid(np.ma.asarray(column, dtype=float))
     low, high = values.min(), values.max()

@@ -24,6 +24,7 @@ from astropy.utils.masked import Masked
 from astro_scc import writing
 from astro_scc.columns import column_of, describe, round_to_errors
 from astro_scc.epochs import read_components
+from astro_scc.epochs.tables import open_table, source_names
 from astro_scc.exceptions import warn
 from astro_scc.kinematics.cosmology import source_text
 from astro_scc.measurement.tables import paper_table
@@ -387,12 +388,12 @@ def published_positions(path: Path | str, cube: EpochCube) -> QTable:
     name = cube.meta.get("object")
     try:
         found = read_components(path, source=name and str(name))
-    except ValueError as error:
-        try:
-            # A table of one source may give it another name.
-            found = read_components(path)
-        except ValueError:
-            raise error from None
+    except ValueError:
+        names = source_names(open_table(Path(path))[0])
+        if names is not None and len({*names}) > 1:
+            raise
+        # A table of one source may give it another name.
+        found = read_components(path)
         if other := found.meta.get("object"):
             warn(
                 f"{path}: its source is {other}, that of the images {name}; its "

@@ -3,6 +3,7 @@
 
 import io
 import re
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from astropy.io.votable import validate
 from astropy.table import QTable, Table, vstack
 
-from astro_scc.cli import survey
+from astro_scc.cli import survey, survey_sources
 from astro_scc.cli.survey import measure_part, run_survey
 from astro_scc.cli.survey_sources import Part, alone, folder_names, read_survey
 from astro_scc.report.page import write_overview
@@ -249,7 +250,7 @@ def test_files_and_folders_that_make_no_sense(folder, refused, here):
     (here / "images").mkdir()
     for text, reason in {
         "": "is no table: ",
-        "a b\n1 2\n": "needs the columns source and redshift; it has a, b",
+        "a b\n1 2\n": "needs the columns source and redshift; it has 'a', 'b'",
         "name z\ntwo '68600 km/s'\n": "its column z must be numbers without a unit, as",
     }.items():
         (here / "z.txt").write_text(text)
@@ -257,6 +258,12 @@ def test_files_and_folders_that_make_no_sense(folder, refused, here):
         assert f"z.txt: {reason}" in refused(*words)
     line = refused("survey", "images", "-o", "out")
     assert "images: has no folder of FITS images" in line
+    for name in ("one", "empty"):
+        (here / "images" / name).mkdir()
+    (here / "images" / "one" / "a.fits").touch()
+    args = SimpleNamespace(survey="images", workers=1)
+    with pytest.warns(UserWarning, match="images/empty: no FITS images in the folder"):
+        survey_sources.write_survey(args, here / "out", None)
 
 
 def test_defaults_and_what_replaces_them(tmp_path):

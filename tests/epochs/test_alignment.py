@@ -97,7 +97,7 @@ def test_tables_that_cannot_be_used(tmp_path):
     for text, message in [
         ("date,east_mas,north_mas\n2000-01-05,1,2\n", "no row within 1 d of"),
         ("date,east_mas,north_mas\n2000-01-01,,2\n", "2000-01-01 .a.fits. has no numb"),
-        ("date,east_mas\n2000-01-01,1\n", "0 columns have 'north'"),
+        ("date,east_mas\n2000-01-01,1\n", "0 columns have 'north'.* 'east_mas'$"),
         ("date,east,north_mas\n2000-01-01,1,2\n", "'east' has no unit"),
         ("date,east_mas,north_mas\n2000-01-01,1,2\n2000-01-01,1,3\n", "that differ"),
         ("date,east_mas,north_mas\n2000-01-01,1,x\n", "'north_mas' is not numeric"),

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """Lists of model components: their files, sources by their names, and images."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from astropy.coordinates import FK4, SkyCoord
 from astropy.io import fits
 from astropy.table import QTable
 from astropy.time import Time
+from astropy.utils.masked import Masked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -110,8 +113,12 @@ CARTESIAN = {
         (CARTESIAN, "core", {"east": [0, 1, 0, 1], "north": [0, 1, 0, 1]}),
         ({"RA_offset": [0, 1, 0, 2] * u.mas, "Dec_offset": [0, 3, 0, 4] * u.mas}, None,
          {"east": [0, 1, 0, 2], "north": [0, 3, 0, 4]}),
+        ({"epoch": Time([53803, 53803, 54070, 54070], format="mjd"),
+          "feature": ["C", "C3", "C", "C2"]}, None, {"feature": [0, 3, 0, 2]}),
+        ({"feature": ["core", "B", "core", "C"]}, None, {"feature": [0, 1, 0, 2]}),
     ],
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*has names, which are numbered. B is 1, C is 2")
 def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, expected):
     path = tmp_path / "t.ecsv"
     write(mojave(**changes), path, name="S4", frequency="15.4 GHz")
@@ -122,6 +129,20 @@ def test_positions_and_sizes_by_what_the_table_has(tmp_path, changes, origin, ex
     assert components.meta == {"object": "S4", "frequency": 15.4e9}
 
 
+@pytest.mark.parametrize("of_map", [0, 1])
+def test_positions_of_the_map_are_told_from_those_of_the_core(tmp_path, of_map):
+    core = np.array([0.3, -0.2, 0.1, 0.4, -0.3])
+    table = QTable(
+        {"epoch": np.repeat(np.arange(2001, 2006), 2), "feature": [0, 1] * 5}
+    )
+    table["flux"], table["position_angle"] = np.ones(10) * u.Jy, np.full(10, 90) * u.deg
+    places = np.stack([core, np.arange(5) + of_map * core], axis=1)
+    table["separation"] = places.ravel() * u.mas
+    with warnings.catch_warnings(record=True, action="always") as said:
+        read_components(write(table, tmp_path / "t.ecsv"))
+    assert ["seem to be from the" in str(w.message) for w in said] == [True] * of_map
+
+
 def test_bad_tables(tmp_path):
     for changes, options, message in [
         ({"epoch": ["2006-03-09", "soon", "2006-12-01", "x"]}, {}, "row 2: 'soon' is"),
@@ -130,7 +151,10 @@ def test_bad_tables(tmp_path):
         ({"flux": [1.0, 2, 3, 4]}, {}, "column 'flux' has no unit"),
         ({"flux": [1, 2, 3, 4] * u.mas}, {}, "column 'flux' has the unit mas"),
         ({"flux": [1, 2, np.inf, 4] * u.Jy}, {}, "row 3: flux is infinite"),
-        ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: separation or posi"),
+        ({"separation": [1, np.nan, 1, 1] * u.mas}, {}, "row 2: 'separation' or 'posi"),
+        ({"separation": np.ones((4, 2)) * u.mas}, {}, "has several numbers in a row"),
+        ({"feature": [0, 1.5, 0, 1]}, {}, "row 2: feature is 1.5, expected a whole"),
+        ({"epoch": Time(["2006-03-09"] * 4, scale="local")}, {}, "write it in UTC"),
         ({"feature": [0, 0, 0, 1]}, {}, "2 core components .* on 2006-03-09"),
         ({"feature": [0, 1, 3, 2]}, {"origin": "map"}, "no core component .* 2006-12"),
         ({"source": ["a", "a", "b", "b"]}, {"source": "M87"}, "'M87'; it has a, b"),
@@ -426,6 +450,8 @@ def test_sources_by_other_names(tmp_path):
         ({}, {"ra": "10 deg", "dec": "-20 deg"}),
         ({"RAdeg": 10 * u.deg, "DEdeg": -20 * u.deg}, {}),
         ({"RAJ2000": 2 / 3 * u.hour, "DEJ2000": -20 * u.deg}, {}),
+        ({"RA": Masked(3 * u.deg, mask=True), "Dec": 1 * u.deg,
+          "position": "00h40m00s -20d00m00s"}, {}),
         ({"RAJ2000": "00 40 00", "DEJ2000": "-20 00 00"}, {}),
         ({"RAh": 0, "RAm": 40, "RAs": 0.0, "DE-": "-", "DEd": 20, "DEm": 0, "DEs": 0.0},
          {}),

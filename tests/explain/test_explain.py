@@ -41,6 +41,9 @@ def test_which_step_lost_an_emission(known_features, secure):
     elsewhere = rows.copy()
     elsewhere["dec_offset"] += 50 * u.mas
     lines = lost(published=elsewhere)
+    assert lines[-1].startswith("It is lost: that is outside of the images, or their ")
+    elsewhere["dec_offset"] -= 47 * u.mas
+    lines = lost(published=elsewhere)
     assert lines[-1] == "It is lost: nothing is detected there."
     assert lines[1].startswith("Not detected (date, S/N")
     # Emission that no detection is at.

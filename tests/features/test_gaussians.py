@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from astro_scc.features.gaussians import fit_gaussians
+from astro_scc.features.gaussians import _joined, _Samples, fit_gaussians
 
 SHAPE = (80, 90)
 BEAM = np.array([[25.0, 3.0], [3.0, 6.0]])  # elliptical and rotated
@@ -98,6 +98,10 @@ def test_noise_alone_has_no_components_and_a_spike_few():
     image = np.zeros(SHAPE)
     image[5, 5] = 1.0
     assert len(fit_gaussians(image, BEAM, 1e-3)) <= 20
+    # Components without flux have no moments.
+    none = np.array([[0.0, 30, 40, 0, 0, 0], [0.0, 31, 41, 0, 0, 0]])
+    samples = _Samples(100 * sky(*ONE), np.ones(SHAPE, dtype=bool), BEAM)
+    assert len(_joined(none, samples, 1.0)[0]) == 2
     assert len(fit_gaussians(np.ones((2, 3)), BEAM, 1e-3)) <= 6
 
 

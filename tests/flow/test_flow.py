@@ -22,7 +22,7 @@ from astro_scc.flow import (
     measure_profile,
 )
 from astro_scc.flow.models import slope_of
-from astro_scc.flow.profile import bins_of
+from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.flow.speeds import distances_along, speeds_in_parts
 from astro_scc.kinematics import ExpansionFrame, PositionAngleFrame, RidgeLine
 from astro_scc.simulation import simulate_jet
@@ -58,6 +58,14 @@ def result(jet):
 @pytest.fixture(scope="module")
 def profile(result):
     return measure_profile(SCC, result.decomposed, BINS, n_trials=99, rng=1)
+
+
+def test_without_ssps_their_angles_are_not_drawn(profile, tmp_path):
+    first = profile.results["all"][0]
+    none = replace(first.decomposed, select=np.zeros_like(first.decomposed.select))
+    bare = replace(profile, results={"all": [replace(first, decomposed=none)]})
+    paths = write_profile(bare, profile.components, tmp_path)
+    assert [path.suffix for path in paths] == [".ecsv", ".bib", ".png"]
 
 
 def test_a_bin_has_what_moves_in_it(profile, result):
@@ -224,6 +232,8 @@ def test_cells_of_radial_flows_turn_with_the_jet(turn):
     for edges in (np.array([-20, 0, 20]) + turn, [turn - 380, turn - 340]):
         table = measure_field(result, across=edges * u.deg, **how).table
         assert_allclose(table["pm_parallel"].value, [2.36, 1.91][: len(table)], 0.05)
+    with pytest.raises(ValueError, match="must be two increasing position angles, in"):
+        measure_field(result, across=[-1, 0, 1] * u.mas, **how)
     table = measure_field(result, **how).table
     assert_allclose(table["pm_parallel"].value, [np.nan, 2.28, np.nan], 0.02)
 

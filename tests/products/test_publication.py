@@ -202,6 +202,10 @@ def test_a_table_of_other_things_is_refused(known_features, tmp_path, shared_dat
     ComponentList(**one, east=zero, north=zero).to_table().write(path)
     with pytest.raises(ValueError, match=r"a\.ecsv: numbers no features; give a table"):
         publication.published_positions(path, known_features.cube)
+    # Its fault is not that it does not name the source.
+    path.write_text(path.read_text().replace("Jy", "mas"))
+    with pytest.raises(ValueError, match="column 'flux' has the unit mas"):
+        publication.published_positions(path, known_features.cube)
     journal = shared_data / "mojave_xviii" / "apjac230ft4_mrt.txt"
     with pytest.raises(ValueError, match="no source 'jet'; it has 0003"):
         publication.published_positions(journal, known_features.cube)
