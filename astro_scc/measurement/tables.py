@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 LIMIT = 1.645
 #: Offsets of SSPs.
 SKY = "east", "north"
+#: How probabilities without an error are printed.
+PROBABILITY = ".2g"
 #: Columns of a table in a paper, in their order.
 PAPER = (
     "source redshift feature stream r_min r_max kind scale n_epochs first last "
@@ -206,9 +208,8 @@ def paper_table(table, *, sign="±"):
     2.128 ± 0.072
     """
     shown, paper = dates_as_text(table), Table()
-    if "p_global_err" in shown.colnames:
-        shown.remove_column("p_global_err")
-    for name, texts in cells(shown, PAPER, sign=sign).items():
+    forms = {"p_global": PROBABILITY}
+    for name, texts in cells(shown, PAPER, sign=sign, forms=forms).items():
         unit = shown[name].info.unit
         unit = None if unit == u.one else unit
         paper[name] = Column(np.array(texts, dtype=str), unit=unit)
