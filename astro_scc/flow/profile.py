@@ -423,16 +423,19 @@ def write_profile(profile, streams, directory, **settings):
     tables, cube = {"profile": streams}, profile.flow.cube
     _, paths = write_tables(tables, directory, streams.meta, cube, **settings)
     result = next(one for found in profile.results.values() for one in found if one)
+    angles = angles_by_scale(profile, result)
+    # Scales that are smaller than those of SSPs have none.
+    names = ("profile", "position_angles") if angles else ("profile",)
 
     def draw(name):
         if name == "position_angles":
-            return speeds.plot_position_angles(angles_by_scale(profile, result))
+            return speeds.plot_position_angles(angles)
         return speeds.plot_profile(
             streams, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
             cube=cube, beta_per_pm=beta_per_pm(streams),
         )  # fmt: skip
 
-    files = style.figure_files(("profile", "position_angles"), draw)
+    files = style.figure_files(names, draw)
     write_files(files, Path(directory))
     return paths + [Path(directory, name) for name in files]
 
@@ -451,6 +454,7 @@ def angles_by_scale(profile, result):
     Returns
     -------
     dict of `~astropy.units.Quantity`
+        Of the groups that have any.
     """
     decomposed, jet = result.decomposed, result.position_angle.to_value(u.deg)
     offsets = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
@@ -467,11 +471,11 @@ def angles_by_scale(profile, result):
             name: next((fit.flow.planes[0].scales for fit in fits if fit), ())
             for name, fits in profile.fits.items()
         }
-    return {
+    angles = {
         f"scales {name}": angle[inside & np.isin(scale, scales)] * u.deg
         for name, scales in groups.items()
-        if len(scales)
     }
+    return {name: each for name, each in angles.items() if len(each)}
 
 
 def _line_of(result, length):

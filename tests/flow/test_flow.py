@@ -22,7 +22,7 @@ from astro_scc.flow import (
     measure_profile,
 )
 from astro_scc.flow.models import slope_of
-from astro_scc.flow.profile import bins_of
+from astro_scc.flow.profile import bins_of, write_profile
 from astro_scc.flow.speeds import distances_along, speeds_in_parts
 from astro_scc.kinematics import ExpansionFrame, PositionAngleFrame, RidgeLine
 from astro_scc.simulation import simulate_jet
@@ -80,6 +80,11 @@ def test_a_bin_has_what_moves_in_it(profile, decomposed, tmp_path):
     for (low, high), found in every:
         own = [k for stream in found.search.streams for k in stream.members]
         assert np.all((distance[own] >= low) & (distance[own] < high))
+    # Speeds from a scale without SSPs have no figure of their position angles.
+    finest = replace(profile.flow.planes[0], scales=(0,))
+    alone = replace(profile, flow=replace(profile.flow, planes=(finest,)))
+    for found, n in ((profile, 4), (alone, 3)):
+        assert len(write_profile(found, table, tmp_path)) == n
 
 
 def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
