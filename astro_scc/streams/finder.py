@@ -280,6 +280,8 @@ def find_streams(
         doubts = {"diffusing": diffusing, "sure": ALONE * alpha if whole else 1.0}
         streams = [_on_its_side(s, search, moving) for s in streams]
         streams = [_judged(s, search, opposed, **doubts) for s in streams]
+    else:
+        streams = [_as_tested(s, search) for s in streams]
     streams += _standing(search.features, flow, streams, inside, shift)
     velocities = _map_of(search, streams, sheet, aside, map_rng)
     return replace(search, streams=tuple(streams), velocities=velocities)
@@ -458,6 +460,21 @@ def _judged(stream, search, opposed="", *, diffusing, sure=1.0):
     if opposed:
         kind, reason = "not confirmed", opposed
     return replace(stream, kind=kind, reason=reason)
+
+
+def _as_tested(stream, search):
+    """Return a stream that the test does not find, with a speed that it searched."""
+    turn, test = turn_to_flow(search.angle), search.test
+    speed = abs((turn @ stream.velocity)[0])
+    if stream.source != "spectrum" or search.tested(speed):
+        return stream
+    # What the spectrum has beyond it is not lost: ``spectrum`` keeps it.
+    along = np.array([test.clearest * search.beam, 0.0])
+    return replace(
+        stream, velocity=turn.T @ along, covariance=np.full((2, 2), np.nan),
+        share=np.nan, dispersion=np.nan, dispersion_err=np.nan,
+        p_local=float(test.p_local[test.best]),
+    )  # fmt: skip
 
 
 def verdict(speed, error, *, doubtful, unlike):

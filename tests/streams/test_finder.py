@@ -16,9 +16,10 @@ from astro_scc.epochs import ComponentList, restore
 from astro_scc.explain import explain_feature
 from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
+from astro_scc.plan import searched_speeds
 from astro_scc.report.answer import headline, scale_lines, trust_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
-from astro_scc.streams.finder import _judged, _standing
+from astro_scc.streams.finder import _as_tested, _judged, _standing
 from astro_scc.streams.members import mean_speed, separation
 
 
@@ -43,6 +44,9 @@ def test_both_streams_of_the_paper_are_found(two):
     assert streams["share"].sum() == pytest.approx(1.0)
     assert streams["pm_pa"].value == pytest.approx([270, 270], abs=8)
     assert streams["stream"].tolist() == [1, 2]
+    # What astro-scc inspect says before is what is searched.
+    limits = [streams.meta[name].value for name in ("slowest", "fastest")]
+    assert searched_speeds(two.cube).value == pytest.approx(limits)
 
 
 def test_scales_of_two_streams_are_compared_stream_by_stream(two):
@@ -315,6 +319,15 @@ def test_a_speed_that_was_not_searched_is_not_confirmed(two, factor, than):
     far = _judged(replace(far, covariance=np.eye(2) * 1e-4), search, diffusing=False)
     assert far.kind == "not confirmed"
     assert far.reason == f"it is {than} than what was searched"
+    # Where the test finds nothing, the row has a speed that it searched.
+    other = np.hypot(*far.velocity)
+    one = _as_tested(replace(far, spectrum=(other, 1.0)), search)
+    assert search.tested(np.hypot(*one.velocity))
+    one = replace(one, kind="not significant")
+    row = replace(two, search=replace(search, streams=(one,))).streams[0]
+    said = f"the spectrum has {other:.3g} mas/yr, which was not searched"
+    assert said in row["caution"]
+    assert ("give a larger max_speed" in row["caution"].split("; ")[2]) == (factor > 1)
 
 
 def test_features_that_the_flow_passes_between_images_are_not_secure():
