@@ -21,6 +21,7 @@ from astro_scc.flow.speeds import (
     distances_along,
     flows_by_scale,
     halves,
+    moves_in,
     place_of,
     speeds_in_parts,
 )
@@ -153,11 +154,11 @@ class Profile(Components):
     @cached_property
     def accelerations(self) -> dict[str, FlowAcceleration]:
         """The acceleration by the name of the group of scales."""
-        unit = self.flow.cube.speed_unit
-        return {
-            name: acceleration_of(speeds, self.flow.beam, unit)
-            for name, speeds in self.speeds.items()
-        }
+        unit, beam, found = self.flow.cube.speed_unit, self.flow.beam, {}
+        for name, parts in self.speeds.items():
+            moves = sum(map(moves_in, self.results[name])) > 1
+            found[name] = acceleration_of(parts, beam, unit, moves=moves)
+        return found
 
     @cached_property
     def streams(self) -> QTable:
@@ -491,6 +492,8 @@ def _fits(profile):
     beam, unit, fits = profile.flow.beam, profile.flow.cube.speed_unit, {}
     alone = len(profile.groups) == 1
     for name, (place, speed, covariance) in profile.speeds.items():
+        if sum(map(moves_in, profile.results[name])) < 2:
+            continue
         errors = np.sqrt(np.diag(covariance))
         v, e = ((x * beam * PM_UNIT).to(unit) for x in (speed, errors))
         given = {"covariance": covariance * (beam * PM_UNIT) ** 2}

@@ -102,6 +102,10 @@ def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
         assert str(found).startswith("acceleration: 0.")
     with pytest.raises(ValueError, match="row must be from 0 to .*, got 9"):
         measure_acceleration(result, 9)
+    # Speeds of which one bin alone moves have no slope.
+    slow = replace(profile, results={"all": (profile.results["all"][0], *[None] * 3)})
+    assert "significant in fewer than two of the bins" in str(slow.acceleration)
+    assert np.isnan(slow.components.meta["acceleration"]["all"]["gradient"])
 
 
 def test_along_a_ridge_line_and_in_windows(decomposed):
