@@ -12,6 +12,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from astro_scc.epochs.align import alignment_errors
 from astro_scc.images.positions import ssp_offsets
 from astro_scc.kinematics import ExpansionFrame, SkyFrame
 from astro_scc.measurement import false_discovery_rate
@@ -20,7 +21,6 @@ from astro_scc.paper.method import matched_displacements
 from astro_scc.patterns import DecomposedEpochs, centroids_inside
 from astro_scc.quantities import Seed, check_integer, named, random_generator
 from astro_scc.scc import StackedCrossCorrelation
-from astro_scc.streams.finder import alignment_errors
 
 __all__ = ["expansion_speed", "fit_shell", "measure_expansion"]
 

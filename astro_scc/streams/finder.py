@@ -4,9 +4,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import astropy.units as u
 import numpy as np
 
+from astro_scc.epochs.align import alignment_errors
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.intervals import median_interval
 from astro_scc.settings import MeasurementSettings
@@ -266,10 +266,9 @@ def find_streams(
         moving, *_ = moving_with(flow, features, inside, sign)
     if part.fit is not None and passes and not diffusing:
         part, p = _one_or_two(part, test, moving, n_trials, alpha, map_rng)
-    part = _with_errors(part)
     search = StreamSearch(
         flow, features, test, part.diagram, equations.speed * flow.beam,
-        deconvolve(equations), part.fit,
+        deconvolve(equations), _with_errors(part),
     )  # fmt: skip
     rows = _of_spectrum(search, equations, whole)
     if whole and significant and part.fit is not None:
@@ -283,16 +282,15 @@ def find_streams(
     else:
         streams = [_as_tested(s, search) for s in streams]
     streams += _standing(search.features, flow, streams, inside, shift)
-    velocities = _map_of(search, streams, sheet, aside, map_rng)
-    return replace(search, streams=tuple(streams), velocities=velocities)
+    return _with_map(search, streams, sheet, aside, map_rng)
 
 
 def _with_errors(part):
-    """Return a fit with the errors of its means, and their numbers of clusters."""
+    """Return the fit with the errors of its means, and their numbers of clusters."""
     if part.fit is None:
-        return part
+        return None
     mean_err, number, *_ = part.errors()
-    return replace(part, fit=replace(part.fit, mean_err=mean_err, number=number))
+    return replace(part.fit, mean_err=mean_err, number=number)
 
 
 def is_alike(test, years):
@@ -302,14 +300,15 @@ def is_alike(test, years):
     return (1 - test.white) * np.exp(-median_interval(years) / test.memory) >= ALIKE
 
 
-def _map_of(search, streams, sheet, aside, rng):
-    """Return the velocity map, to three times the fastest stream that moves."""
+def _with_map(search, streams, sheet, aside, rng):
+    """Return a search with its streams, and a map to three times the fastest."""
     moving = [np.hypot(*s.velocity) for s in streams if s.kind == "moving"]
     fastest = min(3 * max(moving, default=np.inf), search.fastest) / search.beam
     aside = aside * (np.arange(len(sheet)) - len(sheet) // 2)
-    return velocity_map(
+    velocities = velocity_map(
         sheet, aside, fastest, angle=search.angle, beam=search.beam, rng=rng
     )
+    return replace(search, streams=tuple(streams), velocities=velocities)
 
 
 def _one_or_two(part, test, moving, n_trials, alpha, rng):
@@ -533,42 +532,6 @@ def _harmonic(search, equations):
     number = max(search.fit.number[0], 1)
     error = np.hypot(width / np.sqrt(number), MODEL_ERROR * mean)
     return sign * mean * search.beam, error * search.beam
-
-
-def alignment_errors(cube, error=None):
-    """
-    Return the standard error of the alignment of each epoch on both axes.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    error : `~astropy.units.Quantity`, optional
-        One error for all epochs, or one per epoch.  The default is the error
-        of each epoch's last alignment, or zero without it.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs, 2)
-        In mas.
-
-    Raises
-    ------
-    ValueError
-        If ``error`` has neither one element nor one per epoch.
-    """
-    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
-    if error is None:
-        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        records = [last.get(label, {}) for label in cube.labels]
-        left = [[record.get(name) or 0.0 for name in names] for record in records]
-        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
-    else:
-        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
-        if each.shape not in ((1,), (n,)):
-            raise ValueError(
-                f"alignment_error must be 1 or {n} angles, got {each.size}"
-            )
-    return np.broadcast_to(each[:, None], (n, 2))
 
 
 def _of_alignment(flow, errors):

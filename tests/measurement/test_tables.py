@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from astro_scc import EpochCube, StackedCrossCorrelation
+from astro_scc.epochs.align import alignment_errors
 from astro_scc.kinematics import SkyFrame
 from astro_scc.measurement import SCCResult, false_discovery_rate
 from astro_scc.measurement.tables import paper_table, stream_table, velocity_columns
 from astro_scc.quantities import decimals
-from astro_scc.streams.finder import alignment_errors
 
 
 def test_the_settings_of_a_table_can_be_used_again(sky_result, tmp_path):
