@@ -17,7 +17,7 @@ from astro_scc.exceptions import AstroSccWarning
 from astro_scc.grid import has_core
 from astro_scc.images.positions import PIXELS_RESOLVED, ssp_offsets
 from astro_scc.settings import require
-from astro_scc.spectrum.permutations import EVERY, within
+from astro_scc.spectrum.permutations import EVERY, speeds_tested, within
 from astro_scc.streams.finder import FEWEST_EPOCHS
 from astro_scc.units import PM_UNIT
 
@@ -259,6 +259,22 @@ def flow_beam(cube):
         return structure_size(cube) * pixel
     # Nothing is smaller than what pixels resolve.
     return max(cube.resolution.to_value(u.mas), PIXELS_RESOLVED * pixel)
+
+
+def searched_speeds(cube):
+    """
+    Return the slowest and fastest speed that are searched without ``max_speed``.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+
+    Returns
+    -------
+    `~astropy.units.Quantity`, shape (2,)
+    """
+    speed = speeds_tested(cube.years.to_value(u.yr))[[0, -1]] * flow_beam(cube)
+    return (speed * PM_UNIT).to(cube.speed_unit)
 
 
 def choose_scales(cube, *, octaves=4):

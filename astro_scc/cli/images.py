@@ -24,9 +24,11 @@ from astro_scc.images import fits, positions
 from astro_scc.images.beam import different_beam, parse_beam
 from astro_scc.images.dates import date_labels
 from astro_scc.paper.stack import baseline_pairs
+from astro_scc.plan import searched_speeds
 from astro_scc.products.folder import product_folder
 from astro_scc.quantities import named, one_quantity, to_time
 from astro_scc.settings import Settings, check_setting
+from astro_scc.units import unit_name
 
 #: Options of the jet "jet", and their other names in `simulate_jet`.
 (FLOW,) = COMMANDS["simulate"]["groups"].values()
@@ -360,7 +362,12 @@ def _alignment(cube, of_core):
 
 def _choices(cube):
     """Return what a measurement without options takes, as lines."""
-    _, _, chosen = prepare(cube, Settings())
+    cube, _, chosen = prepare(cube, Settings())
+    if np.ptp(cube.years) > 0:
+        low, high = searched_speeds(cube).value
+        unit = unit_name(cube.speed_unit)
+        more = "are searched, faster ones with --max-speed"
+        chosen.append(f"speeds of {low:.3g} to {high:.3g} {unit} {more}")
     if different_beam(cube.beams) is not None:
         chosen.insert(0, "--common-beam: the beams differ")
     head = "\nWithout options, astro-scc measure takes:"

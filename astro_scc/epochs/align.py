@@ -278,6 +278,42 @@ METHODS = {
 }  # fmt: skip
 
 
+def alignment_errors(cube, error=None):
+    """
+    Return the standard error of the alignment of each epoch on both axes.
+
+    Parameters
+    ----------
+    cube : `~astro_scc.epochs.EpochCube`
+    error : `~astropy.units.Quantity`, optional
+        One error for all epochs, or one per epoch.  The default is the error
+        of each epoch's last alignment, or zero without it.
+
+    Returns
+    -------
+    `~numpy.ndarray`, shape (n_epochs, 2)
+        In mas.
+
+    Raises
+    ------
+    ValueError
+        If ``error`` has neither one element nor one per epoch.
+    """
+    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
+    if error is None:
+        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
+        records = [last.get(label, {}) for label in cube.labels]
+        left = [[record.get(name) or 0.0 for name in names] for record in records]
+        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
+    else:
+        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
+        if each.shape not in ((1,), (n,)):
+            raise ValueError(
+                f"alignment_error must be 1 or {n} angles, got {each.size}"
+            )
+    return np.broadcast_to(each[:, None], (n, 2))
+
+
 def offsets_from_table(table, times, labels, within=1 * u.day):
     """
     Return the offset of each epoch in a table, and its error, shape (n, 2) in mas.
@@ -372,39 +408,3 @@ def _axis(table, axis):
             )
         found.append(numbers(table[column], u.mas, own_unit=unit or units[0]))
     return found if wrong else [*found, np.full(len(table), np.nan)]
-
-
-def alignment_errors(cube, error=None):
-    """
-    Return the standard error of the alignment of each epoch on both axes.
-
-    Parameters
-    ----------
-    cube : `~astro_scc.epochs.EpochCube`
-    error : `~astropy.units.Quantity`, optional
-        One error for all epochs, or one per epoch.  The default is the error
-        of each epoch's last alignment, or zero without it.
-
-    Returns
-    -------
-    `~numpy.ndarray`, shape (n_epochs, 2)
-        In mas.
-
-    Raises
-    ------
-    ValueError
-        If ``error`` has neither one element nor one per epoch.
-    """
-    n, names = len(cube), ("shift_east_err_mas", "shift_north_err_mas")
-    if error is None:
-        last = {record["epoch"]: record for record in cube.meta.get("alignment", ())}
-        records = [last.get(label, {}) for label in cube.labels]
-        left = [[record.get(name) or 0.0 for name in names] for record in records]
-        each = np.sqrt(np.mean(np.square(left, dtype=float), axis=1))
-    else:
-        each = np.atleast_1d(error.to_value(u.mas)).astype(float)
-        if each.shape not in ((1,), (n,)):
-            raise ValueError(
-                f"alignment_error must be 1 or {n} angles, got {each.size}"
-            )
-    return np.broadcast_to(each[:, None], (n, 2))

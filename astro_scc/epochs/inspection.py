@@ -174,8 +174,8 @@ class IntervalPlan:
     the epochs), the span T of the series, the median interval dt between
     consecutive epochs and the shorter side L of the images:
 
-    - ``slowest = b / T``, or that of consecutive epochs if those are slower: what
-      moves less than a beam from the first to the last epoch is not searched.
+    - ``slowest = b / T``, or that of consecutive epochs if those are slower: what is
+      slower moves less than a beam from the first to the last epoch.
     - ``fastest = L / (2 dt)``: a feature that crosses half of the image
       between consecutive epochs is in one of them only.
     - ``consecutive = (0.3, 1.5) b / dt``: speeds for which consecutive
@@ -231,8 +231,8 @@ class IntervalPlan:
             f"{self.n_epochs} epochs over {self.span:.3g}, "
             f"{self.shortest.value:.3g} to {self.longest:.3g} apart, "
             f"median {self.median:.3g}; resolution {readable_angle(self.resolution)}.",
-            f"What is slower than {self.slowest:.2g} moves by less than a beam and is "
-            f"not searched; what is faster than {self.fastest:.3g} leaves the image.",
+            f"What is slower than {self.slowest:.2g} moves by less than a beam, what "
+            f"is faster than {self.fastest:.3g} leaves the image by the next epoch.",
             f"Consecutive epochs suit speeds of {low.value:.2g} to {high:.2g}, up to "
             f"{(self.resolution / self.median).to(high.unit):.2g} without ambiguity.",
             "Slower features show in pairs of epochs that are further apart, which "

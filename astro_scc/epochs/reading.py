@@ -267,7 +267,7 @@ def _assemble(planes, times, beams, frame, check, source):
     for _, text, _ in _lines(planes, far_away(planes) if frame == "offset" else ()):
         warn(text)
     unit = _in_one_unit(planes)
-    fields, resampled = lay_on_one_grid(planes, frame, unit)
+    fields, resampled, line = lay_on_one_grid(planes, frame, unit)
     if resampled:
         ny, nx = fields["data"].shape[1:]
         warn(
@@ -277,8 +277,8 @@ def _assemble(planes, times, beams, frame, check, source):
             "and the noise of all is measured; leave it out if you do not want that"
         )
     whole = np.max([plane.shape for plane in planes], axis=0)
-    line = grid.flatten(fields, planes[0].name, whole, unit)
-    resampled = resampled or line.startswith(grid.RESAMPLED)
+    flattened = grid.flatten(fields, planes[0].name, whole, unit)
+    resampled = resampled or flattened.startswith(grid.RESAMPLED)
     beams = _all_or_none(planes, "beam", NO_BEAM)
     advice = "that of all is measured; give every image an uncertainty"
     noise = _all_or_none(planes, "noise", advice)
@@ -288,7 +288,8 @@ def _assemble(planes, times, beams, frame, check, source):
     names = [*filter(None, (plane.facts.get("object") for plane in planes))]
     meta = {"object": names[0]} if len({*first_names(names).values()}) == 1 else {}
     laid = "reference pixels" if frame == "offset" else "absolute coordinates"
-    meta["history"] = [f"{source}, aligned on their {laid}", *filter(None, [line])]
+    steps = f"{source}, aligned on their {laid}", line, flattened
+    meta["history"] = [step for step in steps if step]
     facts = tuple(plane.facts for plane in planes)
     fields |= {"times": times, "unit": unit, "beams": beams, "noise": noise}
     return fields | {"labels": labels, "epoch_meta": facts, "meta": meta}
@@ -384,6 +385,8 @@ def lay_on_one_grid(planes, frame, unit):
         ``data``, ``mask``, ``wcs`` and ``epoch_wcs`` of an EpochCube.
     resampled : list of str
         Names of the images that were interpolated.
+    line : str
+        About the grid, for the history, or ''.
     """
     frames = positions.on_one_sky([plane.wcs for plane in planes], planes[0].wcs, frame)
     grids = [(p.data.shape, wcs) for p, wcs in zip(planes, frames, strict=True)]
@@ -407,7 +410,15 @@ def lay_on_one_grid(planes, frame, unit):
         resampled += [] if copied else [plane.name]
         plane.data = plane.mask = None
     fields = {"data": data, "mask": mask, "wcs": every[0], "epoch_wcs": tuple(every)}
-    return fields, resampled
+    line, steps = "", [grid.whole_step(wcs, new, size) for size, wcs in grids]
+    alike = all(size == shape for size, _ in grids)
+    if not alike or any(step is None or step.any() for step in steps):
+        n, side = len(resampled), np.sqrt(positions.middle_area(new, shape)) * u.deg
+        line = (
+            f"{grid.SHARED} of {shape[1]} x {shape[0]} pixels of {readable_angle(side)}"
+            f", masked outside each image ({n} of {len(planes)} images interpolated)"
+        )
+    return fields, resampled, line
 
 
 def _refuse_misfits(planes, grids, ratio=10):

@@ -260,7 +260,8 @@ class FlowAcceleration:
         Probability of as large an acceleration of either sign if there is none, by
         Student's distribution, as the parts scatter about a line.
     n_parts : int
-        Parts whose speed is known.  With fewer than three the other numbers are NaN.
+        Parts whose speed is known.  With fewer than three the other numbers are NaN,
+        as they are where motion is significant in fewer than two bins of a profile.
     radial : bool
         Whether it flows to all sides of a point.  Then none of these is measured:
         matter of one explosion is faster farther out without an acceleration.
@@ -283,10 +284,13 @@ class FlowAcceleration:
                 "distance without one if all started at one time (measure_expansion)"
             )
         if np.isnan(self.p_value):
-            return (
-                "acceleration: unknown, as speeds are needed in three parts of the "
-                f"flow, of two beams each, and there are {self.n_parts}"
-            )
+            why = "motion is significant in fewer than two of the bins"
+            if self.n_parts < FEWEST:
+                why = (
+                    "speeds are needed in three parts of the flow, of two beams each, "
+                    f"and there are {self.n_parts}"
+                )
+            return f"acceleration: unknown, as {why}"
         length, time = self.speed.unit.bases
         both = self.acceleration, self.acceleration_err
         value = with_error(*(a.to_value(length / time**2) for a in both), "+-")
@@ -298,7 +302,7 @@ class FlowAcceleration:
         )
 
 
-def acceleration_of(parts, flow, unit=PM_UNIT):
+def acceleration_of(parts, flow, unit=PM_UNIT, *, moves=True):
     """
     Return the acceleration from speeds in parts of a flow.
 
@@ -309,14 +313,17 @@ def acceleration_of(parts, flow, unit=PM_UNIT):
     flow : ``DecomposedFlow``
     unit : `~astropy.units.Unit`, optional
         Of speeds.
+    moves : bool, optional
+        Whether they are of motion.  If not, their slope is none.
 
     Returns
     -------
     `FlowAcceleration`
     """
     beam, radial = flow.beam, isinstance(flow.frame, RadialFrame)
-    known = [part[: 0 if radial else None] for part in parts]
-    centre, speed, slope, error, number = slope_of(*known)
+    centre, speed, slope, error, number = slope_of(*parts)
+    if radial or not moves:
+        centre = speed = slope = error = np.nan
     length, time = unit.bases
     speed = (speed * beam * PM_UNIT).to(unit)
     gradients = [u.Quantity(x, 1 / u.yr).to(1 / time) for x in (slope, error)]

@@ -21,6 +21,7 @@ from astro_scc.flow.speeds import (
     distances_along,
     flows_by_scale,
     halves,
+    moves_in,
     place_of,
     speeds_in_parts,
 )
@@ -153,11 +154,11 @@ class Profile(Components):
     @cached_property
     def accelerations(self) -> dict[str, FlowAcceleration]:
         """The acceleration by the name of the group of scales."""
-        unit = self.flow.cube.speed_unit
-        return {
-            name: acceleration_of(speeds, self.flow, unit)
-            for name, speeds in self.speeds.items()
-        }
+        unit, found = self.flow.cube.speed_unit, {}
+        for name, parts in self.speeds.items():
+            moves = sum(map(moves_in, self.results[name])) > 1
+            found[name] = acceleration_of(parts, self.flow, unit, moves=moves)
+        return found
 
     @cached_property
     def streams(self) -> QTable:
@@ -454,6 +455,7 @@ def angles_by_scale(profile, result):
     Returns
     -------
     dict of `~astropy.units.Quantity`
+        Of the groups that have any.
     """
     decomposed, jet = result.decomposed, result.position_angle.to_value(u.deg)
     offsets = ssp_offsets(decomposed.ssps, decomposed.cube, centroid=True)
@@ -470,11 +472,11 @@ def angles_by_scale(profile, result):
             name: next((fit.flow.planes[0].scales for fit in fits if fit), ())
             for name, fits in profile.fits.items()
         }
-    return {
+    angles = {
         f"scales {name}": angle[inside & np.isin(scale, scales)] * u.deg
         for name, scales in groups.items()
-        if len(scales)
     }
+    return {name: each for name, each in angles.items() if len(each)}
 
 
 def _line_of(result, length):
@@ -490,6 +492,8 @@ def _fits(profile):
     beam, unit, fits = profile.flow.beam, profile.flow.cube.speed_unit, {}
     alone = len(profile.groups) == 1
     for name, (place, speed, covariance) in profile.speeds.items():
+        if sum(map(moves_in, profile.results[name])) < 2:
+            continue
         errors = np.sqrt(np.diag(covariance))
         v, e = ((x * beam * PM_UNIT).to(unit) for x in (speed, errors))
         given = {"covariance": covariance * (beam * PM_UNIT) ** 2}

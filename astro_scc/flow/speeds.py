@@ -143,8 +143,8 @@ def compare_scales(
         A row for each pair of groups, bin and stream: ``r_min`` and ``r_max`` (0 and
         infinity for the whole); ``stream``, of two 1 is the slower; ``first`` and
         ``second``, their names; the speed of each with its error, and its share of what
-        moves; ``difference`` with its error, and ``p_value``.  What is unknown is NaN.
-        None with one scale.
+        moves; ``difference`` with its error, and ``p_value``.  What is unknown is NaN,
+        and all is in a bin where nothing moves significantly.  None with one scale.
 
     Raises
     ------
@@ -168,9 +168,10 @@ def compare_scales(
     if hasattr(measured, "results"):
         for k, limits in enumerate(measured.bins.to_value(u.mas)):
             both = measured.pairs[k]
-            fits = {name: found[k] for name, found in measured.fits.items()}
+            moves = any(moves_in(found[k]) for found in measured.results.values())
+            fits = {name: f[k] if moves else None for name, f in measured.fits.items()}
             for name, found in measured.results.items():
-                if both and found[k] is not None:
+                if both and moves and found[k] is not None:
                     one = found[k].search
                     fits[name] = fit_part(one.flow, start=both, diagram=one.diagram)
             compared = _compared(fits, measured.flow.beam, both)
@@ -191,6 +192,11 @@ def compare_scales(
     kinds = dict.fromkeys(COMPARED, float) | {"stream": int}
     kinds = [*(kinds | {"first": str, "second": str}).values()]
     return QTable(rows=rows or None, names=COMPARED, units=units, dtype=kinds)
+
+
+def moves_in(result):
+    """Return whether anything moves in a bin, whose result may be None."""
+    return result is not None and any(s.kind == "moving" for s in result.search.streams)
 
 
 def flows_by_scale(flow, groups):

@@ -19,8 +19,10 @@ from astro_scc.images.series import ImageSeries, Series
 ONE_SHIFT = 0.01
 # A resampled pixel is bad if bad pixels contribute more than this weight to it.
 BAD_WEIGHT = 0.01
-#: Beginning of the line of history about images that were not flat.
-RESAMPLED = "resampled onto a tangent plane"
+#: Beginnings of lines of history after which pixels are not those of the files: of
+#: images that were not flat, on grids that differ, and on a grid that was asked for.
+RESAMPLED, SHARED = "resampled onto a tangent plane", "laid on a shared grid"
+REPROJECTED = "reprojected onto"
 
 
 def fill_masked(image, mask, n_iterations=20):
@@ -272,7 +274,7 @@ def reproject_cube(
     how = "averaged" if coarse else "interpolated"
     how = "whole pixels copied" if copied else how
     return cube.with_step(
-        f"reprojected onto {shape[1]} x {shape[0]} pixels of "
+        f"{REPROJECTED} {shape[1]} x {shape[0]} pixels of "
         f"{side.to_value(u.mas):.4g} mas ({how})",
         data=data, mask=mask, wcs=wcs, epoch_wcs=None,
         noise=cube.noise if copied else None,

@@ -16,6 +16,15 @@ from astro_scc.exceptions import naming_all, warn
 from astro_scc.images import grid, positions, series
 from astro_scc.images.positions import readable_angle
 
+#: Where pixels are not those of the files, by the beginning of a line of history.
+CROPPED = "cropped to pixels"
+OTHER_PIXELS = {
+    CROPPED: "a part of the images (crop)",
+    grid.SHARED: "images of several grids",
+    grid.RESAMPLED: "resampled images",
+    grid.REPROJECTED: "resampled images",
+}
+
 
 def region_mask(cube: series.ImageSeries, region: Any = None) -> np.ndarray:
     """
@@ -53,6 +62,9 @@ def region_mask(cube: series.ImageSeries, region: Any = None) -> np.ndarray:
     DS9 and CRTF files, ``meta["include"]`` false) are removed from it.  If all
     regions are excluded, the rest of the image remains.
 
+    Pixels of a file are those of the images that were read, and are refused where
+    those of the cube are others; pixels of a `regions.Region` are those of the cube.
+
     Examples
     --------
     >>> import numpy as np
@@ -66,12 +78,13 @@ def region_mask(cube: series.ImageSeries, region: Any = None) -> np.ndarray:
            [0, 0, 1, 1, 1, 0, 0],
            [0, 0, 0, 0, 0, 0, 0]])
     """
-    from regions import Region
+    from regions import PixelRegion, Region
 
     shape, name, places = cube.shape[1:], "region", ()
     if region is None:
         return np.ones(shape, dtype=bool)
     if isinstance(region, str | os.PathLike):
+        refuse_pixels(region, False, cube)
         name, (region, places) = str(region), _read(region)
     if isinstance(region, np.ndarray):
         if region.dtype != bool or region.shape != shape:
@@ -87,6 +100,13 @@ def region_mask(cube: series.ImageSeries, region: Any = None) -> np.ndarray:
             raise TypeError(
                 "region must be a regions.Region, a non-empty list of them, the path "
                 f"of a region file or an array of bool, got {region!r}"
+            )
+        drawn = name == "region" and any(isinstance(i, PixelRegion) for i in items)
+        if drawn and _other_pixels(cube) == OTHER_PIXELS[grid.SHARED]:
+            warn(
+                "region: is in pixels, which are those of cube.wcs, not those of a "
+                "file: the images were of several grids; give a SkyRegion if it was "
+                "drawn on one of them"
             )
         inside = _combine(cube, items, name, places)
     if not inside.any():
@@ -270,7 +290,7 @@ def crop(cube: series.Series, region: Any, pad: int = 0) -> series.Series:
 def crop_line(window):
     """Return the line about slices (y, x) that `crop` adds to the history."""
     y, x = (f"{part.start} to {part.stop - 1}" for part in window)
-    return f"cropped to pixels x {x}, y {y}"
+    return f"{CROPPED} x {x}, y {y}"
 
 
 def refuse_pixels(path, cropped, cube=None):
@@ -278,20 +298,23 @@ def refuse_pixels(path, cropped, cube=None):
     Refuse a region file in pixels if these are not those of the files.
 
     Pixels are others if only a part of the images is read (``cropped``), or if the
-    images of the cube have been resampled.
+    images of the cube have been cropped, enlarged or resampled.
     """
     from regions import PixelRegion
 
-    lines = () if cube is None else cube.meta.get("history", ())
-    resampled = any(line.startswith(grid.RESAMPLED) for line in lines)
-    if (cropped or resampled) and any(
-        isinstance(item, PixelRegion) for item in _read(path)[0]
-    ):
-        where = "a part of the images (crop)" if cropped else "resampled images"
+    where = OTHER_PIXELS[CROPPED] if cropped else _other_pixels(cube)
+    if where and any(isinstance(item, PixelRegion) for item in _read(path)[0]):
         raise ValueError(
-            f"{path}: is in pixels, which are others in {where}; give it in celestial "
-            "coordinates"
+            f"{path}: is in pixels, which are others in {where}; write it in celestial "
+            "coordinates (DS9 saves it as fk5)"
         )
+
+
+def _other_pixels(cube):
+    """Return where pixels of a cube are not those of its files, '' if they are."""
+    lines = getattr(cube, "meta", {}).get("history", ())
+    starts = (s for s in OTHER_PIXELS if any(line.startswith(s) for line in lines))
+    return OTHER_PIXELS.get(next(starts, ""), "")
 
 
 def distance_mask(

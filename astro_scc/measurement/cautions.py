@@ -90,9 +90,22 @@ def _doubts(result, stream, alpha):
         f"{', which so few epochs or trials cannot reach' if never else ''}",
         *unlike,
         *one_way,
+        *_beyond(search, stream, unit),
         f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
-        "faster shorter intervals",
+        "faster shorter intervals or a larger max_speed (--max-speed)",
     ]
+
+
+def _beyond(search, stream, unit):
+    """Return that the spectrum is beyond what was searched, as a list of text."""
+    speed, step = stream.spectrum[0], finder.RATIO - 1
+    if search.slowest <= speed <= search.fastest:
+        return []
+    said = f"the spectrum has {_shown(speed, unit)}, which was not searched"
+    if search.tested(speed):
+        said = f"its speed is within a step, {step:.0%}, of those that were searched"
+    more = ": give a larger max_speed (--max-speed)"
+    return [said + (more if speed > search.fastest else "")]
 
 
 def _upstream(result, stream, row, *, least=1.2):

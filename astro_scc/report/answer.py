@@ -109,7 +109,8 @@ def headline(streams, features=None):
             for name in ("slowest", "fastest", "unambiguous")
         )
         more += [
-            f"speeds of {low} to {high} {unit_name(unit)} were searched",
+            f"speeds of {low} to {high} {unit_name(unit)} were searched (faster "
+            "ones with --max-speed)",
             f"unambiguous to {safe}",
         ]
     nothing = f"Nothing moves significantly{': ' if more else ''}{', '.join(more)}"

@@ -1,13 +1,12 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """From the velocity spectrum and the features to streams on the sky."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from astro_scc.epochs.align import alignment_errors
-from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.intervals import median_interval
 from astro_scc.settings import MeasurementSettings
 from astro_scc.spectrum.diagram import Diagram
@@ -28,19 +27,20 @@ from astro_scc.streams.decomposed import (
     sheet_of,
 )
 from astro_scc.streams.members import (
-    AS_WELL,
     FEWEST,
     LEAST_SIDE,
     MOST_PASSED,
+    UNKNOWN,
+    MeasuredStream,
     chance_of_separation,
     divided,
-    frame_velocities,
     mean_across,
     mean_speed,
     moving_with,
     speaks_for,
     turn_to_flow,
     unknown_scatter,
+    with_standing,
     without_passed,
     without_unlike,
 )
@@ -82,74 +82,6 @@ UNLIKE = (
 #: ``benchmarks/calibration`` (seeds 6000 on) 10 of 14 second streams had fewer, single
 #: features, and none of 29 of ``two-fluid-sparse-region``.
 BY_CHANCE, BROAD, LEAST_GAIN, CLUSTERS = 0.05, 6.0, 0.03, 2.5
-#: Largest motion of a standing feature, in beams, and its fewest epochs.
-STANDING, STANDING_EPOCHS = 0.5, 5
-#: A stream of no feature is not confirmed where more than such a share of all
-#: detections are of standing features: periodic fluxes look like motion.  In the
-#: survey's sources whose speed is right, it is at most 0.46.
-MOSTLY = 0.5
-STANDING_STILL = (
-    "stand still, and no feature moves: fluxes that vary in turn look like motion"
-)
-#: Standing features do not stand still if their mean is so many errors from zero, of
-#: two dimensions: as rare by chance as three errors in one.
-TOGETHER = 3.44
-#: A pair of numbers that are not known.
-UNKNOWN = (np.nan, np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredStream:
-    """
-    A stream: a velocity of the flow.
-
-    Attributes
-    ----------
-    kind : {"moving", "not confirmed", "stationary", "not significant"}
-    reason : str
-        Why it is not moving, or what it rests on, or ''.
-    velocity : `~numpy.ndarray`, shape (2,)
-        On the axes of the frame, in mas/yr.
-    covariance, alignment : `~numpy.ndarray`, shape (2, 2)
-        Of the velocity; the second is the part by errors of the alignment.
-    source : {"features", "spectrum", ""}
-        What the speed is measured from.
-    share : float
-        Share of the variance that moves.
-    dispersion, dispersion_err : float
-        In mas/yr.
-    p_local, p_global, p_distinct : float
-    spectrum, features : (float, float)
-        Speed with its error from the velocity spectrum, and from the features.
-    members : `~numpy.ndarray` of int
-        Its features.
-    slowest, fastest : float
-        Speeds of its slowest and fastest feature.
-    angle : float
-        Direction from the first axis of the frame, in radians.
-    counter : bool
-        Whether it is a stream of the counter-jet.
-    """
-
-    kind: str
-    reason: str
-    velocity: np.ndarray
-    covariance: np.ndarray
-    alignment: np.ndarray
-    source: str = ""
-    share: float = np.nan
-    dispersion: float = np.nan
-    dispersion_err: float = np.nan
-    p_local: float = np.nan
-    p_global: float = np.nan
-    p_distinct: float = np.nan
-    spectrum: tuple[float, float] = UNKNOWN
-    features: tuple[float, float] = UNKNOWN
-    members: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    slowest: float = np.nan
-    fastest: float = np.nan
-    angle: float = 0.0
-    counter: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -287,14 +219,14 @@ def find_streams(
         doubts = {"diffusing": diffusing, "sure": ALONE * alpha if whole else 1.0}
         streams = [_on_its_side(s, search, moving) for s in streams]
         streams = [_judged(s, search, opposed, **doubts) for s in streams]
-    standing = _standing(search.features, flow, streams, inside, shift)
-    streams = _beside_standing(streams + standing, search.features)
-    velocities = _map_of(search, streams, sheet, aside, map_rng)
-    return replace(search, streams=tuple(streams), velocities=velocities)
+    else:
+        streams = [_as_tested(s, search) for s in streams]
+    streams = with_standing(search, streams, inside, shift)
+    return _with_map(search, streams, sheet, aside, map_rng)
 
 
 def _fit_with_errors(part):
-    """Return a fit with the errors of its means, and their numbers of clusters."""
+    """Return the fit with the errors of its means, and their numbers of clusters."""
     if part.fit is None:
         return None
     mean_err, number, *_ = part.errors()
@@ -308,14 +240,15 @@ def is_alike(test, years):
     return (1 - test.white) * np.exp(-median_interval(years) / test.memory) >= ALIKE
 
 
-def _map_of(search, streams, sheet, aside, rng):
-    """Return the velocity map, to three times the fastest stream that moves."""
+def _with_map(search, streams, sheet, aside, rng):
+    """Return a search with its streams, and a map to three times the fastest."""
     moving = [np.hypot(*s.velocity) for s in streams if s.kind == "moving"]
     fastest = min(3 * max(moving, default=np.inf), search.fastest) / search.beam
     aside = aside * (np.arange(len(sheet)) - len(sheet) // 2)
-    return velocity_map(
+    velocities = velocity_map(
         sheet, aside, fastest, angle=search.angle, beam=search.beam, rng=rng
     )
+    return replace(search, streams=tuple(streams), velocities=velocities)
 
 
 def _one_or_two(part, test, moving, n_trials, alpha, rng):
@@ -468,6 +401,21 @@ def _judged(stream, search, opposed="", *, diffusing, sure=1.0):
     return replace(stream, kind=kind, reason=reason)
 
 
+def _as_tested(stream, search):
+    """Return a stream that the test does not find, with a speed that it searched."""
+    turn, test = turn_to_flow(search.angle), search.test
+    speed = abs((turn @ stream.velocity)[0])
+    if stream.source != "spectrum" or search.tested(speed):
+        return stream
+    # What the spectrum has beyond it is not lost: ``spectrum`` keeps it.
+    along = np.array([test.clearest * search.beam, 0.0])
+    return replace(
+        stream, velocity=turn.T @ along, covariance=np.full((2, 2), np.nan),
+        share=np.nan, dispersion=np.nan, dispersion_err=np.nan,
+        p_local=float(test.p_local[test.best]),
+    )  # fmt: skip
+
+
 def verdict(speed, error, *, doubtful, unlike):
     """
     Return the kind of a stream that the test finds, and the reason if it is in doubt.
@@ -517,67 +465,3 @@ def _of_alignment(flow, errors):
     off = flow.years - flow.years.mean()
     response = off / (off @ off)
     return np.diag(response**2 @ errors**2)
-
-
-def _standing(features, flow, streams, inside, shift):
-    """
-    Return the stream of the features that stand still, if there are any.
-
-    Each of them may, but if their mean moves by more than its error, all features or
-    the core, the reference, do: images do not tell which.
-    """
-    velocities, _ = frame_velocities(flow.frame, features)
-    weight = features.n_epochs.astype(float)
-    speed, error = np.reshape(
-        [(m.speed, m.speed_err) for m in features.motions], (-1, 2)
-    ).T
-    still = (speed < SIGNIFICANT * error) & (features.moved < STANDING)
-    still &= (weight >= STANDING_EPOCHS) & (features.p_false <= 0.5)
-    still &= np.isfinite(velocities).all(axis=1)
-    if inside is not None:
-        still &= inside
-    for stream in streams:
-        still[stream.members] = False
-        if stream.kind == "moving":
-            # What may as well move with a stream does not show that it stands.
-            off = np.hypot(*(velocities - stream.velocity).T)
-            still &= ~(off < AS_WELL * error)
-    members = np.flatnonzero(still)
-    if len(members) == 0:
-        return []
-    (first, second), error = velocities[still].T, error[still]
-    share = weight[still] / weight[still].sum()
-    velocity = np.array([share @ first, share @ second])
-    scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
-    variance = (share**2).sum() * max(scatter, share @ error**2)
-    speeds, covariance = np.hypot(first, second), np.eye(2) * variance + shift
-    errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
-    kind, reason = "stationary", ""
-    if len(members) > 1 and errors > TOGETHER:
-        kind = "not confirmed"
-        reason = (
-            "its features, none of which moves significantly, move together by "
-            f"{errors:.1f} standard errors: they do, or the reference, the core, does"
-        )
-    return [
-        MeasuredStream(
-            kind, reason, velocity, covariance, shift, source="features",
-            features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
-            members=members, slowest=speeds.min(), fastest=speeds.max(),
-        )
-    ]  # fmt: skip
-
-
-def _beside_standing(streams, features):
-    """Return streams, none without features moving if most of what is seen stands."""
-    weight, number = features.n_epochs, max(len(features.detections), 1)
-    share = sum(weight[s.members].sum() for s in streams if s.kind == "stationary")
-    if share <= MOSTLY * number:
-        return streams
-    doubt = f"{share / number:.0%} of detections {STANDING_STILL}"
-    return [
-        replace(stream, kind="not confirmed", reason=doubt)
-        if stream.kind == "moving" and not len(stream.members)
-        else stream
-        for stream in streams
-    ]

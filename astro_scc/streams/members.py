@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The features of streams: those that move along the flow, and their mean speeds."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,75 @@ FEWEST, LEAST_SIDE = 5, 0.2
 #: Scatter of the speeds of features to which theirs is drawn, relative to their mean,
 #: and the number of features that it counts as.
 SCATTER, PRIOR = 0.3, 2.0
+
+#: Largest motion of a standing feature, in beams, and its fewest epochs.
+STANDING, STANDING_EPOCHS = 0.5, 5
+#: A stream of no feature is not confirmed where more than such a share of all
+#: detections are of standing features: periodic fluxes look like motion.  In the
+#: survey's sources whose speed is right, it is at most 0.46.
+MOSTLY = 0.5
+STANDING_STILL = (
+    "stand still, and no feature moves: fluxes that vary in turn look like motion"
+)
+#: Standing features do not stand still if their mean is so many errors from zero, of
+#: two dimensions: as rare by chance as three errors in one.
+TOGETHER = 3.44
+#: A pair of numbers that are not known.
+UNKNOWN = (np.nan, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredStream:
+    """
+    A stream: a velocity of the flow.
+
+    Attributes
+    ----------
+    kind : {"moving", "not confirmed", "stationary", "not significant"}
+    reason : str
+        Why it is not moving, or what it rests on, or ''.
+    velocity : `~numpy.ndarray`, shape (2,)
+        On the axes of the frame, in mas/yr.
+    covariance, alignment : `~numpy.ndarray`, shape (2, 2)
+        Of the velocity; the second is the part by errors of the alignment.
+    source : {"features", "spectrum", ""}
+        What the speed is measured from.
+    share : float
+        Share of the variance that moves.
+    dispersion, dispersion_err : float
+        In mas/yr.
+    p_local, p_global, p_distinct : float
+    spectrum, features : (float, float)
+        Speed with its error from the velocity spectrum, and from the features.
+    members : `~numpy.ndarray` of int
+        Its features.
+    slowest, fastest : float
+        Speeds of its slowest and fastest feature.
+    angle : float
+        Direction from the first axis of the frame, in radians.
+    counter : bool
+        Whether it is a stream of the counter-jet.
+    """
+
+    kind: str
+    reason: str
+    velocity: np.ndarray
+    covariance: np.ndarray
+    alignment: np.ndarray
+    source: str = ""
+    share: float = np.nan
+    dispersion: float = np.nan
+    dispersion_err: float = np.nan
+    p_local: float = np.nan
+    p_global: float = np.nan
+    p_distinct: float = np.nan
+    spectrum: tuple[float, float] = UNKNOWN
+    features: tuple[float, float] = UNKNOWN
+    members: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    slowest: float = np.nan
+    fastest: float = np.nan
+    angle: float = 0.0
+    counter: bool = False
 
 
 def moving_features(features, frame, angle, inside=None, walk=None, *, folded=False):
@@ -222,6 +291,76 @@ def divided(moving, speeds):
     """Return the features of each of two streams: the nearer one by ratio."""
     slow = np.abs(moving.along) < np.sqrt(np.prod(speeds))
     return [moving[slow], moving[~slow]]
+
+
+def standing_streams(features, flow, streams, inside, shift):
+    """
+    Return the stream of the features that stand still, if there are any.
+
+    Each of them may, but if their mean moves by more than its error, all features or
+    the core, the reference, do: images do not tell which.
+    """
+    velocities, _ = frame_velocities(flow.frame, features)
+    weight = features.n_epochs.astype(float)
+    speed, error = np.reshape(
+        [(m.speed, m.speed_err) for m in features.motions], (-1, 2)
+    ).T
+    still = (speed < SIGNIFICANT * error) & (features.moved < STANDING)
+    still &= (weight >= STANDING_EPOCHS) & (features.p_false <= 0.5)
+    still &= np.isfinite(velocities).all(axis=1)
+    if inside is not None:
+        still &= inside
+    for stream in streams:
+        still[stream.members] = False
+        if stream.kind == "moving":
+            # What may as well move with a stream does not show that it stands.
+            off = np.hypot(*(velocities - stream.velocity).T)
+            still &= ~(off < AS_WELL * error)
+    members = np.flatnonzero(still)
+    if len(members) == 0:
+        return []
+    (first, second), error = velocities[still].T, error[still]
+    share = weight[still] / weight[still].sum()
+    velocity = np.array([share @ first, share @ second])
+    scatter = share @ ((first - velocity[0]) ** 2 + (second - velocity[1]) ** 2) / 2
+    variance = (share**2).sum() * max(scatter, share @ error**2)
+    speeds, covariance = np.hypot(first, second), np.eye(2) * variance + shift
+    errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
+    kind, reason = "stationary", ""
+    if len(members) > 1 and errors > TOGETHER:
+        kind = "not confirmed"
+        reason = (
+            "its features, none of which moves significantly, move together by "
+            f"{errors:.1f} standard errors: they do, or the reference, the core, does"
+        )
+    return [
+        MeasuredStream(
+            kind, reason, velocity, covariance, shift, source="features",
+            features=(float(np.hypot(*velocity)), float(np.sqrt(variance))),
+            members=members, slowest=speeds.min(), fastest=speeds.max(),
+        )
+    ]  # fmt: skip
+
+
+def with_standing(search, streams, inside, shift):
+    """Return streams with that of the standing features, and those beside it."""
+    standing = standing_streams(search.features, search.flow, streams, inside, shift)
+    return _beside_standing(streams + standing, search.features)
+
+
+def _beside_standing(streams, features):
+    """Return streams, none without features moving if most of what is seen stands."""
+    weight, number = features.n_epochs, max(len(features.detections), 1)
+    share = sum(weight[s.members].sum() for s in streams if s.kind == "stationary")
+    if share <= MOSTLY * number:
+        return streams
+    doubt = f"{share / number:.0%} of detections {STANDING_STILL}"
+    return [
+        replace(stream, kind="not confirmed", reason=doubt)
+        if stream.kind == "moving" and not len(stream.members)
+        else stream
+        for stream in streams
+    ]
 
 
 # -- mean and scatter of speeds ------------------------------------------------------

@@ -85,6 +85,7 @@ def test_inspect(jet, done, here):
         assert "No problems." in lines
         # In 30 days of a beam of 1 mas.
         assert re.search(r'^6 +0.49 +"0.05 yr 0.17 yr" +3', out, re.MULTILINE)
+        assert "speeds of 3.04 to 26.3 mas/yr are searched, faster ones with --" in out
     assert [path.name for path in here.iterdir()] == ["cube.fits"]
 
 

@@ -38,10 +38,15 @@ def fitted(samples, area=None, centre=None):
     return expansion.fit_mixture(samples, start, area, fixed=centre is not None)
 
 
-def test_known_truth():
-    place, covariance, _, scatter, share = fitted(made_up(1))
-    np.testing.assert_allclose(scatter, [0.1, 0.3], rtol=0.2)
-    np.testing.assert_allclose(share, 0.4, atol=0.08)
+@pytest.mark.parametrize("n", [0, 480])
+def test_known_truth_also_with_stars_that_stand_still(n):
+    stars = made_up(2)[:n]
+    stars.v *= 0.05 / np.hypot(*stars.v.T)[:, None]
+    samples = np.concatenate([made_up(1), stars]).view(np.recarray)
+    place, covariance, _, scatter, share = fitted(samples)
+    if n == 0:
+        np.testing.assert_allclose(scatter, [0.1, 0.3], rtol=0.2)
+        np.testing.assert_allclose(share, [[0.4, 0.4], [0, 0]], atol=0.08)
     error = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(place - [*RATES, *ORIGIN]) < 4 * error)
 

@@ -60,15 +60,7 @@ def profile(result):
     return measure_profile(SCC, result.decomposed, BINS, n_trials=99, rng=1)
 
 
-def test_without_ssps_their_angles_are_not_drawn(profile, tmp_path):
-    first = profile.results["all"][0]
-    none = replace(first.decomposed, select=np.zeros_like(first.decomposed.select))
-    bare = replace(profile, results={"all": [replace(first, decomposed=none)]})
-    paths = write_profile(bare, profile.components, tmp_path)
-    assert [path.suffix for path in paths] == [".ecsv", ".bib", ".png"]
-
-
-def test_a_bin_has_what_moves_in_it(profile, result):
+def test_a_bin_has_what_moves_in_it(profile, result, tmp_path):
     table = profile.components
     assert "4 bins from 1.6" in repr(profile)
     # An empty bin was searched too, and what stands still is not tested.
@@ -87,6 +79,11 @@ def test_a_bin_has_what_moves_in_it(profile, result):
     for (low, high), found in every:
         own = [k for stream in found.search.streams for k in stream.members]
         assert np.all((distance[own] >= low) & (distance[own] < high))
+    # Speeds from a scale without SSPs have no figure of their position angles.
+    finest = replace(profile.flow.planes[0], scales=(0,))
+    alone = replace(profile, flow=replace(profile.flow, planes=(finest,)))
+    for found, n in ((profile, 4), (alone, 3)):
+        assert len(write_profile(found, table, tmp_path)) == n
 
 
 def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
@@ -104,6 +101,10 @@ def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
         assert str(found).startswith("acceleration: 0.")
     with pytest.raises(ValueError, match="row must be from 0 to .*, got 9"):
         measure_acceleration(result, 9)
+    # Speeds of which one bin alone moves have no slope.
+    slow = replace(profile, results={"all": (profile.results["all"][0], *[None] * 3)})
+    assert "significant in fewer than two of the bins" in str(slow.acceleration)
+    assert np.isnan(slow.components.meta["acceleration"]["all"]["gradient"])
 
 
 def test_along_a_ridge_line_and_in_windows(half):

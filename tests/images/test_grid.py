@@ -192,8 +192,10 @@ def same(one, other):
     assert_array_equal(one.mask, other.mask)
     assert_array_equal(one.data[~one.mask], other.data[~one.mask])
     assert one.times.isot.tolist() == other.times.isot.tolist()
-    for name in ("labels", "unit", "beams", "meta", "epoch_meta"):
+    for name in ("labels", "unit", "beams", "epoch_meta"):
         assert getattr(one, name) == getattr(other, name)
+    # Of a part there is nothing to say about the grid of all.
+    assert one.meta["history"][-1] == other.meta["history"][-1]
     grids = [(cube.wcs, *(cube.epoch_wcs or ())) for cube in (one, other)]
     for own, its in zip(*grids, strict=True):
         assert own.to_header_string() == its.to_header_string()
@@ -235,6 +237,14 @@ def test_images_that_lie_whole_pixels_aside(tmp_path):
     same(EpochCube.read(paths, region=corner), EpochCube.read(paths).crop(corner))
     with pytest.raises(ValueError, match="nothing of the region lies in it; leave it"):
         EpochCube.read(paths, region=(slice(0, 4), slice(0, 20)))
+    # Pixels of a file are not those of a grid that holds several.
+    assert "laid on a shared grid of 60 x 40 pixels" in whole.meta["history"][1]
+    (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
+    for other in (whole, part, reproject_cube(cube, cube.wcs, (50, 50))):
+        with pytest.raises(ValueError, match="a.reg: is in pixels, which are others"):
+            other.region_mask(tmp_path / "a.reg")
+    with pytest.warns(EpochWarning, match="region: is in pixels, .* of cube.wcs, not"):
+        whole.region_mask(CirclePixelRegion(PixCoord(20, 20), 9))
 
 
 WIDE = (64, 80)

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 from astro_scc.epochs import Beam, EpochCube, inspect_epochs
 from astro_scc.exceptions import EpochWarning
 from astro_scc.images.positions import north_in, turned, unwrapped
-from astro_scc.images.regions import refuse_pixels, region_mask
+from astro_scc.images.regions import region_mask
 
 NY, NX = 24, 32
 DATES = ["2010-01-01", "2011-01-01", "2012-01-01"]
@@ -146,7 +146,7 @@ def test_images_are_resampled_where_one_matrix_does_not_hold(code, tmp_path):
     assert cube.noise is None
     (tmp_path / "a.reg").write_text("image\ncircle(20,20,9)\n")
     with pytest.raises(ValueError, match="a.reg: is in pixels, .* in resampled images"):
-        refuse_pixels(tmp_path / "a.reg", False, cube)
+        cube.region_mask(tmp_path / "a.reg")
     assert "resampled onto a tangent plane" in cube.meta["history"][-1]
     assert cube.wcs.wcs.ctype[0] == "RA---ARC"
     # Flux per pixel is kept, and each spot stays at its place and moves as on the sky.

@@ -16,10 +16,16 @@ from astro_scc.epochs import ComponentList, restore
 from astro_scc.explain import explain_feature
 from astro_scc.flow import compare_scales, measure_acceleration, measure_profile
 from astro_scc.measurement import false_discovery_rate
+from astro_scc.plan import searched_speeds
 from astro_scc.report.answer import headline, scale_lines, trust_lines
 from astro_scc.simulation import simulate_jet, simulate_resolved_jet, simulate_two_fluid
-from astro_scc.streams.finder import _beside_standing, _judged, _standing
-from astro_scc.streams.members import mean_speed, separation
+from astro_scc.streams.finder import _as_tested, _judged
+from astro_scc.streams.members import (
+    _beside_standing,
+    mean_speed,
+    separation,
+    standing_streams,
+)
 
 
 def measured(epochs, **settings):
@@ -44,6 +50,9 @@ def test_both_streams_of_the_paper_are_found(two):
     assert streams["share"].sum() == pytest.approx(1.0)
     assert streams["pm_pa"].value == pytest.approx([270, 270], abs=8)
     assert streams["stream"].tolist() == [1, 2]
+    # What astro-scc inspect says before is what is searched.
+    limits = [streams.meta[name].value for name in ("slowest", "fastest")]
+    assert searched_speeds(two.cube).value == pytest.approx(limits)
 
 
 def test_scales_of_two_streams_are_compared_stream_by_stream(two):
@@ -94,11 +103,11 @@ def test_a_static_jet_does_not_move(seed):
     vars(drift)["motions"] = moved
     for known, kind in ((False, "stationary"), (True, "not confirmed")):
         shift = np.eye(2) * (0 if known else max(errors) ** 2)
-        (row,) = _standing(drift, search.flow, [], None, shift)
+        (row,) = standing_streams(drift, search.flow, [], None, shift)
         assert row.kind == kind
         assert ("move together by" in row.reason) == known
     only = np.arange(len(errors)) == 0
-    (row,) = _standing(features, search.flow, [], only, np.zeros((2, 2)))
+    (row,) = standing_streams(features, search.flow, [], only, np.zeros((2, 2)))
     assert np.sqrt(np.diag(row.covariance)) == pytest.approx(errors[0], rel=0.01)
     found = replace(found, search=replace(search, streams=(search.streams[0], row)))
     assert found.streams["pm_limit"][1] > found.streams["pm"][1]
@@ -319,6 +328,15 @@ def test_a_speed_that_was_not_searched_is_not_confirmed(two, factor, than):
     far = _judged(replace(far, covariance=np.eye(2) * 1e-4), search, diffusing=False)
     assert far.kind == "not confirmed"
     assert far.reason == f"it is {than} than what was searched"
+    # Where the test finds nothing, the row has a speed that it searched.
+    other = np.hypot(*far.velocity)
+    one = _as_tested(replace(far, spectrum=(other, 1.0)), search)
+    assert search.tested(np.hypot(*one.velocity))
+    one = replace(one, kind="not significant")
+    row = replace(two, search=replace(search, streams=(one,))).streams[0]
+    said = f"the spectrum has {other:.3g} mas/yr, which was not searched"
+    assert said in row["caution"]
+    assert ("give a larger max_speed" in row["caution"].split("; ")[2]) == (factor > 1)
 
 
 def test_features_that_the_flow_passes_between_images_are_not_secure():
