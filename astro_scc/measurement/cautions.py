@@ -15,7 +15,7 @@ from astro_scc.epochs.registration import farthest_upstream
 from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
 from astro_scc.images.dates import date_labels
-from astro_scc.kinematics import PositionAngleFrame
+from astro_scc.kinematics import PositionAngleFrame, RidgeLine
 from astro_scc.spectrum.permutations import within
 from astro_scc.streams import decomposed, finder
 from astro_scc.streams.members import FEWEST, frame_velocities, passing_features
@@ -172,40 +172,66 @@ def _of_pointing(cube, row, *, near=0.1):
     ]
 
 
-def _other_directions(result):
-    """Return that features move in several directions, as a list of text."""
+def _moving_features(result):
+    """Return places and velocities of secure features that move, and places on axes."""
     features, frame = result.tracked_features, result.frame
     velocity, covariance = frame_velocities(frame, features)
     error = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
     use = features.secure & (np.hypot(*velocity.T) > SIGNIFICANT * error)
-    # Speeds along lines that bend are lengths.
-    if use.sum() < FEWEST or result.flow.grids[0].bends:
-        return []
     place = features.places[use]
     local = (np.asarray(frame.matrix(*place.T)) @ place[..., None])[..., 0]
+    return place, velocity[use], local
+
+
+def _other_directions(result):
+    """Return that features move in several directions, as a list of text."""
+    frame, (place, velocity, local) = result.frame, _moving_features(result)
+    if len(place) < FEWEST:
+        return []
     # Opposite directions are those of a jet and its counter-jet.
     turns = 2 if result.flow.grids[0].counter.any() else 1
-    angle, outward = (turns * np.arctan2(*v.T[::-1]) for v in (velocity[use], local))
+    angle, outward = (turns * np.arctan2(*v.T[::-1]) for v in (velocity, local))
     scatter, about = (
         circstd(angles, method="circular") for angles in (angle, angle - outward)
     )
-    halves = np.array_split(angle[np.argsort(np.hypot(*place.T))], 2)
-    inner, outer = (circmean(half) for half in halves)
-    apart = abs(np.angle(np.exp(1j * (outer - inner))))
-    errors = [circstd(half, method="circular") / np.sqrt(len(half)) for half in halves]
-    bends = apart > max(turns * DIRECTIONS, SIGNIFICANT * np.hypot(*errors))
     everywhere, about_place = scatter > turns * ALL, about < scatter / 2
-    if not (bends or everywhere or (scatter > turns * DIRECTIONS and about_place)):
+    off = abs(np.angle(np.exp(1j * (circmean(angle) - turns * result.search.angle))))
+    # Where they move the other way, the jet is on the other side.
+    aside = result.flow.given and frame.uniform and 1 < off / turns / (np.pi / 4) < 3
+    if aside and not everywhere:
+        return [
+            f"secure features move at {np.degrees(off) / turns:.0f} deg to its "
+            "direction: try without a position angle"
+        ]
+    # Speeds along lines that bend are lengths.
+    if result.flow.grids[0].bends:
         return []
     said = f"directions of secure features scatter by {np.degrees(scatter / turns):.0f}"
     if everywhere:
         # A ridge line does not lead to several sides.
         away = about_place and np.cos(circmean(angle - outward)) > np.cos(ALL)
         return [f"{NO_DIRECTION}: {said} deg, {_for_all_sides(result, away)}"]
-    return [
-        f"{said} deg with their place, and speeds are those along one: try the "
-        "position angles 'ridge' and 'radial'"
-    ]
+    bends = _bends(angle[np.argsort(np.hypot(*place.T))], turns)
+    if not (bends or (scatter > turns * DIRECTIONS and about_place)):
+        return []
+    return [f"{said} deg with their place, and speeds are {_other_frames(frame)}"]
+
+
+def _bends(angle, turns):
+    """Return whether directions, in the order of their distance, differ by half."""
+    inner, outer = halves = np.array_split(angle, 2)
+    apart = abs(np.angle(np.exp(1j * (circmean(outer) - circmean(inner)))))
+    errors = [circstd(half, method="circular") / np.sqrt(len(half)) for half in halves]
+    return apart > max(turns * DIRECTIONS, SIGNIFICANT * np.hypot(*errors))
+
+
+def _other_frames(frame):
+    """Return in words along what speeds are, and along what else they may be."""
+    others = "'ridge' or 'radial'"
+    if not frame.uniform:
+        others = "'radial'" if isinstance(frame, RidgeLine) else "'ridge'"
+    along = "one" if frame.uniform else "its axes"
+    return f"those along {along}: try the position angle {others}"
 
 
 def _for_all_sides(result, away, *, explained=0.75, near=0.1):

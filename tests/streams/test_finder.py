@@ -233,9 +233,13 @@ def test_a_bright_knot_at_the_reference_position_is_no_core(behind, angle):
     assert "towards" not in row["caution"]
 
 
-def test_one_direction_does_not_speak_for_several():
-    found = measured(knots((-35, 35)), position_angle=0 * u.deg)
-    assert "directions of secure features scatter" in found.streams["caution"][0]
+@pytest.mark.parametrize(("angles", "words"), [
+    ((-35, 35), "directions of secure features scatter"),
+    ((75, 85), "features move at 80 deg to its direction"),
+])  # fmt: skip
+def test_one_direction_does_not_speak_for_others(angles, words):
+    found = measured(knots(angles), position_angle=0 * u.deg)
+    assert words in found.streams["caution"][0]
 
 
 @pytest.mark.parametrize(("centre", "turn", "said"), [
