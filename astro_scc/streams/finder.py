@@ -392,6 +392,8 @@ def _judged(stream, search, opposed="", *, diffusing, sure=1.0):
     )  # fmt: skip
     if alone and weak and kind != "moving" and reason != UNLIKE:
         reason += f"; without secure features this needs p_global of at most {sure:g}"
+        if test.p_smallest > sure:
+            reason += ", which so few epochs or trials cannot reach"
     # The spectrum reaches beyond what the test searches, features have their own test.
     if by_spectrum and not search.tested(speed):
         than = "faster" if speed > search.fastest else "slower"

@@ -322,7 +322,7 @@ def test_a_speed_of_no_feature_needs_three_errors_or_a_smaller_p(
     slow = replace(slow, covariance=np.eye(2) * error**2, members=members)
     found = _judged(slow, two.search, diffusing=False, sure=sure)
     assert found.kind == kind
-    assert ("needs p_global of at most 0" in found.reason) == (kind != "moving")
+    assert ("at most 0, which so few epochs" in found.reason) == (kind != "moving")
 
 
 @pytest.mark.parametrize(("factor", "than"), [(3.0, "faster"), (0.01, "slower")])
