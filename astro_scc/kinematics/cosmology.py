@@ -14,6 +14,7 @@ from astropy import constants
 from numpy.typing import ArrayLike
 
 from astro_scc.columns import describe, round_to_errors
+from astro_scc.exceptions import warn
 from astro_scc.quantities import NUMBER, named, parse_quantities, to_quantity
 from astro_scc.units import PM_UNIT
 
@@ -25,6 +26,9 @@ SOURCE = "redshift", "cosmology", "distance"
 #: Speeds of sources within this distance are also in km/s.
 NEAR = 1 * u.Mpc
 KM_S = u.km / u.s
+#: Jets that are known have at most 50 c (Lister et al. 2016, AJ 152, 12); twice as fast
+#: a stream is doubted.
+FASTEST = 100.0
 _PARAMETER = re.compile(rf"\s*(\w+)\s*=\s*({NUMBER})\s*")
 
 
@@ -217,7 +221,8 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     ``pm_err``, see `apparent_speed`; of sources within 1 Mpc, ``v_app`` and its error
     are the same in km/s.  The redshift and the cosmology, or the
     distance, are in its meta.  The cosmology is a dictionary that any reader of
-    ECSV understands and that `to_cosmology` takes.
+    ECSV understands and that `to_cosmology` takes.  Streams that move at more than
+    twice the speed of any known jet are warned of.
     """
     given = _source(redshift, cosmology, distance)
     for name, value in given.items():
@@ -226,6 +231,13 @@ def table_in_c(table, *, redshift=None, cosmology=None, distance=None):
     table = table.copy()
     for name in ("", "_err"):
         table[f"beta_app{name}"] = apparent_speed(table[f"pm{name}"], **given)
+    moves = "kind" in table.colnames and np.asarray(table["kind"] == "moving")
+    fastest = np.max(table["beta_app"].value, where=moves, initial=0.0)
+    if fastest > FASTEST:
+        warn(
+            f"a stream moves at {fastest:.3g} c, and no jet is known to exceed "
+            "50 c: check the scale of the pixels, and the redshift or distance"
+        )
     if given.get("distance", NEAR) < NEAR:
         for name in ("", "_err"):
             table[f"v_app{name}"] = (table[f"beta_app{name}"] * constants.c).to(KM_S)

@@ -94,6 +94,9 @@ def test_tables_say_what_they_were_made_with(cosmology, tmp_path):
     assert_quantity_allclose(near["v_app"], [1.8962, 3.7924] * kms, rtol=1e-4)
     assert_quantity_allclose(near["v_app_err"][0], 0.18962 * kms, rtol=1e-4)
     assert "v_app" not in table_in_c(table, distance=2 * u.Mpc).colnames
+    table["kind"] = "moving"
+    with pytest.warns(UserWarning, match="c, and no jet is known to exceed 50 c"):
+        table_in_c(table, distance=20 * u.Gpc)
     # astropy reads 16 x 7 Mpc.
     with pytest.raises(ValueError, match="distance must be one value, that of the sou"):
         table_in_c(table, distance="16 7 Mpc")
