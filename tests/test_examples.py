@@ -115,7 +115,6 @@ def test_examples_of_real_jets_run(name, shared_data):
 
 
 def test_relativity_in_its_doctests_and_there_and_back():
-    """Two-sided jets of known speed."""
     relativity = importlib.import_module("relativity")
     assert doctest.testmod(relativity).failed == 0
     for beta, theta in itertools.product((0.1, 0.6, 0.999), (1, 40, 89)):

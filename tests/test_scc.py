@@ -95,13 +95,10 @@ def result(cube):
 
 def test_what_cannot_be_meant_is_refused(cube):
     for call, words in [
-        (lambda scc, cube: scc(cube, n_trials="many"), "'many' must be a whole"),
         (lambda scc, cube: scc("*.fits"), "cube must be an EpochCube, got str: read"),
         (lambda scc, cube: scc.plan(cube[:1]), "at least 2 epochs"),
         (lambda scc, cube: scc(cube, rng="abc"), "^rng must be a seed"),
         (lambda _, cube: make_scc(kappa=0.7)(cube), "^kappa is for method paper"),
-        (lambda _, cube: make_scc(min_overlap=1).measure(make_scc().decompose(cube)),
-         "^min_overlap is for method paper: leave it out"),
         (lambda scc, cube: make_scc(method="paper").measure(scc.decompose(cube)),
          "^method = 'paper' measures images"),
     ]:  # fmt: skip

@@ -77,8 +77,6 @@ def test_speeds_in_c_need_one_kind_of_distance():
 def test_generators_of_either_kind():
     one, other = (random_generator(np.random.RandomState(3)) for _ in range(2))
     assert one.integers(10**9) == other.integers(10**9)
-    with pytest.raises(ValueError, match="rng must be a seed of 0 or more, or a numpy"):
-        random_generator(np.random)
 
 
 def test_values_that_make_no_sense():
@@ -100,10 +98,9 @@ def test_values_that_make_no_sense():
         ("scales", "1,b", "scale numbers such as 1,2,3 or angles"),
         ("scales", "0 mas", "above 0"),
         ("scales", "99", "of the series 0, 0.5, 1, 1.5, ..., 20: scale j is 2\\^j pix"),
-        ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("scales", [], r"scales = \[\] must be scale numbers such as 1,2,3"),
+        ("scales", [*range(98), 1], r"scales = \[0, 1, 2.*\.\.\. must differ"),
         ("before", "yesterday", "is no date such as 2011-01-01"),
-        ("distance", "0.158", "no unit at its end; it must be a length with a unit"),
         ("alignment_error", "-0.1 mas", "0 or above"),
         ("alignment_error", [1, np.nan] * u.mas, "must be an angle or a list of them"),
     ]:  # fmt: skip
@@ -137,7 +134,6 @@ def test_text_in_python_is_what_it_is_on_the_command_line(name, value, expected)
 
 def test_files_that_make_no_sense(tmp_path):
     for text, reason in [
-        (b"max_sped = '2 mas/yr'", "unknown key 'max_sped', did you mean max_speed"),
         (b"xyzzy = 1", "unknown key 'xyzzy'; see"),
         (b"\xff\xfe\x00", "is not a TOML file"),
         (b"versions = 3", "versions must be a table"),

@@ -130,14 +130,12 @@ REFUSED = {
 --region no.reg | no.reg: No such file or directory
 -o full | full: exists and is not empty
 --method paper --ds9-regions | --ds9-regions is for method spectrum: leave it out
---kappa 0.9 | --kappa is for method paper: leave it out
 """,
     "profile JET -o out": """
 | --bins is missing
 """,
     "track -o out": """
 | no epochs were given
-model.mod --beam "1 mas" | model.mod: no DATE-OBS in the header, or no date in a name
 """,
     "inspect": """
 JET --speed fast | --speed 'fast' has 'fast' where a number is expected; it must be an
@@ -146,15 +144,12 @@ note.fits more.fits | (and 1 more like it)
     "simulate": """
 static x --dense | --dense is for two-fluid, not for static
 """,
-    'restore MODELS -o out --beam "1 mas" --pixel "0.1 mas"': """
---after 2011-01-01 | no component is left
-""",
     "restore MODELS": """
 --beam "1 mas" | error: -o and --pixel must be given to make images
 -o out --pixel "0.1 mas" | 3c1_2006-03-09.mod: is a list of
 """,
 }
-MODELS = "3c1_2006-03-09.mod", "3c1_2007-03-09.mod", "model.mod"
+MODELS = "3c1_2006-03-09.mod", "3c1_2007-03-09.mod"
 FILES = dict.fromkeys(("full/mine.txt", "note.fits", "more.fits"), "no image")
 FILES |= dict.fromkeys(MODELS, "1.0v 0.0v 0v 0.2v 1 0 1\n0.3v 2.0v 45v 0.5v 1 0 1\n")
 

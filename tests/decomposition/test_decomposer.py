@@ -63,7 +63,6 @@ def test_what_is_refused():
         ({"scales": (4,)}, {}, r"small for wavelet scale 4 \(16 px\): leave out the"),
         ({"scales": (1.5,), "kernel": "b3"}, {}, "kernel 'b1' only"),
         ({"kernel": "db2"}, {}, "unknown wavelet kernel"),
-        ({"noise": "mad"}, {}, "must be one of plane, local, propagated"),
         *(({"scales": (j,)}, {}, "not a number of the") for j in (-0.5, 1.3, np.nan)),
         ({"segmentation": 0}, {}, "0 < segmentation <= detection"),
         ({"noise_factors": (0.5, 0.5)}, {}, "noise_factors must be 1 from 0 to 1"),

@@ -291,19 +291,12 @@ BAD = [
     ("jet.model", b"1 2 3\n", "its suffix is none of .ecsv, .*; rename it"),
     ("t.fits", b"SIMPLE = no\n", "cannot be read as FITS"),
     ("t.ecsv", b"<html>not found</html>\n", "not a readable ascii.ecsv"),
-    # Options of a FITS file with an AIPS CC table.
-    ("a.fits", {"tables": 0}, "no AIPS CC table"),
-    ("a.fits", {"header": {"DATE-OBS": "never"}}, "'never' is no date"),
-    ("a.fits", {"header": {"DATE-OBS": None}}, "no DATE-OBS in the header"),
 ]
 
 
 @pytest.mark.parametrize(("name", "content", "message"), BAD)
 def test_bad_files(tmp_path, name, content, message):
-    if isinstance(content, dict):
-        aips(tmp_path / name, **content)
-    else:
-        (tmp_path / name).write_bytes(content)
+    (tmp_path / name).write_bytes(content)
     with pytest.raises((ValueError, OSError), match=message) as error:
         read_components(tmp_path / name)
     assert str(error.value).startswith(str(tmp_path / name))
@@ -360,15 +353,12 @@ def test_lists_that_cannot_be_images(tmp_path, make_fits):
     models = [model(tmp_path, name=f"s_2006-0{month}-09.mod") for month in (3, 9)]
     image = make_fits()
     beside = aips(tmp_path / "image.fits", header={"CTYPE1": None})
-    wrong = read_components(models[0], beams=BEAM).to_table()
-    write(wrong, tmp_path / "w.ecsv", beam="1 mas 0.5 mas")
     negative = model(tmp_path, "-0.1v 1v 0v 0.2v 1 0 1\n", "n_2006-09-09.mod")
     calls = [
         (models, None, r"09.mod: is a list of components without a beam .*; give --be"),
         (beside, None, r"image.fits: .*coordinates"),
         ([image, *models], None, r"09.mod: is a list of components and no im"),
         ([*models, image], BEAM, r"a.fits: no AIPS CC table .* leave it out"),
-        (tmp_path / "w.ecsv", None, "w.ecsv: beam in its meta: is no beam: has"),
         (negative, BEAM, r"09-09.mod: no component is positive; leave"),
     ]
     for paths, beams, words in calls:
@@ -449,7 +439,6 @@ def test_sources_by_other_names(tmp_path):
         ({}, {"position": "00h40m00s -20d00m00s"}),
         ({}, {"ra": "10 deg", "dec": "-20 deg"}),
         ({"RAdeg": 10 * u.deg, "DEdeg": -20 * u.deg}, {}),
-        ({"RAJ2000": 2 / 3 * u.hour, "DEJ2000": -20 * u.deg}, {}),
         ({"RA": Masked(3 * u.deg, mask=True), "Dec": 1 * u.deg,
           "position": "00h40m00s -20d00m00s"}, {}),
         ({"RAJ2000": "00 40 00", "DEJ2000": "-20 00 00"}, {}),
@@ -492,7 +481,6 @@ def test_the_sources_of_a_table(tmp_path):
 PIXEL = 0.1 * u.mas
 FLIP = np.diag([-1, 1])
 UNITS = u.mas, u.mas, u.deg
-JY_BEAM = u.Jy / u.beam
 
 
 THREE = ComponentList(
@@ -553,7 +541,6 @@ def test_flux_is_kept_and_covariances_add(axes):
     assert_allclose(mean, cube.reference_pixel, atol=1e-6)
     expected = FLIP @ (total / PIXEL**2).to_value(u.one) @ FLIP
     assert_allclose(covariance, expected, rtol=1e-4, atol=1e-3)
-    assert (cube.unit, cube.beams, cube.noise) == (JY_BEAM, (BEAM,), None)
 
 
 def test_grids():
@@ -594,12 +581,6 @@ def test_restores_what_aips_restored(shared_data):
     assert np.abs(residual).max() < 0.01 * image.max()
 
 
-def noises(n, beam, shape=(60, 80), rms=1.0):
-    rng = np.random.default_rng(5)
-    options = {"rms": rms, "beam": beam, "pixel_scale": PIXEL, "rng": rng}
-    return np.array([correlated_noise(shape, **options) for _ in range(n)])
-
-
 @settings(max_examples=8)
 @given(
     shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
@@ -607,8 +588,9 @@ def noises(n, beam, shape=(60, 80), rms=1.0):
 )  # fmt: skip
 def test_rms_is_the_theoretical_one_everywhere(shape, major, ratio, pa):
     beam = Beam(major * u.mas, major * ratio * u.mas, pa * u.deg)
-    noise = noises(200, beam, shape, rms=2.0)
-    assert noise.shape == (200, *shape)
+    rng = np.random.default_rng(5)
+    options = {"rms": 2.0, "beam": beam, "pixel_scale": PIXEL, "rng": rng}
+    noise = np.array([correlated_noise(shape, **options) for _ in range(200)])
     # Edges included.
     for part in (noise, noise[:, :3], noise[:, :, -3:]):
         assert np.sqrt(np.mean(part**2)) == pytest.approx(2.0, rel=0.3)

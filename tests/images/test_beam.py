@@ -72,7 +72,6 @@ BEAMS = [
     (STOKES, {}, 4.0),
     (BOTH, {"CRPIX3": -2.0, "CRPIX4": 0.0}, 6.0),
     (BLANK, {}, 2.0),
-    ([row | {"BMAJ": 2.0} for row in FOUR], {}, 2.0),
     # What the header says counts.
     (FOUR, {"BMAJ": 5 / 3.6e7, "BMIN": 1 / 3.6e7, "BPA": 0.0}, 5.0),
 ]

@@ -328,7 +328,6 @@ def test_what_cannot_be_a_grid_is_refused():
           for shape in (64, "ab", (64,), (64, 0), (2.5, 3))),
         (fits.Header({"NAXIS1": 3, "NAXIS2": 3}), {}, "header of the new grid: it has"),
         (grid(), {"shape": None}, r"no shape of its own; give shape=\(ny, nx\)"),
-
         (3, {}, "must be a WCS, or one sliced, got"),
         (grid(ctype="GLON GLAT"), {}, "another celestial frame"),
         (grid((400.5, 32)), {}, "no valid pixel"),

@@ -164,18 +164,15 @@ def test_the_rotation_wherever_it_is(aips_header, cards, turned, remark):
     assert bool(said) == bool(remark)
 
 
-@pytest.mark.parametrize("name", ["solar_x", "SOLAR-X", "Solar-X"])
-def test_coordinates_of_older_images_of_the_sun(aips_header, name):
-    axes = {"CTYPE1": name, "CTYPE2": name.replace("x", "y").replace("X", "Y")}
+def test_coordinates_of_older_images_of_the_sun(aips_header):
+    axes = {"CTYPE1": "solar_x", "CTYPE2": "SOLAR-Y"}
     wcs = celestial_wcs(aips_header(**axes, CUNIT1="arcsec", CUNIT2="arcsec"))
     assert list(wcs.wcs.ctype) == ["HPLN-TAN", "HPLT-TAN"]
 
 
 def test_unusable_coordinates_are_refused_in_one_line(aips_header):
     for changes, message in [
-        ({"CTYPE1": None, "CTYPE2": None}, "no celestial coordinates.*from_arrays"),
         ({"CTYPE1": "RA---XYZ", "CTYPE2": "DEC--XYZ"}, "cannot be read"),
-        ({"CDELT1": None, "CDELT2": None}, "no pixel scale"),
         ({"CD1_1": 0.0, "CD2_2": 1e-7, "CDELT1": None}, "no pixel scale"),
         ({"PC1_1": 1.0, "PC1_2": 1.0, "PC2_1": 1.0, "PC2_2": 1.0}, "axes are parallel"),
         ({"RADESYS": "MYFRAME"}, "RADESYS = 'MYFRAME' is no frame; write ICRS, FK5"),
@@ -302,7 +299,6 @@ DATES = [
     ({"DATE-OBS": "2015-06-17", "TIME-OBS": "24:00:00"}, MIDNIGHT),
     ({"DATE-OBS": "2016-12-31T24:00:00", "EXPTIME": 600.0}, "2017-01-01T00:05:00.000"),
     ({"DATE_OBS": "2015/06/18", "TIME_OBS": "14:24"}, START),
-    (DATE | {"TIME-OBS": "14:24:00.0"}, START),
     (DATE | {"TM-START": 51840}, START),
     (DATE | {"UT": ("14.4", "[h] start")}, START),
     # Several: the most precise one.
@@ -330,7 +326,6 @@ DATES = [
     ({"DATE-OBS": "2015-06-08", "DATE-END": "2015-06-28"}, MIDNIGHT),
     ({"DATE-OBS": "2015-06-08T00:00:00", "DATE-END": "2015-06-28T04:48:00"},
      "2015-06-18T02:24:00.000"),
-    (DATE | {"DATE-END": "2015-06-19"}, MIDNIGHT),
     # The end alone.
     (DATE | {"DATE-END": "2015-06-18T14:34:00", "EXPTIME": 600.0}, MIDDLE),
     # Exposures that last beyond midnight.
@@ -338,7 +333,6 @@ DATES = [
      "2015-06-18T00:04:00.500"),
     # Other scales of time.
     ({"T_OBS": "2015.06.18_14:24:35.00_TAI"}, START),
-    ({"DATE-OBS": "2015-06-18T14:24:16", "TIMESYS": "GPS"}, START),
     # The date at which a file was written is none.
     ({"DATE": "2022-07-29", "DATE-OBS": "", "DATE-BEG": "2015-06-18"}, MIDNIGHT),
     ({"MJD-OBS": MJD + 67.184 / 86400, "TIMESYS": "TT"}, START),
@@ -426,10 +420,8 @@ UNEVEN = np.array([0.0, 10, 25, 31])
 CUBES = [
     ({}, SECONDS),
     ({"CTYPE3": "UTC", "CUNIT3": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
-    ({"MJDREF": 57191.0, "CRVAL3": 36000.0}, SECONDS),
     (DAYS | {"CUNIT3": "d", "MJDREF": 0.0, "DATE-OBS": None}, HOURS),
     ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
-    ({"DATEREF": "2015-06-18T09:00:00", "CRVAL3": 3600.0}, SECONDS),
     (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
     ({"CRVAL3": 57191 * 86400.0 + 36000}, SECONDS),
     ({"CTYPE3": "TAI", "CUNIT3": "s", "MJDREF": 57191.0, "CRVAL3": 36035.0}, SECONDS),
@@ -471,7 +463,6 @@ def test_axes_of_which_no_epochs_are_made(tmp_path):
         ({"CUNIT3": "m"}, "has the unit 'm' on axis TIME, which is no time; correct"),
         ({"DATE-OBS": None}, "has times on axis TIME and no date from which they coun"),
         ({"CTYPE3": "TIME-TAB"}, "has times in a table on axis TIME-TAB, which is not"),
-        ({"CTYPE3": "WAVE"}, "has 4 planes on axis WAVE; write the one to use"),
     ]:
         cube(tmp_path / "movie.fits", **changes)
         with pytest.raises(ValueError, match=f"movie.fits: {words}"):

@@ -233,8 +233,6 @@ def test_nothing_to_correlate(masked, target):
 
 def test_what_is_refused(masked):
     for own, call, message in [
-        ({"kappa": 1}, {}, "kappa = 1 must be between 0 and 1"),
-        ({"target": "image"}, {}, "target = 'image' must be one of segments, plane"),
         ({"min_overlap": 0}, {}, "min_overlap = 0 must be above 0, up to 1"),
         ({}, {"pairs": [(0, 3)]}, "outside 0 to 2"),
         ({}, {"search_radius": (5, -1)}, "search radius must be one or two numbers of"),

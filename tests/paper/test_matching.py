@@ -62,16 +62,10 @@ def test_windows_end_with_the_image_and_warn():
 
 
 @pytest.mark.filterwarnings("ignore:two images are of")
-@pytest.mark.parametrize(
-    ("days", "words"),
-    [
-        ((0,), "^velocities need at least 2 epo"),
-        ((0, 0, 0), "^all 3 epochs are of one date .2010-01-01T00:00:00.000.: v"),
-    ],
-)  # fmt: skip
-def test_dates_without_a_pair_are_refused(days, words):
+def test_dates_without_a_pair_are_refused():
+    words = "^all 3 epochs are of one date .2010-01-01T00:00:00.000.: v"
     with pytest.raises(ValueError, match=words):
-        plan_of(days)
+        plan_of((0, 0, 0))
 
 
 def ssps_of(cube, east, north, epoch, scale=1.0):

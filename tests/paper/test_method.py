@@ -1,8 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
 """The paper's method from images to its table, figure and maps."""
 
-from dataclasses import replace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -78,12 +76,10 @@ def test_axes_of_the_sky_and_workers_give_the_same(jet_cube):
 def test_what_cannot_be_measured_is_refused(jet_cube):
     nothing = np.zeros(jet_cube.shape[1:], dtype=bool)
     nothing[0, 0] = True
-    flat = replace(jet_cube, data=np.zeros(jet_cube.shape))
-    for cube, change, region, words in [
-        (jet_cube, {"baseline": [5, 6] * u.yr}, None, "no two epochs are 5 to 6 yr ap"),
-        (jet_cube, {"outward": True}, None, "^outward is for method spectrum"),
-        (jet_cube, {}, nothing, "^the region: no significant pattern"),
-        (flat, {}, None, "no significant pattern .SSP. in any epoch"),
+    for change, region, words in [
+        ({"baseline": [5, 6] * u.yr}, None, "no two epochs are 5 to 6 yr apart"),
+        ({"outward": True}, None, "^outward is for method spectrum"),
+        ({}, nothing, "^the region: no significant pattern"),
     ]:
         with pytest.raises(ValueError, match=words):
-            measure_as_in_paper(cube, settings(**change), region=region, n_trials=2)
+            measure_as_in_paper(jet_cube, settings(**change), region=region, n_trials=2)

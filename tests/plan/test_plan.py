@@ -39,24 +39,13 @@ def test_angles_name_the_scale_that_they_are_near(half, factor):
         assert found == number
 
 
-YEARLY = cube_of((0, 365.25))
-REFUSED = [
+def test_what_cannot_be_meant_is_refused():
     # Midway between 1 and 1.5 pixels.
-    (lambda: plan.scale_numbers(SMALL, [0.122, 0.4] * u.mas),
-     r"^scale 0.122 mas is 1.2 px, not near 2\^j or 1.5 x 2\^j px$"),
-    (lambda: plan.scale_numbers(SMALL, [2.0] * u.arcsec), "scale 2.0 arcsec is 2e.04"),
-    (lambda: plan.motion_of(YEARLY, 1e9, np.ones(1)),
-     r"^max_speed moves 1e\+09 to 1e\+09 mas between two dates, in images of 7.21 "
-     "mas with pixels of 0.1 mas: give a smaller one$"),
-    (lambda: plan.motion_of(YEARLY, 1e-9, np.ones(1)),
-     "1e-09 mas .*: give a larger one$"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("call", "words"), REFUSED)
-def test_what_cannot_be_meant_is_refused(call, words):
+    words = r"^scale 0.122 mas is 1.2 px, not near 2\^j or 1.5 x 2\^j px$"
     with pytest.raises(ValueError, match=words):
-        call()
+        plan.scale_numbers(SMALL, [0.122, 0.4] * u.mas)
+    with pytest.raises(ValueError, match="1e-09 mas .*: give a larger one$"):
+        plan.motion_of(cube_of((0, 365.25)), 1e-9, np.ones(1))
 
 
 def gaussians(x, y, peak, fwhm, shape):

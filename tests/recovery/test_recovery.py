@@ -58,7 +58,6 @@ REFUSED = [
     ({}, {}, {"speeds": 25 * PM, "position_angle": 250 * u.deg, "n_injections": 0},
      "n_injections = 0 must be 1 or more"),
     ({}, {}, {"fwhm": 0 * u.mas}, "fwhm = 0.0 mas must be finite and above 0"),
-    ({}, {}, {"n_workers": 0}, "n_workers = 0 must be 1 or more"),
     ({}, {}, {"scatter": -1}, "scatter must be zero or positive, got -1"),
     ({}, {}, {"n_trials": 98}, "98 trials allow no p_global below 0.01.*n_trials"),
     ({}, {}, {"tolerance": 1 * u.s}, "tolerance = 1.0 s must be"),

@@ -107,7 +107,6 @@ NEEDED = {Stream: {"name": "s", "half_width": 5.0}, Flow: {"name": "s"},
 
 def test_what_is_refused():
     for make, options, message in [
-        (Stream, {"motion": "circular"}, "stream 's': motion = .* must be one of"),
         (Stream, {"sigma": 3.0}, "needs one of half_width and sigma"),
         (Stream, {"fwhm": (6.0, 2.0)}, "fwhm must be two limits"),
         (Stream, {"dx": (1.0, 2.0, 3.0)}, "dx must be a number, two limits"),
