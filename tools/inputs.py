@@ -178,7 +178,7 @@ each("unit that nobody knows", "'FURLONGS' is not known and taken as dimensionle
 each("mJy/beam among Jy/beam")(
     lambda i: {"BUNIT": "mJy/beam", "data": 1e3 * image(i)} if i == 2 else {}
 )
-refused("one epoch in kelvin", "e2.fits: its unit is K, that of .* leave one out")(
+refused("one epoch in kelvin", "e2.fits: its unit is K, that of .* leave it out")(
     lambda folder: series(folder, lambda i: {"BUNIT": "K"} if i == 2 else {})
 )
 

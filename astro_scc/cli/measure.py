@@ -292,10 +292,12 @@ def _images(config, header, reporter):
 def track(args, reporter):
     """Follow features according to the arguments."""
     settings = inputs.settings_of(args, reporter)
+    # The features of a measurement, unless others are asked for.
+    settings = replace(settings, seed=settings.seed or 0)
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=TRACKED) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note, features=True)
-        features = _find(epochs, reporter)
+        features = _find(epochs, reporter, epochs.settings.seed)
         table = _write(features, epochs, folder)
         if not args.no_figures:
             more = {"separation": {"beta_per_pm": beta_per_pm(table)}, "tracks": {}}
@@ -318,8 +320,8 @@ def track(args, reporter):
     reporter.say(*lines, f"\n{what}: {output}")
 
 
-def _find(epochs, reporter):
-    """Return the features of a cube, the same as in a measurement."""
+def _find(epochs, reporter, seed):
+    """Return the features of a cube."""
     cube, settings, ssps = epochs.cube, epochs.settings, None
     warn_of_misalignment(cube)
     options = {"n_workers": epochs.n_workers, "progress_bar": reporter.progress}
@@ -329,7 +331,7 @@ def _find(epochs, reporter):
         ssps = decomposed.ssps
     features = find_features(
         cube, detections=settings.detections, ssps=ssps, region=settings.region,
-        **options,
+        seed=seed, **options,
     )  # fmt: skip
     if len(features.detections) == 0:
         where = "" if settings.region is None else f" in {settings.region}"
@@ -372,7 +374,9 @@ def explain(args, reporter):
                 f"{', '.join(map(str, numbers))}"
             )
         subject = {"published": rows}
-    features = _find(epochs, reporter)
+    # A measurement has no seed of its own for the features.
+    measured = (folder / "streams.ecsv").is_file()
+    features = _find(epochs, reporter, 0 if measured else settings.seed)
     features = replace(features, doubts=table.meta.get("doubts", {}))
     if features.number.tolist() != table["feature"].tolist():
         reporter.warn(
