@@ -264,7 +264,7 @@ def _draw_z_scores(scene, drawn):
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
     # The highest z-score may be beside the maximum.
     maxima = "z_score" in scene.components.colnames
-    label = "maxima of the correlation" if maxima else "streams"
+    label = "maxima of the correlation,\nat fitted speeds" if maxima else "streams"
     for row, kind, strong, numbers in scene.streams(*names):
         along, error, across, across_error = numbers
         z, color = _z_of(scene, row), style.VERMILION if strong else GREY
