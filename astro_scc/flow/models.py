@@ -301,6 +301,17 @@ class FlowAcceleration:
             f"{self.n_parts} parts of the flow"
         )
 
+    @property
+    def line(self) -> ProfileFit:
+        """Its straight line; chi-square and AICc are NaN, as it is not their least."""
+        length, _ = self.speed.unit.bases
+        values = {"v0": self.speed, "gradient": self.gradient}
+        errors = {"v0": np.nan * self.speed.unit, "gradient": self.gradient_err}
+        return ProfileFit(
+            "linear", self.centre.to(length), values, errors, chi2=np.nan,
+            n_free=self.n_parts - 2, aicc=np.nan, p_constant=self.p_value,
+        )  # fmt: skip
+
 
 def acceleration_of(parts, flow, unit=PM_UNIT, *, moves=True):
     """

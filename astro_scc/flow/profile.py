@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from astro_scc.columns import describe
 from astro_scc.epochs import EpochCube
-from astro_scc.flow.models import FlowAcceleration, acceleration_of, fit_profile
+from astro_scc.flow.models import FlowAcceleration, acceleration_of
 from astro_scc.flow.speeds import (
     distances_along,
     flows_by_scale,
@@ -428,12 +427,20 @@ def write_profile(profile, streams, directory, **settings):
     # Emission in the bins may be of no SSP.
     figures = ["profile"] + ["position_angles"] * any(map(len, angles.values()))
 
+    # What is drawn is the acceleration that is printed.
+    lines = {
+        name.replace(ALL, ""): [found.line]
+        for name, found in profile.accelerations.items()
+        if np.isfinite(found.p_value)
+    }
+    fitted = _spectrum_speeds(profile)
+
     def draw(name):
         if name == "position_angles":
             return speeds.plot_position_angles(angles)
         return speeds.plot_profile(
-            streams, line=_line_of(result, profile.bins.max()), fits=_fits(profile),
-            cube=cube, beta_per_pm=beta_per_pm(streams),
+            streams, line=_line_of(result, profile.bins.max()), fits=lines, cube=cube,
+            others=fitted if lines else (), beta_per_pm=beta_per_pm(streams),
         )  # fmt: skip
 
     files = style.figure_files(figures, draw)
@@ -487,18 +494,10 @@ def _line_of(result, length):
     return RidgeLine(s * np.sin(angle), s * np.cos(angle))
 
 
-def _fits(profile):
-    """Return the lines through the speeds by group of scales, if there are enough."""
-    beam, unit, fits = profile.flow.beam, profile.flow.cube.speed_unit, {}
-    alone = len(profile.groups) == 1
-    for name, (place, speed, covariance) in profile.speeds.items():
-        if sum(map(moves_in, profile.results[name])) < 2:
-            continue
-        errors = np.sqrt(np.diag(covariance))
-        v, e = ((x * beam * PM_UNIT).to(unit) for x in (speed, errors))
-        given = {"covariance": covariance * (beam * PM_UNIT) ** 2}
-        for model in ("linear", "power-law") if alone else ("linear",):
-            with suppress(ValueError):
-                fit = fit_profile(place * beam * u.mas, v, e, model=model, **given)
-                fits.setdefault("" if alone else name, []).append(fit)
-    return fits
+def _spectrum_speeds(profile):
+    """Return the speeds that a line is fitted to, if those of the points are others."""
+    if profile.groups != (ALL,):
+        return []
+    known = profile._covariance(ALL)
+    error = np.sqrt(np.diag(known["covariance"]))
+    return [("speeds of the spectrum", known["distance"], known["speed"], error)]

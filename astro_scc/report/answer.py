@@ -54,7 +54,7 @@ PROFILE_EXPLANATION = (
 #: What the columns of the paper's method are.
 PAPER_EXPLANATION = (
     "coefficient, z_score: mean correlation of the patterns (SSPs, maxima on a wavelet "
-    "scale) at this velocity",
+    "scale) near this velocity",
     "with those of other epochs, and its excess in standard deviations of shuffled "
     "epochs",
     "p_global: fraction of shuffled series of epochs with as large a z-score at any "

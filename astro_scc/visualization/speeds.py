@@ -64,12 +64,12 @@ class Speeds:
 
 
 def _streams(result):
-    """Yield each stream's index, kind, colour, and number with speed and kind."""
+    """Yield each stream's index, kind, colour, and number with speed along the flow."""
     pairs = zip(result.search.streams, result.streams, strict=True)
     for k, (stream, row) in enumerate(pairs):
         color = style.component_color(k + 1)
         color = style.GREY if stream.kind == "not significant" else color
-        text = f"{k + 1}: {cell(row, 'pm')}"
+        text = f"{k + 1}: {cell(row, 'pm_parallel')}"
         text += "" if stream.kind == "moving" else f", {stream.kind}"
         yield k, stream.kind, color, text
 

@@ -264,7 +264,7 @@ def _draw_z_scores(scene, drawn):
     least = PM_UNIT.to(scene.unit, max(scene.result.grid.step))
     # The highest z-score may be beside the maximum.
     maxima = "z_score" in scene.components.colnames
-    label = "maxima of the correlation" if maxima else "streams"
+    label = "maxima of the correlation,\nat fitted speeds" if maxima else "streams"
     for row, kind, strong, numbers in scene.streams(*names):
         along, error, across, across_error = numbers
         z, color = _z_of(scene, row), style.VERMILION if strong else GREY
@@ -470,16 +470,18 @@ def longest_interval(years, slopes, kinds, reach, *, beyond=1.3, fewest=4):
 
 def highest_excess(years, excess, longest):
     """Return the end of the range of the colours, which little of a diagram exceeds."""
-    return np.quantile(np.abs(excess[:, years <= longest]), 0.995) or 1.0
+    # No pair of epochs overlaps at some displacements.
+    return np.nanquantile(np.abs(excess[:, years <= longest]), 0.995) or 1.0
 
 
 def diagram_levels(years, excess, longest, n):
     """
     Return a diagram as levels from -127 to 127 at n equal intervals up to the longest.
 
-    The shortest intervals, which no two epochs have, are zero.
+    The shortest intervals, which no two epochs have, are zero, and what is unknown.
     """
     ends = images.edges(years)
     column = np.searchsorted(ends, (np.arange(n) + 0.5) / n * longest) - 1
     level = np.clip(excess / highest_excess(years, excess, longest), -1, 1)[:, column]
-    return np.where(column < 0, 0, np.round(127 * level)).astype(np.int8)
+    known = (column >= 0) & np.isfinite(level)
+    return np.where(known, np.round(127 * level), 0).astype(np.int8)

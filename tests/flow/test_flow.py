@@ -99,6 +99,8 @@ def test_the_acceleration_is_that_of_the_simulation(jet, result, profile):
         assert found.p_value < 0.05
         assert u.isclose(found.acceleration, found.gradient * found.speed)
         assert str(found).startswith("acceleration: 0.")
+        rise = found.line(2 * found.centre) - found.speed
+        assert u.isclose(rise, found.gradient * found.centre)
     with pytest.raises(ValueError, match="row must be from 0 to .*, got 9"):
         measure_acceleration(result, 9)
     # Speeds of which one bin alone moves have no slope.
