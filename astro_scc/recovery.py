@@ -24,7 +24,13 @@ from astro_scc.images.beam import FWHM_TO_SIGMA
 from astro_scc.intervals import median_interval
 from astro_scc.kinematics import PositionAngleFrame
 from astro_scc.parallel import progress
-from astro_scc.plan import flow_beam, out_of_reach, used_intervals, velocity_frame
+from astro_scc.plan import (
+    choose_direction,
+    flow_beam,
+    out_of_reach,
+    used_intervals,
+    velocity_frame,
+)
 from astro_scc.quantities import Seed, random_generator, seeded
 from astro_scc.scc import StackedCrossCorrelation
 from astro_scc.settings import require
@@ -431,9 +437,12 @@ def _direction(position_angle, axis, cube):
         return given, np.array([1.0, 0.0])
     straight = axis is None or isinstance(axis, u.Quantity)
     if given is None or any(radial) or not straight:
+        found, _ = choose_direction(cube)
+        such = "" if found is None else f", such as the {found:g} of the mean image"
         raise ValueError(
-            f"position_angle {given} does not go with that of the measurement, {axis}: "
-            "features move on straight lines, so give both an angle, or both 'radial'"
+            f"position_angle {given} does not go with {axis} of "
+            "StackedCrossCorrelation: features move on straight lines, so give both an "
+            f"angle{such}, or both 'radial'"
         )
     wanted = "an angle", "65 deg", False
     given = q.named("position_angle", q.one_quantity, given, *wanted).to(u.deg)

@@ -63,7 +63,7 @@ REFUSED = [
     ({}, {}, {"n_trials": 98}, "98 trials allow no p_global below 0.01.*n_trials"),
     ({}, {}, {"tolerance": 1 * u.s}, "tolerance = 1.0 s must be"),
     ({}, {}, {"position_angle": "radial"}, "radial does not go with .*both 'radial'"),
-    ({}, {"position_angle": None}, {}, "position_angle None does not go with"),
+    ({}, {"position_angle": None}, {}, "does not go with None of StackedC"),
     ({}, {"position_angle": RIDGE}, {}, "RidgeLine.*features move on straight"),
     ({"beams": None}, {}, {}, "has no beams: give fwhm"),
     ({"noise": np.zeros(7) * u.Jy / u.beam}, {}, {}, "noise need epochs with"),
