@@ -310,6 +310,24 @@ def output_of(args, settings):
     return Path(f"{name}-{args.command}")
 
 
+def refuse_others(folder, settings, *kept):
+    """Refuse a folder whose tables would be kept, if they are of other images."""
+    kept = [name for name in kept if (folder / name).exists()]
+    theirs = None
+    # A file that cannot be read says nothing.
+    with suppress(OSError, ValueError):
+        theirs = read_config(folder / "config.toml")[0].get("epochs")
+    if not (kept and theirs):
+        return
+    of_both = (
+        {path.resolve() for path in fits.find_files(names, missing_ok=True)}
+        for names in (settings.epochs, theirs)
+    )
+    if len({*map(frozenset, of_both)}) > 1:
+        what = f"holds {kept[0]} of other images"
+        raise OSError(f"{folder}: {what}; choose another folder, or remove this one")
+
+
 def read_table(path, advice="", name=None):
     """Return an ECSV table, from a file or lines; what is wrong with it is one line."""
     if name is None and not path.exists():

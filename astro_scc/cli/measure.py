@@ -62,6 +62,7 @@ def measure(args, reporter):
         epochs = inputs.read_epochs(
             settings, args, note=reporter.note, moving=not as_in_paper
         )
+        inputs.refuse_others(output, settings, "profile.ecsv")
         result, page = _measured(epochs, reporter), {"pdf": args.pdf}
         if not as_in_paper:
             # Nobody reads them otherwise.
@@ -164,6 +165,7 @@ def profile(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=PROFILE) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note, moving=True)
+        inputs.refuse_others(output, settings, "streams.ecsv")
         streams, lines = _profile(epochs, folder, reporter)
         write_publication({"profile": streams}, folder)
     lines = [*answer.profile_lines(streams), "", *lines, *epochs.found]
@@ -295,6 +297,7 @@ def track(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=TRACKED) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note, features=True)
+        inputs.refuse_others(output, settings, "streams.ecsv", "profile.ecsv")
         features = _find(epochs, reporter)
         table = _write(features, epochs, folder)
         if not args.no_figures:

@@ -106,6 +106,11 @@ def test_what_cannot_be_measured(jet, refused, here):
     (here / "p.toml").write_text("method = 'paper'\nbins = '1 2 mas'\n")
     line = refused("profile", *jet, "--config", here / "p.toml", "-o", "out")
     assert "method is 'paper', which astro-scc measure has: leave it out" in line
+    (here / "old").mkdir()
+    (here / "old" / "streams.ecsv").touch()
+    (here / "old" / "config.toml").write_text("epochs = ['gone.fits']\n")
+    line = refused("track", *jet, "-o", "old", "--overwrite")
+    assert "old: holds streams.ecsv of other images; choose" in line
     (here / "c.toml").write_text("cosmology = 'Planck18'\n")
     line = refused("measure", *jet, "--config", "c.toml", "-o", "out")
     assert line.endswith("error: c.toml: cosmology needs a redshift")
