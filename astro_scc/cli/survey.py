@@ -89,9 +89,14 @@ def survey(args, reporter):
 def _summary(table):
     """Yield lines on the numbers of sources and of streams that move."""
     kinds = ("measured", "empty", "failed")
-    numbers = (len(set(table["source"][table["status"] == kind])) for kind in kinds)
-    each = (f"{n} {kind}" for n, kind in zip(numbers, kinds, strict=True) if n)
-    yield f"Sources: {', '.join(each)}."
+    of_kind = [set(table["source"][table["status"] == kind]) for kind in kinds]
+    measured, empty, failed = of_kind
+    # A source counts once, as in the overview: as the first that any of its parts is.
+    once = measured, empty - measured, failed - measured - empty
+    each = [f"{len(k)} {kind}" for k, kind in zip(once, kinds, strict=True) if k]
+    partly = len(failed) - len(once[-1])
+    also = f"; {partly} of the others failed in part" if partly else ""
+    yield f"Sources: {', '.join(each)}{also}."
     p_fdr = table["p_fdr"][table["kind"] == "moving"]
     if len(p_fdr):
         small = np.sum(p_fdr <= 0.05)

@@ -438,6 +438,7 @@ def write_overview(table, features, parts, folder):
         **overview(table, features, parts, folder),
         title="Survey of proper motions",
         population={name: int(use.sum()) for name, use in found.items()},
+        n_jets=len({*features["source"][found["moving"]]}) if found else 0,
         figure=files.get("population.png"),
         in_c="beta_app" in features.colnames,
         products=[name for name in names if (folder / name).exists()],
