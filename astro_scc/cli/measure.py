@@ -297,7 +297,6 @@ def track(args, reporter):
     output = inputs.output_of(args, settings)
     with product_folder(output, overwrite=args.overwrite, stale=TRACKED) as folder:
         epochs = inputs.read_epochs(settings, args, note=reporter.note, features=True)
-        inputs.refuse_others(output, settings, "streams.ecsv", "profile.ecsv")
         features = _find(epochs, reporter)
         table = _write(features, epochs, folder)
         if not args.no_figures:
