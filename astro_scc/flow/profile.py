@@ -480,7 +480,7 @@ def angles_by_scale(profile, result):
             for name, fits in profile.fits.items()
         }
     angles = {
-        f"scales {name}": angle[inside & np.isin(scale, scales)] * u.deg
+        f"scale{'s' * (',' in name)} {name}": angle[inside & np.isin(scale, scales)] * u.deg
         for name, scales in groups.items()
     }
     return {name: each for name, each in angles.items() if len(each)}

@@ -63,6 +63,7 @@ REFUSED = [
     ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
     ("tracks", {"cmap": "magma"}, "unknown option 'cmap' .* matplotlib's Line2D"),
+    ("spectrum", {"ax": None}, "several axes: give figure=, not ax="),
     (0.5, {}, "cannot be interpreted as an integer"),
     ("diagram", {"ax": "of a WCS"}, "ax is a WCSAxes, .* without projection="),
 ]
