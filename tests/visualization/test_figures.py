@@ -173,7 +173,7 @@ def test_the_sun_has_west_to_the_right(jet_results, with_cube):
 
 
 def test_units_and_dates_are_easily_read():
-    units = {1e-4: "uas", 0.1: "mas", 300: "arcsec", 2e4: "arcmin", 2e6: "deg"}
+    units = {1e-4: "uas", 0.1: "mas", 60: "arcsec", 2e4: "arcmin", 2e6: "deg"}
     assert {scale: offset_unit(20 * scale) for scale in units} == units
     for span, resolution, interval, unit in (
         (12 * u.yr, 2 * u.arcsec, 1 * u.yr, u.arcsec / u.yr),
