@@ -99,7 +99,9 @@ def explain_feature(
     if len(seen) == 0:
         return [*lines, f"It is lost: {_why_undetected(signal)}."]
     counts = Counter(owner[seen].tolist()).most_common()
-    shares = (f"{n} are of {_name(features, k)}" for k, n in counts)
+    shares = (
+        f"{n} {'is' if n == 1 else 'are'} of {_name(features, k)}" for k, n in counts
+    )
     lines.append(f"Of its {_count(len(seen), 'detection')}, {', '.join(shares)}.")
     k, n = next(((k, n) for k, n in counts if k >= 0), (-1, 0))
     if 2 * n < len(seen):
@@ -164,7 +166,8 @@ def _detected(features, epoch, place, *, same=0.5, rival=1.0, most=6):
     said = f"Detected within {same:g} beams in {found.sum()} of {_count(len(epoch))}"
     if found.any():
         low, middle, high = map(_number, np.quantile(signal[found], [0, 0.5, 1]))
-        said += f", at an S/N of {low} to {high}, {middle} in the median"
+        several = f" to {high}, {middle} in the median" if low != high else ""
+        said += f", at an S/N of {low}{several}"
     lines = [f"{said}."]
     missed = np.flatnonzero(~found).tolist()
     each = [

@@ -13,7 +13,7 @@ def offset_unit(span, unit=None):
     """Return a unit that is easy to read for offsets over a span in mas."""
     if unit is not None:
         return unit_like(u.mas, unit, "an angle, such as 'mas'")
-    units = ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 3.0), (u.mas, 0.3))
+    units = ((u.deg, 3.0), (u.arcmin, 5.0), (u.arcsec, 1.0), (u.mas, 0.3))
     large = (name for name, least in units if (span * u.mas).to_value(name) >= least)
     return next(large, u.uas)
 

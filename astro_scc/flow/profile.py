@@ -479,10 +479,10 @@ def angles_by_scale(profile, result):
             name: next((fit.flow.planes[0].scales for fit in fits if fit), ())
             for name, fits in profile.fits.items()
         }
-    angles = {
-        f"scales {name}": angle[inside & np.isin(scale, scales)] * u.deg
-        for name, scales in groups.items()
-    }
+    angles = {}
+    for name, scales in groups.items():
+        label = f"scales {name}" if "," in name else f"scale {name}"
+        angles[label] = angle[inside & np.isin(scale, scales)] * u.deg
     return {name: each for name, each in angles.items() if len(each)}
 
 

@@ -13,6 +13,7 @@ import scipy
 from astro_scc.decomposition.wavelet import scale_size
 from astro_scc.images.headers import KEYWORDS, axis_numbers, axis_of, get, parse_unit
 from astro_scc.quantities import parse_quantities
+from astro_scc.units import offset_unit, unit_name
 
 FWHM_TO_SIGMA = 1 / np.sqrt(8 * np.log(2))
 #: Keywords of the axes and the angle of a beam.
@@ -73,8 +74,9 @@ class Beam:
         vars(self).update(major=major, minor=minor, pa=pa)
 
     def __str__(self):
-        size = f"{self.major.value:.3g} x {self.minor.value:.3g} mas"
-        return f"{size} at {self.pa.value:.1f} deg"
+        unit = max(offset_unit(self.major.value), u.mas)
+        major, minor = (axis.to_value(unit) for axis in (self.major, self.minor))
+        return f"{major:.3g} x {minor:.3g} {unit_name(unit)} at {self.pa.value:.1f} deg"
 
     @property
     def area(self) -> u.Quantity:

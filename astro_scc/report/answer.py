@@ -315,7 +315,7 @@ def feature_lines(features, most=MOST):
     if n_secure == 0:
         return [f"{said}.", *_lacking(features)]
     if most < n_secure:
-        said += f"; the {most} that were seen in most epochs"
+        said += f"; the {most} secure ones seen in most epochs"
     lines = column_lines(_followed(features[longest(features, most)]), FEATURES)
     return ["", f"{said}:", *lines, *trust_lines(features), ""]
 

@@ -439,7 +439,7 @@ def plot_position_angles(groups):
             lw=1.6, ls=style.LINES[k % 3], color=color, label=f"{name}: {len(v)} SSPs",
         )  # fmt: skip
         if len(v):
-            ax.axvline(np.median(v), color=color, lw=0.8)
+            ax.axvline(np.median(v), color=color, lw=0.8, label="their median")
     ax.set(xlabel="Position angle (deg)", ylabel="Fraction of the SSPs")
     # A jet to the north has both 359 and 1.
     ax.xaxis.set_major_formatter(lambda angle, _: f"{angle % 360:g}")
@@ -480,6 +480,7 @@ def plot_sensitivity(table, *, beta_per_pm=None, ax=None, **look):
     ax.set_yticks(row, [fill(str(text), 30) for text in table["choice"]])
     ax.tick_params(axis="y", labelsize="small", length=0)
     ax.set_ylim(len(table) - 0.5, -0.5)
-    ax.set_xlabel(f"Proper motion ({unit_name(unit)})")
+    # Where it is not well known, the table of streams has another mean.
+    ax.set_xlabel(f"Proper motion of a fitted Gaussian ({unit_name(unit)})")
     style.add_speed_axis(ax, unit, beta_per_pm)
     return figure

@@ -77,6 +77,9 @@ def look_of(kind, given, **usual):
     usual, given = (cbook.normalize_kwargs(look, artist) for look in (usual, given))
     known = {*ArtistInspector(artist).get_setters(), *usual, *OF_PLOTS}
     for name in given.keys() - known:
+        if name == "ax":
+            what = "this figure has several axes: give figure=, not ax="
+            raise TypeError(what)
         raise TypeError(
             f"unknown option {name!r} of this figure: it takes its own and those of "
             f"matplotlib's {artist.__name__}"

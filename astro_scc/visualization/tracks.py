@@ -71,7 +71,7 @@ def plot_separation(
     figure, ax = style.figure_and_axes(ax, None)
     ejected = ejections(features)
     earliest = min((date for date, _ in ejected.values()), default=None)
-    room = 0.32 if beta_per_pm and len(features) <= CROWDED else 0.12
+    room = 0.16 if beta_per_pm and len(features) <= CROWDED else 0.08
     on_axis = style.date_axis(lower or ax, features.cube, earliest, room)
     if published is not None:
         x, y = on_axis(published["date"].jyear), published["separation"].to_value(unit)

@@ -109,7 +109,7 @@ def test_what_cannot_be_measured(jet, refused, here):
     (here / "old").mkdir()
     (here / "old" / "streams.ecsv").touch()
     (here / "old" / "config.toml").write_text("epochs = ['gone.fits']\n")
-    line = refused("track", *jet, "-o", "old", "--overwrite")
+    line = refused("profile", *jet, "--bins", "1 2 mas", "-o", "old", "--overwrite")
     assert "old: holds streams.ecsv of other images; choose" in line
     (here / "c.toml").write_text("cosmology = 'Planck18'\n")
     line = refused("measure", *jet, "--config", "c.toml", "-o", "out")

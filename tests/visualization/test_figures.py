@@ -63,6 +63,7 @@ REFUSED = [
     ("velocity_map", {"beta_per_pm": -1}, "beta_per_pm must be positive, got -1"),
     (None, {"max_panels": 0}, "max_panels must be at least 1"),
     ("tracks", {"cmap": "magma"}, "unknown option 'cmap' .* matplotlib's Line2D"),
+    ("spectrum", {"ax": None}, "several axes: give figure=, not ax="),
     (0.5, {}, "cannot be interpreted as an integer"),
     ("diagram", {"ax": "of a WCS"}, "ax is a WCSAxes, .* without projection="),
 ]
@@ -172,7 +173,7 @@ def test_the_sun_has_west_to_the_right(jet_results, with_cube):
 
 
 def test_units_and_dates_are_easily_read():
-    units = {1e-4: "uas", 0.1: "mas", 300: "arcsec", 2e4: "arcmin", 2e6: "deg"}
+    units = {1e-4: "uas", 0.1: "mas", 60: "arcsec", 2e4: "arcmin", 2e6: "deg"}
     assert {scale: offset_unit(20 * scale) for scale in units} == units
     for span, resolution, interval, unit in (
         (12 * u.yr, 2 * u.arcsec, 1 * u.yr, u.arcsec / u.yr),
