@@ -124,7 +124,7 @@ def test_warnings_are_lines_each_once(capsys, quiet):
 #: of what is said.
 REFUSED = {
     "measure JET -o out": """
---beam "10 arcsec" | mas at 0.0 deg, is larger than the image; give another
+--beam "10 arcsec" | arcsec at 0.0 deg, is larger than the image; give another
 --align coer | --align 'coer' is none of
 --align "core 9" | --align core '9' has no unit at its end; it must be a position angle
 --region no.reg | no.reg: No such file or directory
