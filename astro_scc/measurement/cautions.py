@@ -151,7 +151,8 @@ def _upstream(result, stream, row, *, least=1.2):
 
 
 def _of_pointing(cube, row, *, near=0.1):
-    """Return that a stream moves as the sky does by the epochs' coordinates, as a list.
+    """
+    Return that a stream moves as the sky does by the epochs' coordinates, as a list.
 
     Epochs are aligned on their reference pixels, which may drift on the sky.
     """
@@ -218,7 +219,7 @@ def _other_directions(result):
 
 
 def _bends(angle, turns):
-    """Return whether directions, in the order of their distance, differ by half."""
+    """Return whether directions of the inner and of the outer half differ."""
     inner, outer = halves = np.array_split(angle, 2)
     apart = abs(np.angle(np.exp(1j * (circmean(outer) - circmean(inner)))))
     errors = [circstd(half, method="circular") / np.sqrt(len(half)) for half in halves]

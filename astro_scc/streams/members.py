@@ -1,5 +1,5 @@
 # Licensed under a 3-clause BSD style license - see LICENSE.rst
-"""The features of streams: those that move along the flow, and their mean speeds."""
+"""Streams and their features: those that move, with mean speeds, and that stand."""
 
 from dataclasses import dataclass, field, replace
 
@@ -42,7 +42,6 @@ FEWEST, LEAST_SIDE = 5, 0.2
 #: Scatter of the speeds of features to which theirs is drawn, relative to their mean,
 #: and the number of features that it counts as.
 SCATTER, PRIOR = 0.3, 2.0
-
 #: Largest motion of a standing feature, in beams, and its fewest epochs.
 STANDING, STANDING_EPOCHS = 0.5, 5
 #: A stream of no feature is not confirmed where more than such a share of all

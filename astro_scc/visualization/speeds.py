@@ -64,13 +64,15 @@ class Speeds:
 
 
 def _streams(result):
-    """Yield each stream's index, kind, colour, and number with speed along the flow."""
+    """Yield each stream's index, kind, colour, and number with speed or kind."""
     pairs = zip(result.search.streams, result.streams, strict=True)
     for k, (stream, row) in enumerate(pairs):
         color = style.component_color(k + 1)
         color = style.GREY if stream.kind == "not significant" else color
-        text = f"{k + 1}: {cell(row, 'pm_parallel')}"
-        text += "" if stream.kind == "moving" else f", {stream.kind}"
+        # The length of a velocity is no speed along the flow of what stands still.
+        text = "" if stream.kind == "stationary" else cell(row, "pm")
+        said = [text, "" if stream.kind == "moving" else stream.kind]
+        text = f"{k + 1}: {', '.join(filter(None, said))}"
         yield k, stream.kind, color, text
 
 
