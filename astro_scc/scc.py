@@ -4,16 +4,16 @@ Stacked cross-correlation: the call that runs all stages of a measurement.
 
 ::
 
-    cube       = EpochCube.read(files)         # EpochCube of epochs/cube.py
-    decomposed = scc.decompose(cube)           # DecomposedEpochs of patterns.py: SSPs
-    features   = decomposed.follow()           # Features of features/finder.py
-    flow       = scc.flow(decomposed)          # DecomposedFlow of streams/decomposed.py
-    search     = find_streams(flow, features)  # StreamSearch of streams/finder.py
-      flow, test = find_motion(flow)            # MotionTest of spectrum/permutations.py
-      diagram    = correlate(flow.planes[0])    # Diagram of spectrum/diagram.py
-      spectrum   = deconvolve(set_up(diagram))  # array; Equations of equations.py
-    result     = SCCResult(decomposed, search) # measurement/result.py: tables, figures
-    paper      = measure_as_in_paper(cube)     # PaperMeasurement of paper/method.py
+    cube       = EpochCube.read(files)         # EpochCube, epochs/cube.py
+    decomposed = scc.decompose(cube)           # DecomposedEpochs, patterns.py
+    features   = decomposed.follow()           # Features, features/finder.py
+    flow       = scc.flow(decomposed)          # DecomposedFlow, streams/decomposed.py
+    search     = find_streams(flow, features)  # StreamSearch, streams/finder.py
+      flow, test = find_motion(flow)             # MotionTest, spectrum/permutations.py
+      part       = fit_along_lines(flow)         # PartFit, streams/decomposed.py
+        diagram    = correlate(flow.planes[0])     # Diagram, spectrum/diagram.py
+      spectrum   = deconvolve(part.equations)    # shares; spectrum/equations.py
+    result     = SCCResult(decomposed, search) # SCCResult, measurement/result.py
 """
 
 from __future__ import annotations
