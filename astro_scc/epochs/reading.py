@@ -163,6 +163,13 @@ def _of_ndcube(image):
     times = [v for v in image.global_coords.values() if isinstance(v, Time)]
     found = {"time": times[0].reshape(-1)[0]} if times else {}
     wcs, _, _ = fits_wcs(image.wcs)
+    header = wcs.to_header()
+    header["NAXIS"] = wcs.naxis
+    if times and (axis := dates.time_axis(header)):
+        # Of WCS, times are seconds in any unit.
+        header[f"NAXIS{axis}"] = 1
+        if not header[f"CTYPE{axis}"].endswith("-TAB"):
+            found["time"] = dates.axis_times(header, axis)[0]
     if AXIS in wcs.wcs.ctype and set(KEPT) <= image.meta.keys():
         i = round(1 - wcs.wcs.crpix[list(wcs.wcs.ctype).index(AXIS)])
         values = [image.meta[name] and image.meta[name][i] for name in KEPT]

@@ -428,7 +428,8 @@ def axis_times(header, axis, hdus=()):
         if n > 1 and not step:
             raise ValueError(f"has no step on axis {name} (CDELT{axis}); write it")
         values = (start or 0.0) + (np.arange(1, n + 1) - pixel) * step
-    usual = "d" if name.startswith(("MJD", "JD")) else "s"
+    usual = get(header, "TIMEUNIT", kind=str) or "s"
+    usual = "d" if name.startswith(("MJD", "JD")) else usual
     unit = (unit or given).strip() or usual
     unit = WORDS["units"].get(unit.lower(), unit)
     wrong = f"has the unit {unit!r} on axis {name}, which is no time; correct it"

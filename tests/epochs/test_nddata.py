@@ -123,10 +123,11 @@ def ndcube():
     return pytest.importorskip("ndcube")
 
 
-def test_an_ndcube_with_a_time_axis(ndcube):
+@pytest.mark.parametrize(("unit", "step"), [("s", 3600), ("h", 1), ("d", 1 / 24)])
+def test_an_ndcube_with_a_time_axis(ndcube, unit, step):
     wcs = WCS(naxis=3)
     wcs.wcs.ctype, wcs.wcs.crpix = ["TIME", "RA---TAN", "DEC--TAN"], [1] * 3
-    wcs.wcs.cunit, wcs.wcs.cdelt = ["s", "deg", "deg"], [3600, 1e-4, 1e-4]
+    wcs.wcs.cunit, wcs.wcs.cdelt = [unit, "deg", "deg"], [step, 1e-4, 1e-4]
     wcs.wcs.dateref, wcs.wcs.mjdref = "2014-06-01T00:00:00", (56809, 0)
     wcs.wcs.set()
     array = np.moveaxis(DATA, 0, 2)

@@ -420,6 +420,7 @@ UNEVEN = np.array([0.0, 10, 25, 31])
 CUBES = [
     ({}, SECONDS),
     ({"CTYPE3": "UTC", "CUNIT3": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
+    ({"CUNIT3": None, "TIMEUNIT": "min", "CDELT3": 0.5}, [0, 30, 60, 90]),
     (DAYS | {"CUNIT3": "d", "MJDREF": 0.0, "DATE-OBS": None}, HOURS),
     ({"JDREF": 2457191.5, "CRVAL3": 36000.0}, SECONDS),
     (DAYS | {"CTYPE3": "JD", "CUNIT3": None, "CRVAL3": 2457191.5 + 10 / 24}, HOURS),
