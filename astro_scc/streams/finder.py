@@ -322,8 +322,12 @@ def _stream(search, row, members, sheet, shift, *, covered):
         covered &= not (lost or behind > BETWEEN)
         lengths = np.hypot(members.along, members.across)
         slowest, fastest = lengths.min(), lengths.max()
+        side = mean_across(members, mean)
+        if search.pair and side[1] ** 2 < variance[1]:
+            # The other stream may lie beside the ray of this one.
+            velocity[1], variance[1] = side[0], side[1] ** 2
         if covered or not np.isfinite(error):
-            source, side = "features", mean_across(members, mean)
+            source = "features"
             velocity = np.array([sign * mean, side[0]])
             variance = np.array([mean_err, side[1]]) ** 2
             if len(members) > 2:
