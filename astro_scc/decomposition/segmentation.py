@@ -16,6 +16,9 @@ from astro_scc.decomposition import wavelet
 from astro_scc.decomposition.wavelet import scale_kernel, scale_size, wavelet_planes
 from astro_scc.quantities import NOISES, check_choice, named
 
+#: Values beside a maximum count as this share of it or more.
+FAINT = 0.1
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SSPs:
@@ -178,15 +181,18 @@ def require_ssps(ssps, scales):
         )
 
 
-def quadratic_peak(values):
+def gaussian_peak(values):
     """
-    Find the maximum of the least-squares quadratic surface through 3 x 3 values.
+    Find the maximum of the Gaussian through 3 x 3 values, by least squares of logarithms.
 
-    ``values`` has the shape (..., 3, 3), and the central one is the largest.  Returns
-    dy and dx from the centre, within half a pixel and zero if the surface has no
-    maximum, and the height there, which is never below the central value.
+    ``values`` has the shape (..., 3, 3), and the central one is positive and the
+    largest; others count as `FAINT` of it or more.  A parabola would draw narrow peaks
+    to whole pixels.  Returns dy and dx from the centre, within half a pixel and zero
+    if the surface has no maximum, and the height there, which is never below the
+    central value.
     """
-    v = np.asarray(values, dtype=float)
+    centre = np.asarray(values, dtype=float)[..., 1:2, 1:2]
+    v = np.log(np.maximum(values / centre, FAINT))
     column, row = v.sum(axis=-2), v.sum(axis=-1)
     gx = (column[..., 2] - column[..., 0]) / 6
     gy = (row[..., 2] - row[..., 0]) / 6
@@ -202,8 +208,8 @@ def quadratic_peak(values):
     dy = np.where(peaked, (hxy * gx - hxx * gy) / safe, 0.0)
     inside = (np.abs(dx) <= 0.5) & (np.abs(dy) <= 0.5)
     dx, dy = np.clip(dx, -0.5, 0.5), np.clip(dy, -0.5, 0.5)
-    height = np.where(peaked & inside, level + 0.5 * (gx * dx + gy * dy), v[..., 1, 1])
-    return dy, dx, np.maximum(height, v[..., 1, 1])
+    height = np.where(peaked & inside, level + 0.5 * (gx * dx + gy * dy), 0.0)
+    return dy, dx, centre[..., 0, 0] * np.exp(np.maximum(height, 0.0))
 
 
 def find_ssps(
@@ -274,7 +280,7 @@ def find_ssps(
     # Beside a missing pixel the curvature is unknown, and the whole pixel is kept.
     known = plane if mask is None else np.where(np.asarray(mask)[box], np.nan, plane)
     around = sliding_window_view(known, (3, 3))[at[0] - 1, at[1] - 1]
-    dy, dx, _ = quadratic_peak(around)
+    dy, dx, _ = gaussian_peak(around)
     y0, x0 = (side.start for side in box)
     return SSPs(
         scale=np.full(n, float(scale)), y=at[0] + y0 + dy, x=at[1] + x0 + dx,

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from astro_scc.decomposition.segmentation import quadratic_peak
+from astro_scc.decomposition.segmentation import gaussian_peak
 
 #: Local variances below this fraction of a window's energy are rounding errors,
 #: which were measured as 7e-16.  A pattern beside a core a million times brighter
@@ -181,11 +181,10 @@ def find_peaks(coefficient, threshold):
 
     A pixel is a maximum if none of its eight neighbours is larger or NaN.  Of
     equal neighbours the last one counts, row by row; pixels at the border are not
-    maxima.  Positions are those of the least-squares quadratic through the nine
-    values.
+    maxima.  Positions are those of the Gaussian through the nine values.
 
     ``coefficient`` has the shape (n, ny, nx).  Returns for each peak the index of
-    its map, y and x in pixels, and the value of the quadratic at its maximum, which
+    its map, y and x in pixels, and the value of the Gaussian at its maximum, which
     is at least that of the pixel and at most 1.
     """
     n, ny, nx = coefficient.shape
@@ -204,5 +203,5 @@ def find_peaks(coefficient, threshold):
     keep = (value >= around[:, 0, 0]) & (value >= around[:, 0, 2])
     keep &= (value > around[:, 2, 0]) & (value > around[:, 2, 2])
     index, y, x = np.unravel_index(at[keep], coefficient.shape)
-    dy, dx, height = quadratic_peak(around[keep])
+    dy, dx, height = gaussian_peak(around[keep])
     return index, y + dy, x + dx, np.minimum(height, 1.0)

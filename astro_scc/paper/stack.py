@@ -630,7 +630,7 @@ def find_velocity_peaks(
     -------
     velocities : `~numpy.ndarray`, shape (n, 2)
         From the Gaussian fit or, if no Gaussian with a maximum in the box fits, from
-        the local quadratic; in the order of decreasing coefficient.
+        the local Gaussian; in the order of decreasing coefficient.
     points : `~numpy.ndarray` of int, shape (n, 2)
         Row and column of the grid point of each maximum.
 
