@@ -116,6 +116,12 @@ def check_cube(cube, common_beam):
             f"{cube.beams[k]} in {cube.labels[k]}: give cube.to_common_beam(), "
             "or state common_beam=False to measure them as they are"
         )
+    for k in np.flatnonzero(np.diff(cube.times.mjd) == 0):
+        if np.array_equal(*cube.data[k : k + 2], equal_nan=True):
+            raise ValueError(
+                f"{cube.labels[k]} and {cube.labels[k + 1]} are the same image of one "
+                "date: leave one out"
+            )
     warn_of_misalignment(cube)
 
 

@@ -183,7 +183,7 @@ def require_ssps(ssps, scales):
 
 def gaussian_peak(values):
     """
-    Find the maximum of the Gaussian through 3 x 3 values, by least squares of logarithms.
+    Find the maximum of the Gaussian through 3 x 3 values, by least squares of logs.
 
     ``values`` has the shape (..., 3, 3), and the central one is positive and the
     largest; others count as `FAINT` of it or more.  A parabola would draw narrow peaks

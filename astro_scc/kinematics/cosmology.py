@@ -470,7 +470,7 @@ def maximum_viewing_angle(beta_app: ArrayLike) -> u.Quantity:
     >>> maximum_viewing_angle(6).round(2)
     <Quantity 18.92 deg>
     """
-    return np.degrees(2 * np.arctan2(1, _in_units_of_c(beta_app))) * u.deg
+    return np.degrees(2 * np.arctan2(1, np.abs(_in_units_of_c(beta_app)))) * u.deg
 
 
 def viewing_angle(beta_app: ArrayLike, doppler: ArrayLike) -> u.Quantity:
@@ -482,7 +482,7 @@ def viewing_angle(beta_app: ArrayLike, doppler: ArrayLike) -> u.Quantity:
     Parameters
     ----------
     beta_app : array_like or `~astropy.units.Quantity`
-        Apparent speeds in units of c, not negative.
+        Apparent speeds in units of c, of either sign.
     doppler : array_like or `~astropy.units.Quantity`
         Doppler factors.
 
@@ -497,5 +497,5 @@ def viewing_angle(beta_app: ArrayLike, doppler: ArrayLike) -> u.Quantity:
     >>> viewing_angle(5, 10).round(1)
     <Quantity 4.6 deg>
     """
-    beta_app, doppler = _in_units_of_c(beta_app), _in_units_of_c(doppler)
+    beta_app, doppler = np.abs(_in_units_of_c(beta_app)), _in_units_of_c(doppler)
     return np.degrees(np.arctan2(2 * beta_app, beta_app**2 + doppler**2 - 1)) * u.deg

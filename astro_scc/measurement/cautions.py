@@ -16,7 +16,7 @@ from astro_scc.features.motion import SIGNIFICANT
 from astro_scc.grid import has_core
 from astro_scc.images.dates import date_labels
 from astro_scc.kinematics import PositionAngleFrame, RidgeLine
-from astro_scc.spectrum.permutations import within
+from astro_scc.spectrum.permutations import INWARD, within
 from astro_scc.streams import decomposed, finder
 from astro_scc.streams.members import FEWEST, frame_velocities, passing_features
 from astro_scc.units import PM_UNIT, offset_unit, unit_name
@@ -29,6 +29,8 @@ NEAR, DISAGREE = 0.8, 2.5
 DIRECTIONS, ALL = 0.3, 1.0
 #: How that is said, which headlines begin with.
 NO_DIRECTION = "no one direction holds for the emission"
+#: What to do about several.
+EACH = "give a region for each"
 
 
 def cautions_of(result, k, row):
@@ -90,10 +92,19 @@ def _doubts(result, stream, alpha):
         f"{', which so few epochs or trials cannot reach' if never else ''}",
         *unlike,
         *one_way,
+        *_inward(search, alpha),
         *_beyond(search, stream, unit),
         f"speeds of {low} to {high} were searched: slower motion needs a longer time, "
         "faster shorter intervals or a larger max_speed (--max-speed)",
     ]
+
+
+def _inward(search, alpha):
+    """Return that motion against the flow needs more, as a list of text."""
+    p, inward = search.test.p_local[search.test.best], search.test.clearest < 0
+    weighted = search.flow.directed and search.flow.outward and inward and p <= alpha
+    said = f"inward motion counts {INWARD:g} times as much as outward motion"
+    return [said] if weighted else []
 
 
 def _beyond(search, stream, unit):
@@ -198,11 +209,12 @@ def _other_directions(result):
     everywhere, about_place = scatter > turns * ALL, about < scatter / 2
     off = abs(np.angle(np.exp(1j * (circmean(angle) - turns * result.search.angle))))
     # Where they move the other way, the jet is on the other side.
-    aside = result.flow.given and frame.uniform and 1 < off / turns / (np.pi / 4) < 3
-    if aside and not everywhere:
+    aside = 1 < off / turns / (np.pi / 4) < 3 and not everywhere
+    if aside and (result.flow.given or not frame.uniform):
+        more = "try without a position angle" if frame.uniform else "rows are along it"
         return [
             f"secure features move at {np.degrees(off) / turns:.0f} deg to its "
-            "direction: try without a position angle"
+            f"direction: {more}"
         ]
     # Speeds along lines that bend are lengths.
     if result.flow.grids[0].bends:
@@ -211,7 +223,9 @@ def _other_directions(result):
     if everywhere:
         # A ridge line does not lead to several sides.
         away = about_place and np.cos(circmean(angle - outward)) > np.cos(ALL)
-        return [f"{NO_DIRECTION}: {said} deg, {_for_all_sides(result, away)}"]
+        opposite = circstd(2 * angle, method="circular") < 2 * DIRECTIONS
+        advice = EACH if opposite else _for_all_sides(result, away)
+        return [f"{NO_DIRECTION}: {said} deg, {advice}"]
     bends = _bends(angle[np.argsort(np.hypot(*place.T))], turns)
     if not (bends or (scatter > turns * DIRECTIONS and about_place)):
         return []
@@ -260,7 +274,7 @@ def _for_all_sides(result, away, *, explained=0.75, near=0.1):
                 f"they move away from ({shown}) {unit} of the reference position: in "
                 "Python, give the position_angle RadialFrame of this place"
             )
-    return "try --position-angle radial" if away else "give a region for each"
+    return "try --position-angle radial" if away else EACH
 
 
 def _of_both_sides(result, stream, *, least=0.25):

@@ -196,13 +196,14 @@ def _latex_cell(text):
     text = str(text)
     if text == "-":
         return r"\nodata"
-    number = re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?( \\pm .*)?", text.split(" (error")[0])
+    plain = text.split(" (error")[0]
+    number = re.fullmatch(r"[-<]?[\d.]+(e[+-]?\d+)?( \\pm .*)?", plain)
     if number is None:
         return escaped(text)
     text = text.replace("(error unknown)", r"\pm \ldots")
     text = re.sub(r"e([+-]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1]}{m[2]}}}", text)
     text = text.replace("{+", "{")
-    return f"${text}$" if text[0] == "-" or "\\" in text else text
+    return f"${text}$" if text[0] in "-<" or "\\" in text else text
 
 
 def _latex_unit(name, unit):

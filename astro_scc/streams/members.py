@@ -307,6 +307,9 @@ def standing_streams(features, flow, streams, inside, shift):
     still = (speed < SIGNIFICANT * error) & (features.moved < STANDING)
     still &= (weight >= STANDING_EPOCHS) & (features.p_false <= 0.5)
     still &= np.isfinite(velocities).all(axis=1)
+    # Axes may have a scale.
+    axes = np.asarray(flow.frame.matrix(*features.places.T))
+    error = error * np.sqrt(np.abs(np.linalg.det(axes)))
     if inside is not None:
         still &= inside
     for stream in streams:

@@ -121,7 +121,7 @@ def test_everything_comes_back(beta, angle):
     assert angle <= maximum_viewing_angle(seen) + 1e-6 * u.deg
     delta = doppler_factor(beta, angle)
     assert delta.value == pytest.approx(1 / gamma.value / (1 - beta * cos))
-    back = viewing_angle(seen, delta)
+    back = viewing_angle(-seen, delta)
     assert back.to_value(u.deg) == pytest.approx(angle.value, rel=1e-5)
 
 

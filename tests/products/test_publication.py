@@ -122,6 +122,7 @@ def test_latex_of_both_journals(printed, journal, rows):
     for words in (r"Velocities of the streams of 3C\_1 50\%.", "H0 = 71 km/s/Mpc"):
         assert words in text
     assert r"(\mathrm{mas\,yr^{-1}}" in text.replace("$", "")
+    assert " <" not in text.partition(r"\tablecomments")[0]
     body = [line for line in text.splitlines() if re.match(r"\d+ & (mov|stat)", line)]
     (align,) = set(re.findall(r"\{(l{3,})\}", text))
     lines = [line for line in text.splitlines() if " & " in line]
