@@ -309,7 +309,7 @@ def standing_streams(features, flow, streams, inside, shift):
     still &= np.isfinite(velocities).all(axis=1)
     # Axes may have a scale.
     axes = np.asarray(flow.frame.matrix(*features.places.T))
-    error = error * np.sqrt(np.abs(np.linalg.det(axes)))
+    error = error * np.hypot(*axes[:, 0].T)
     if inside is not None:
         still &= inside
     for stream in streams:
