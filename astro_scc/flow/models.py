@@ -397,8 +397,9 @@ def accelerations(result, rows):
     """Return the acceleration of each of some rows; the parts are fitted once."""
     search = result.search
     flow, fit, known = search.flow, search.fit, []
-    # Features that are not tested have no speed of the spectrum.
-    moving = [np.isfinite(search.streams[row].p_global) for row in rows]
+    # What stands still, or may, has no speed of the spectrum.
+    still = "stationary", "not significant"
+    moving = [search.streams[row].kind not in still for row in rows]
     if any(moving) and fit is not None:
         known = [flow.between(low, high) for low, high in parts_along(flow)]
     sign = 1 if fit is None else np.sign(fit.mean[0])
