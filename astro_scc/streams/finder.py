@@ -314,12 +314,8 @@ def _stream(search, row, members, sheet, shift, *, covered):
             sign * members.along, members.along_err, members.weight
         )
         features = mean, mean_err
-        # Where a flow moves by more than a beam between images, slow features are
-        # often parts of several, unless they are many.
-        few = members.weight.sum() <= MOST_PASSED * len(search.features.detections)
         behind = (abs(speed) - mean) / np.hypot(error, mean_err)
-        lost = few and behind > 1 and abs(speed) > search.unambiguous
-        covered &= not (lost or behind > BETWEEN)
+        covered &= not _are_passed(search, members, speed, behind)
         lengths = np.hypot(members.along, members.across)
         slowest, fastest = lengths.min(), lengths.max()
         side = mean_across(members, mean)
@@ -345,6 +341,15 @@ def _stream(search, row, members, sheet, shift, *, covered):
         members=members.number, slowest=slowest, fastest=fastest,
         angle=search.angle + (0.0 if sign > 0 else np.pi),
     )  # fmt: skip
+
+
+def _are_passed(search, members, speed, behind):
+    """Return whether the flow passes the features of a stream, by so many errors."""
+    # Where a flow moves by more than a beam between images, slow features are often
+    # parts of several, unless they are many.
+    few = members.weight.sum() <= MOST_PASSED * len(search.features.detections)
+    lost = few and behind > 1 and abs(speed) > search.unambiguous
+    return lost or behind > BETWEEN
 
 
 def _on_its_side(stream, search, moving):

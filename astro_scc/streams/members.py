@@ -54,6 +54,10 @@ STANDING_STILL = (
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
+MOVE_TOGETHER = (
+    "its features, none of which moves significantly, move together by {:.1f} standard "
+    "errors: they do, or the reference, the core, does"
+)
 #: A pair of numbers that are not known.
 UNKNOWN = (np.nan, np.nan)
 
@@ -330,11 +334,7 @@ def standing_streams(features, flow, streams, inside, shift):
     errors = np.sqrt(velocity @ np.linalg.solve(covariance, velocity))
     kind, reason = "stationary", ""
     if len(members) > 1 and errors > TOGETHER:
-        kind = "not confirmed"
-        reason = (
-            "its features, none of which moves significantly, move together by "
-            f"{errors:.1f} standard errors: they do, or the reference, the core, does"
-        )
+        kind, reason = "not confirmed", MOVE_TOGETHER.format(errors)
     return [
         MeasuredStream(
             kind, reason, velocity, covariance, shift, source="features",
