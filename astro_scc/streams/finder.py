@@ -303,9 +303,8 @@ def _stream(search, row, members, sheet, shift, *, covered):
     )  # fmt: skip
     speed, error, spread, spread_err, share = row
     across, across_err = transverse_speed(*sheet, speed / beam)
-    if not np.isfinite(across_err):
-        # A flow that is not resolved across: the direction is that of the grid.
-        across_err = error / beam
+    # Of a flow that is not resolved across, the direction is that of the grid.
+    across_err = across_err if np.isfinite(across_err) else error / beam
     velocity = np.array([speed, across * beam])
     variance = np.array([error, across_err * beam]) ** 2
     source, features, (slowest, fastest) = "spectrum", UNKNOWN, UNKNOWN
