@@ -49,6 +49,8 @@ from astro_scc.visualization import speeds, style
 
 #: The name of all scales together.
 ALL = "all"
+#: What is said of a lone stream of a group of scales.
+ONE_OF_TWO = "the whole flow has two streams: compare the groups by both"
 
 
 def bins_of(edges, *, window=None):
@@ -178,6 +180,8 @@ class Profile(Components):
             for name, found in self.results.items()
             for k, result in enumerate(found)
         }
+        if self.pair:
+            tables = {key: _one_of_two(table) for key, table in tables.items()}
         adjusted = false_discovery_rate(tables)
         several = self.groups != (ALL,)
         placed = [
@@ -220,6 +224,18 @@ def _in_bin(table, limits, group):
         columns["scale_group"] = np.full(len(table), group)
     columns |= dict(table.items()) | {"main": _main(table)}
     return describe(QTable(columns, meta=table.meta), "profile")
+
+
+def _one_of_two(table):
+    """Return a table that says of a lone stream that the whole flow has two."""
+    moving = np.flatnonzero(table["kind"] == "moving")
+    if len(moving) != 1:
+        return table
+    said = table["caution"].tolist()
+    said[moving[0]] = "; ".join(filter(None, (said[moving[0]], ONE_OF_TWO)))
+    table = table.copy(copy_data=False)
+    table["caution"] = said
+    return describe(table, "streams")
 
 
 def _main(table):

@@ -196,6 +196,7 @@ def test_groups_are_measured_by_themselves(half):
     by_scale = measure_profile(SCC, half, BINS[:3], **how)
     table = by_scale.components
     assert set(table["scale_group"]) == {"1", "2, 3"}
+    assert "two streams" in replace(by_scale, pair=[(1, 0)]).streams["caution"][0]
     # Features have no scale.
     assert set(table["pm_from"]) == {"spectrum"}
     found = compare_scales(by_scale)
