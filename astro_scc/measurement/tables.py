@@ -251,7 +251,8 @@ def stream_row(result, k):
     limit = row["pm"] + LIMIT * row["pm_err"]
     # A limit that one of its features exceeds is none, unless it is of all together.
     together = stream.kind == "not confirmed" and np.isnan(stream.p_global)
-    limited = together or (stream.kind != "moving" and not stream.fastest > limit)
+    slow = len(stream.members) and stream.fastest <= limit
+    limited = together or (stream.kind != "moving" and slow)
     same = "kind share dispersion dispersion_err p_local p_global p_distinct".split()
     row |= {name: getattr(stream, name) for name in same}
     row |= with_errors(pm_features=stream.features, pm_spectrum=stream.spectrum) | {
