@@ -205,6 +205,15 @@ class Completion(argparse.Action):
         parser.exit()
 
 
+class Once(argparse.Action):
+    """Store the value of an option that may be given once."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if option_string and getattr(namespace, self.dest, None) is not self.default:
+            raise argparse.ArgumentError(self, "is given twice; give it once")
+        setattr(namespace, self.dest, values)
+
+
 @contextmanager
 def _seldom_collected(made=100_000):
     """
@@ -236,7 +245,7 @@ def _add(parser, arguments):
             del options["metavar"]
             options["action"] = argparse.BooleanOptionalAction
         elif "metavar" in options or "choices" in options:
-            options["type"] = TYPES.get(kind, str)
+            options |= {"type": TYPES.get(kind, str), "action": Once}
         else:
             options["action"] = "store_true"
         parser.add_argument(*flags, **options)

@@ -330,7 +330,7 @@ def _cautions(search, stream, row, alpha, unit):
         "features too": p > alpha,
         f"p_global may be above or below {alpha:g} by chance: take more trials":
             close and p <= alpha,
-        "no secure feature moves at this speed: it is that of the spectrum alone":
+        "no secure feature counts: its speed is that of the spectrum alone":
             row["n_features"] == 0,
         "its features diffuse: all that are followed count, also those not secure":
             not search.features.secure[stream.members].all(),

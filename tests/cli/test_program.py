@@ -58,6 +58,7 @@ def test_arguments_that_are_not_understood(capsys):
         ("fly", "astro-scc: error: argument COMMAND: invalid choice: 'fly'"),
         ("--foo inspect", "astro-scc: error: unrecognized arguments: --foo"),
         ("simulate static x --epochs b", "astro-scc simulate: error: argument --epo"),
+        ("survey x --source a --source b", "astro-scc survey: error: argument --sou"),
     ]:
         with pytest.raises(SystemExit) as leave:
             main(argv.split())
@@ -65,7 +66,6 @@ def test_arguments_that_are_not_understood(capsys):
         out, err = capsys.readouterr()
         assert out == ""
         assert err.startswith(line)
-        # The help of the command, if there is one.
         assert err.endswith(f"; see {line.partition(':')[0]} --help\n")
         assert err.count("\n") == 1
 
