@@ -210,7 +210,7 @@ class Once(argparse.Action):
 
     def __call__(self, parser, namespace, values, option_string=None):
         if option_string and getattr(namespace, self.dest, None) is not self.default:
-            raise argparse.ArgumentError(self, "is given twice; give it once")
+            raise argparse.ArgumentError(self, "is given twice; a survey takes A,B")
         setattr(namespace, self.dest, values)
 
 
@@ -241,11 +241,13 @@ def _add(parser, arguments):
             argument = flags | known
         options = argument.copy()
         flags, kind = options.pop("flags").split(), options.pop("type", None)
+        if options.pop("once", False):
+            options["action"] = Once
         if options.get("metavar") == "true|false":
             del options["metavar"]
             options["action"] = argparse.BooleanOptionalAction
         elif "metavar" in options or "choices" in options:
-            options |= {"type": TYPES.get(kind, str), "action": Once}
+            options["type"] = TYPES.get(kind, str)
         else:
             options["action"] = "store_true"
         parser.add_argument(*flags, **options)
