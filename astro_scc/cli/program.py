@@ -210,7 +210,7 @@ class Once(argparse.Action):
 
     def __call__(self, parser, namespace, values, option_string=None):
         if option_string and getattr(namespace, self.dest, None) is not self.default:
-            raise argparse.ArgumentError(self, "is given twice; a survey takes A,B")
+            raise argparse.ArgumentError(self, "is given twice; give it once")
         setattr(namespace, self.dest, values)
 
 

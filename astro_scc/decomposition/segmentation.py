@@ -16,7 +16,8 @@ from astro_scc.decomposition import wavelet
 from astro_scc.decomposition.wavelet import scale_kernel, scale_size, wavelet_planes
 from astro_scc.quantities import NOISES, check_choice, named
 
-#: Values beside a maximum count as this share of it or more.
+#: Values beside a maximum count as this share of it or more: at the corners of 3 x 3
+#: pixels, that of a Gaussian with a standard deviation of one pixel.
 FAINT = 0.1
 
 

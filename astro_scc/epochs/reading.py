@@ -166,7 +166,7 @@ def _of_ndcube(image):
     header = wcs.to_header()
     header["NAXIS"] = wcs.naxis
     if times and (axis := dates.time_axis(header)):
-        # Of WCS, times are seconds in any unit.
+        # WCS takes times in any unit for seconds.
         header[f"NAXIS{axis}"] = 1
         if not header[f"CTYPE{axis}"].endswith("-TAB"):
             found["time"] = dates.axis_times(header, axis)[0]

@@ -397,9 +397,9 @@ def accelerations(result, rows):
     """Return the acceleration of each of some rows; the parts are fitted once."""
     search = result.search
     flow, fit, known = search.flow, search.fit, []
-    # What stands still, or may, has no speed of the spectrum.
-    still = "stationary", "not significant"
-    moving = [search.streams[row].kind not in still for row in rows]
+    # Features that are not tested have no speed of the spectrum.
+    streams = [search.streams[row] for row in rows]
+    moving = [np.isfinite(s.p_global) and s.kind != "not significant" for s in streams]
     if any(moving) and fit is not None:
         known = [flow.between(low, high) for low, high in parts_along(flow)]
     sign = 1 if fit is None else np.sign(fit.mean[0])

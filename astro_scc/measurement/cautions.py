@@ -29,7 +29,7 @@ NEAR, DISAGREE = 0.8, 2.5
 DIRECTIONS, ALL = 0.3, 1.0
 #: How that is said, which headlines begin with.
 NO_DIRECTION = "no one direction holds for the emission"
-#: What to do about several.
+#: What to do about several directions.
 EACH = "give a region for each"
 
 
@@ -103,7 +103,7 @@ def _inward(search, alpha):
     """Return that motion against the flow needs more, as a list of text."""
     p, inward = search.test.p_local[search.test.best], search.test.clearest < 0
     weighted = search.flow.directed and search.flow.outward and inward and p <= alpha
-    said = f"inward motion counts {INWARD:g} times as much as outward motion"
+    said = f"inward motion needs a p-value {1 / INWARD:g} times smaller than outward"
     return [said] if weighted else []
 
 
@@ -211,11 +211,11 @@ def _other_directions(result):
     # Where they move the other way, the jet is on the other side.
     aside = 1 < off / turns / (np.pi / 4) < 3 and not everywhere
     if aside and (result.flow.given or not frame.uniform):
-        more = "try without a position angle" if frame.uniform else "rows are along it"
-        return [
-            f"secure features move at {np.degrees(off) / turns:.0f} deg to its "
-            f"direction: {more}"
-        ]
+        apart = f"{np.degrees(off) / turns:.0f} deg to its direction"
+        more = ", along which speeds are measured"
+        if frame.uniform:
+            more = ": try without a position angle"
+        return [f"secure features move at {apart}{more}"]
     # Speeds along lines that bend are lengths.
     if result.flow.grids[0].bends:
         return []

@@ -54,6 +54,7 @@ STANDING_STILL = (
 #: Standing features do not stand still if their mean is so many errors from zero, of
 #: two dimensions: as rare by chance as three errors in one.
 TOGETHER = 3.44
+#: How that is said.
 MOVE_TOGETHER = (
     "its features, none of which moves significantly, move together by {:.1f} standard "
     "errors: they do, or the reference, the core, does"

@@ -246,7 +246,7 @@ def test_one_direction_does_not_speak_for_others(angles, words):
     ((0, 0), 0, "any", "for the emission: .* deg, try --position-angle radial"),
     ((-3, 2), 0, "any", r"they move away from \((-3|-2.9.?), (2|2.0.?|1.9.?)\) mas"),
     ((0, 0), np.pi / 2, "any", "for the emission: .* deg, give a region for each"),
-    ((0, 0), np.pi / 2, "radial", "features move at 7. deg to its direction: rows are"),
+    ((0, 0), np.pi / 2, "radial", "features move at 7. deg to its direction, along wh"),
 ])  # fmt: skip
 def test_motion_to_all_sides_is_said(centre, turn, angle, said):
     """Twelve knots that move away from a place, or about it."""
